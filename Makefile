@@ -1,0 +1,63 @@
+# Everything runs in .venv, which the first call makes. Needs Python 3.11 or newer and a C compiler.
+#
+#   make demo      a sample character walks: a GLB and an MP4 in demo/
+#   make test      the tests
+#   make lint      ruff and mypy
+#   make format    let ruff rewrite the sources
+#   make install   only the set-up
+#   make wheel     the package in dist/
+#   make clean     remove what the above wrote, but for .venv
+
+PYTHON ?= python3
+TORCH ?= torch==2.13.0
+PROMPT ?= a person walks forward
+SAMPLE ?= person
+
+BIN := .venv/bin
+READY := .venv/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test lint format wheel clean
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+install: $(READY)
+
+# A broken or foreign .venv shows itself here and is made again.
+.venv/pyvenv.cfg:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo "bunraku needs Python 3.11 or newer and '$(PYTHON)' is not; name one with: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 2; }
+	$(PYTHON) -m venv .venv || { echo "could not make .venv; on Debian and Ubuntu first install python3-venv" >&2; rm -rf .venv; exit 2; }
+
+# torch comes first and pinned: left to the resolver it may bring gigabytes of CUDA that a CPU never uses.
+$(READY): .venv/pyvenv.cfg pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check '$(TORCH)'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@
+
+demo: $(READY)
+	@$(BIN)/bunraku samples $(SAMPLE) -o demo
+	@$(BIN)/bunraku animate demo/$(SAMPLE).glb "$(PROMPT)" --seconds 4 -o demo/$(SAMPLE)-animated.glb --preview demo/$(SAMPLE)-animated.mp4
+	@test -s demo/$(SAMPLE)-animated.glb && test -s demo/$(SAMPLE)-animated.mp4
+	@echo "animation: demo/$(SAMPLE)-animated.glb"
+	@echo "video:     demo/$(SAMPLE)-animated.mp4"
+
+test: $(READY)
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+wheel: $(READY)
+	$(BIN)/python -m hatchling build -t wheel
+
+clean:
+	rm -rf demo dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

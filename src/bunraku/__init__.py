@@ -1,0 +1,84 @@
+"""Bunraku animates character meshes: a sentence in, an engine-ready animation out.
+
+    import bunraku
+
+    character = bunraku.load_character("dragon.glb")
+    animation = bunraku.animate(character, "walks forward, then waves", seconds=6, seed=1)
+    animation.save("dragon-wave.glb")
+
+Importing the package loads nothing heavy: each public name is fetched from its module when it is first used (PEP 562).
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from bunraku.errors import (
+    BunrakuError,
+    CharacterError,
+    FormatError,
+    MissingExtraError,
+    MotionError,
+    OptionError,
+    WeightsError,
+)
+
+if TYPE_CHECKING:
+    from bunraku.animation import Animation
+    from bunraku.character import Character, Handles, Rig
+    from bunraku.formats import load_character, load_motion, save_character
+    from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton
+    from bunraku.pipeline import animate, rig
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Animation",
+    "BunrakuError",
+    "Character",
+    "CharacterError",
+    "FormatError",
+    "HandleMotion",
+    "Handles",
+    "MissingExtraError",
+    "MotionError",
+    "OptionError",
+    "Rig",
+    "SkeletalMotion",
+    "Skeleton",
+    "WeightsError",
+    "__version__",
+    "animate",
+    "load_character",
+    "load_motion",
+    "rig",
+    "save_character",
+]
+
+_HOME = {
+    "Animation": "bunraku.animation",
+    "Character": "bunraku.character",
+    "HandleMotion": "bunraku.motion",
+    "Handles": "bunraku.character",
+    "Rig": "bunraku.character",
+    "SkeletalMotion": "bunraku.motion",
+    "Skeleton": "bunraku.motion",
+    "animate": "bunraku.pipeline",
+    "load_character": "bunraku.formats",
+    "load_motion": "bunraku.formats",
+    "rig": "bunraku.pipeline",
+    "save_character": "bunraku.formats",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'bunraku' has no attribute '{name}'")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))

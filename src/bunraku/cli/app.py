@@ -1,0 +1,147 @@
+"""From the words of the command line to a verb, and from what it raises to one sentence and an exit status."""
+
+from __future__ import annotations
+
+import difflib
+import errno
+import importlib
+import inspect
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Any
+
+from bunraku.errors import BunrakuError, OptionError
+
+__all__ = ["VERBS", "main"]
+
+# Words -> module in bunraku.cli, its attribute that is the verb, one line of help.
+VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
+    ("animate",): ("animate", "Animate", "make a character do what a sentence says"),
+    ("rig",): ("rig", "Rig", "give a character its 30 handles as a skin, without motion"),
+    ("inspect",): ("inspect", "Inspect", "tell what a file holds"),
+    ("render",): ("render", "Render", "make a video or a picture of an animated file, a character or a motion"),
+    ("samples",): ("samples", "Samples", "write the sample characters"),
+    ("doctor",): ("doctor", "Doctor", "tell what this installation has, what is missing, and what that costs"),
+    ("data", "motions"): ("data", "Motions", "turn a motion archive into handle motions to train on"),
+    ("data", "characters"): ("data", "Characters", "turn rigged characters into samples to train on"),
+    ("train", "handles"): ("train", "handles", "train the Mesh Handle Predictor"),
+    ("train", "diffusion"): ("train", "diffusion", "train the Shape-aware Motion Diffusion"),
+    ("evaluate", "retrieval"): ("evaluate", "Retrieval", "test how well sentences are found back from motions"),
+}
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        argv: The words after the program's name; those of the process by default.
+
+    Returns:
+        The exit status: 0 done, 2 something that the user can mend, 130 interrupted, 1 a fault of Bunraku itself.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    debug = os.environ.get("BUNRAKU_DEBUG", "") not in ("", "0") or "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    try:
+        status = _dispatch(words)
+        sys.stdout.flush()
+        return status
+    except SystemExit as leave:  # the option parser has said what it had to say
+        return leave.code if isinstance(leave.code, int) else 0 if leave.code is None else 2
+    except BrokenPipeError:  # `bunraku inspect FILE | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except KeyboardInterrupt:
+        print("bunraku: interrupted", file=sys.stderr)
+        return 130
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        status, sentence = _explain(error)
+        print(f"bunraku: error: {' '.join(sentence.split())}", file=sys.stderr)
+        return status
+
+
+def _dispatch(words: list[str]) -> int:
+    if not words or words[0] in ("-h", "--help", "help"):
+        _print_help(VERBS)
+        return 0 if words else 2
+    if words[0] in ("-V", "--version", "version"):
+        from bunraku import __version__
+
+        print(f"bunraku {__version__}")
+        return 0
+    verb = tuple(words[:1])
+    if verb not in VERBS:
+        group = {key: value for key, value in VERBS.items() if key[0] == words[0]}
+        if not group:
+            raise OptionError(_unknown("command", words[0], sorted({key[0] for key in VERBS})))
+        if len(words) < 2 or words[1] in ("-h", "--help"):
+            _print_help(group, words[0])
+            return 0 if len(words) > 1 else 2
+        verb = tuple(words[:2])
+        if verb not in VERBS:
+            raise OptionError(_unknown(f"'{words[0]}' command", words[1], [key[1] for key in group]))
+    module, name, summary = VERBS[verb]
+    target: Any = getattr(importlib.import_module(f"bunraku.cli.{module}"), name)
+    # A verb is a dataclass with `run`, or a function that gives another module's dataclass and what to do with it.
+    kind, action = target() if inspect.isfunction(target) else (target, target.run)
+    return action(_parse(kind, verb, words[len(verb) :], target.__doc__ or summary)) or 0
+
+
+def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> Any:
+    import tyro
+
+    return tyro.cli(
+        kind,
+        prog=" ".join(("bunraku", *verb)),
+        description="\n".join(line.strip() for line in text.strip().splitlines()),
+        args=words,
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
+    )
+
+
+def _unknown(kind: str, word: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(word, known, 1)
+    hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(known)}"
+    return f"there is no {kind} '{word}'; {hint}"
+
+
+def _print_help(verbs: dict[tuple[str, ...], tuple[str, str, str]], group: str = "") -> None:
+    prefix = f"bunraku {group}".strip()
+    print(f"usage: {prefix} COMMAND [options]\n")
+    if not group:
+        print("A sentence animates any character mesh.\n")
+    width = max(len(" ".join(verb)) for verb in verbs)
+    for verb, (_, _, summary) in verbs.items():
+        print(f"  {' '.join(verb):<{width}}  {summary}")
+    if not group:
+        print("\n  --version  print the version\n  --debug    show the traceback of an error (or set BUNRAKU_DEBUG=1)")
+        print('\nexample: bunraku animate dragon.glb "walks forward, then waves" --seconds 6 -o dragon-wave.glb --preview dragon-wave.mp4')
+    print(f"\n`{prefix} COMMAND --help` tells the options of a command.")
+
+
+def _explain(error: Exception) -> tuple[int, str]:
+    """Exit status and sentence for an exception."""
+    if isinstance(error, BunrakuError):
+        return 2, str(error)
+    if isinstance(error, MemoryError) or _is_allocation_failure(error):
+        return 2, "the memory is not enough for this; close other programs, or give a smaller mesh or fewer seconds"
+    if isinstance(error, OSError):
+        where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
+        if error.errno in _FULL:
+            return 2, f"{where}the disk is full; free some space or write to another folder"
+        if isinstance(error, PermissionError):
+            return 2, f"{where}permission denied; choose a file or folder that you may use"
+        return 2, f"{where}{error.strerror or error}"
+    return 1, f"this is a fault of Bunraku, not yours: {type(error).__name__}: {error}; run again with --debug and report what it prints"
+
+
+def _is_allocation_failure(error: Exception) -> bool:
+    """Whether torch, which raises RuntimeError for it, ran out of memory on the CPU or on a GPU."""
+    text = str(error)
+    return isinstance(error, RuntimeError) and ("not enough memory" in text or "can't allocate memory" in text or "out of memory" in text)

@@ -1,0 +1,112 @@
+"""What can be known to be wrong before any heavy work starts."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+from bunraku.errors import FormatError, OptionError
+
+__all__ = ["check_folder", "check_input", "check_output", "check_prompt", "check_range", "check_seconds", "make_folder", "slug"]
+
+SECONDS = (0.5, 120.0)
+PROMPT_LENGTH = 1000
+
+
+def check_range(option: str, value: float | None, low: float, high: float) -> None:
+    """Raise OptionError unless the value is None or a number from low to high."""
+    if value is not None and not (math.isfinite(value) and low <= value <= high):
+        raise OptionError(f"{option} must be from {low:g} to {high:g}, not {value:g}")
+
+
+def check_seconds(seconds: float) -> None:
+    """Raise OptionError unless a clip of this length [s] can be made."""
+    check_range("--seconds", seconds, *SECONDS)
+
+
+def check_prompt(prompt: str) -> None:
+    """Raise OptionError unless this is a sentence of a sane length."""
+    if not prompt.strip():
+        raise OptionError('the prompt is empty; say what the character does, for example "walks forward"')
+    if len(prompt) > PROMPT_LENGTH:
+        raise OptionError(f"the prompt has {len(prompt):,} characters; say it in {PROMPT_LENGTH:,} or fewer (about 30 words are read)")
+    if not any(letter.isalnum() for letter in prompt):
+        raise OptionError('the prompt has no words; say what the character does, for example "walks forward"')
+
+
+def check_input(path: Path) -> None:
+    """Raise FormatError unless this is a plain file that can be opened, holds something, and is not too large to read."""
+    from bunraku.formats import files
+
+    files.check_input(path)
+    if not os.access(path, os.R_OK):
+        raise FormatError(path, "you may not read this file; change its permissions")
+
+
+def check_output(path: Path, suffixes: Iterable[str], inputs: Iterable[Path] = ()) -> None:
+    """Raise FormatError unless a file of this name can be written.
+
+    Args:
+        path: The file to be.
+        suffixes: Suffixes that the verb can write, with their dots.
+        inputs: Files that must not be overwritten.
+    """
+    known = list(suffixes)
+    if path.suffix.lower() not in known:
+        raise FormatError(path, f"{_describe(path)} cannot be written here; end the name in {_listed(known)}")
+    if path.is_dir():
+        raise FormatError(path, "this is a folder; name a file in it")
+    if any(path.exists() and other.exists() and path.samefile(other) for other in inputs):
+        raise FormatError(path, "this would overwrite the input; choose another name")
+    check_folder(path.parent)
+
+
+def check_folder(folder: Path) -> None:
+    """Raise FormatError unless files can be made in this folder, or the folder in the one above it.
+
+    It is tried, not guessed from permissions, which say little on network drives and to root.
+    """
+    nearest = folder if folder.exists() else folder.parent
+    if not nearest.exists():
+        raise FormatError(folder, "the folder and the one above it do not exist; make them first")
+    if not nearest.is_dir():
+        raise FormatError(nearest, "this is not a folder; choose another place to write to")
+    try:
+        with tempfile.NamedTemporaryFile(dir=nearest, prefix=".bunraku-"):
+            pass
+    except OSError as error:
+        raise FormatError(folder, f"the folder cannot be written to ({error.strerror or error}); choose another one") from error
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder of an output where only its last level is missing.
+
+    Raises:
+        FormatError: It cannot be made.
+    """
+    from bunraku.formats.files import check_output_folder
+
+    check_output_folder(path)
+
+
+def slug(text: str, length: int = 40) -> str:
+    """Words of a sentence as a part of a file name, cut at a word: "Walks forward, then waves!" -> "walks-forward-then-waves"."""
+    words = re.findall(r"\w+", text.lower())
+    out = ""
+    for word in words:
+        if out and len(out) + 1 + len(word) > length:
+            break
+        out = f"{out}-{word}" if out else word[:length]
+    return out or "motion"
+
+
+def _describe(path: Path) -> str:
+    return f"'{path.suffix}'" if path.suffix else "a file without a suffix"
+
+
+def _listed(suffixes: list[str]) -> str:
+    return suffixes[0] if len(suffixes) == 1 else f"{', '.join(suffixes[:-1])} or {suffixes[-1]}"

@@ -1,0 +1,177 @@
+"""`bunraku inspect`: what a file holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from bunraku.cli.checks import check_input
+from bunraku.cli.report import size_text
+
+if TYPE_CHECKING:
+    from bunraku.character import Character
+    from bunraku.formats.gltf_document import Document
+
+__all__ = ["Inspect", "describe"]
+
+GLTF = (".glb", ".gltf", ".vrm")
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Tell what a file holds: its meshes, rig, materials and animations, or the motion of an .npz or .bvh file.
+
+    Example: bunraku inspect dragon.glb --json
+    """
+
+    file: tyro.conf.Positional[Path]
+    """A character or a motion."""
+    json: bool = False
+    """Print JSON for programs."""
+
+    def run(self) -> None:
+        check_input(self.file)
+        facts = describe(self.file)
+        if self.json:
+            import json
+
+            print(json.dumps(facts, indent=2))
+        else:
+            _print(facts)
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """What a file holds, in values that JSON can say; lengths in metres and seconds.
+
+    Raises:
+        FormatError: The file cannot be read.
+        CharacterError: It holds no mesh that can be animated.
+    """
+    facts: dict[str, Any] = {"file": str(path), "bytes": path.stat().st_size}
+    if path.suffix.lower() in (".npz", ".bvh"):
+        return facts | _motion(path)
+    from bunraku.formats import load_character
+
+    character = load_character(path)
+    suffix = getattr(character.source, "suffix", path.suffix.lower())
+    facts |= _character(character, suffix)
+    if character.source is not None:
+        facts |= _document(character.source.document)
+    if suffix not in GLTF:
+        facts.pop("generator", None)  # the document stands for a file of another format
+    return facts
+
+
+def _motion(path: Path) -> dict[str, Any]:
+    from bunraku.formats import load_motion
+    from bunraku.motion import HandleMotion
+
+    motion = load_motion(path)
+    facts: dict[str, Any] = {"kind": "handle motion" if isinstance(motion, HandleMotion) else "skeletal motion"}
+    facts |= {"frames": len(motion), "fps": float(motion.fps), "seconds": round(len(motion) / motion.fps, 3)}
+    if isinstance(motion, HandleMotion):
+        facts["handles"] = motion.translations.shape[1]
+    else:
+        facts["joints"] = len(motion.skeleton.names)
+    travel = motion.root_translation[-1] - motion.root_translation[0]
+    return facts | {"root_travel": [round(float(x), 3) for x in travel]}
+
+
+def _character(character: Character, suffix: str) -> dict[str, Any]:
+    import numpy as np
+
+    low, high = character.vertices.min(axis=0), character.vertices.max(axis=0)
+    extent = high - low
+    welded, parts = _count_parts(character)
+    facts: dict[str, Any] = {
+        "kind": "character",
+        "name": character.name,
+        "vertices": len(character.vertices),
+        "vertices_welded": welded,
+        "faces": len(character.faces),
+        "loose_parts": parts,
+        "height": round(float(character.height), 4),
+        "extent": [round(float(x), 4) for x in extent],
+        "lowest_corner": [round(float(x), 4) for x in low],
+        "up_axis": _up_axis(np.asarray(extent), suffix),
+        "rig": None,
+    }
+    if character.rig is not None:
+        influences = int((character.rig.weights > 0).sum(axis=1).max(initial=0))
+        facts["rig"] = {"joints": len(character.rig.names), "influences": influences, "names": list(character.rig.names)}
+    return facts
+
+
+def _count_parts(character: Character) -> tuple[int, int]:
+    """Vertices and loose parts once seams and repeated vertices are welded."""
+    from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
+
+    clean = clean_mesh(character.vertices, character.faces)
+    count = len(clean.vertices)
+    return count, int(mesh_parts(unique_edges(clean.faces, count), count).max()) + 1
+
+
+def _up_axis(extent: Any, suffix: str) -> dict[str, str]:
+    """glTF's up axis is a rule; other mesh files do not say, so the longer of Y and Z is taken for it."""
+    if suffix in GLTF:
+        return {"axis": "+Y", "why": "the rule of glTF"}
+    if extent[2] > 1.2 * extent[1]:
+        return {"axis": "+Y", "why": "assumed, but the mesh is longer along Z: if it lies on its back, turn it by -90 degrees about X first"}
+    return {"axis": "+Y", "why": "assumed; the shape agrees"}
+
+
+def _document(document: Document) -> dict[str, Any]:
+    animations = []
+    for number, animation in enumerate(document.items("animations")):
+        ends = [float(document.accessor(sampler.get("input"), ("SCALAR",)).max(initial=0)) for sampler in document.objects(animation, "samplers")]
+        name = str(animation.get("name") or f"animation {number}")
+        animations.append({"name": name, "seconds": round(max(ends, default=0.0), 3), "channels": len(document.objects(animation, "channels"))})
+    return {
+        "generator": str(document.tree["asset"].get("generator", "")),
+        "meshes": len(document.items("meshes")),
+        "primitives": sum(len(document.objects(mesh, "primitives")) for mesh in document.items("meshes")),
+        "materials": [str(material.get("name") or f"material {number}") for number, material in enumerate(document.items("materials"))],
+        "textures": len(document.items("textures")),
+        "skins": len(document.items("skins")),
+        "animations": animations,
+        "extensions": sorted(str(name) for name in document.tree.get("extensionsUsed", [])),
+    }
+
+
+def _print(facts: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold")
+    table.add_column(overflow="fold")
+    for key, value in facts.items():
+        table.add_row(Text(key.replace("_", " ")), Text(_say(key, value)))
+    Console().print(table)
+
+
+def _say(key: str, value: Any) -> str:
+    if key == "bytes":
+        return size_text(value)
+    if key in ("height", "seconds"):
+        return f"{value:g} {'m' if key == 'height' else 's'}"
+    if key in ("extent", "lowest_corner", "root_travel"):
+        return " x ".join(f"{x:g}" for x in value) + " m" if key == "extent" else ", ".join(f"{x:g}" for x in value) + " m"
+    if key == "up_axis":
+        return f"{value['axis']} ({value['why']})"
+    if key == "rig":
+        return "none" if value is None else f"{value['joints']} joints, up to {value['influences']} influences a vertex: {_short(value['names'])}"
+    if key == "animations":
+        return _short([f"{clip['name']} ({clip['seconds']:g} s)" for clip in value]) if value else "none"
+    if isinstance(value, list):
+        return f"{len(value)}: {_short(value)}" if value else "none"
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _short(names: list[str], limit: int = 12) -> str:
+    more = f", and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more

@@ -1,0 +1,25 @@
+"""What a verb says on standard output when it is done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["size_text", "wrote"]
+
+
+def wrote(path: Path, note: str = "") -> None:
+    """Print a line that names a file, or the folder of a sequence, and its size."""
+    files = [path] if path.is_file() else sorted(file for file in path.glob("*") if file.is_file())
+    size = size_text(sum(file.stat().st_size for file in files))
+    count = "" if path.is_file() else f"{len(files)} files, "
+    print(f"wrote {path} ({count}{size}{', ' + note if note else ''})")
+
+
+def size_text(size: int) -> str:
+    """A number of bytes for people: 1536 -> "1.5 kB"."""
+    value = float(size)
+    for unit in ("bytes", "kB", "MB"):
+        if value < 1000:
+            return f"{value:.0f} {unit}" if unit == "bytes" else f"{value:.1f} {unit}"
+        value /= 1000
+    return f"{value:.1f} GB"

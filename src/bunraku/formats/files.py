@@ -1,0 +1,120 @@
+"""Files as the formats see them: bounded reading, paths that stay in their folder, and writing that leaves nothing half-done."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+from urllib.parse import unquote
+
+from bunraku.errors import FormatError
+
+__all__ = ["MAX_BYTES", "atomic_write", "check_input", "check_output_folder", "inside", "read_bounded"]
+
+MAX_BYTES = 2 << 30
+"""Largest file that is read [bytes]."""
+
+
+def check_input(path: Path) -> int:
+    """Size of a file that can be read [bytes].
+
+    Raises:
+        FormatError: The file is missing, a folder, not a plain file, empty, or larger than `MAX_BYTES`.
+    """
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        raise FormatError(path, "there is no such file; check the path") from None
+    except (OSError, ValueError) as error:
+        raise FormatError(path, f"the file cannot be opened ({_reason(error)}); check the path and its permissions") from None
+    if stat.S_ISDIR(status.st_mode):
+        raise FormatError(path, "this is a folder; name a file inside it")
+    if not stat.S_ISREG(status.st_mode):
+        raise FormatError(path, "this is not a plain file; copy it to a file on disk first")
+    if status.st_size == 0:
+        raise FormatError(path, "the file is empty; export it again")
+    if status.st_size > MAX_BYTES:
+        raise FormatError(path, f"the file has {status.st_size / 2**30:.1f} GiB but at most {MAX_BYTES >> 30} GiB are read; simplify the mesh first")
+    return status.st_size
+
+
+def read_bounded(path: Path) -> bytes:
+    """All bytes of a file of at most `MAX_BYTES`.
+
+    Raises:
+        FormatError: As `check_input`, or the file cannot be read.
+    """
+    check_input(path)
+    try:
+        with path.open("rb") as file:
+            return file.read(MAX_BYTES)
+    except OSError as error:
+        raise FormatError(path, f"the file cannot be read ({_reason(error)}); check its permissions") from None
+
+
+def inside(folder: Path, uri: str) -> Path | None:
+    """The file that a relative URI names in a folder or below it, or None where it points anywhere else.
+
+    URLs, absolute paths, `..` and links that lead out of the folder are all elsewhere.
+    """
+    name = unquote(uri).replace("\\", "/")
+    if not name or name.startswith("/") or "\0" in name or re.match(r"[A-Za-z][A-Za-z0-9+.\-]*:", name) or ".." in name.split("/"):
+        return None
+    try:
+        target = (folder / name).resolve()
+        return target if target.is_relative_to(folder.resolve()) else None
+    except (OSError, RuntimeError):
+        return None
+
+
+def check_output_folder(path: Path) -> None:
+    """Make sure that the folder of an output exists, creating its last level where only that is missing.
+
+    Raises:
+        FormatError: The folder cannot be made, or the path is a folder itself.
+    """
+    if path.is_dir():
+        raise FormatError(path, "this is a folder; name a file inside it")
+    folder = path.parent
+    if folder.is_dir():
+        return
+    if not folder.parent.is_dir():
+        raise FormatError(path, f"the folder {folder} does not exist; create it first")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise FormatError(path, f"the folder {folder} cannot be created ({_reason(error)}); choose another place") from None
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[BinaryIO]:
+    """A binary file beside the target that takes its place when the block ends, and vanishes when the block fails.
+
+    Raises:
+        FormatError: The folder is missing or cannot be written, or the disk is full.
+    """
+    check_output_folder(path)
+    temporary = ""
+    try:
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", suffix=".tmp", dir=path.parent)
+        with os.fdopen(descriptor, "wb") as file:
+            yield file
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes files that only their owner can read
+        os.replace(temporary, path)
+    except OSError as error:
+        raise FormatError(path, f"the file cannot be written ({_reason(error)}); choose another place or free some space") from None
+    finally:
+        if temporary:
+            with suppress(OSError):
+                os.unlink(temporary)
+
+
+def _reason(error: Exception) -> str:
+    return (getattr(error, "strerror", None) or str(error)).lower()

@@ -1,0 +1,266 @@
+"""A glTF 2.0 document in memory: its JSON tree and its buffers, with every index, offset and length checked on use."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from bunraku.errors import FormatError
+from bunraku.formats.files import inside, read_bounded
+
+__all__ = ["COMPONENT_TYPES", "ELEMENT_SIZES", "MAX_ELEMENTS", "Document", "open_document"]
+
+COMPONENT_TYPES: dict[int, np.dtype[Any]] = {
+    code: np.dtype(name) for code, name in ((5120, "i1"), (5121, "u1"), (5122, "<i2"), (5123, "<u2"), (5125, "<u4"), (5126, "<f4"))
+}
+ELEMENT_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+MAX_ELEMENTS = 50_000_000
+"""Most elements of one accessor: one may be declared without any data behind it, so the file's size is no bound."""
+
+_COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+_UNDERSTOOD = ("KHR_mesh_quantization", "KHR_texture_", "KHR_materials_", "KHR_lights_", "KHR_animation_", "KHR_xmp", "EXT_texture_", "VRM", "MSFT_")
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """A glTF document.
+
+    Args:
+        path: Where it came from, for messages.
+        tree: The JSON object.
+        buffers: The bytes of each buffer.
+        images: Bytes of the images that are files or data URIs, by image index; None where the file is missing.
+    """
+
+    path: Path
+    tree: dict[str, Any]
+    buffers: list[bytes | memoryview]
+    images: dict[int, bytes | None]
+
+    def fail(self, problem: str) -> NoReturn:
+        """Raise a FormatError about this document."""
+        raise FormatError(self.path, problem)
+
+    def items(self, kind: str) -> list[dict[str, Any]]:
+        """A top-level list of the document, empty where it has none."""
+        return self.objects(self.tree, kind)
+
+    def objects(self, owner: dict[str, Any], key: str) -> list[dict[str, Any]]:
+        """A list of objects under a key of an object."""
+        value = owner.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            self.fail(f"'{key}' must be a list of objects; the file is broken, export it again")
+        return value
+
+    def item(self, kind: str, index: Any) -> dict[str, Any]:
+        """One entry of a top-level list."""
+        items = self.items(kind)
+        if type(index) is not int or not 0 <= index < len(items):
+            self.fail(f"{kind}[{index!r:.20}] does not exist; the file is broken, export it again")
+        return items[index]
+
+    def integer(self, owner: dict[str, Any], key: str, default: int | None = None, high: int = 2**40) -> int:
+        """A non-negative whole number under a key of an object."""
+        value = owner.get(key, default)
+        if type(value) is float and value.is_integer():
+            value = int(value)
+        if type(value) is not int or not 0 <= value <= high:
+            self.fail(f"'{key}' must be a whole number from 0 to {high}, not {value!r:.40}; the file is broken, export it again")
+        return value
+
+    def numbers(self, owner: dict[str, Any], key: str, default: list[float]) -> np.ndarray:
+        """A list of finite numbers under a key of an object, as long as the default, float64."""
+        value = owner.get(key, default)
+        good = isinstance(value, list) and len(value) == len(default) and all(type(x) in (int, float) for x in value)
+        out = np.array(value, float) if good else np.array([np.nan])
+        if not np.isfinite(out).all():
+            self.fail(f"'{key}' must be {len(default)} finite numbers; the file is broken, export it again")
+        return out
+
+    def indices(self, owner: dict[str, Any], key: str, kind: str) -> list[int]:
+        """A list of indices into a top-level list, under a key of an object."""
+        value, count = owner.get(key, []), len(self.items(kind))
+        if not isinstance(value, list) or not all(type(x) is int and 0 <= x < count for x in value):
+            self.fail(f"'{key}' points at {kind} that do not exist; the file is broken, export it again")
+        return value
+
+    def view(self, index: Any) -> memoryview:
+        """The bytes of a buffer view."""
+        view = self.item("bufferViews", index)
+        buffer = self.integer(view, "buffer")
+        if buffer >= len(self.buffers):
+            self.fail(f"buffer {buffer} does not exist; the file is broken, export it again")
+        start, length = self.integer(view, "byteOffset", 0), self.integer(view, "byteLength")
+        data = memoryview(self.buffers[buffer])
+        if start + length > len(data):
+            self.fail(f"bufferViews[{index}] ends at byte {start + length} of {len(data)}; the file is truncated, export or download it again")
+        return data[start : start + length]
+
+    def count(self, index: Any) -> int:
+        """Number of elements of an accessor."""
+        return self.integer(self.item("accessors", index), "count", high=MAX_ELEMENTS)
+
+    def accessor(self, index: Any, kinds: tuple[str, ...], raw: bool = False) -> np.ndarray:
+        """The elements of an accessor, sparse values put in place.
+
+        Args:
+            index: Which accessor.
+            kinds: The element types that are allowed here, such as ("VEC3",).
+            raw: Keep integers as they are stored; otherwise normalised ones become floats.
+
+        Returns:
+            Elements, shape (count, components), in their stored type or float32.
+        """
+        accessor = self.item("accessors", index)
+        kind, component = accessor.get("type"), accessor.get("componentType")
+        if kind not in kinds:
+            self.fail(f"accessors[{index}] has type {kind!r:.20} where {' or '.join(kinds)} is needed; the file is broken, export it again")
+        dtype = COMPONENT_TYPES.get(component) if type(component) is int else None
+        if dtype is None:
+            self.fail(f"accessors[{index}] has component type {component!r:.20}, which glTF does not know; the file is broken, export it again")
+        count, size = self.count(index), ELEMENT_SIZES[kind]
+        if "bufferView" in accessor:
+            values = self._elements(accessor, accessor["bufferView"], dtype, count, size)
+        else:
+            values = np.zeros((count, size), dtype)
+        sparse = accessor.get("sparse")
+        if isinstance(sparse, dict):
+            values = self._sparse(sparse, values.copy(), dtype)
+        if raw or not accessor.get("normalized") or dtype.kind == "f":
+            return values
+        scaled: np.ndarray = values.astype(np.float32) / np.float32(np.iinfo(dtype).max)
+        return np.maximum(scaled, -1, out=scaled)
+
+    def _elements(self, owner: dict[str, Any], view: Any, dtype: np.dtype, count: int, size: int) -> np.ndarray:
+        data = self.view(view)
+        offset = self.integer(owner, "byteOffset", 0)
+        width = dtype.itemsize * size
+        stride = self.integer(self.item("bufferViews", view), "byteStride", width, high=65535)
+        if stride < width:
+            self.fail(f"bufferViews[{view}] packs elements of {width} bytes every {stride}; the file is broken, export it again")
+        if count and offset + stride * (count - 1) + width > len(data):
+            self.fail(f"an accessor reads past the end of bufferViews[{view}]; the file is truncated, export or download it again")
+        if not count:
+            return np.zeros((0, size), dtype)
+        return np.ndarray((count, size), dtype, data, offset, (stride, dtype.itemsize))
+
+    def _sparse(self, sparse: dict[str, Any], values: np.ndarray, dtype: np.dtype) -> np.ndarray:
+        count = self.integer(sparse, "count", high=len(values))
+        where, what = sparse.get("indices"), sparse.get("values")
+        if not isinstance(where, dict) or not isinstance(what, dict) or where.get("componentType") not in (5121, 5123, 5125):
+            self.fail("a sparse accessor lacks its indices or values; the file is broken, export it again")
+        rows = self._elements(where, where.get("bufferView"), COMPONENT_TYPES[where["componentType"]], count, 1)[:, 0]
+        if count and int(rows.max()) >= len(values):
+            self.fail("a sparse accessor replaces elements that do not exist; the file is broken, export it again")
+        values[rows] = self._elements(what, what.get("bufferView"), dtype, count, values.shape[1])
+        return values
+
+
+def open_document(path: Path, data: bytes) -> Document:
+    """Parse a GLB or glTF file.
+
+    Args:
+        path: The file; buffers and images are looked for in its folder only.
+        data: Its bytes.
+
+    Raises:
+        FormatError: The file is truncated or broken, needs an extension that is not understood, or points outside its folder.
+    """
+    if data[:4] == b"glTF":
+        text, chunk = _glb_chunks(path, data)
+    else:
+        text, chunk = memoryview(data), None
+    try:
+        tree = json.loads(bytes(text).decode("utf-8-sig"), parse_constant=_no_constant)
+    except (ValueError, RecursionError):
+        raise FormatError(path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again") from None
+    if not isinstance(tree, dict) or not isinstance(tree.get("asset"), dict):
+        raise FormatError(path, "this is not a glTF document, it has no 'asset'; export it again as glTF 2.0")
+    document = Document(path, tree, [], {})
+    if not str(tree["asset"].get("version", "")).startswith("2"):
+        document.fail(f"this is glTF {str(tree['asset'].get('version'))[:10]} but only version 2 is read; export it again as glTF 2.0")
+    _check_extensions(document)
+    for index, buffer in enumerate(document.items("buffers")):
+        document.buffers.append(_buffer(document, buffer, chunk if index == 0 else None))
+    for index, image in enumerate(document.items("images")):
+        if "uri" in image:
+            document.images[index] = _resource(document, image["uri"], "image", missing_ok=True)
+    return document
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON")
+
+
+def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
+    if len(data) < 20:
+        raise FormatError(path, "the GLB ends inside its header; it is truncated, export or download it again")
+    version, total = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise FormatError(path, f"this is GLB version {version} but only version 2 is read; export it again as glTF 2.0")
+    if total > len(data):
+        raise FormatError(path, f"the GLB should have {total} bytes but has {len(data)}; it is truncated, export or download it again")
+    whole, offset = memoryview(data)[:total], 12
+    chunks: dict[int, memoryview] = {}
+    while offset + 8 <= total:
+        length, kind = struct.unpack_from("<II", data, offset)
+        if offset + 8 + length > total:
+            raise FormatError(path, "a chunk of the GLB is longer than the file; it is truncated, export or download it again")
+        chunks.setdefault(kind, whole[offset + 8 : offset + 8 + length])
+        offset += 8 + length + (-length % 4)
+    if 0x4E4F534A not in chunks:
+        raise FormatError(path, "the GLB has no JSON chunk; it is broken, export it again")
+    return chunks[0x4E4F534A], chunks.get(0x004E4942)
+
+
+def _check_extensions(document: Document) -> None:
+    required = document.tree.get("extensionsRequired", [])
+    for name in required if isinstance(required, list) else []:
+        name = str(name)[:80]
+        if name in _COMPRESSED:
+            document.fail(f"its meshes are compressed with {name}, which is not read; export it again without mesh compression")
+        if not name.startswith(_UNDERSTOOD):
+            document.fail(f"it needs the glTF extension {name}, which is not read; export it again without that extension")
+
+
+def _buffer(document: Document, buffer: dict[str, Any], chunk: memoryview | None) -> bytes | memoryview:
+    length = document.integer(buffer, "byteLength")
+    data: bytes | memoryview
+    if "uri" in buffer:
+        data = _resource(document, buffer["uri"], "buffer") or b""
+    elif chunk is not None:
+        data = chunk
+    else:
+        data = b""  # a fallback buffer of a compressed file: views into it fail where they are used
+        length = 0
+    if len(data) < length:
+        document.fail(f"a buffer should have {length} bytes but has {len(data)}; the file is truncated, export or download it again")
+    return memoryview(data)[:length]
+
+
+def _resource(document: Document, uri: Any, what: str, missing_ok: bool = False) -> bytes | None:
+    if not isinstance(uri, str):
+        document.fail(f"the address of its {what} is not text; the file is broken, export it again")
+    if uri[:5].lower() == "data:":
+        head, _, body = uri.partition(",")
+        try:
+            if not head.endswith(";base64"):
+                raise ValueError
+            return base64.b64decode(body)
+        except (ValueError, binascii.Error):
+            document.fail(f"its embedded {what} is not valid base64; the file is broken, export it again")
+    target = inside(document.path.parent, uri)
+    if target is None:
+        document.fail(f"its {what} {uri[:80]!r} is not in the folder of the file, so it is not opened; put the {what} beside the file")
+    if not target.is_file():
+        if missing_ok:
+            return None
+        document.fail(f"its {what} {uri[:80]!r} is missing; put it beside the file, or export a GLB, which holds everything")
+    return read_bounded(target)

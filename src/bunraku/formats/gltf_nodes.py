@@ -1,0 +1,135 @@
+"""The node tree of a glTF document: world transforms, the default scene, and the joints of all skins as one list."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.formats.gltf_document import Document
+from bunraku.geometry.rotations import matrix_from_quaternion
+
+__all__ = ["NodeTree", "SkinJoints", "read_nodes", "read_skins"]
+
+
+@dataclass(frozen=True)
+class NodeTree:
+    """The nodes of a document in its default pose.
+
+    Args:
+        parents: Parent of each node, shape (M,); -1 for a root.
+        world: World transform of each node [m], shape (M, 4, 4).
+        scene: Nodes of the default scene, ascending.
+    """
+
+    parents: np.ndarray
+    world: np.ndarray
+    scene: list[int]
+
+    def ancestor_in(self, node: int, chosen: dict[int, int]) -> int | None:
+        """The nearest of the chosen nodes at or above a node."""
+        while node >= 0:
+            if node in chosen:
+                return node
+            node = int(self.parents[node])
+        return None
+
+
+@dataclass(frozen=True)
+class SkinJoints:
+    """The joints of all skins, each node once.
+
+    Args:
+        nodes: Node of each joint, length J.
+        slots: For each skin, the joint of each of its slots.
+        bind: For each skin, what takes a mesh from bind pose to the default pose through each slot, shape (slots, 4, 4).
+    """
+
+    nodes: list[int]
+    slots: list[np.ndarray]
+    bind: list[np.ndarray]
+
+
+def read_nodes(document: Document) -> NodeTree:
+    """World transforms and the default scene of a document.
+
+    A VRM 0.x avatar looks along -Z; it is turned to look along +Z as glTF asks for and as VRM 1.0 does.
+
+    Raises:
+        FormatError: The tree has a cycle or a node with two parents, or a transform is not finite.
+    """
+    nodes = document.items("nodes")
+    parents = np.full(len(nodes), -1)
+    children = [document.indices(node, "children", "nodes") for node in nodes]
+    for node, below in enumerate(children):
+        for child in below:
+            if parents[child] != -1:
+                document.fail(f"node {child} has two parents; the file is broken, export it again")
+            parents[child] = node
+    world = np.empty((len(nodes), 4, 4))
+    order = [int(node) for node in np.flatnonzero(parents < 0)]
+    extensions = document.tree.get("extensions")
+    turned = isinstance(extensions, dict) and "VRM" in extensions
+    front = np.diag([-1.0, 1, -1, 1]) if turned else np.eye(4)
+    for node in order:
+        above = world[parents[node]] if parents[node] >= 0 else front
+        world[node] = above @ _local(document, nodes[node])
+        order.extend(children[node])
+    if len(order) != len(nodes):
+        document.fail("its nodes form a cycle; the file is broken, export it again")
+    if not np.isfinite(world).all():
+        document.fail("its node transforms overflow; the file is broken, export it again")
+    return NodeTree(parents, world, _scene_nodes(document, parents, children))
+
+
+def _local(document: Document, node: dict) -> np.ndarray:
+    if "matrix" in node:
+        matrix = document.numbers(node, "matrix", [0.0] * 16).reshape(4, 4).T.copy()
+        matrix[3] = 0, 0, 0, 1
+        return matrix
+    local = np.eye(4)
+    rotation = document.numbers(node, "rotation", [0, 0, 0, 1])
+    local[:3, :3] = matrix_from_quaternion(rotation) * document.numbers(node, "scale", [1, 1, 1]) if rotation.any() else np.eye(3)
+    local[:3, 3] = document.numbers(node, "translation", [0, 0, 0])
+    return local
+
+
+def _scene_nodes(document: Document, parents: np.ndarray, children: list[list[int]]) -> list[int]:
+    scenes = document.items("scenes")
+    if scenes:
+        stack = list(document.indices(document.item("scenes", document.tree.get("scene", 0)), "nodes", "nodes"))
+    else:
+        stack = [int(node) for node in np.flatnonzero(parents < 0)]
+    seen: set[int] = set()
+    while stack:
+        node = stack.pop()
+        if node not in seen:
+            seen.add(node)
+            stack.extend(children[node])
+    return sorted(seen)
+
+
+def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
+    """Merge the joints of all skins into one list.
+
+    Raises:
+        FormatError: A skin has no joints, or fewer inverse bind matrices than joints.
+    """
+    merged: dict[int, int] = {}
+    slots, bind = [], []
+    for skin in document.items("skins"):
+        nodes = document.indices(skin, "joints", "nodes")
+        if not nodes:
+            document.fail("a skin has no joints; the file is broken, export it again")
+        slots.append(np.array([merged.setdefault(node, len(merged)) for node in nodes]))
+        inverse = np.broadcast_to(np.eye(4), (len(nodes), 4, 4))
+        if "inverseBindMatrices" in skin:
+            stored = document.accessor(skin["inverseBindMatrices"], ("MAT4",)).astype(float)
+            if len(stored) < len(nodes):
+                document.fail("a skin has fewer inverse bind matrices than joints; the file is broken, export it again")
+            inverse = stored[: len(nodes)].reshape(-1, 4, 4).transpose(0, 2, 1).copy()
+            inverse[:, 3] = 0, 0, 0, 1
+        if not np.isfinite(inverse).all():
+            document.fail("a skin has inverse bind matrices that are not numbers; the file is broken, export it again")
+        bind.append(tree.world[nodes] @ inverse)
+    return SkinJoints(list(merged), slots, bind)

@@ -1,0 +1,206 @@
+"""What each file is, by its first bytes and its suffix, and who reads and writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bunraku.errors import BunrakuError, CharacterError, FormatError, OptionError
+from bunraku.formats.files import check_input, check_output_folder, read_bounded
+
+if TYPE_CHECKING:
+    from bunraku.animation import Animation
+    from bunraku.character import Character, Handles
+    from bunraku.motion import HandleMotion
+
+__all__ = ["FORMATS", "Format", "detect", "load_character", "load_motion", "save_animation", "save_character"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format.
+
+    Args:
+        title: Its name in messages.
+        suffixes: Suffixes that name it, lower case.
+        magic: First bytes that name it whatever the suffix says.
+        character: "module:function" that makes a character of a path and its bytes.
+        motion: "module:function" that makes a motion of a path and its bytes.
+        animation: "module:function" that writes an animation to a path.
+        rigged: "module:function" that writes a character with or without handles to a path.
+    """
+
+    title: str
+    suffixes: tuple[str, ...]
+    magic: tuple[bytes, ...] = ()
+    character: str = ""
+    motion: str = ""
+    animation: str = ""
+    rigged: str = ""
+
+
+FORMATS: tuple[Format, ...] = (
+    Format(
+        "GLB",
+        (".glb", ".vrm"),
+        (b"glTF",),
+        character="gltf_read:read_gltf",
+        animation="gltf_write:write_animation",
+        rigged="gltf_write:write_character",
+    ),
+    Format("glTF", (".gltf",), character="gltf_read:read_gltf"),
+    Format("PLY", (".ply",), (b"ply\n", b"ply\r"), character="ply:read_ply", animation="sequences:write_ply_sequence"),
+    Format("OBJ", (".obj",), character="obj:read_obj", animation="sequences:write_obj_sequence"),
+    Format("STL", (".stl",), character="stl:read_stl"),
+    Format("handle motion", (".npz",), (b"PK\x03\x04",), motion="npz:read_motion", animation="npz:write_animation"),
+)
+_ABILITIES = {
+    "character": "characters are read from",
+    "motion": "motions are read from",
+    "animation": "animations are written to",
+    "rigged": "characters are written to",
+}
+
+
+def detect(path: Path, start: bytes, ability: str) -> Format:
+    """The format of a file, by its magic bytes first and its suffix second.
+
+    Args:
+        path: The file.
+        start: Its first bytes, empty for a file that is to be written.
+        ability: What the format must be able to do: a field of `Format`.
+
+    Raises:
+        FormatError: No format that can do this is recognised; the message lists those that can.
+    """
+    suffix = path.suffix.lower()
+    found = next((f for f in FORMATS if any(start.startswith(magic) for magic in f.magic)), None)
+    if found is None and start.lstrip()[:1] == b"{" and suffix in (".glb", ".vrm"):
+        suffix = ".gltf"
+    found = found or next((f for f in FORMATS if suffix in f.suffixes and (not start or not f.magic or not f.character)), None)
+    if found is not None and getattr(found, ability):
+        return found
+    if found is None and start and any(suffix in f.suffixes for f in FORMATS):
+        raise FormatError(path, f"its contents are not those of a {suffix} file; it is broken or has the wrong suffix, export it again")
+    known = ", ".join(s for f in FORMATS if getattr(f, ability) for s in f.suffixes if not (s == ".vrm" and ability in ("animation", "rigged")))
+    what = f"'{suffix}'" if suffix else "a file without a suffix"
+    raise FormatError(path, f"{what} is not a format for this; {_ABILITIES[ability]} {known}")
+
+
+def _resolve(target: str) -> Callable[..., Any]:
+    module, name = target.split(":")
+    function: Callable[..., Any] = getattr(import_module(f"bunraku.formats.{module}"), name)
+    return function
+
+
+def _read(path: str | Path, ability: str) -> Any:
+    path = Path(path)
+    check_input(path)
+    try:
+        with path.open("rb") as file:
+            start = file.read(64)
+    except OSError as error:
+        raise FormatError(path, f"the file cannot be read ({(error.strerror or str(error)).lower()}); check its permissions") from None
+    function = _resolve(getattr(detect(path, start, ability), ability))
+    try:
+        with np.errstate(all="ignore"):  # broken numbers are found by what they lead to
+            return function(path, read_bounded(path))
+    except CharacterError as error:
+        raise CharacterError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
+    except BunrakuError:
+        raise
+    except MemoryError:
+        raise FormatError(path, "it does not fit into memory; simplify the mesh first") from None
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        # The readers check what they use; this is the net below them for broken files that nobody thought of.
+        raise FormatError(path, f"the file is broken ({type(error).__name__}: {str(error)[:80]}); export it again") from error
+
+
+def load_character(path: str | Path) -> Character:
+    """Read a character from GLB, glTF, VRM, OBJ, PLY or STL.
+
+    Args:
+        path: The file; its first bytes decide the format where they can, its suffix otherwise.
+
+    Raises:
+        FormatError: The file is missing, empty, too large, broken, or of no known format.
+        CharacterError: It holds no usable mesh: points only, coordinates that are not numbers, no extent.
+    """
+    character: Character = _read(path, "character")
+    return character
+
+
+def load_motion(path: str | Path) -> HandleMotion:
+    """Read a handle motion that `Animation.save` wrote to NPZ.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FormatError: The file is missing, empty, too large, broken, or of no known format.
+        MotionError: What it holds breaks the rules of a motion.
+    """
+    motion: HandleMotion = _read(path, "motion")
+    return motion
+
+
+def save_animation(animation: Animation, path: str | Path, **options: Any) -> Path:
+    """Write an animation in the format that the suffix names: .glb, .npz, or a sequence of .obj or .ply files.
+
+    Args:
+        animation: The animation.
+        path: The file. `walk.obj` becomes a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on.
+        **options: `fps`, frames a second of the output [1/s], for all but .npz; `name`, the clip's name, for .glb.
+
+    Returns:
+        The file or folder that was written.
+
+    Raises:
+        FormatError: The suffix is unknown, or the file cannot be written.
+        OptionError: The format has no such option, or its value makes no sense.
+    """
+    return _write("animation", path, options, animation)
+
+
+def save_character(character: Character, path: str | Path, handles: Handles | None = None) -> Path:
+    """Write a character to GLB, its handles as a skin, without motion.
+
+    Args:
+        character: The character.
+        path: The file.
+        handles: Its handles; without them the mesh alone is written.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: The suffix is unknown, or the file cannot be written.
+        CharacterError: The handles weigh another number of vertices.
+    """
+    return _write("rigged", path, {}, character, handles)
+
+
+def _write(ability: str, path: str | Path, options: dict[str, Any], *things: Any) -> Path:
+    path = Path(path)
+    if path.is_dir():
+        raise FormatError(path, "this is a folder; name a file inside it")
+    function = _resolve(getattr(detect(path, b"", ability), ability))
+    known = {name for name, parameter in _parameters(function).items() if parameter.kind is parameter.KEYWORD_ONLY}
+    for option in options:
+        if option not in known:
+            raise OptionError(f"{path.suffix} files have no option '{option}'; they have: {', '.join(sorted(known)) or 'none'}")
+    check_output_folder(path)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        out: Path = function(*things, path, **options)
+    return out
+
+
+def _parameters(function: Callable[..., Any]) -> dict[str, Any]:
+    import inspect
+
+    return dict(inspect.signature(function).parameters)

@@ -1,0 +1,156 @@
+"""Rotations: the one place that converts between matrices, 6D, quaternions and axis-angle.
+
+Every function takes numpy arrays or torch tensors and answers in kind, keeps the floating type, and works on any leading
+shape. Matrices act on column vectors. Quaternions are xyzw with a non-negative w, as in files. 6D is the first two columns
+of the matrix, column after column (Zhou et al. 2019).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+__all__ = [
+    "axis_angle_from_matrix",
+    "matrix_from_6d",
+    "matrix_from_axis_angle",
+    "matrix_from_quaternion",
+    "matrix_to_6d",
+    "matrix_y",
+    "quaternion_from_matrix",
+    "quaternion_slerp",
+    "rotation_between",
+]
+
+Array = Any  # numpy.ndarray or torch.Tensor
+
+
+def _xp(value: Array) -> Any:
+    if isinstance(value, np.ndarray):
+        return np
+    import torch
+
+    return torch
+
+
+def _stack(xp: Any, parts: list[Array], axis: int) -> Array:
+    return np.stack(parts, axis=axis) if xp is np else xp.stack(parts, dim=axis)
+
+
+def _unit(xp: Any, vector: Array) -> Array:
+    length = xp.sqrt((vector * vector).sum(-1))[..., None]
+    return vector / xp.where(length > 1e-12, length, xp.ones_like(length))
+
+
+def matrix_to_6d(matrix: Array) -> Array:
+    """First two columns of rotation matrices, shape [..., 3, 3] -> [..., 6] (Zhou et al. 2019)."""
+    return _stack(_xp(matrix), [matrix[..., 0, 0], matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 0, 1], matrix[..., 1, 1], matrix[..., 2, 1]], -1)
+
+
+def matrix_from_6d(six: Array) -> Array:
+    """Rotation matrices from two columns made orthonormal by Gram-Schmidt, shape [..., 6] -> [..., 3, 3]."""
+    xp = _xp(six)
+    x = _unit(xp, six[..., :3])
+    y = _unit(xp, six[..., 3:] - (x * six[..., 3:]).sum(-1)[..., None] * x)
+    z = np.cross(x, y) if xp is np else xp.linalg.cross(x, y)
+    return _stack(xp, [x, y, z], -1)
+
+
+def matrix_from_quaternion(quaternion: Array) -> Array:
+    """Rotation matrices from xyzw quaternions of any non-zero length, shape [..., 4] -> [..., 3, 3]."""
+    xp = _xp(quaternion)
+    q = _unit(xp, quaternion)
+    x, y, z, w = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    rows = [
+        _stack(xp, [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1),
+        _stack(xp, [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1),
+        _stack(xp, [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1),
+    ]
+    return _stack(xp, rows, -2)
+
+
+def quaternion_from_matrix(matrix: Array) -> Array:
+    """xyzw quaternions of rotation matrices, shape [..., 3, 3] -> [..., 4], w >= 0.
+
+    Of the four ways to divide, each matrix takes the one whose divisor is largest, so half turns lose no precision.
+    """
+    xp = _xp(matrix)
+    m = matrix
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    d, e, f = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
+    candidates = _stack(
+        xp,
+        [
+            _stack(xp, [1 + xx - yy - zz, d, e, a], -1),
+            _stack(xp, [d, 1 - xx + yy - zz, f, b], -1),
+            _stack(xp, [e, f, 1 - xx - yy + zz, c], -1),
+            _stack(xp, [a, b, c, 1 + xx + yy + zz], -1),
+        ],
+        -2,
+    )
+    diagonal = _stack(xp, [candidates[..., i, i] for i in range(4)], -1)
+    best = diagonal.argmax(-1)[..., None, None]
+    if xp is np:
+        chosen = np.take_along_axis(candidates, np.broadcast_to(best, (*best.shape[:-1], 4)), axis=-2)[..., 0, :]
+    else:
+        chosen = candidates.gather(-2, best.expand(*best.shape[:-1], 4))[..., 0, :]
+    q = _unit(xp, chosen)
+    return q * xp.where(q[..., 3:] < 0, -xp.ones_like(q[..., 3:]), xp.ones_like(q[..., 3:]))
+
+
+def matrix_from_axis_angle(rotvec: Array) -> Array:
+    """Rotation matrices from axis times angle [rad], shape [..., 3] -> [..., 3, 3] (Rodrigues)."""
+    xp = _xp(rotvec)
+    half = 0.5 * xp.sqrt((rotvec * rotvec).sum(-1))[..., None]
+    small = half < 1e-6
+    scale = xp.where(small, 0.5 - half * half / 12, xp.sin(half) / xp.where(small, xp.ones_like(half), 2 * half))
+    quaternion = np.concatenate([rotvec * scale, np.cos(half)], -1) if xp is np else xp.cat([rotvec * scale, xp.cos(half)], -1)
+    return matrix_from_quaternion(quaternion)
+
+
+def axis_angle_from_matrix(matrix: Array) -> Array:
+    """Axis times angle [rad] with the angle in [0, pi], shape [..., 3, 3] -> [..., 3]."""
+    xp = _xp(matrix)
+    q = quaternion_from_matrix(matrix)
+    length = xp.sqrt((q[..., :3] * q[..., :3]).sum(-1))[..., None]
+    angle = 2 * (np.arctan2(length, q[..., 3:]) if xp is np else xp.atan2(length, q[..., 3:]))
+    small = length < 1e-9
+    return q[..., :3] * xp.where(small, 2 * xp.ones_like(length), angle / xp.where(small, xp.ones_like(length), length))
+
+
+def matrix_y(angle: Array) -> Array:
+    """Rotations about +Y by an angle [rad], shape [...] -> [..., 3, 3]; a positive angle turns +Z towards +X."""
+    xp = _xp(angle)
+    c, s, zero, one = xp.cos(angle), xp.sin(angle), xp.zeros_like(angle), xp.ones_like(angle)
+    return _stack(xp, [_stack(xp, [c, zero, s], -1), _stack(xp, [zero, one, zero], -1), _stack(xp, [-s, zero, c], -1)], -2)
+
+
+def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The smallest rotation that turns one direction into another, shape [..., 3] x 2 -> [..., 3, 3].
+
+    Opposite directions turn half way round about some axis square to both. A zero vector gives the identity.
+    """
+    a, b = _unit(np, np.asarray(start, float)), _unit(np, np.asarray(end, float))
+    xyz = np.cross(a, b)
+    w = 1 + (a * b).sum(-1)[..., None]
+    other = np.cross(a, np.where(np.abs(a[..., :1]) < 0.9, [1.0, 0, 0], [0, 1.0, 0]))
+    opposite = w < 1e-9
+    quaternion = np.concatenate([np.where(opposite, other, xyz), np.where(opposite, 0.0, w)], -1)
+    zero = ((a * a).sum(-1) < 0.5) | ((b * b).sum(-1) < 0.5)
+    quaternion = np.where(zero[..., None], np.array([0.0, 0, 0, 1]), quaternion)
+    return matrix_from_quaternion(quaternion)
+
+
+def quaternion_slerp(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Shortest-way interpolation between xyzw quaternions, shapes [..., 4], [..., 4], [...] -> [..., 4]."""
+    dot = (start * end).sum(-1, keepdims=True)
+    end = np.where(dot < 0, -end, end)
+    angle = np.arccos(np.clip(np.abs(dot), 0, 1))
+    share = np.asarray(share)[..., None]
+    near = angle < 1e-4
+    safe = np.where(near, 1.0, np.sin(angle))
+    a = np.where(near, 1 - share, np.sin((1 - share) * angle) / safe)
+    b = np.where(near, share, np.sin(share * angle) / safe)
+    return _unit(np, a * start + b * end)

@@ -1,0 +1,109 @@
+"""The Mesh Handle Predictor (section 3.1 of TapMo): a mesh in, skinning weights of 30 handles and the mesh feature out."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import nn
+
+from bunraku.bodies.layout import HANDLE_COUNT
+from bunraku.errors import WeightsError
+from bunraku.handles.graph import GraphLayer, MeshGraph
+from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+
+__all__ = ["HandlePrediction", "HandlePredictor", "PredictorConfig", "load_predictor", "save_predictor"]
+
+
+@dataclass(frozen=True)
+class PredictorConfig:
+    """Shape of the network.
+
+    Args:
+        levels: Channels of the three graph layers; their sum is the length of f_phi.
+        hidden: Channels inside the MLP.
+        handles: K.
+        heads: Attention heads among the anchors.
+        anchors: Anchors of the coarse term.
+        mesh_vertices: Most vertices of the network mesh it was trained on, for `bunraku.geometry.simplify.network_mesh`.
+    """
+
+    levels: tuple[int, int, int] = (64, 128, 256)
+    hidden: tuple[int, int] = (256, 128)
+    handles: int = HANDLE_COUNT
+    heads: int = 4
+    anchors: int = 128
+    mesh_vertices: int = 2400
+
+
+class HandlePrediction(NamedTuple):
+    """What the predictor says of one mesh.
+
+    Args:
+        logits: Before the softmax, shape (V, K).
+        weights: Skinning weights s, rows sum to 1, shape (V, K).
+        features: The mesh deformation feature f_phi, shape (448,).
+    """
+
+    logits: torch.Tensor
+    weights: torch.Tensor
+    features: torch.Tensor
+
+
+class HandlePredictor(nn.Module):
+    """Three graph layers and a three-layer MLP with softmax (A.2).
+
+    f_phi is the three levels pooled over the mesh and joined, 64 + 128 + 256 = 448 numbers: the first half of each level's
+    channels by their largest value, the second half by their mean over the surface.
+    """
+
+    def __init__(self, config: PredictorConfig | None = None):
+        super().__init__()
+        self.config = config or PredictorConfig()
+        widths = (6, *self.config.levels)
+        self.layers = nn.ModuleList(GraphLayer(a, b, self.config.heads) for a, b in zip(widths, widths[1:], strict=False))
+        length = sum(self.config.levels)
+        first, second = self.config.hidden
+        self.local = nn.Linear(length + 6, first)
+        self.overall = nn.Linear(length, first, bias=False)
+        self.head = nn.Sequential(nn.LayerNorm(first), nn.GELU(), nn.Linear(first, second), nn.GELU(), nn.Linear(second, self.config.handles))
+
+    def forward(self, graph: MeshGraph) -> HandlePrediction:
+        x, levels, pooled = graph.inputs, [], []
+        for layer in self.layers:
+            x = layer(x, graph)
+            half = x.shape[1] // 2
+            pooled += [x[:, :half].amax(0), graph.areas @ x[:, half:].float()]
+            levels.append(x)
+        features = torch.cat([part.float() for part in pooled])
+        hidden = self.local(torch.cat([*levels, graph.inputs], dim=-1)) + self.overall(features)
+        logits = self.head(hidden).float()
+        return HandlePrediction(logits, logits.softmax(-1), features)
+
+
+def save_predictor(path: str | Path, model: HandlePredictor, note: dict[str, Any] | None = None, half: bool = False) -> Path:
+    """Write the weights with their config as a checkpoint of kind "handles".
+
+    Args:
+        note: Anything else to carry, for example the training's settings and results.
+        half: Store the matrices as float16.
+    """
+    return save_checkpoint(path, model.state_dict(), {"predictor": asdict(model.config), **(note or {})}, "handles", half=half)
+
+
+def load_predictor(path: str | Path) -> HandlePredictor:
+    """Read a checkpoint of kind "handles", ready to predict.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    state, config = load_checkpoint(path, "handles")
+    try:
+        settings = {key: tuple(value) if isinstance(value, list) else value for key, value in config["predictor"].items()}
+        model = HandlePredictor(PredictorConfig(**settings))
+        model.load_state_dict(state)
+    except (KeyError, TypeError, RuntimeError, ValueError) as error:
+        raise WeightsError(f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again") from error
+    return model.eval()

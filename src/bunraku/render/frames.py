@@ -1,0 +1,225 @@
+"""Frames of animations and characters, one after the other: memory grows neither with the length nor with the mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bunraku.animation import Animation
+from bunraku.character import Character, Handles
+from bunraku.errors import OptionError
+from bunraku.geometry.skinning import skin_basis
+from bunraku.render.backends import open_renderer
+from bunraku.render.camera import YAW, Camera, Framing, view_axes
+from bunraku.render.palette import handle_colors
+from bunraku.render.stage import Background, set_stage
+from bunraku.render.surface import build_surface
+
+__all__ = ["moments", "render_animation", "render_frames", "render_still"]
+
+SIZE = (640, 480)
+MOST_FACES = 120_000
+KEPT_FACES = 60_000
+CHUNK_BYTES = 32 << 20
+
+
+@dataclass(frozen=True)
+class _Take:
+    """Frames to draw: posed vertices can be asked for again and again, a frame at a time."""
+
+    rest: np.ndarray
+    faces: np.ndarray
+    colors: np.ndarray | None
+    frames: Callable[[], Iterator[np.ndarray]]
+    count: int
+
+
+def render_frames(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    colors: np.ndarray | None = None,
+    camera: Camera | None = None,
+    *,
+    size: tuple[int, int] = SIZE,
+    fps: float = 20.0,
+    background: Background = "studio",
+    renderer: str | None = None,
+) -> np.ndarray:
+    """Draw posed vertices.
+
+    Args:
+        vertices: Posed positions [m], +Y up, +Z forward, shape (N, V, 3).
+        faces: Vertex indices, shape (F, 3).
+        colors: sRGB colours, uint8, of the vertices (V, 3) or one for all (3,).
+        camera: Where all frames are seen from; None fits one, which follows long paths.
+        size: Width and height in pixels.
+        fps: Frames a second, for how softly the camera follows [1/s].
+        background: "studio", "white", "dark", a colour such as "#dfe4e9", or three numbers 0 to 255.
+        renderer: "opengl" or "software"; None chooses.
+
+    Returns:
+        Pictures, shape (N, H, W, 3), uint8.
+
+    Raises:
+        OptionError: A size, a colour or a background is not one, or there is no frame.
+    """
+    vertices = np.asarray(vertices, np.float32)
+    if vertices.ndim != 3 or not len(vertices) or vertices.shape[2] != 3 or not np.isfinite(vertices).all():
+        raise OptionError(f"frames to draw must be finite numbers of shape (N, V, 3) with N > 0, not {vertices.shape}")
+    take = _Take(vertices[0], np.asarray(faces), colors, lambda: (np.ascontiguousarray(frame) for frame in vertices), len(vertices))
+    return np.stack(list(_draw(take, size, fps, background, camera=camera, renderer=renderer)))
+
+
+def render_animation(
+    animation: Animation,
+    *,
+    size: tuple[int, int] = SIZE,
+    fps: float | None = None,
+    times: np.ndarray | None = None,
+    background: Background = "studio",
+    color: Literal["texture", "handles"] = "texture",
+    renderer: str | None = None,
+) -> Iterator[np.ndarray]:
+    """Draw an animation one frame after the other; memory does not grow with its length.
+
+    Args:
+        animation: What to draw.
+        size: Width and height in pixels.
+        fps: Pictures a second [1/s]; None is the motion's own. Between the motion's frames vertices are interpolated.
+        times: Moments to draw [s], shape (M,), instead of `fps`.
+        background: As for `render_frames`.
+        color: The character's own colours, or those of its handles.
+        renderer: "opengl" or "software"; None chooses.
+
+    Yields:
+        Pictures, shape (H, W, 3), uint8.
+
+    Raises:
+        OptionError: An option is outside what can be drawn.
+    """
+    at = moments(animation, fps) if times is None else np.asarray(times, float)
+    pace = (len(at) - 1) / max(float(at[-1] - at[0]), 1e-6) if len(at) > 1 else animation.motion.fps
+    return _draw(_take(animation, at, color), size, pace, background, renderer=renderer)
+
+
+def render_still(
+    character: Character,
+    handles: Handles | None = None,
+    *,
+    size: tuple[int, int] = (400, 480),
+    yaw: float = float(YAW),
+    background: Background = "studio",
+    renderer: str | None = None,
+) -> np.ndarray:
+    """A character in its rest pose, in its own colours or, when `handles` are given, in theirs.
+
+    Args:
+        character: What to show.
+        handles: Handles whose weights colour the vertices.
+        size: Width and height in pixels.
+        yaw: Turn of the viewer about +Y from the character's front (+Z) towards +X [rad].
+        background: As for `render_frames`.
+        renderer: "opengl" or "software"; None chooses.
+
+    Returns:
+        The picture, shape (H, W, 3), uint8.
+    """
+    colors = character.colors if handles is None else handle_colors(handles)
+    vertices = np.ascontiguousarray(character.vertices, np.float32)
+    rest, faces, colors, _ = _simplified(vertices, character.faces, colors, None)
+    take = _Take(rest, faces, colors, lambda: iter([rest]), 1)
+    return next(_draw(take, size, 20.0, background, axes=view_axes(yaw), renderer=renderer))
+
+
+def moments(animation: Animation, fps: float | None) -> np.ndarray:
+    """Times of the pictures of a video at `fps`, or at the motion's own rate [s], shape (M,)."""
+    motion = animation.motion
+    if fps is None or fps == motion.fps:
+        return np.arange(len(motion)) / motion.fps
+    return np.arange(max(round(len(motion) / motion.fps * fps), 1)) / fps
+
+
+def _take(animation: Animation, times: np.ndarray, color: str) -> _Take:
+    if color not in ("texture", "handles"):
+        raise OptionError(f"color must be 'texture' or 'handles', not {color!r}")
+    character, motion = animation.character, animation.motion
+    colors = character.colors if color == "texture" else handle_colors(animation.handles)
+    rest, faces, colors, origin = _simplified(character.vertices, character.faces, colors, animation.handles.weights)
+    weights = animation.handles.weights if origin is None else animation.handles.weights[origin]
+    transforms = motion.transforms(animation.handles.positions)
+    at = np.clip(times * motion.fps, 0, len(motion) - 1)
+    before = np.floor(at + 1e-6).astype(int)
+    after = np.minimum(before + 1, len(motion) - 1)
+    share = np.clip(at - before, 0, 1).astype(np.float32)[:, None, None, None]
+    basis = skin_basis(rest, weights)
+    chunk = max(int(CHUNK_BYTES // (12 * len(rest))), 1)
+
+    def frames() -> Iterator[np.ndarray]:
+        for start in range(0, len(times), chunk):
+            part = slice(start, start + chunk)
+            blend = transforms[before[part]] * (1 - share[part]) + transforms[after[part]] * share[part]
+            left = np.ascontiguousarray(blend.transpose(0, 2, 1, 3)).reshape(3 * len(blend), -1)
+            for posed in (left @ basis).reshape(len(blend), 3, -1):
+                yield np.ascontiguousarray(posed.T)
+
+    return _Take(rest, faces, colors, frames, len(times))
+
+
+def _simplified(
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None, weights: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """The mesh itself, or for a large one fewer faces, with the vertex of the original that each new vertex takes after."""
+    if len(faces) <= MOST_FACES and len(vertices) <= MOST_FACES:
+        return vertices, faces, colors, None
+    import fast_simplification
+    from scipy.spatial import cKDTree
+
+    # Copies of a vertex at texture seams would tear apart: simplify the welded surface.
+    points, first, welded = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    corners = welded.reshape(-1)[faces]
+    solid = (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & (corners[:, 2] != corners[:, 0])
+    corners = np.ascontiguousarray(corners[solid], np.int32)
+    if len(corners) > KEPT_FACES:
+        simpler, small = fast_simplification.simplify(points, corners, target_count=KEPT_FACES, agg=7)
+        rest = np.ascontiguousarray(simpler, np.float32)
+        origin = first[cKDTree(points).query(rest)[1]]
+    else:
+        rest, small, origin = points, corners, first
+    if not len(small):
+        return vertices, faces, colors, None
+    return rest, np.asarray(small), None if colors is None else colors if colors.ndim == 1 else colors[origin], origin
+
+
+def _draw(
+    take: _Take,
+    size: tuple[int, int],
+    fps: float,
+    background: Background,
+    *,
+    camera: Camera | None = None,
+    axes: np.ndarray | None = None,
+    renderer: str | None = None,
+) -> Iterator[np.ndarray]:
+    width, height = int(size[0]), int(size[1])
+    if not (16 <= width <= 4096 and 16 <= height <= 4096):
+        raise OptionError(f"a picture has 16 to 4096 pixels a side, not {width} x {height}")
+    framing = Framing(take.count, (width, height), fps, axes if camera is None else camera.axes)
+    for index, posed in enumerate(take.frames()):
+        framing.add(index, posed)
+    stage = set_stage(framing, background)
+    offsets = framing.offsets() if camera is None else np.zeros((take.count, 3))
+    view = framing.camera() if camera is None else camera
+    surface = build_surface(take.rest, take.faces, take.colors)
+
+    def pictures() -> Iterator[np.ndarray]:
+        drawer = open_renderer((width, height), surface, stage, renderer)
+        try:
+            for posed, offset in zip(take.frames(), offsets, strict=True):
+                yield drawer.draw(posed, view.moved(offset), offset)
+        finally:
+            drawer.close()
+
+    return pictures()

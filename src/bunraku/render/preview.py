@@ -1,0 +1,113 @@
+"""Previews of animations and characters, drawn without a window and written to files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from bunraku.animation import Animation
+from bunraku.character import Character, Handles
+from bunraku.errors import OptionError
+from bunraku.render.camera import YAW
+from bunraku.render.frames import SIZE, moments, render_animation, render_still
+from bunraku.render.sheets import assemble
+from bunraku.render.stage import Background, parse_background
+from bunraku.render.video import check_target, write_moving, write_png
+
+__all__ = ["save_preview", "save_still"]
+
+CELL = (240, 280)
+Progress = Callable[[int, int], None]
+
+
+def save_preview(
+    animation: Animation,
+    path: str | Path,
+    *,
+    size: tuple[int, int] | None = None,
+    fps: float | None = None,
+    background: Background = "studio",
+    color: Literal["texture", "handles"] = "texture",
+    columns: int | None = None,
+    frames: int = 8,
+    title: str | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a preview of an animation: a video (.mp4), a moving picture (.webp, .gif) or a contact sheet (.png).
+
+    Args:
+        animation: What to show.
+        path: The file to write.
+        size: Width and height of a picture in pixels; None is 640 x 480, and 240 x 280 for each picture of a sheet. MP4 needs
+            even numbers and gets the next lower ones.
+        fps: Pictures a second [1/s]; None is the motion's own.
+        background: "studio", "white", "dark", a colour such as "#dfe4e9", or three numbers 0 to 255.
+        color: The character's own colours, or those of its handles.
+        columns: Pictures in a row of a sheet.
+        frames: Pictures of a sheet, evenly spaced from the first frame to the last.
+        title: A line above the sheet.
+        progress: Called with the number of pictures done and of all.
+
+    Returns:
+        The path.
+
+    Raises:
+        FormatError: The suffix is unknown, or the file cannot be written.
+        OptionError: An option is outside what can be drawn.
+        MissingExtraError: PyAV or Pillow is not installed.
+    """
+    target = check_target(path)
+    parse_background(background)
+    tell = progress or (lambda done, total: None)
+    if target.suffix.lower() == ".png":
+        if not 1 <= frames <= 400 or (columns is not None and columns < 1):
+            raise OptionError(f"a contact sheet has 1 to 400 pictures in at least one column, not {frames} in {columns}")
+        last = (len(animation.motion) - 1) / animation.motion.fps
+        times = np.unique(np.round(np.linspace(0, last, frames) * animation.motion.fps) / animation.motion.fps)
+        pictures = render_animation(animation, size=size or CELL, times=times, background=background, color=color)
+        images = list(_counted(pictures, len(times), tell))
+        paper = tuple(int(channel) for channel in np.round(255 * parse_background(background)[0]))
+        sheet = assemble(images, [f"{time:.2f} s" for time in times], columns=columns, title=title, gap=3, paper=(paper[0], paper[1], paper[2]))
+        return write_png(sheet, target)
+    rate = animation.motion.fps if fps is None else fps
+    if not 1 <= rate <= 240:
+        raise OptionError(f"a preview has 1 to 240 pictures a second, not {rate:g}")
+    width, height = size or SIZE
+    if target.suffix.lower() == ".mp4":
+        width, height = width // 2 * 2, height // 2 * 2
+    pictures = render_animation(animation, size=(width, height), fps=rate, background=background, color=color)
+    return write_moving(_counted(pictures, len(moments(animation, rate)), tell), target, rate)
+
+
+def save_still(
+    character: Character,
+    path: str | Path,
+    handles: Handles | None = None,
+    *,
+    size: tuple[int, int] = (400, 480),
+    views: int = 1,
+    background: Background = "studio",
+) -> Path:
+    """Write a PNG of a character in its rest pose, seen from the front, or, with `views=2`, also from the back.
+
+    With handles each vertex has its handles' colours, blended by weight. Arguments are those of `render_still`.
+
+    Raises:
+        FormatError: The file cannot be written, or its name does not end with .png.
+        OptionError: An option is outside what can be drawn.
+    """
+    target = check_target(path, (".png",))
+    if views not in (1, 2):
+        raise OptionError(f"a still has one view or two, not {views}")
+    turns = (YAW, YAW + np.pi)[:views]
+    images = [render_still(character, handles, size=size, yaw=float(turn), background=background) for turn in turns]
+    return write_png(np.concatenate(images, axis=1), target)
+
+
+def _counted(pictures: Iterable[np.ndarray], total: int, tell: Progress) -> Iterator[np.ndarray]:
+    for done, picture in enumerate(pictures, 1):
+        yield picture
+        tell(done, total)

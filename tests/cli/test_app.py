@@ -1,0 +1,108 @@
+"""The command line's frame: help, version, exit statuses."""
+
+import errno
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+import bunraku
+from bunraku.cli import main
+from bunraku.cli.app import VERBS, _explain
+from bunraku.cli.checks import slug
+from bunraku.cli.report import size_text
+from bunraku.cli.samples import Samples
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_helps_with_an_example(capsys, verb):
+    assert main([*verb, "--help"]) == 0
+    said = capsys.readouterr().out
+    assert f"bunraku {' '.join(verb)}" in said
+    assert f"Example: bunraku {' '.join(verb)}" in " ".join(said.split())
+
+
+def test_help_names_every_verb(capsys):
+    assert main(["--help"]) == 0
+    said = capsys.readouterr().out
+    assert all(" ".join(verb) in said for verb in VERBS)
+    assert main(["data", "--help"]) == 0
+    assert "animate" not in capsys.readouterr().out
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"bunraku {bunraku.__version__}\n"
+
+
+def test_help_is_quick():
+    """The best of three, since other work may run beside the tests."""
+    took = []
+    for _ in range(3):
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "bunraku", "--help"], check=True, capture_output=True)
+        took.append(time.perf_counter() - start)
+    assert min(took) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (bunraku.OptionError("no"), 2, "no"),
+        (OSError(errno.ENOSPC, "No space left on device", "a.glb"), 2, "a.glb: the disk is full"),
+        (OSError(errno.EDQUOT, "Quota exceeded"), 2, "the disk is full"),
+        (PermissionError(errno.EACCES, "Permission denied", b"a.glb"), 2, "a.glb: permission denied"),
+        (FileNotFoundError(errno.ENOENT, "No such file or directory", "a"), 2, "a: No such file"),
+        (MemoryError(), 2, "memory"),
+        (RuntimeError("[enforce fail at alloc_cpu.cpp:121] DefaultCPUAllocator: can't allocate memory"), 2, "memory"),
+        (ZeroDivisionError("division by zero"), 1, "ZeroDivisionError"),
+    ],
+)
+def test_what_is_raised_becomes_a_sentence(error, status, words):
+    got, sentence = _explain(error)
+    assert got == status and words in sentence
+
+
+def _raising(error):
+    def run(self):
+        raise error
+
+    return run
+
+
+def test_interrupt_is_130(monkeypatch, capsys):
+    monkeypatch.setattr(Samples, "run", _raising(KeyboardInterrupt()))
+    assert main(["samples"]) == 130
+    assert capsys.readouterr().err == "bunraku: interrupted\n"
+
+
+@pytest.mark.parametrize("how", ["option", "variable"])
+def test_debug_shows_the_traceback(monkeypatch, capsys, how):
+    monkeypatch.setattr(Samples, "run", _raising(bunraku.OptionError("two\nlines")))
+    if how == "variable":
+        monkeypatch.setenv("BUNRAKU_DEBUG", "1")
+    assert main(["samples", *(["--debug"] if how == "option" else [])]) == 2
+    said = capsys.readouterr().err
+    assert "Traceback" in said and said.endswith("bunraku: error: two lines\n")
+
+
+def test_closed_pipe_is_quiet(good):
+    """`bunraku inspect FILE | head -c 1`: the reader goes away."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as pipe:
+        done = subprocess.run([sys.executable, "-m", "bunraku", "inspect", str(good), "--json"], stdout=pipe, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 141 and done.stderr == ""
+
+
+def test_slug():
+    assert slug("Walks forward, then waves!") == "walks-forward-then-waves"
+    assert slug("../../etc/passwd") == "etc-passwd"
+    assert slug("!!") == "motion"
+    assert len(slug("x" * 500)) <= 40 and len(slug("word " * 100)) <= 40
+
+
+def test_size_text():
+    assert [size_text(n) for n in (0, 999, 1500, 2_500_000, 3 * 10**9)] == ["0 bytes", "999 bytes", "1.5 kB", "2.5 MB", "3.0 GB"]

@@ -1,0 +1,187 @@
+"""What the verbs do when all is well, with tiny real files."""
+
+import dataclasses
+import importlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bunraku
+from bunraku.cli import main
+from bunraku.cli.app import VERBS
+from bunraku.cli.checks import SECONDS
+from bunraku.cli.inspect import describe
+from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.samples import sample_names
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory) -> Path:
+    """A GLB of a tetrahedron of two handles, of which one swings for half a second."""
+    folder = tmp_path_factory.mktemp("moving")
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1.5, 0], [0, 0, 1]], np.float32)
+    character = bunraku.Character("swing", vertices, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    handles = bunraku.Handles([[0, 0, 0], [0, 1.5, 0]], [[1, 0], [0.5, 0.5], [0, 1], [1, 0]])
+    translations = np.zeros((11, 2, 3))
+    translations[:, 1, 0] = np.sin(np.arange(11))
+    rotations = np.tile(np.eye(3), (11, 2, 1, 1))
+    motion = bunraku.HandleMotion(translations, rotations, np.zeros((11, 3)), np.tile(np.eye(3), (11, 1, 1)), fps=20)
+    animation = bunraku.Animation(character, handles, motion)
+    animation.save(folder / "swing.npz")
+    return animation.save(folder / "swing.glb")
+
+
+def test_inspect_counts_what_the_file_holds(good):
+    facts = describe(good)
+    assert (facts["vertices"], facts["faces"], facts["loose_parts"], facts["meshes"]) == (4, 4, 1, 1)
+    assert facts["height"] == 1.5 and facts["extent"] == [1, 1.5, 1] and facts["lowest_corner"] == [0, 0, 0]
+    assert facts["rig"] is None and facts["animations"] == [] and facts["up_axis"]["axis"] == "+Y"
+
+
+def test_inspect_counts_parts_across_seams(tmp_path):
+    """Two quads of four triangles with no shared vertices are two parts once their seams are welded."""
+    quad = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]])
+    corners = np.concatenate([quad, quad + [5, 0, 0]])
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}" for i in range(4)]
+    path = tmp_path / "quads.obj"
+    path.write_text("\n".join(lines))
+    facts = describe(path)
+    assert (facts["vertices"], facts["vertices_welded"], facts["faces"], facts["loose_parts"]) == (12, 8, 4, 2)
+
+
+def test_inspect_warns_of_a_mesh_that_lies(tmp_path):
+    path = tmp_path / "lying.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 9\nf 1 2 3\nf 1 2 4\n")
+    assert "turn it" in describe(path)["up_axis"]["why"]
+
+
+def test_inspect_of_rig_and_clip(moving, capsys):
+    assert main(["inspect", str(moving), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["rig"]["joints"] == 2 and facts["rig"]["influences"] == 2
+    assert facts["animations"][0]["seconds"] == pytest.approx(0.5)
+    assert main(["inspect", str(moving)]) == 0
+    said = capsys.readouterr().out
+    assert "0.5 s" in said and "2 joints" in said
+
+
+def test_inspect_of_motion(moving):
+    facts = describe(moving.with_suffix(".npz"))
+    assert (facts["kind"], facts["frames"], facts["fps"], facts["handles"]) == ("handle motion", 11, 20, 2)
+    assert facts["seconds"] == pytest.approx(0.55)
+
+
+@pytest.mark.parametrize(("suffix", "magic", "at"), [(".mp4", b"ftyp", 4), (".webp", b"WEBP", 8), (".png", b"\x89PNG", 0)])
+def test_render_plays_a_file(moving, tmp_path, capsys, suffix, magic, at):
+    out = tmp_path / f"swing{suffix}"
+    assert main(["render", str(moving), "-o", str(out), "--fps", "8", "--size", "96", "80"]) == 0
+    assert out.read_bytes()[at : at + len(magic)] == magic
+    assert f"wrote {out}" in capsys.readouterr().out
+
+
+def test_render_of_a_character_is_a_still_beside_the_user(good, tmp_path, monkeypatch, fails):
+    monkeypatch.chdir(tmp_path)
+    assert "no animation" in fails("render", good, "-o", tmp_path / "still.mp4")
+    assert main(["render", str(good), "--size", "96", "80"]) == 0
+    from PIL import Image
+
+    assert Image.open(tmp_path / "good.png").size == (96, 80)
+
+
+def test_samples_are_written_and_listed(tmp_path, capsys):
+    assert main(["samples", "--list"]) == 0
+    assert capsys.readouterr().out.split() == list(sample_names())
+    assert main(["samples", "mushroom", "-o", str(tmp_path / "new")]) == 0
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["mushroom.glb"]
+
+
+def test_doctor_reports_in_words_and_in_json(capsys):
+    status = main(["doctor", "--json"])
+    findings = json.loads(capsys.readouterr().out)
+    topics = {finding["topic"]: finding for finding in findings}
+    assert {"bunraku", "python", "torch", "gpu", "preview", "handles weights", "diffusion weights", "text encoder"} <= set(topics)
+    assert status == int(any(finding["state"] == "missing" for finding in findings))
+    assert all(finding["cost"] for finding in findings if finding["state"] != "ok")
+    assert main(["doctor"]) == status
+    assert "torch" in capsys.readouterr().out
+
+
+def test_doctor_tells_what_missing_weights_cost(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
+    assert main(["doctor", "--json"]) == 1
+    topics = {finding["topic"]: finding for finding in json.loads(capsys.readouterr().out)}
+    assert topics["diffusion weights"]["state"] == "missing" and "animate" in topics["diffusion weights"]["cost"]
+
+
+def test_missing_weights_are_one_sentence(monkeypatch, tmp_path, fails, good):
+    folder = tmp_path / "none"
+    folder.mkdir()
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(folder))
+    assert "weights" in fails("animate", good, "walks", "-o", tmp_path / "out.glb")
+
+
+def need_weights() -> None:
+    for name in ("handles", "diffusion"):
+        try:
+            shipped_checkpoint(name)
+        except bunraku.WeightsError as error:
+            pytest.skip(str(error))
+
+
+def test_rig_writes_the_handles_as_a_skin(tmp_path, capsys):
+    need_weights()
+    assert main(["samples", "mushroom", "-o", str(tmp_path)]) == 0
+    out, picture = tmp_path / "rigged.glb", tmp_path / "handles.png"
+    assert main(["rig", str(tmp_path / "mushroom.glb"), "-o", str(out), "--preview", str(picture)]) == 0
+    facts = describe(out)
+    assert facts["rig"]["joints"] == 30 and facts["rig"]["influences"] <= 4
+    assert facts["vertices"] == describe(tmp_path / "mushroom.glb")["vertices"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_animate_writes_every_output_and_names_the_default(tmp_path, monkeypatch, capsys):
+    need_weights()
+    monkeypatch.chdir(tmp_path)
+    assert main(["samples", "person"]) == 0
+    capsys.readouterr()
+    options = ["--seconds", "1", "--steps", "2", "--fps", "10", "--seed", "7"]
+    outputs = ["-o", "new/walk.glb", "-o", "walk.npz", "-o", "frames.obj", "--preview", "walk.png"]
+    assert main(["animate", "person.glb", "a person walks", *options, *outputs]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 4
+    assert describe(Path("walk.npz"))["seconds"] == pytest.approx(1, abs=0.06)
+    assert describe(Path("new/walk.glb"))["animations"][0]["seconds"] == pytest.approx(0.95, abs=0.06)
+    assert len(list(Path("frames").glob("*.obj"))) == 10
+    assert main(["animate", "person.glb", "a person walks", *options]) == 0
+    assert "wrote person-a-person-walks.glb" in capsys.readouterr().out
+    first, second = (describe(Path(name))["animations"][0] for name in ("new/walk.glb", "person-a-person-walks.glb"))
+    assert first["seconds"] == second["seconds"]
+
+
+def test_lengths_agree_with_the_library():
+    pipeline = importlib.import_module("bunraku.pipeline")
+    assert SECONDS == (pipeline.SHORTEST, pipeline.LONGEST)
+
+
+def test_every_option_is_documented():
+    text = (ROOT / "docs" / "cli.md").read_text()
+    for verb, (module, name, _) in VERBS.items():
+        assert f"bunraku {' '.join(verb)}" in text
+        kind = getattr(importlib.import_module(f"bunraku.cli.{module}"), name)
+        if isinstance(kind, type):
+            section = text[text.index(f"## bunraku {verb[0]}") if verb[0] != "evaluate" else 0 :]
+            for field in dataclasses.fields(kind):
+                option = field.name.replace("_", "-")
+                assert f"--{option}" in section or f"`{option.upper()}`" in section, f"docs/cli.md does not name --{option} of {' '.join(verb)}"
+
+
+def test_documents_link_to_files_that_exist():
+    import re
+
+    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "examples" / "README.md"]:
+        for target in re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text()):
+            if "://" not in target:
+                assert (path.parent / target).exists(), f"{path.name} links to {target}"

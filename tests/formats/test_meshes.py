@@ -1,0 +1,195 @@
+"""OBJ, PLY and STL: every vertex in its place, textures and colours found, and back out through GLB."""
+
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+from gltf_files import CUBE, CUBE_FACES, made_up_handles, png
+from gltf_player import Player
+
+from bunraku.errors import BunrakuError, CharacterError, FormatError
+from bunraku.formats import load_character, save_character
+
+OBJ = """mtllib cube.mtl
+o cube
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 0.5 0.5 1 # the tip
+v 9 9 9
+vt 0.1 0.1
+vt 0.9 0.1
+vt 0.9 0.9
+vt 0.1 0.9
+vn 0 0 -2
+vn 0 1 1
+usemtl red
+f 4/4/1 3/3/1 2/2/1 1/1/1
+usemtl blue
+f 1/1/2 2/2/2 5/3/2
+f -5/2/2 3/3/2 \\
+ 5/4/2
+f 3//2 4//2 5//2
+"""
+MTL = "newmtl red\nKd 1 1 1\nmap_Kd -s 1 1 1 C:\\work\\tex ture.png\nnewmtl blue\nKd 0 0 1\nd 0.5\n"
+
+
+@pytest.fixture
+def pyramid(tmp_path):
+    (tmp_path / "cube.obj").write_text(OBJ)
+    (tmp_path / "cube.mtl").write_text(MTL)
+    (tmp_path / "tex ture.png").write_bytes(png((10, 200, 30)))
+    return tmp_path / "cube.obj"
+
+
+def test_obj_keeps_its_vertices_and_fans_its_polygons(pyramid):
+    character = load_character(pyramid)
+    assert character.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 1], [9, 9, 9]]
+    assert character.faces.tolist() == [[3, 2, 1], [3, 1, 0], [0, 1, 4], [1, 2, 4], [2, 3, 4]]
+    assert character.colors[0].tolist() == [10, 200, 30] and character.colors[1].tolist() == [255] * 3
+    assert character.colors[4].tolist() == [0, 0, 255]
+
+
+def test_obj_seams_are_appended_and_follow_their_vertex(pyramid, tmp_path):
+    character = load_character(pyramid)
+    handles = made_up_handles(character, 6)
+    player = Player(save_character(character, tmp_path / "out.glb", handles))
+    index = character.source.index
+    assert index[:6].tolist() == list(range(6)) and len(index) == 13
+    assert np.allclose(player.vertices(0), character.vertices[index], atol=1e-6)
+    red, blue = player.tree["meshes"][0]["primitives"]
+    assert red["attributes"] == blue["attributes"]
+    uv = player.accessor(red["attributes"]["TEXCOORD_0"])
+    corners = player.accessor(red["indices"])[:, 0]
+    assert np.allclose(uv[corners], [[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.1], [0.9, 0.9], [0.1, 0.9]])
+    normals = player.accessor(red["attributes"]["NORMAL"])
+    assert np.allclose(normals[corners], [0, 0, -1]) and np.allclose(np.linalg.norm(normals, axis=1), 1)
+    corners = player.accessor(blue["indices"])[:, 0]
+    assert index[corners].tolist() == [0, 1, 4, 1, 2, 4, 2, 3, 4]
+    assert np.allclose(uv[corners[:6]], [[0.1, 0.9], [0.9, 0.9], [0.9, 0.1], [0.9, 0.9], [0.9, 0.1], [0.1, 0.1]])
+    weights = player.accessor(red["attributes"]["WEIGHTS_0"])
+    assert np.array_equal(weights[6:], weights[index[6:]])
+    names = [material["name"] for material in player.tree["materials"]]
+    assert names == ["red", "blue"] and player.tree["materials"][1]["pbrMetallicRoughness"]["baseColorFactor"] == [0, 0, 1, 0.5]
+    view = player.tree["bufferViews"][player.tree["images"][0]["bufferView"]]
+    assert player.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]] == png((10, 200, 30))
+
+
+def test_obj_without_its_materials_is_still_a_mesh(pyramid):
+    (pyramid.parent / "cube.mtl").write_text(MTL.replace("C:\\work\\", "../../"))
+    assert len(load_character(pyramid).faces) == 5
+    (pyramid.parent / "cube.mtl").unlink()
+    assert len(load_character(pyramid).faces) == 5
+
+
+def test_a_texture_of_another_kind_is_converted(pyramid, tmp_path):
+    from PIL import Image
+
+    Image.new("RGB", (4, 4), (1, 2, 3)).save(tmp_path / "t.tga")
+    (tmp_path / "cube.mtl").write_text("newmtl red\nmap_Kd t.tga\n")
+    assert load_character(pyramid).colors[0].tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "v 0 0\nf 1 1 1\n", "v a b c\n", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "v 0 0 0\nf 1 2 x\n", "v 0 0 0\nf 0 0 0\n", "v 0 0 0\nf -2 -1 -1\n",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "v 0 0 0\nf 99999999999999999999999 1 1\n", "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "hello\n",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "\0\0\0\n",
+    ],
+)  # fmt: skip
+def test_broken_obj_files(tmp_path, text):
+    path = tmp_path / "broken.obj"
+    path.write_text(text)
+    with pytest.raises(BunrakuError, match=r"broken\.obj: "):
+        load_character(path)
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary"])
+def test_ply_as_trimesh_writes_it(tmp_path, kind):
+    shades = np.random.default_rng(0).integers(0, 256, (8, 4)).astype(np.uint8)
+    mesh = trimesh.Trimesh(CUBE, CUBE_FACES, process=False, vertex_colors=shades)
+    mesh.export(tmp_path / "cube.ply", encoding=kind)
+    character = load_character(tmp_path / "cube.ply")
+    assert np.array_equal(character.vertices, CUBE) and np.array_equal(character.faces, CUBE_FACES)
+    assert np.array_equal(character.colors, shades[:, :3])
+    again = load_character(save_character(character, tmp_path / "out.glb"))
+    assert np.array_equal(again.vertices, CUBE) and np.array_equal(again.colors, character.colors)
+
+
+def ply(order, faces):
+    """A binary PLY with polygons of any size, doubles, an element before the vertices and one after the faces."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1]])
+    head = f"ply\nformat binary_{'little' if order == '<' else 'big'}_endian 1.0\nelement camera 1\nproperty float f\nelement vertex 5\n"
+    head += "property double x\nproperty double y\nproperty double z\nproperty uchar quality\n"
+    head += f"element face {len(faces)}\nproperty uchar flag\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\n"
+    head += "element edge 1\nproperty int a\nproperty int b\nend_header\n"
+    body = struct.pack(order + "f", 2.5) + b"".join(struct.pack(order + "dddB", *point, 7) for point in points)
+    for face in faces:
+        body += struct.pack(f"{order}BB{len(face)}iB{2 * len(face)}f", 1, len(face), *face, 2 * len(face), *[0.5] * 2 * len(face))
+    return head.encode() + body + struct.pack(order + "ii", 0, 1)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_ply_with_all_that_it_may_have(tmp_path, order):
+    path = tmp_path / "odd.ply"
+    for faces, triangles in (([[0, 1, 2, 3], [0, 1, 4]], [[0, 1, 2], [0, 2, 3], [0, 1, 4]]), ([[0, 1, 2], [2, 3, 4]], [[0, 1, 2], [2, 3, 4]])):
+        path.write_bytes(ply(order, faces))
+        character = load_character(path)
+        assert character.vertices[2].tolist() == [1, 1, 0] and character.faces.tolist() == triangles
+
+
+def test_ply_points_and_broken_ones(tmp_path):
+    path = tmp_path / "cloud.ply"
+    path.write_text("ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 1 1\n")
+    with pytest.raises(CharacterError, match=r"cloud\.ply: these are points without faces"):
+        load_character(path)
+    good = ply("<", [[0, 1, 2], [2, 3, 4]])
+    for bad in (good.replace(b"vertex 5", b"vertex 4000000000"), good.replace(b"face 2", b"face 99999999"), good.replace(b"property double x", b"property quad x"),
+                good.replace(b"end_header", b""), good.replace(b"binary_little", b"binary_middle"), good.replace(b"vertex 5", b"vertex -5"), ply("<", [[0, 1, 9]])):  # fmt: skip
+        path.write_bytes(bad)
+        with pytest.raises(FormatError, match=r"cloud\.ply: "):
+            load_character(path)
+
+
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
+def test_stl_stays_a_soup(tmp_path, kind):
+    path = tmp_path / "cube.stl"
+    trimesh.Trimesh(CUBE, CUBE_FACES, process=False).export(path, file_type=kind)
+    character = load_character(path)
+    assert np.array_equal(character.vertices, CUBE[CUBE_FACES].reshape(-1, 3)) and np.array_equal(character.faces, np.arange(36).reshape(-1, 3))
+
+
+def test_broken_stl_files(tmp_path):
+    path = tmp_path / "cube.stl"
+    trimesh.Trimesh(CUBE, CUBE_FACES, process=False).export(path)
+    good = path.read_bytes()
+    text = trimesh.Trimesh(CUBE, CUBE_FACES, process=False).export(file_type="stl_ascii").encode()
+    for bad in (
+        good[:-10],
+        good[:50],
+        good[:80] + b"\xff" * 4 + good[84:],
+        text[: len(text) // 2],
+        b"solid nothing\nendsolid\n",
+        text.replace(b"vertex", b"vertex x", 1),
+    ):
+        path.write_bytes(bad)
+        with pytest.raises(BunrakuError, match=r"cube\.stl: "):
+            load_character(path)
+
+
+def test_large_files_are_read_in_a_moment(tmp_path):
+    import time
+
+    n = 180
+    u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
+    i = np.arange(n * n).reshape(n, n)[:-1, :-1].reshape(-1)
+    faces = np.concatenate([np.stack([i, i + 1, i + n], 1), np.stack([i + 1, i + n + 1, i + n], 1)])
+    sheet = trimesh.Trimesh(np.stack([u, v, np.sin(9 * u)], -1).reshape(-1, 3), faces, process=False)
+    for suffix in ("obj", "ply", "stl"):
+        sheet.export(tmp_path / f"sheet.{suffix}")
+        start = time.perf_counter()
+        assert len(load_character(tmp_path / f"sheet.{suffix}").faces) == len(faces)
+        assert time.perf_counter() - start < 2

@@ -1,0 +1,82 @@
+"""Handle motion as NPZ, there and back, and files that mean harm."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+from gltf_files import CUBE, CUBE_FACES, made_up_handles, made_up_motion
+
+from bunraku.animation import Animation
+from bunraku.character import Character
+from bunraku.errors import BunrakuError, FormatError, MotionError
+from bunraku.formats import load_motion
+
+
+@pytest.fixture
+def animation():
+    cube = Character("cube", CUBE, CUBE_FACES)
+    return Animation(cube, made_up_handles(cube), made_up_motion(cube))
+
+
+def test_there_and_back(animation, tmp_path):
+    path = animation.save(tmp_path / "motion.npz")
+    motion = load_motion(path)
+    for name in ("translations", "rotations", "root_translation", "root_rotation"):
+        assert np.allclose(getattr(motion, name), getattr(animation.motion, name), atol=1e-6)
+    assert motion.fps == animation.motion.fps
+    with np.load(path, allow_pickle=False) as plain:
+        assert plain["rotations"].shape == (24, 30, 6) and plain["handle_names"][0] == "pelvis"
+        assert np.array_equal(plain["handle_positions"], animation.handles.positions)
+
+
+def test_matrices_are_read_too(animation, tmp_path):
+    motion = animation.motion
+    parts = {name: getattr(motion, name) for name in ("translations", "rotations", "root_translation", "root_rotation", "fps")}
+    np.savez(tmp_path / "m.npz", **parts)
+    assert np.array_equal(load_motion(tmp_path / "m.npz").rotations, motion.rotations)
+
+
+def test_broken_and_hostile_files(animation, tmp_path):
+    whole, path = animation.save(tmp_path / "good.npz").read_bytes(), tmp_path / "bad.npz"
+
+    def refused(data, match):
+        path.write_bytes(data)
+        with pytest.raises((FormatError, MotionError), match=match):
+            load_motion(path)
+
+    for length in range(1, len(whole), len(whole) // 40):
+        refused(whole[:length], "bad.npz: ")
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        data = bytearray(whole)
+        data[rng.integers(len(data))] = rng.integers(256)
+        path.write_bytes(data)
+        try:
+            load_motion(path)
+        except BunrakuError as error:
+            assert "\n" not in str(error)
+    motion = animation.motion
+    parts = {name: getattr(motion, name) for name in ("translations", "rotations", "root_translation", "root_rotation", "fps")}
+
+    def packed(**changes):
+        out = io.BytesIO()
+        np.savez(out, **{**parts, **changes}, allow_pickle=True)
+        return out.getvalue()
+
+    refused(packed(fps=np.array([object()])), "not plain numbers")
+    refused(packed(rotations=np.zeros((24, 30, 4))), "6D or 3 x 3")
+    refused(packed(translations=np.full((24, 30, 3), np.nan)), "not numbers")
+    refused(packed(fps=0), "positive")
+    refused(packed(fps=np.ones(2)), "one number")
+    refused(packed(root_translation=np.zeros((23, 3))), "shape")
+    out = io.BytesIO()
+    np.savez(out, a=1)
+    refused(out.getvalue(), "lacks translations")
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in parts:
+            header = io.BytesIO()
+            np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": (10**9, 3)})
+            archive.writestr(f"{name}.npy", header.getvalue() + bytes(100))
+    refused(out.getvalue(), "cut short")

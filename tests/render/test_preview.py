@@ -1,0 +1,170 @@
+"""Files: what is written is read again by other libraries, and what cannot be written leaves nothing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bunraku.animation import Animation
+from bunraku.character import Character, Handles
+from bunraku.errors import FormatError, OptionError
+from bunraku.motion import HandleMotion
+from bunraku.render import HANDLE_PALETTE, contact_sheet, handle_colors, render_animation, render_frames, save_preview, save_still
+from bunraku.render import frames as frames_module
+
+
+def tube(rows: int = 12, around: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    height, angle = np.meshgrid(np.linspace(0, 1.8, rows), np.arange(around) * 2 * np.pi / around, indexing="ij")
+    vertices = np.stack([0.25 * np.sin(angle), height, 0.25 * np.cos(angle)], -1).reshape(-1, 3)
+    faces = []
+    for row in range(rows - 1):
+        for k in range(around):
+            a, b = row * around + k, row * around + (k + 1) % around
+            faces += [(a, b, a + around), (b, b + around, a + around)]
+    return vertices, np.array(faces)
+
+
+def swinging(rows: int = 12, around: int = 16, frames: int = 11, fps: float = 20.0) -> Animation:
+    """A tube whose upper half bends to and fro while it slides."""
+    vertices, faces = tube(rows, around)
+    share = np.clip((vertices[:, 1] - 0.6) / 0.6, 0, 1)
+    handles = Handles(np.array([[0, 0.6, 0], [0, 1.2, 0]]), np.stack([1 - share, share], axis=1))
+    angle = 0.6 * np.sin(np.arange(frames) / fps * 5)
+    rotations = np.tile(np.eye(3), (frames, 2, 1, 1))
+    rotations[:, 1, 0, 0] = rotations[:, 1, 1, 1] = np.cos(angle)
+    rotations[:, 1, 0, 1], rotations[:, 1, 1, 0] = -np.sin(angle), np.sin(angle)
+    slide = np.zeros((frames, 3))
+    slide[:, 0] = np.arange(frames) * 0.02
+    motion = HandleMotion(np.zeros((frames, 2, 3)), rotations, slide, np.tile(np.eye(3), (frames, 1, 1)), fps)
+    return Animation(Character("tube", vertices, faces, colors=np.full((len(vertices), 3), 120, np.uint8)), handles, motion)
+
+
+@pytest.mark.parametrize(("fps", "expected"), [(None, 11), (20, 11), (30, 16)])
+def test_mp4_has_its_frames_and_size(tmp_path, fps, expected):
+    av = pytest.importorskip("av")
+    told = []
+    path = save_preview(swinging(), tmp_path / "out.mp4", size=(161, 121), fps=fps, progress=lambda done, total: told.append((done, total)))
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+        assert float(stream.average_rate) == pytest.approx(fps or 20)
+        pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+    assert len(pictures) == expected
+    assert pictures[0].shape == (120, 160, 3)
+    drawn = list(render_animation(swinging(), size=(160, 120), fps=fps))
+    assert np.abs(pictures[3].astype(int) - drawn[3]).mean() < 4
+    assert told == [(done, expected) for done in range(1, expected + 1)]
+    assert list(tmp_path.iterdir()) == [path]
+    assert b"moov" in path.read_bytes()[:200]  # the index comes first, so that a page can play it while it loads
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".gif"])
+def test_moving_pictures_have_their_frames(tmp_path, suffix):
+    path = save_preview(swinging(), tmp_path / f"out{suffix}", size=(120, 90))
+    with Image.open(path) as picture:
+        assert picture.size == (120, 90)
+        assert picture.n_frames == 11
+        picture.seek(3)
+        picture.load()
+        assert picture.info["duration"] == 50
+        drawn = list(render_animation(swinging(), size=(120, 90)))
+        assert np.abs(np.asarray(picture.convert("RGB")).astype(int) - drawn[3]).mean() < 5
+
+
+def test_sheet_holds_the_frames_it_names(tmp_path):
+    animation = swinging()
+    path = save_preview(animation, tmp_path / "out.png", frames=6, columns=3, size=(100, 120), title="a tube swings")
+    sheet = np.asarray(Image.open(path).convert("RGB"))
+    pictures = list(render_animation(animation, size=(100, 120), times=np.array([0, 2, 4, 6, 8, 10]) / 20))
+    found = 0
+    for picture in pictures:
+        windows = np.argwhere((sheet[:-119, :-99] == picture[0, 0]).all(axis=-1))
+        found += any((sheet[y : y + 120, x : x + 100] == picture).all() for y, x in windows)
+    assert found == 6
+    assert sheet.shape[1] < 330 and sheet.shape[0] > 2 * 120 + 40
+
+
+def test_frames_between_frames_are_interpolated():
+    animation = swinging()
+    halfway = next(iter(render_animation(animation, times=np.array([0.125, 0.2]), size=(120, 90))))
+    posed = animation.vertices([2, 3, 4])
+    expected = render_frames(np.stack([posed[:2].mean(axis=0), posed[2]]), animation.character.faces, animation.character.colors, size=(120, 90))
+    assert np.abs(halfway.astype(int) - expected[0]).mean() < 0.5
+
+
+def test_a_large_mesh_is_drawn_simplified(monkeypatch):
+    animation = swinging(60, 80, frames=2)
+    whole = list(render_animation(animation, size=(120, 90)))
+    monkeypatch.setattr(frames_module, "MOST_FACES", 2000)
+    monkeypatch.setattr(frames_module, "KEPT_FACES", 1000)
+    fewer = list(render_animation(animation, size=(120, 90)))
+    assert len(frames_module._take(animation, np.zeros(1), "texture").faces) < 2000
+    assert 0 < np.abs(whole[1].astype(int) - fewer[1]).mean() < 3
+
+
+def test_stills_show_the_handles(tmp_path):
+    animation = swinging()
+    plain = np.asarray(Image.open(save_still(animation.character, tmp_path / "plain.png", size=(100, 120))))
+    tinted = np.asarray(Image.open(save_still(animation.character, tmp_path / "handles.png", animation.handles, size=(100, 120), views=2)))
+    assert plain.shape == (120, 100, 3) and tinted.shape == (120, 200, 3)
+    assert np.ptp(tinted, axis=-1).max() > 80 > np.ptp(plain, axis=-1).max()
+    with pytest.raises(OptionError):
+        save_still(animation.character, tmp_path / "three.png", views=3)
+
+
+def test_handle_colors_are_distinct_and_blended():
+    apart = np.abs(HANDLE_PALETTE[:, None].astype(int) - HANDLE_PALETTE).sum(axis=-1) + 1000 * np.eye(30, dtype=int)
+    assert len(HANDLE_PALETTE) == 30 and apart.min() >= 50
+    colors = handle_colors(Handles(np.zeros((2, 3)), np.array([[1, 0], [0, 1], [0.5, 0.5]])))
+    assert (colors[:2] == HANDLE_PALETTE[:2]).all()
+    assert np.abs(colors[2] - HANDLE_PALETTE[:2].mean(axis=0)).max() <= 1
+
+
+def test_contact_sheet_keeps_to_its_limit(tmp_path):
+    rng = np.random.default_rng(0)
+    noisy = [np.clip(120 + 30 * rng.normal(size=(160, 200, 3)), 0, 255).astype(np.uint8) for _ in range(12)]
+    labels = [f"prompt {i} that is far too long to stand below so small a picture" for i in range(12)]
+    path = contact_sheet(noisy, labels, tmp_path / "s.png", title="t")
+    assert path.stat().st_size <= 300_000
+    with pytest.raises(OptionError):
+        contact_sheet(noisy, ["one"], tmp_path / "s.png")
+    with pytest.raises(OptionError):
+        contact_sheet([], None, tmp_path / "s.png")
+
+
+@pytest.mark.parametrize("name", ["out.avi", "out", "missing/deeper/out.mp4", "file/out.mp4", "."])
+def test_targets_that_cannot_be_written(tmp_path, name):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FormatError):
+        save_preview(swinging(), tmp_path / name)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_failure_midway_leaves_the_old_file(tmp_path):
+    path = tmp_path / "out.mp4"
+    path.write_bytes(b"old")
+
+    def stop(done: int, total: int) -> None:
+        if done == 4:
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        save_preview(swinging(), path, size=(64, 64), progress=stop)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("options", [{"fps": 0}, {"fps": 1000}, {"color": "mood"}, {"background": "plaid"}])
+def test_bad_options_write_nothing(tmp_path, options):
+    with pytest.raises(OptionError):
+        save_preview(swinging(), tmp_path / "out.mp4", **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_importing_loads_no_renderer():
+    check = "import sys, bunraku.render; print([name for name in ('numba', 'moderngl', 'av', 'PIL', 'torch', 'scipy') if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.strip() == "[]"

@@ -1,0 +1,111 @@
+"""Fitting a motion to other characters: what must stay the same, what must follow the body."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bunraku.animation import Animation
+from bunraku.bodies.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
+from bunraku.bodies.reference import reference_body
+from bunraku.character import Character, Handles
+from bunraku.datasets.motions import handle_motion_of_body
+from bunraku.motion import SkeletalMotion
+from bunraku.retarget.fit import Stages, find_joints, fit_motion
+
+
+def swing(frames=20):
+    """Arms come down from the T-pose and the knees bend."""
+    body = reference_body()
+    share = np.linspace(0, 1, frames)
+    rotations = np.tile(np.eye(3), (frames, JOINT_COUNT, 1, 1))
+    for name, axis, degrees in (("left_shoulder", "z", -70), ("right_shoulder", "z", 70), ("left_knee", "x", 60), ("left_hip", "x", -60)):
+        rotations[:, JOINT_NAMES.index(name)] = Rotation.from_rotvec(np.radians(share * degrees)[:, None] * np.eye(3)["xyz".index(axis)]).as_matrix()
+    return handle_motion_of_body(SkeletalMotion(body.skeleton, rotations, np.tile(body.joints[0], (frames, 1))))
+
+
+def rigid_pose(body, joint, rotation):
+    """The body with one joint turned, as another character whose rest pose that is."""
+    rotations = np.tile(np.eye(3), (1, JOINT_COUNT, 1, 1))
+    for name in joint:
+        rotations[0, JOINT_NAMES.index(name)] = rotation if name.startswith("left") else rotation.T
+    vertices = body.pose(SkeletalMotion(body.skeleton, rotations, body.joints[:1]))[0]
+    character = Character("posed", vertices, body.faces)
+    from bunraku.bodies.reference import handle_positions
+    from bunraku.geometry.areas import vertex_areas
+
+    return character, Handles(handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces)), body.handle_weights)
+
+
+def test_the_reference_body_keeps_its_own_motion():
+    body, motion = reference_body(), swing()
+    character = body.character()
+    fitted = fit_motion(motion, character, body.handles)
+    before, after = (Animation(character, body.handles, m).vertices() for m in (motion, fitted))
+    assert np.linalg.norm(after - before, axis=-1).max() < 0.005 * character.height
+
+
+def test_joints_are_found_where_weights_meet():
+    body = reference_body()
+    joints = find_joints(body.character(), body.handles)
+    for name in ("left_elbow", "right_knee", "left_wrist"):
+        index = HANDLE_NAMES.index(name)
+        assert np.linalg.norm(joints.positions[index] - body.joints[index]) < 0.03 * body.character().height
+    assert not joints.present[HANDLE_NAMES.index("tail")]
+
+
+@pytest.mark.parametrize("scale", [0.01, 100.0])
+def test_size_changes_the_animation_by_its_own_factor(scale):
+    body, motion = reference_body(), swing()
+    small = Character("small", body.vertices * scale, body.faces)
+    handles = Handles(body.handles.positions * scale, body.handle_weights)
+    want = Animation(body.character(), body.handles, fit_motion(motion, body.character(), body.handles)).vertices()
+    got = Animation(small, handles, fit_motion(motion, small, handles)).vertices() / scale
+    np.testing.assert_allclose(got, want, atol=2e-4 * small.height / scale)
+
+
+def test_an_a_pose_ends_in_the_same_pose_as_a_t_pose():
+    body, motion = reference_body(), swing()
+    down = Rotation.from_euler("z", -45, degrees=True).as_matrix()
+    character, handles = rigid_pose(body, ("left_shoulder", "right_shoulder"), down)
+    want = Animation(body.character(), body.handles, motion).vertices()[-1]
+    with_stage = Animation(character, handles, fit_motion(motion, character, handles)).vertices()[-1]
+    without = Animation(character, handles, fit_motion(motion, character, handles, Stages(rest_pose=False))).vertices()[-1]
+    hands = body.handle_weights[:, HANDLE_NAMES.index("left_wrist")] > 0.5
+    near = np.linalg.norm(with_stage[hands] - want[hands], axis=1).mean() / character.height
+    far = np.linalg.norm(without[hands] - want[hands], axis=1).mean() / character.height
+    assert near < 0.06 < 0.2 < far
+
+
+def test_long_arms_stay_attached():
+    body, motion = reference_body(), swing()
+    vertices = body.vertices * np.array([1.6, 1, 1], np.float32)  # arms and shoulders 60 % longer than the motion was made for
+    character, handles = Character("wide", vertices, body.faces), Handles(body.handles.positions * [1.6, 1, 1], body.handle_weights)
+    edges = np.unique(np.sort(body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+
+    def stretch(stages):
+        posed = Animation(character, handles, fit_motion(motion, character, handles, stages)).vertices()
+        rest = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+        return np.quantile(np.linalg.norm(posed[:, edges[:, 0]] - posed[:, edges[:, 1]], axis=-1) / rest, 0.99)
+
+    assert stretch(Stages()) - 1 < 0.5 * (stretch(Stages(attach=False)) - 1)
+
+
+def test_ground_is_kept():
+    body, motion = reference_body(), swing()
+    short = body.vertices * np.where(body.vertices[:, 1:2] < 0.9, [1, 0.5, 1], [1, 1, 1]) + np.where(body.vertices[:, 1:2] < 0.9, [0, 0.45, 0], [0, 0, 0])
+    short = (short - [0, short[:, 1].min(), 0]).astype(np.float32)
+    character, handles = Character("short", short, body.faces), Handles(body.handles.positions - [0, 0.45, 0], body.handle_weights)
+    lowest = Animation(character, handles, fit_motion(motion, character, handles)).vertices()[..., 1].min(axis=1)
+    assert np.abs(lowest).max() < 0.03 * character.height
+
+
+def test_an_absent_handle_follows_its_parent():
+    body, motion = reference_body(), swing()
+    weights = body.handle_weights.copy()
+    for part in ("wrist", "fingers"):  # a character without hands: its forearm holds them
+        for side in ("left", "right"):
+            weights[:, HANDLE_NAMES.index(f"{side}_elbow")] += weights[:, HANDLE_NAMES.index(f"{side}_{part}")]
+            weights[:, HANDLE_NAMES.index(f"{side}_{part}")] = 0
+    fitted = fit_motion(motion, body.character(), Handles(body.handles.positions, weights))
+    wrist, elbow = HANDLE_NAMES.index("left_wrist"), HANDLE_NAMES.index("left_elbow")
+    np.testing.assert_allclose(fitted.rotations[:, wrist], fitted.rotations[:, elbow], atol=1e-6)

@@ -1,0 +1,67 @@
+"""The package as a whole: light to import, complete in what it promises, and its version said once."""
+
+import importlib
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import bunraku
+
+ROOT = Path(__file__).resolve().parents[1]
+HEAVY = ("torch", "transformers", "diffusers", "trimesh", "numba", "moderngl", "av", "scipy", "igl", "pygltflib", "tyro", "rich", "numpy")
+
+
+def loaded_after(code: str) -> set[str]:
+    """Top-level modules that a fresh interpreter holds after this code."""
+    script = f"{code}\nimport sys\nprint('\\n'.join({{name.split('.')[0] for name in sys.modules}}))"
+    return set(subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split())
+
+
+def test_import_is_light():
+    assert not loaded_after("import bunraku").intersection(HEAVY)
+
+
+def test_command_line_import_is_light():
+    assert not loaded_after("from bunraku.cli import main\nmain(['--help'])").intersection(HEAVY)
+
+
+def test_core_types_do_not_load_the_networks():
+    heavy = {"torch", "transformers", "diffusers", "moderngl", "av", "numba", "trimesh"}
+    assert not loaded_after("import bunraku\nbunraku.Character, bunraku.Animation, bunraku.HandleMotion").intersection(heavy)
+
+
+@pytest.mark.parametrize("name", bunraku.__all__)
+def test_public_name_resolves_and_is_documented(name):
+    value = getattr(bunraku, name)
+    assert name in dir(bunraku)
+    if callable(value):
+        assert value.__doc__ and value.__module__.startswith("bunraku.")
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'animte'"):
+        _ = bunraku.animte
+
+
+def test_every_error_is_a_bunraku_error():
+    errors = importlib.import_module("bunraku.errors")
+    for name in errors.__all__:
+        assert issubclass(getattr(errors, name), bunraku.BunrakuError)
+
+
+def test_version_is_said_once():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["version"] == bunraku.__version__
+    assert f"## {bunraku.__version__}" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_every_module_says_what_is_public():
+    """Each module with public names has an `__all__`; found by reading, so that nothing heavy is imported."""
+    for path in sorted((ROOT / "src" / "bunraku").rglob("*.py")):
+        text = path.read_text()
+        if path.name != "__main__.py" and re.search(r"^(?:def|class) [A-Za-z]", text, re.MULTILINE):
+            assert re.search(r"^__all__\b", text, re.MULTILINE), f"{path.relative_to(ROOT)} has no __all__"
