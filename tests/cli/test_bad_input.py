@@ -144,7 +144,7 @@ def test_nothing_heavy_loads_before_the_checks(good, tmp_path):
 LIMITED = """
 import resource, sys
 from bunraku.cli import main
-resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))  # as a disk with room for 20 kB
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))  # as a disk with room for 1 kB
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -153,7 +153,7 @@ def test_full_disk(tmp_path):
     """Nothing half-written stays when the disk takes no more."""
     out = tmp_path / "out"
     out.mkdir()
-    done = subprocess.run([sys.executable, "-c", LIMITED, "samples", "person", "-o", str(out)], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", LIMITED, "samples", "mushroom", "-o", str(out)], capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
     assert "bunraku: error: " in done.stderr and "Traceback" not in done.stderr
     assert list(out.iterdir()) == []

@@ -161,9 +161,11 @@ def test_animate_writes_every_output_and_names_the_default(tmp_path, monkeypatch
     assert first["seconds"] == second["seconds"]
 
 
-def test_lengths_agree_with_the_library():
-    pipeline = importlib.import_module("bunraku.pipeline")
+def test_limits_and_defaults_agree_with_the_library():
+    pipeline, generate = importlib.import_module("bunraku.pipeline"), importlib.import_module("bunraku.diffusion.generate")
     assert SECONDS == (pipeline.SHORTEST, pipeline.LONGEST)
+    text = (ROOT / "docs" / "cli.md").read_text()
+    assert f"{generate.STEPS} by default" in text and f"{generate.GUIDANCE} by default" in text
 
 
 def test_every_option_is_documented():

@@ -246,4 +246,4 @@ def test_big_meshes_are_read_and_written_in_a_moment(tmp_path):
     path = save_animation(animation, tmp_path / "sheet.glb")
     written = time.perf_counter()
     load_character(path)
-    assert written - start < 2 and time.perf_counter() - written < 2  # 0.1 s each on the machine this was written on
+    assert written - start < 5 and time.perf_counter() - written < 5  # 0.1 s each on the machine this was written on

@@ -78,6 +78,8 @@ def test_obj_seams_are_appended_and_follow_their_vertex(pyramid, tmp_path):
 
 
 def test_obj_without_its_materials_is_still_a_mesh(pyramid):
+    (pyramid.parent / "cube.mtl").write_text("newmtl red\nmap_Kd " + "x" * 5000 + ".png\n")
+    assert len(load_character(pyramid).faces) == 5
     (pyramid.parent / "cube.mtl").write_text(MTL.replace("C:\\work\\", "../../"))
     assert len(load_character(pyramid).faces) == 5
     (pyramid.parent / "cube.mtl").unlink()
@@ -147,8 +149,15 @@ def test_ply_points_and_broken_ones(tmp_path):
     with pytest.raises(CharacterError, match=r"cloud\.ply: these are points without faces"):
         load_character(path)
     good = ply("<", [[0, 1, 2], [2, 3, 4]])
-    for bad in (good.replace(b"vertex 5", b"vertex 4000000000"), good.replace(b"face 2", b"face 99999999"), good.replace(b"property double x", b"property quad x"),
-                good.replace(b"end_header", b""), good.replace(b"binary_little", b"binary_middle"), good.replace(b"vertex 5", b"vertex -5"), ply("<", [[0, 1, 9]])):  # fmt: skip
+    swaps = (
+        "vertex 5=vertex 4000000000",
+        "face 2=face 99999999",
+        "property double x=property quad x",
+        "end_header=",
+        "y_little=y_middle",
+        "vertex 5=vertex -5",
+    )
+    for bad in (*(good.replace(*swap.encode().split(b"=")) for swap in swaps), ply("<", [[0, 1, 9]])):
         path.write_bytes(bad)
         with pytest.raises(FormatError, match=r"cloud\.ply: "):
             load_character(path)
@@ -192,4 +201,4 @@ def test_large_files_are_read_in_a_moment(tmp_path):
         sheet.export(tmp_path / f"sheet.{suffix}")
         start = time.perf_counter()
         assert len(load_character(tmp_path / f"sheet.{suffix}").faces) == len(faces)
-        assert time.perf_counter() - start < 2
+        assert time.perf_counter() - start < 5

@@ -161,3 +161,37 @@ def test_importing_the_formats_loads_nothing_heavy():
     heavy = ["torch", "scipy", "PIL", "trimesh", "pygltflib", "zipfile"]
     code = f"import sys, bunraku.formats; print([name for name in {heavy} if name in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_outputs_that_are_not_files(tmp_path):
+    import os
+
+    from gltf_files import CUBE_FACES
+
+    from bunraku.character import Character
+    from bunraku.formats import save_character
+
+    cube = Character("cube", CUBE, CUBE_FACES)
+    os.mkfifo(tmp_path / "pipe.glb")
+    with pytest.raises(FormatError, match="not a plain file"):
+        save_character(cube, tmp_path / "pipe.glb")
+    with pytest.raises(FormatError, match="zero byte"):
+        save_character(cube, tmp_path / "a\0b.glb")
+    with pytest.raises(FormatError, match=r"'\.vrm' is not a format for this; characters are written to \.glb"):
+        save_character(cube, tmp_path / "cube.vrm")
+    with pytest.raises(FormatError, match="cannot be written"):
+        save_character(cube, tmp_path / f"{'x' * 300}.glb")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["pipe.glb"]
+
+
+def test_a_character_travels_between_processes(tmp_path):
+    import pickle
+
+    from bunraku.formats import save_character
+
+    path = tmp_path / "thing.glb"
+    path.write_bytes(textured_glb())
+    character = load_character(path)
+    again = pickle.loads(pickle.dumps(character))
+    one, two = (save_character(thing, tmp_path / "out.glb").read_bytes() for thing in (character, again))
+    assert one == two

@@ -23,7 +23,8 @@ _H = {name: index for index, name in enumerate(HANDLE_NAMES)}
 # Kinds that name a handle outright; "left" stands for the side that the joint has.
 _KINDS: tuple[tuple[str, str], ...] = (
     ("none", r"(pole)?target|^pt$|^control|camera|^light|nub$|heelroll|toeroll|twistend"),
-    ("head_top", r"^(outer|inner|upper|lower)?ears?(tip|end)?$|hair|^hat|hood|horn|antenna|antler|helmet|headtop|headend|headnub|ahoge|ponytail|crest|bangs?$|crown"),
+    ("head_top", r"^(outer|inner|upper|lower)?ears?(tip|end)?$|hair|^hat|hood|horn|antenna|antler|helmet|headtop|headend|headnub"
+     r"|ahoge|ponytail|crest|bangs?$|crown"),
     ("face", r"eye|brow|jaw|mouth|nose|snout|tongue|^lips?|cheek|teeth|tooth|beak|chin$|muzzle|whisker"),
     ("face_bone", r"^face$"),
     ("fingers", r"thumb|finger|^(hand)?index|^(hand)?middle(proximal|intermediate|distal|metacarpal)?$|^(hand)?ring|pinky|^(hand)?little|claw$"),
@@ -53,7 +54,7 @@ _KINDS: tuple[tuple[str, str], ...] = (
     ("head", r"^head$|skull"),
     ("main", r"^main$"),
     ("root", r"^(root|bone|center|origin|armature|cog|reference)$"),
-)
+)  # fmt: skip
 _COMPILED = tuple((kind, re.compile(pattern)) for kind, pattern in _KINDS)
 
 # The standard bones of MikuMikuDance; a leading 左 or 右 is the side.
@@ -158,6 +159,14 @@ class _Tree:
                 self.children[parent].append(joint)
         self.positions = None if positions is None else np.asarray(positions, float)
         self._settle_sides(names)
+        for joint, kind in enumerate(self.kinds):  # words that mean one thing alone and another in company
+            above = [self.kinds[a] for a in self.above(joint)]
+            if kind == "hips" and self.sides[joint]:
+                self.kinds[joint] = "leg"
+            elif kind == "collar" and self.words[joint].endswith("shoulder") and "collar" in above and "front" not in self.words[joint]:
+                self.kinds[joint] = "shoulder"
+            elif kind == "foot" and "foot" in above and "foot" in self.words[joint]:
+                self.kinds[joint] = "toe"
 
     def _settle_sides(self, names: Sequence[str]) -> None:
         """Joints without a side take that of the limb above; a limb whose names disagree takes the side where it stands."""
@@ -244,19 +253,19 @@ def handle_of_joints(
 def _legs(tree: _Tree, out: np.ndarray) -> None:
     """Legs of two segments are hip and knee, of three hip, knee and ankle; front legs are arms."""
     long: set[int] = set()
-    front = {j for j in tree.of("arm_leg")}
+    front = set(tree.of("arm_leg"))
     chain_of: dict[int, list[int]] = {}
     legs = tree.of("leg", "arm_leg")
     for joint in legs:
         if any(child in legs for child in tree.children[joint]):
             continue
-        chain = [joint]
-        while tree.parents[chain[0]] in legs:
-            chain.insert(0, tree.parents[chain[0]])
-        for member in chain:
-            if len(chain) > len(chain_of.get(member, [])):
-                chain_of[member] = chain
-    for chain in {tuple(c) for c in chain_of.values()}:
+        line = [joint]
+        while tree.parents[line[0]] in legs:
+            line.insert(0, tree.parents[line[0]])
+        for member in line:
+            if len(line) > len(chain_of.get(member, [])):
+                chain_of[member] = line
+    for chain in sorted({tuple(c) for c in chain_of.values()}):
         upper = [bool(re.search(r"up(per)?leg|uparm", tree.words[j])) for j in chain]
         capped = any(tree.kinds[a] == "hip_bone" for a in tree.above(chain[0]))
         if chain[0] in front:
@@ -313,7 +322,7 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
     elif tree.of("chest_bone"):  # four-legged: Back, Hips, Body, Torso, Shoulders from the rump to the neck
         out[tree.of("chest_bone")] = _H["spine3"]
         out[tree.of("back")] = pelvis
-        out[[j for j in tree.of("body")]] = _H["spine1"]
+        out[tree.of("body")] = _H["spine1"]
         out[spine] = _H["spine2"]
     else:
         for joint in tree.of("back"):

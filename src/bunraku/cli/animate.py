@@ -46,9 +46,9 @@ class Animate:
     seed: int = 0
     """The same seed and version give the same animation."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
-    """Sampling steps; more is slower. Default: what the weights were tuned for."""
+    """Sampling steps, 1 to 1000; more is slower. Default: 20."""
     guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
-    """How closely to follow the sentence, 0 to 20. Default: what the weights were tuned for."""
+    """How closely to follow the sentence, 0 to 20. Default: 2.5."""
     fps: float = 30.0
     """Frames a second of the files, 1 to 120."""
     without: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction] = ()

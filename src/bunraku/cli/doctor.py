@@ -17,14 +17,12 @@ from bunraku.cli.report import size_text
 
 __all__ = ["Doctor", "Finding"]
 
-PACKAGES = ("torch", "numpy", "scipy", "transformers", "diffusers", "trimesh", "numba", "libigl", "fast-simplification", "moderngl", "av")
+PACKAGES = ("torch", "numpy", "scipy", "transformers", "numba", "libigl", "fast-simplification", "moderngl", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
 }
 EXTRAS = {
-    "accelerate": ("train", "training runs in one process and in float32 only"),
-    "tensorboard": ("train", "training writes its numbers to a text file only"),
     "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
 }
 

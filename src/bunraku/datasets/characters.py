@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -144,7 +145,8 @@ def _root(vertices: np.ndarray, joints: np.ndarray, parents: np.ndarray, handles
 def build_characters(
     folder: str | Path, cache: str | Path, mesh_vertices: int = 2400, progress: Callable[[int, int, str], None] | None = None
 ) -> tuple[list[Path], dict[str, str]]:
-    """Build the cache: one npz for each GLB under a folder. What is there already is kept, so a run that was cut off goes on.
+    """Build the cache: one npz for each GLB under a folder and for each sample character. What is there already is kept, so a
+    run that was cut off goes on.
 
     Args:
         folder: Folder of rigged GLB files, searched through.
@@ -159,20 +161,25 @@ def build_characters(
         FormatError: There is no GLB under the folder.
     """
     from bunraku.formats import load_character
+    from bunraku.samples import sample_character, sample_names
 
     folder, cache = Path(folder), Path(cache)
     files = sorted(folder.rglob("*.glb"))
     if not files:
         raise FormatError(folder, "there are no GLB files here; unpack the character archive and give its folder")
+    makers: dict[str, Callable[[], Character]] = {}
+    for file in files:
+        makers[file.relative_to(folder).with_suffix("").as_posix()] = partial(load_character, file)
+    for sample in sample_names():
+        makers[f"samples/{sample}"] = partial(sample_character, sample, rigged=True)
     done, failed = [], {}
-    for number, file in enumerate(files):
-        name = file.relative_to(folder).with_suffix("").as_posix()
+    for number, (name, make) in enumerate(makers.items()):
         target = cache / f"{name}.npz"
         if progress:
-            progress(number, len(files), name)
+            progress(number, len(makers), name)
         if not target.is_file():
             try:
-                built = training_character(load_character(file), name, mesh_vertices)
+                built = training_character(make(), name, mesh_vertices)
             except BunrakuError as error:
                 failed[name] = str(error)
                 continue
@@ -180,7 +187,7 @@ def build_characters(
             built.save(target)
         done.append(target)
     if progress:
-        progress(len(files), len(files), "")
+        progress(len(makers), len(makers), "")
     for name, reason in failed.items():
         _log.warning("left out %s: %s", name, reason)
     return done, failed
@@ -207,11 +214,10 @@ def reference_characters(mesh_vertices: int = 2400) -> list[TrainingCharacter]:
         body = reference_body(shape)
         mesh = network_mesh(body.vertices, body.faces, mesh_vertices)
         joints = (np.asarray(body.joints, np.float64) - mesh.center) / mesh.scale
-        out.append(
-            TrainingCharacter(
-                name=f"reference/{shape}", vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges,
-                weights=mesh.pull(body.joint_weights), joints=joints, parents=np.array(JOINT_PARENTS), handles=np.arange(len(joints)),
-                target=mesh.pull(body.handle_weights), root=joints[0].astype(np.float32), height=float(np.ptp(mesh.vertices[:, 1])),
-            )  # fmt: skip
-        )
+        character = TrainingCharacter(
+            name=f"reference/{shape}", vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges,
+            weights=mesh.pull(body.joint_weights), joints=joints, parents=np.array(JOINT_PARENTS), handles=np.arange(len(joints)),
+            target=mesh.pull(body.handle_weights), root=joints[0].astype(np.float32), height=float(np.ptp(mesh.vertices[:, 1])),
+        )  # fmt: skip
+        out.append(character)
     return out

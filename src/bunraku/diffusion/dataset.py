@@ -7,6 +7,7 @@ have seen.
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,12 +78,13 @@ def _read_clip(path: Path) -> np.ndarray:
     return encode(motion)
 
 
-def load_clips(folder: str | Path, progress: Any = None) -> dict[str, dict[str, Any]]:
-    """Features and index entries of all clips: {name: {"features": (N, D), "texts", "split", "weight", ...}}.
+def load_clips(folder: str | Path, progress: Any = None, splits: Collection[str] | None = None) -> dict[str, dict[str, Any]]:
+    """Features and index entries of clips: {name: {"features": (N, D), "texts", "split", "weight", ...}}.
 
     Args:
         folder: What `bunraku data motions` wrote: `index.json` and one NPZ a clip.
         progress: Called with (done, total).
+        splits: "train", "val", "test": those to load; None for all.
 
     Raises:
         FormatError: The index or a clip is missing or damaged.
@@ -96,7 +98,7 @@ def load_clips(folder: str | Path, progress: Any = None) -> dict[str, dict[str, 
     for done, (name, entry) in enumerate(sorted(index.items())):
         if "/" in name or "\\" in name or name.startswith("."):
             raise FormatError(folder / "index.json", f"the clip name {name!r} is not a plain name")
-        if entry.get("texts"):
+        if entry.get("texts") and (splits is None or entry.get("split", "train") in splits):
             features = _read_clip(folder / f"{name}.npz")
             if len(features) >= MIN_FRAMES:
                 found[name] = {**entry, "features": features}

@@ -135,6 +135,7 @@ class Denoiser(nn.Module):
     def __init__(self, config: DenoiserConfig):
         super().__init__()
         self.config = config
+        self.notes: dict[str, Any] = {}  # of the checkpoint it came from
         width, patch = config.width, config.frames_per_token
         self.motion_in = nn.Linear(config.features * patch, width)
         self.text_in = nn.Linear(config.text_size, width)
@@ -165,6 +166,11 @@ class Denoiser(nn.Module):
             nn.init.zeros_(linear.bias)
         nn.init.normal_(self.motion_out.weight, std=0.02)
         nn.init.zeros_(self.motion_out.bias)
+
+    @property
+    def knows_meshes(self) -> bool:
+        """Whether training saw mesh features; else the mesh token must stay the learned null token."""
+        return bool(self.notes.get("characters"))
 
     def condition(
         self, text: Tensor | None, text_mask: Tensor | None, pooled: Tensor | None, mesh: Tensor | None, keep_text: Tensor, keep_mesh: Tensor
@@ -244,12 +250,13 @@ def load_denoiser(path: str | Path, device: str | torch.device = "cpu") -> Denoi
         WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
     """
     state, config = load_checkpoint(path, KIND)
-    config = {key: value for key, value in config.items() if key != "notes"}
+    notes = config.pop("notes", None)
     try:
         built = DenoiserConfig(**config)
         with torch.device("meta"):
             model = Denoiser(built)
         model.load_state_dict(state, assign=True)
+        model.notes = dict(notes or {})
     except Exception as error:
         raise WeightsError(f"{path}: the config and the weights of this denoiser disagree ({str(error).splitlines()[0]}); train it again") from error
     return model.to(device).eval().requires_grad_(False)

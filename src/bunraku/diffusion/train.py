@@ -231,6 +231,7 @@ class Trainer:
         )
         save_training_state(folder / "state.safetensors", state)
         notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "batch": self.config.batch, "preset": self.config.preset}
+        notes["characters"] = 0 if self.mesh_bank is None else len(self.mesh_bank)
         save_denoiser(folder / "diffusion.safetensors", self.average, notes)
 
     def restore(self, path: Path, network: DenoiserConfig) -> None:

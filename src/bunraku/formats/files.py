@@ -78,12 +78,16 @@ def check_output_folder(path: Path) -> None:
     Raises:
         FormatError: The folder cannot be made, or the path is a folder itself.
     """
-    if path.is_dir():
+    if "\0" in str(path):
+        raise FormatError(path, "the path holds a zero byte; choose another name")
+    if os.path.isdir(path):  # unlike Path.is_dir, no name makes it raise
         raise FormatError(path, "this is a folder; name a file inside it")
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise FormatError(path, "this exists and is not a plain file; choose another name")
     folder = path.parent
-    if folder.is_dir():
+    if os.path.isdir(folder):
         return
-    if not folder.parent.is_dir():
+    if not os.path.isdir(folder.parent):
         raise FormatError(path, f"the folder {folder} does not exist; create it first")
     try:
         folder.mkdir(exist_ok=True)

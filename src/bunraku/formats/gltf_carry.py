@@ -156,6 +156,8 @@ class MeshCarrier:
         for name, accessor in old["attributes"].items():
             if name.startswith(("JOINTS_", "WEIGHTS_")) or self.document.count(accessor) != count or not count:
                 continue
+            if str(self.document.item("accessors", accessor).get("type")).startswith("MAT"):
+                continue  # glTF gives no meaning to matrices a vertex
             if bend is not None and name in ("POSITION", "NORMAL", "TANGENT"):
                 values = self.document.accessor(accessor, ("VEC4",) if name == "TANGENT" else ("VEC3",)).astype(np.float64)
                 bent = bend.attribute(name, values, keep_base="targets" in old)

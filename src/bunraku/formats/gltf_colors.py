@@ -14,7 +14,7 @@ from bunraku.formats.gltf_mesh import MeshPart
 
 __all__ = ["linear_from_srgb", "srgb_from_linear", "vertex_colors"]
 
-MAX_PIXELS = 128_000_000
+MAX_PIXELS, MAX_IMAGES, PREVIEW_SIZE = 70_000_000, 256, 2048
 
 
 def linear_from_srgb(values: np.ndarray) -> np.ndarray:
@@ -34,7 +34,7 @@ _LINEAR = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
 def vertex_colors(document: Document, parts: tuple[MeshPart, ...], count: int) -> np.ndarray:
     """Preview colours of all vertices, sRGB, shape (V, 3), uint8. What cannot be read counts as white."""
     colors = np.full((count, 3), 204, np.uint8)
-    images: dict[int, np.ndarray | None] = {}
+    images = _decode_all(document, parts)
     start = 0
     for part in parts:
         primitives = document.objects(document.item("meshes", part.mesh), "primitives")
@@ -87,17 +87,12 @@ def _sample(
     transform = (info.get("extensions") or {}).get("KHR_texture_transform") or {}
     name = f"TEXCOORD_{transform.get('texCoord', info.get('texCoord', 0))}"
     texture = document.item("textures", info.get("index"))
-    image = texture.get("source", ((texture.get("extensions") or {}).get("EXT_texture_webp") or {}).get("source"))
+    image = _image_of(texture)
     if name not in primitive["attributes"] or image is None:
         return None
     document.item("images", image)
-    accessor = primitive["attributes"][name]
-    if document.count(accessor) != count:
-        return None
-    if image not in images:
-        images[image] = _decode(document, image)
-    pixels = images[image]
-    if pixels is None:
+    accessor, pixels = primitive["attributes"][name], images.get(image)
+    if pixels is None or document.count(accessor) != count:
         return None
     uv = np.nan_to_num(document.accessor(accessor, ("VEC2",)).astype(np.float64), posinf=0, neginf=0)
     if transform:
@@ -120,6 +115,30 @@ def _sample(
     return pixels[texel[1], texel[0]]
 
 
+def _image_of(texture: dict[str, Any]) -> Any:
+    return texture.get("source", ((texture.get("extensions") or {}).get("EXT_texture_webp") or {}).get("source"))
+
+
+def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np.ndarray | None]:
+    """The base colour images of all meshes, decoded side by side: that is most of the time that a textured file takes."""
+    wanted: set[int] = set()
+    for mesh in {part.mesh for part in parts}:
+        for primitive in document.objects(document.item("meshes", mesh), "primitives"):
+            material = document.item("materials", primitive["material"]) if "material" in primitive else {}
+            texture = _base_color(document, material)[0]
+            image = _image_of(document.item("textures", texture.get("index"))) if texture is not None else None
+            if image is not None:
+                document.item("images", image)
+                wanted.add(image)
+    wanted = set(sorted(wanted)[:MAX_IMAGES])
+    if len(wanted) < 2:
+        return {image: _decode(document, image) for image in wanted}
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(min(4, len(wanted))) as pool:
+        return dict(zip(wanted, pool.map(lambda image: _decode(document, image), wanted), strict=True))
+
+
 def _decode(document: Document, index: int) -> np.ndarray | None:
     from PIL import Image
 
@@ -136,6 +155,7 @@ def _decode(document: Document, index: int) -> np.ndarray | None:
                 if image.width * image.height > MAX_PIXELS:
                     return None
                 image.draft("RGB", (1024, 1024))  # JPEG decodes faster at a smaller size, and this is a preview
+                image.thumbnail((PREVIEW_SIZE, PREVIEW_SIZE), Image.Resampling.NEAREST)
                 return np.asarray(image.convert("RGB"))
     except FormatError:
         raise

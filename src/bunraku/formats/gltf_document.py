@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
+import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +42,7 @@ class Document:
 
     path: Path
     tree: dict[str, Any]
-    buffers: list[bytes | memoryview]
+    buffers: list[bytes]
     images: dict[int, bytes | None]
 
     def fail(self, problem: str) -> NoReturn:
@@ -61,8 +62,8 @@ class Document:
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
         """One entry of a top-level list."""
-        items = self.items(kind)
-        if type(index) is not int or not 0 <= index < len(items):
+        items = self.tree.get(kind, [])  # only the entry is checked: files hold thousands, and each is asked for often
+        if not isinstance(items, list) or type(index) is not int or not 0 <= index < len(items) or not isinstance(items[index], dict):
             self.fail(f"{kind}[{index!r:.20}] does not exist; the file is broken, export it again")
         return items[index]
 
@@ -230,7 +231,7 @@ def _check_extensions(document: Document) -> None:
             document.fail(f"it needs the glTF extension {name}, which is not read; export it again without that extension")
 
 
-def _buffer(document: Document, buffer: dict[str, Any], chunk: memoryview | None) -> bytes | memoryview:
+def _buffer(document: Document, buffer: dict[str, Any], chunk: memoryview | None) -> bytes:
     length = document.integer(buffer, "byteLength")
     data: bytes | memoryview
     if "uri" in buffer:
@@ -242,7 +243,7 @@ def _buffer(document: Document, buffer: dict[str, Any], chunk: memoryview | None
         length = 0
     if len(data) < length:
         document.fail(f"a buffer should have {length} bytes but has {len(data)}; the file is truncated, export or download it again")
-    return memoryview(data)[:length]
+    return bytes(data) if len(data) == length else bytes(memoryview(data)[:length])  # a view could not be pickled
 
 
 def _resource(document: Document, uri: Any, what: str, missing_ok: bool = False) -> bytes | None:
@@ -259,7 +260,7 @@ def _resource(document: Document, uri: Any, what: str, missing_ok: bool = False)
     target = inside(document.path.parent, uri)
     if target is None:
         document.fail(f"its {what} {uri[:80]!r} is not in the folder of the file, so it is not opened; put the {what} beside the file")
-    if not target.is_file():
+    if not os.path.isfile(target):
         if missing_ok:
             return None
         document.fail(f"its {what} {uri[:80]!r} is missing; put it beside the file, or export a GLB, which holds everything")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -99,7 +100,7 @@ def _beside(path: Path, name: str) -> Path | None:
     last = name.replace("\\", "/").rsplit("/", 1)[-1]
     for candidate in (name, last):
         target = inside(path.parent, candidate)
-        if target is not None and target.is_file():
+        if target is not None and os.path.isfile(target):
             return target
     return None
 

@@ -18,7 +18,7 @@ from bunraku.formats.gltf_colors import linear_from_srgb
 from bunraku.formats.gltf_read import character_from_document
 from bunraku.formats.mtl import read_materials
 
-__all__ = ["read_obj"]
+__all__ = ["parse_numbers", "read_obj"]
 
 _BROKEN = "the file is truncated or broken, export it again"
 
@@ -79,7 +79,12 @@ class _Lines:
         relative = b"-" in b"".join(line for line in data.splitlines() if line[:2] == b"f ")
         known, current = {"": 0}, 0
         for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
-            word, _, rest = line.strip().replace(b"\t", b" ").partition(b" ")
+            if line[:2] == b"v ":
+                self.positions.append(line[2:])
+                continue
+            word, _, rest = line.partition(b" ")
+            if word != b"f" and (line[:1].isspace() or b"\t" in word):
+                word, _, rest = line.strip().replace(b"\t", b" ").partition(b" ")
             if word == b"v":
                 self.positions.append(rest)
             elif word == b"f":
@@ -103,12 +108,15 @@ class _Lines:
 
     def corners(self, vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Different corners as (vertex, UV, normal), -1 for none, shape (C, 3); the corner of each face corner; face sizes; face materials."""
-        rows = [face.split(b"#")[0].split() if b"#" in face else face.split() for face in self.faces]
+        faces = self.faces
+        if any(b"#" in face for face in faces):
+            faces = [face.split(b"#")[0] for face in faces]
         if self.counts:
-            rows = [[self._absolute(corner, counts) for corner in row] for row, counts in zip(rows, self.counts, strict=True)]
-        sizes = np.fromiter(map(len, rows), np.int64, len(rows))
-        known: dict[bytes, int] = {}
-        of_face = np.fromiter((known.setdefault(corner, len(known)) for row in rows for corner in row), np.int64, int(sizes.sum()))
+            faces = [b" ".join(self._absolute(c, counts) for c in face.split()) for face, counts in zip(faces, self.counts, strict=True)]
+        sizes = np.fromiter((len(face.split()) for face in faces), np.int64, len(faces))
+        flat = b" ".join(faces).split()
+        known = {corner: number for number, corner in enumerate(dict.fromkeys(flat))}
+        of_face = np.fromiter(map(known.__getitem__, flat), np.int64, len(flat))
         table = np.full((len(known), 3), -1, np.int64)
         try:
             for corner, number in known.items():
@@ -130,13 +138,24 @@ class _Lines:
         return b"/".join(parts)
 
 
+def parse_numbers(words: list[bytes]) -> np.ndarray:
+    """Numbers of words, float64.
+
+    Raises:
+        ValueError: A word is not a number. One that is very long never is, and would blow up the array of all.
+    """
+    if max(map(len, words), default=0) > 64:
+        raise ValueError("a word is too long for a number")
+    return np.array(words, dtype="S").astype(np.float64) if words else np.zeros(0)
+
+
 def _numbers(path: Path, lines: list[bytes], widths: tuple[int, ...], what: str) -> np.ndarray:
     """Numbers of lines that all have as many; shape (lines, width)."""
     if not lines:
         return np.zeros((0, widths[0]))
     width = len(lines[0].split(b"#")[0].split())
     try:
-        values = np.array(b" ".join(lines).split(), dtype="S").astype(np.float64)
+        values = parse_numbers(b" ".join(lines).split())
     except ValueError:
         values = np.zeros(0)
     if len(values) != width * len(lines) or width not in widths:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from bunraku.formats.gltf_colors import linear_from_srgb
 from bunraku.formats.gltf_document import Document
 from bunraku.formats.gltf_read import character_from_document
 from bunraku.formats.mtl import embeddable
+from bunraku.formats.obj import parse_numbers
 
 __all__ = ["read_ply"]
 
@@ -85,7 +87,7 @@ def _document(path: Path, vertices: dict[str, np.ndarray], triangles: np.ndarray
         uvs = np.nan_to_num(np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1))
     shader: dict = {"metallicFactor": 0, "roughnessFactor": 0.9}
     target = inside(path.parent, texture) if texture and uvs is not None else None
-    image = embeddable(target) if target is not None and target.is_file() else None
+    image = embeddable(target) if target is not None and os.path.isfile(target) else None
     if image is not None:
         shader["baseColorTexture"] = {"index": 0}
     materials = [{"name": path.stem, "pbrMetallicRoughness": shader}]
@@ -221,7 +223,7 @@ class _Text:
     def __init__(self, path: Path, body: bytes, elements: list[_Element]):
         self.path, self.at = path, 0
         try:
-            self.values = np.array(body.split(), dtype="S").astype(np.float64) if body.strip() else np.zeros(0)
+            self.values = parse_numbers(body.split())
         except ValueError:
             raise FormatError(path, f"it holds something that is not a number; {_BROKEN}") from None
 

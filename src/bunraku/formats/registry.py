@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -47,12 +48,13 @@ class Format:
 FORMATS: tuple[Format, ...] = (
     Format(
         "GLB",
-        (".glb", ".vrm"),
+        (".glb",),
         (b"glTF",),
         character="gltf_read:read_gltf",
         animation="gltf_write:write_animation",
         rigged="gltf_write:write_character",
     ),
+    Format("VRM", (".vrm",), (b"glTF",), character="gltf_read:read_gltf"),
     Format("glTF", (".gltf",), character="gltf_read:read_gltf"),
     Format("PLY", (".ply",), (b"ply\n", b"ply\r"), character="ply:read_ply", animation="sequences:write_ply_sequence"),
     Format("OBJ", (".obj",), character="obj:read_obj", animation="sequences:write_obj_sequence"),
@@ -87,9 +89,10 @@ def detect(path: Path, start: bytes, ability: str) -> Format:
         return found
     if found is None and start and any(suffix in f.suffixes for f in FORMATS):
         raise FormatError(path, f"its contents are not those of a {suffix} file; it is broken or has the wrong suffix, export it again")
-    known = ", ".join(s for f in FORMATS if getattr(f, ability) for s in f.suffixes if not (s == ".vrm" and ability in ("animation", "rigged")))
+    known = ", ".join(known_suffix for f in FORMATS if getattr(f, ability) for known_suffix in f.suffixes)
     what = f"'{suffix}'" if suffix else "a file without a suffix"
-    raise FormatError(path, f"{what} is not a format for this; {_ABILITIES[ability]} {known}")
+    hint = "; export it as GLB, for example with Blender" if ability == "character" else ""
+    raise FormatError(path, f"{what} is not a format for this; {_ABILITIES[ability]} {known}{hint}")
 
 
 def _resolve(target: str) -> Callable[..., Any]:
@@ -123,6 +126,9 @@ def _read(path: str | Path, ability: str) -> Any:
 
 def load_character(path: str | Path) -> Character:
     """Read a character from GLB, glTF, VRM, OBJ, PLY or STL.
+
+    The vertices of GLB, glTF and VRM are in world space, in the file's default pose. OBJ, PLY and STL name neither frame nor unit
+    and are taken as they are: +Y up, +Z forward, metres.
 
     Args:
         path: The file; its first bytes decide the format where they can, its suffix otherwise.
@@ -187,7 +193,7 @@ def save_character(character: Character, path: str | Path, handles: Handles | No
 
 def _write(ability: str, path: str | Path, options: dict[str, Any], *things: Any) -> Path:
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):
         raise FormatError(path, "this is a folder; name a file inside it")
     function = _resolve(getattr(detect(path, b"", ability), ability))
     known = {name for name, parameter in _parameters(function).items() if parameter.kind is parameter.KEYWORD_ONLY}

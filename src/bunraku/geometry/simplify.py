@@ -133,7 +133,7 @@ class _Fine:
 def _refined(clean: CleanMesh, cell: float, max_edge: float) -> _Fine:
     """Split the edges longer than a part of a cell. A mesh of too many needles is merged in a finer grid first."""
     points, faces = clean.vertices, clean.faces
-    length = min(0.6 * cell, max_edge)
+    length = min(0.45 * cell, max_edge)
     start, steps = np.arange(len(points)), []
     if split_estimate(points, faces, length) > _MOST_SPLITS:
         start, _ = _inside_cells(points, unique_edges(faces, len(points)), cell / 2)

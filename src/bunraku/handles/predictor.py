@@ -101,7 +101,7 @@ def load_predictor(path: str | Path) -> HandlePredictor:
     """
     state, config = load_checkpoint(path, "handles")
     try:
-        settings = {key: tuple(value) if isinstance(value, list) else value for key, value in config["predictor"].items()}
+        settings: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in config["predictor"].items()}
         model = HandlePredictor(PredictorConfig(**settings))
         model.load_state_dict(state)
     except (KeyError, TypeError, RuntimeError, ValueError) as error:

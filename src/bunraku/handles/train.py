@@ -149,9 +149,10 @@ class HandleTrainer:
                 group["lr"] = self.config.rate * ease
             for _ in range(self.config.batch):
                 known = self.reference and self.rng.random() < self.config.reference_share
-                character = (
-                    self.reference[self.rng.integers(len(self.reference))] if known else self.characters[self.rng.choice(len(self.characters), p=self.chances)]
-                )
+                if known:
+                    character = self.reference[self.rng.integers(len(self.reference))]
+                else:
+                    character = self.characters[self.rng.choice(len(self.characters), p=self.chances)]
                 loss, parts = self.example_loss(augment(character, self.rng, self.config.augment))
                 (loss / self.config.batch).backward()
                 for name, value in {"total": float(loss.detach()), **parts}.items():
@@ -163,8 +164,8 @@ class HandleTrainer:
             self.step += 1
             keep = min(self.config.decay, self.step / (self.step + 10))
             with torch.no_grad():
-                for mean, value in zip(self.average.parameters(), self.model.parameters(), strict=True):
-                    mean.lerp_(value, 1 - keep)
+                for mean, now in zip(self.average.parameters(), self.model.parameters(), strict=True):
+                    mean.lerp_(now, 1 - keep)
             self.seconds = before + time.perf_counter() - start
             if stop() or self.progress() >= 1:
                 break
@@ -275,12 +276,13 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
         row = trainer.train_epoch()
         last = trainer.progress() >= 1
         if last or trainer.epoch % config.validate_every == 0 or trainer.epoch == 1:
-            result = {f"held_{name}": value for name, value in validate_handles(trainer.average, held_out).items()} if held_out else {}
             if held_out:
-                result |= {f"varied_{name}": value for name, value in validate_handles(trainer.average, held_out, varied=True).items()}
+                plain, varied = validate_handles(trainer.average, held_out), validate_handles(trainer.average, held_out, varied=True)
+                result = {f"held_{n}": value for n, value in plain.items()} | {f"varied_{n}": value for n, value in varied.items()}
             row |= result
             checkpoint = trainer.save(result)
-        row = {"epoch": trainer.epoch, "step": trainer.step, "seconds": round(trainer.seconds, 1), "rate": trainer.optimizer.param_groups[0]["lr"], **row}
+        rate = trainer.optimizer.param_groups[0]["lr"]
+        row = {"epoch": trainer.epoch, "step": trainer.step, "seconds": round(trainer.seconds, 1), "rate": rate, **row}
         _log_row(out / "log.csv", row)
         if report:
             report(row)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -63,7 +64,7 @@ class TrainingCharacter:
         try:
             with np.load(path, allow_pickle=False) as archive:
                 values = {field.name: archive[field.name] for field in fields(TrainingCharacter)}
-        except (OSError, KeyError, ValueError) as error:
+        except (OSError, KeyError, ValueError, BadZipFile) as error:
             raise FormatError(path, f"not a cached training character ({error}); delete it and build the cache again") from error
         return TrainingCharacter(**{**values, "name": str(values["name"]), "height": float(values["height"])})
 
@@ -215,7 +216,7 @@ def augment(character: TrainingCharacter, rng: np.random.Generator, config: Augm
     """A random variant: another rest pose, other proportions, a small turn, perhaps the mirror image; and poses of it."""
     config = config or AugmentConfig()
     c = character
-    vertices, normals, joints, root = c.vertices.astype(np.float64), c.normals.astype(np.float64), c.joints.astype(np.float64), c.root.astype(np.float64)
+    vertices, normals, joints, root = (np.asarray(values, np.float64) for values in (c.vertices, c.normals, c.joints, c.root))
     if rng.random() < config.rest_rate:
         rotations = random_pose(rng, c, config.rest_angle * rng.random(), share=0.4)
         if rng.random() < 0.6:
