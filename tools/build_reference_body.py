@@ -158,7 +158,7 @@ def main() -> None:
 
     bodies, joint_sets = [], []
     for shape in SHAPES.values():
-        phenotype = {key: 0.5 for key in model.phenotype_labels} | {"age": 0.67} | shape
+        phenotype = dict.fromkeys(model.phenotype_labels, 0.5) | {"age": 0.67} | shape
         out = model(phenotype_kwargs={key: torch.tensor([value]) for key, value in phenotype.items()})
         heads = dict(zip(labels, to_y_up(out["rest_bone_heads"][0].double().numpy()), strict=True))
         joints = np.zeros((22, 3))

@@ -55,7 +55,9 @@ def test_blender_rig_with_ik_feet():
 
 
 def test_kaykit_and_held_things():
-    found = read("root hips spine chest upperarm.l lowerarm.l wrist.l hand.l handslot.l head<chest upperleg.r<hips lowerleg.r foot.r toes.r kneeIK.r<root")
+    found = read(
+        "root hips spine chest upperarm.l lowerarm.l wrist.l hand.l handslot.l head<chest upperleg.r<hips lowerleg.r foot.r toes.r kneeIK.r<root"
+    )
     check(found, "root= hips=pelvis spine=spine1 chest=spine3 upperarm.l=left_shoulder lowerarm.l=left_elbow hand.l=left_wrist")
     check(found, "handslot.l=left_wrist head=head foot.r=right_ankle toes.r=right_foot kneeIK.r=")
 
@@ -87,8 +89,13 @@ def test_dinosaur_with_a_belly_called_body():
 
 
 def test_legs_of_three_segments_dragons_and_fish():
-    check(read("Body Torso Chest Head UpperLeg.L<Body MidLeg.L LowerLeg.L FootBack.L"), "MidLeg.L=left_knee LowerLeg.L=left_ankle FootBack.L=left_foot")
-    check(read("Root BodyRoot Body Neck Head Face Shoulder.R<Body Wing1.R UpperLeg.R<BodyRoot"), "BodyRoot=pelvis Body=spine2 Face=face Wing1.R=right_wing")
+    check(
+        read("Body Torso Chest Head UpperLeg.L<Body MidLeg.L LowerLeg.L FootBack.L"), "MidLeg.L=left_knee LowerLeg.L=left_ankle FootBack.L=left_foot"
+    )
+    check(
+        read("Root BodyRoot Body Neck Head Face Shoulder.R<Body Wing1.R UpperLeg.R<BodyRoot"),
+        "BodyRoot=pelvis Body=spine2 Face=face Wing1.R=right_wing",
+    )
     check(read("Main1 Main2 Main3 Main4 Main5 Main6"), "Main1=head Main2=spine2 Main3=pelvis Main4=tail Main5=tail Main6=tail_tip")
     check(
         read("Root Spine1 Spine2 Spine3 Spine4 Tail TopFlipper.L<Spine1 MidFlipper.L BottomFlipper.L Head<Root"),
@@ -97,9 +104,16 @@ def test_legs_of_three_segments_dragons_and_fish():
 
 
 def test_vrm_and_mmd():
-    found = read("J_Bip_C_Hips J_Bip_C_Spine J_Bip_C_Chest J_Bip_C_UpperChest J_Bip_C_Neck J_Bip_C_Head J_Bip_L_LowerArm<J_Bip_C_UpperChest J_Bip_L_Hand J_Bip_L_Index1")
-    check(found, "J_Bip_C_Hips=pelvis J_Bip_C_UpperChest=spine3 J_Bip_C_Head=head J_Bip_L_LowerArm=left_elbow J_Bip_L_Hand=left_wrist J_Bip_L_Index1=left_fingers")
-    found = read("センター 下半身 左足 左ひざ 左足首 左つま先 上半身<センター 上半身2 首 頭 右肩<上半身2 右腕 右ひじ 右手首 右親指１ 左足ＩＫ<センター")
+    found = read(
+        "J_Bip_C_Hips J_Bip_C_Spine J_Bip_C_Chest J_Bip_C_UpperChest J_Bip_C_Neck J_Bip_C_Head J_Bip_L_LowerArm<J_Bip_C_UpperChest J_Bip_L_Hand J_Bip_L_Index1"
+    )
+    check(
+        found,
+        "J_Bip_C_Hips=pelvis J_Bip_C_UpperChest=spine3 J_Bip_C_Head=head J_Bip_L_LowerArm=left_elbow J_Bip_L_Hand=left_wrist J_Bip_L_Index1=left_fingers",
+    )
+    found = read(
+        "センター 下半身 左足 左ひざ 左足首 左つま先 上半身<センター 上半身2 首 頭 右肩<上半身2 右腕 右ひじ 右手首 右親指１ 左足ＩＫ<センター"
+    )
     check(
         found,
         "センター= 下半身=pelvis 左足=left_hip 左ひざ=left_knee 左足首=left_ankle 左つま先=left_foot 上半身=spine1 上半身2=spine3 首=neck "
@@ -121,7 +135,10 @@ def test_a_thumb_named_for_the_wrong_side_follows_its_arm():
 
 
 def test_hands_without_a_hand_bone():
-    check(read("Hips Torso UpperArm.L LowerArm.L Index1.L Index2.L Thumb1.L<LowerArm.L"), "Index1.L=left_wrist Index2.L=left_fingers Thumb1.L=left_wrist")
+    check(
+        read("Hips Torso UpperArm.L LowerArm.L Index1.L Index2.L Thumb1.L<LowerArm.L"),
+        "Index1.L=left_wrist Index2.L=left_fingers Thumb1.L=left_wrist",
+    )
 
 
 def test_left_axis_and_parts():

@@ -39,7 +39,10 @@ def write_archive(folder, lengths):
         offsets=np.tile(body.skeleton.offsets, (len(lengths), 1, 1)), rest=body.joints, off=np.cumsum([0, *lengths]),
         names=np.array(names), joints=np.array(JOINT_NAMES), parents=np.array(JOINT_PARENTS),
     )  # fmt: skip
-    clips = {name: {"texts": ["a person bends"], "source": "here", "licence": "CC0", "flags": ["partial take"] if i == 0 else []} for i, name in enumerate(names)}
+    clips = {
+        name: {"texts": ["a person bends"], "source": "here", "licence": "CC0", "flags": ["partial take"] if i == 0 else []}
+        for i, name in enumerate(names)
+    }
     (folder / "motions.json").write_text(json.dumps({"fps": 20, "clips": clips}))
     return takes
 

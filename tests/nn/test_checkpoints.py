@@ -118,7 +118,9 @@ def test_a_kill_while_saving_never_leaves_a_broken_state(tmp_path):
         "    save_training_state(sys.argv[1], TrainingState(step, {'m': {'w': torch.full((200_000,), float(step))}}))\n"
     )
     path = tmp_path / "s.safetensors"
-    process = subprocess.Popen([sys.executable, "-c", code, str(path)], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"})
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(path)], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
+    )
     try:
         for _ in range(600):
             if path.exists():

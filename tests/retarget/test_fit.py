@@ -92,7 +92,9 @@ def test_long_arms_stay_attached():
 
 def test_ground_is_kept():
     body, motion = reference_body(), swing()
-    short = body.vertices * np.where(body.vertices[:, 1:2] < 0.9, [1, 0.5, 1], [1, 1, 1]) + np.where(body.vertices[:, 1:2] < 0.9, [0, 0.45, 0], [0, 0, 0])
+    short = body.vertices * np.where(body.vertices[:, 1:2] < 0.9, [1, 0.5, 1], [1, 1, 1]) + np.where(
+        body.vertices[:, 1:2] < 0.9, [0, 0.45, 0], [0, 0, 0]
+    )
     short = (short - [0, short[:, 1].min(), 0]).astype(np.float32)
     character, handles = Character("short", short, body.faces), Handles(body.handles.positions - [0, 0.45, 0], body.handle_weights)
     lowest = Animation(character, handles, fit_motion(motion, character, handles)).vertices()[..., 1].min(axis=1)

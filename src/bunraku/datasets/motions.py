@@ -89,7 +89,9 @@ class MotionArchive:
         return SkeletalMotion(skeleton, matrix_from_quaternion(quaternions[..., [1, 2, 3, 0]]), self._root[start:end], 20.0)
 
 
-def handle_motion_of_mesh(rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, positions: np.ndarray, areas: np.ndarray, fps: float) -> HandleMotion:
+def handle_motion_of_mesh(
+    rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, positions: np.ndarray, areas: np.ndarray, fps: float
+) -> HandleMotion:
     """Handle motion of a mesh that moves, by weighted rigid registration (section A.2).
 
     The root handle's motion is the global one; it is taken off before the other handles are registered, so theirs are local.
@@ -172,10 +174,16 @@ def load_clip(path: str | Path) -> HandleMotion:
         with np.load(path, allow_pickle=False) as clip:
             rotations = matrix_from_6d(clip["rotations6d"].astype(np.float32))
             return HandleMotion(
-                clip["translations"].astype(np.float32), rotations, clip["root_translation"], matrix_from_6d(clip["root_rotation6d"]), float(clip["fps"])
+                clip["translations"].astype(np.float32),
+                rotations,
+                clip["root_translation"],
+                matrix_from_6d(clip["root_rotation6d"]),
+                float(clip["fps"]),
             )
     except Exception as error:
-        raise FormatError(path, f"cannot be read as a converted clip ({type(error).__name__}); delete it and run `bunraku data motions` again") from error
+        raise FormatError(
+            path, f"cannot be read as a converted clip ({type(error).__name__}); delete it and run `bunraku data motions` again"
+        ) from error
 
 
 def _convert(archive: MotionArchive, indices: list[int], out: Path, slopes: dict[str, float]) -> int:

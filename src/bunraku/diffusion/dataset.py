@@ -158,7 +158,9 @@ class ClipSet:
         self._still = still.astype(np.float32)
         self._bucket: tuple[tuple[Any, ...], list[tuple[np.ndarray, str]], np.ndarray] | None = None
         self.clips = [
-            self._prepare(name, entry) for name, entry in clips.items() if entry.get("split", "train") == split and len(entry["features"]) >= MIN_FRAMES
+            self._prepare(name, entry)
+            for name, entry in clips.items()
+            if entry.get("split", "train") == split and len(entry["features"]) >= MIN_FRAMES
         ]
         self.probability = self._probability() if self.clips else np.zeros(0)
 
@@ -252,7 +254,11 @@ class ClipSet:
     @staticmethod
     def _bare(text: str, random: np.random.Generator, mirrored: bool) -> str:
         """A sentence of the label in the third person without its subject."""
-        bare = [sentence[9:] for sentence in caption_variants(text, mirrored) if sentence.startswith("a person ") and not sentence.startswith("a person is ")]
+        bare = [
+            sentence[9:]
+            for sentence in caption_variants(text, mirrored)
+            if sentence.startswith("a person ") and not sentence.startswith("a person is ")
+        ]
         return bare[int(random.integers(len(bare)))] if bare else caption_variants(text, mirrored)[-1]
 
     def batch(self, seed: int, number: int, size: int, compose: float = 0.0, bucket: int = 4) -> MotionBatch:

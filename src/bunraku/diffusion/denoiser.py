@@ -107,7 +107,9 @@ class _Layer(nn.Module):
     def _split(self, value: Tensor) -> Tensor:
         return value.unflatten(-1, (self.heads, -1)).transpose(1, 2)
 
-    def forward(self, x: Tensor, memory: Tensor, steer: Tensor, rotary: tuple[Tensor, Tensor], mask: Tensor | None, memory_mask: Tensor | None) -> Tensor:
+    def forward(
+        self, x: Tensor, memory: Tensor, steer: Tensor, rotary: tuple[Tensor, Tensor], mask: Tensor | None, memory_mask: Tensor | None
+    ) -> Tensor:
         """x (B, T, d), memory (B, M, d), steer (B, 9, d), masks (B, 1, 1, T) and (B, 1, 1, M), True where real."""
         parts = (steer + self.offset).to(x.dtype).unsqueeze(2).unbind(1)
 

@@ -27,5 +27,8 @@ def add_noise(clean: Tensor, noise: Tensor, step: Tensor, curve: Tensor) -> Tens
 
 
 def sampling_steps(count: int) -> list[int]:
-    """Training steps that a sampler of `count` steps visits, falling from 999, evenly spaced without 0 as in diffusers' "linspace"."""
+    """Training steps that a sampler of `count` steps visits, falling from 999, evenly spaced without 0 as in diffusers' "linspace";
+    all of them from 1,000 on."""
+    if count >= TRAINING_STEPS:
+        return list(range(TRAINING_STEPS - 1, -1, -1))
     return [round(TRAINING_STEPS - 1 - index * (TRAINING_STEPS - 1) / count) for index in range(count)]

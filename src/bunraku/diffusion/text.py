@@ -162,7 +162,8 @@ class MiniLMEncoder:
         for index in range(self._layers):
             penultimate, layer = x, f"encoder.layer.{index}"
             query, key, value = (
-                self._linear(x, f"{layer}.attention.self.{part}").unflatten(-1, (self._heads, -1)).transpose(1, 2) for part in ("query", "key", "value")
+                self._linear(x, f"{layer}.attention.self.{part}").unflatten(-1, (self._heads, -1)).transpose(1, 2)
+                for part in ("query", "key", "value")
             )
             mixed = F.scaled_dot_product_attention(query, key, value, attn_mask=mask[:, None, None]).transpose(1, 2).flatten(2)
             x = self._norm(x + self._linear(mixed, f"{layer}.attention.output.dense"), f"{layer}.attention.output.LayerNorm")
@@ -197,7 +198,9 @@ class CLIPEncoder:
             self._tokenizer = CLIPTokenizerFast.from_pretrained(str(folder), local_files_only=True)
             self._model = CLIPTextModel.from_pretrained(str(folder), local_files_only=True, use_safetensors=True).eval()
         except Exception as error:
-            raise WeightsError(f"{folder}: this folder does not hold a CLIP text model ({str(error).splitlines()[0]}); give one in safetensors") from error
+            raise WeightsError(
+                f"{folder}: this folder does not hold a CLIP text model ({str(error).splitlines()[0]}); give one in safetensors"
+            ) from error
         finally:
             logging.set_verbosity(verbosity)
         self.token_size = self.pooled_size = int(self._model.config.hidden_size)

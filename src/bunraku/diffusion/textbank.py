@@ -25,7 +25,9 @@ class TextBank:
         progress: Called with (done, total) while encoding.
     """
 
-    def __init__(self, encoder: TextEncoder, sentences: Sequence[str], cache: str | Path | None = None, progress: Callable[[int, int], None] | None = None):
+    def __init__(
+        self, encoder: TextEncoder, sentences: Sequence[str], cache: str | Path | None = None, progress: Callable[[int, int], None] | None = None
+    ):
         self._encoder = encoder
         sentences = sorted(set(sentences))
         self._rows = {sentence: row for row, sentence in enumerate(sentences)}

@@ -308,7 +308,12 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
 
     if config.preset not in PRESETS:
         raise OptionError(f"the preset '{config.preset}' is unknown; choose one of: {', '.join(PRESETS)}")
-    if config.batch < 1 or config.threads < 1 or (config.minutes is not None and config.minutes <= 0) or (config.steps is not None and config.steps < 0):
+    if (
+        config.batch < 1
+        or config.threads < 1
+        or (config.minutes is not None and config.minutes <= 0)
+        or (config.steps is not None and config.steps < 0)
+    ):
         raise OptionError("batch, threads, minutes and steps must be positive")
     torch.set_num_threads(config.threads)
     torch.set_flush_denormal(True)
@@ -326,7 +331,9 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
         if encoder is None:
             encoder = text_encoder("clip" if config.text_folder else "all-MiniLM-L6-v2", config.text_folder)
         task = bar.add_task("captions", total=None)
-        bank = TextBank(encoder, _sentences([train, val]), config.out / "captions.safetensors", lambda done, total: bar.update(task, completed=done, total=total))
+        bank = TextBank(
+            encoder, _sentences([train, val]), config.out / "captions.safetensors", lambda done, total: bar.update(task, completed=done, total=total)
+        )
     if network is None:
         sizes = {"text_encoder": encoder.name, "text_size": encoder.token_size, "pooled_size": encoder.pooled_size}
         network = DenoiserConfig(**{**asdict(PRESETS[config.preset]), **sizes})

@@ -147,8 +147,9 @@ def retrieval(
         with fitting_threads(model):
             errors = candidate_errors(model, encoder, clean, [caption_variants(text)[0] for text in captions], levels, seed * 1_000_003 + number)
         score = (errors / errors.mean(1, keepdim=True)).mean(0)  # each noise level counts the same
-        best = int(score.argmin())
-        rows.append({"clip": name, "caption": captions[0], "rank": 1 + int((score < score[0]).sum()), "answer": captions[best]})
+        rank = int((score <= score[0]).sum())  # a draw is lost, so that a model without an opinion is last
+        answer = captions[0] if rank == 1 else captions[1 + int(score[1:].argmin())]
+        rows.append({"clip": name, "caption": captions[0], "rank": rank, "answer": answer})
         if progress is not None:
             progress(number + 1, len(clips))
     ranks = np.array([row["rank"] for row in rows])

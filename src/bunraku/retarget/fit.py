@@ -7,7 +7,8 @@ switched off, turn its motion into one of another character.
   dog) is first turned into the reference's direction, so the motion means the same.
 - `attach`: local translations are set so that each handle stays joined to its parent at the place where their weights meet. It
   takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than the reference's.
-- `ground`: the lowest point of the character is as high above the ground, in its own scale, as that of the reference body.
+- `ground`: the lowest point of the character is as high above the ground, in its own scale, as that of the reference body, and
+  a reference body that drifts off the ground for longer than a jump lasts is set back on it.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d, uniform_filter1d
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
 from bunraku.geometry.areas import vertex_areas
@@ -87,7 +89,10 @@ def find_joints(character: Character, handles: Handles) -> Joints:
         if total > 1e-4 * float(mass[:, handle].sum()):
             positions[handle] = overlap @ vertices / total
         else:
-            positions[handle] = 0.5 * (_nearest_group(vertices, mass[:, handle], handles.positions[parent]) + _nearest_group(vertices, mass[:, parent], handles.positions[handle]))
+            positions[handle] = 0.5 * (
+                _nearest_group(vertices, mass[:, handle], handles.positions[parent])
+                + _nearest_group(vertices, mass[:, parent], handles.positions[handle])
+            )
     return Joints(positions, parents, present)
 
 
@@ -100,11 +105,10 @@ def _nearest_group(vertices: np.ndarray, mass: np.ndarray, point: np.ndarray) ->
     return vertices[order[: max(1, len(order) // 10)]].mean(axis=0)
 
 
-# handle: (child whose joint ends the limb, degrees of deviation below which the rest direction is taken for style and kept)
-_LIMBS = {
-    **{f"{side}_{part}": (f"{side}_{child}", keep) for side in ("left", "right") for part, child, keep in (("shoulder", "elbow", 0.0), ("elbow", "wrist", 0.0), ("hip", "knee", 20.0), ("knee", "ankle", 20.0))},
-}  # fmt: skip
-_FOLLOWERS = {f"{side}_{part}": f"{side}_{lead}" for side in ("left", "right") for part, lead in (("wrist", "elbow"), ("fingers", "elbow"))}
+# limb: child whose joint ends it, and the degrees of deviation below which its rest direction is taken for style and kept
+_LIMB_ENDS = {"shoulder": ("elbow", 0.0), "elbow": ("wrist", 0.0), "hip": ("knee", 20.0), "knee": ("ankle", 20.0)}
+_LIMBS = {f"{side}_{part}": (f"{side}_{end}", keep) for side in ("left", "right") for part, (end, keep) in _LIMB_ENDS.items()}
+_FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") for part in ("wrist", "fingers")}
 
 
 def rest_rotations(handles: Handles, joints: Joints, reference: Handles, reference_joints: Joints, height: float) -> np.ndarray:
@@ -233,15 +237,16 @@ def _corrected(joints: Joints, handles: Handles, turns: np.ndarray, estimated: J
 
 
 def _grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, handles: Handles, scale: float) -> HandleMotion:
+    """The fitted motion with its lowest point as high as the reference body's, whose own drift off the ground is taken out.
+
+    Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the ground is for that frame.
+    """
     body = reference_body()
-    want = _lowest(body.vertices, body.handle_weights, motion, body.handles.positions) * scale
+    want = _lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
+    window = 2 * round(0.75 * motion.fps) + 1
+    drift = gaussian_filter1d(minimum_filter1d(want, window, mode="nearest"), 0.25 * motion.fps, mode="nearest")
     have = _lowest(character.vertices, handles.weights, fitted, handles.positions)
-    lift = want - have
-    kernel = np.ones(5) / 5
-    lift = np.convolve(np.pad(lift, 2, mode="edge"), kernel, mode="valid")
+    lift = uniform_filter1d((want - drift) * scale - have, 5, mode="nearest")
     moved = fitted.root_translation.copy()
     moved[:, 1] += lift
     return replace(fitted, root_translation=moved)
-
-
-assert len(HANDLE_PARENTS) == HANDLE_COUNT

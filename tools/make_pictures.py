@@ -1,0 +1,100 @@
+"""Make the pictures of the docs: `python tools/make_pictures.py [NAME ...]`, in docs/pictures, at most 300 kB each.
+
+Everything is drawn from the shipped weights and the sample characters, so anyone can make them again.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.pipeline import animate, rig
+from bunraku.render import contact_sheet, render_animation, render_still
+from bunraku.samples import sample_character, sample_names
+
+OUT = Path(__file__).parents[1] / "docs/pictures"
+PROMPTS = (
+    "a person walks forward",
+    "a person runs forward",
+    "a person jumps forward",
+    "a person waves with the right hand",
+    "a person kicks with the left leg",
+    "a person does a squat",
+    "a person turns around",
+    "a person dances",
+    "a person sits down on the floor",
+    "a person walks backwards",
+    "a person does jumping jacks",
+    "a person punches",
+)
+ON_CHARACTERS = ("a person walks forward", "a person waves with the right hand", "a person dances")
+FRAMES = 7
+
+
+def samples() -> None:
+    """The sample characters."""
+    contact_sheet(
+        [render_still(sample_character(name), size=(300, 360)) for name in sample_names()], list(sample_names()), OUT / "samples.png", columns=3
+    )
+
+
+def handles() -> None:
+    """The handles that the predictor finds on them."""
+    pictures = []
+    for name in sample_names():
+        character = sample_character(name)
+        pictures.append(render_still(character, rig(character), size=(300, 360)))
+    contact_sheet(pictures, list(sample_names()), OUT / "handles.png", columns=3)
+
+
+def _row(character_name: str, prompt: str, seconds: float, seed: int = 0, size: tuple[int, int] = (150, 180)) -> tuple[list[np.ndarray], list[str]]:
+    character = sample_character(character_name)
+    animation = animate(character, prompt, seconds=seconds, seed=seed)
+    times = np.linspace(0, animation.motion.duration - 1 / animation.motion.fps, FRAMES)
+    pictures = list(render_animation(animation, size=size, times=times))
+    labels = [f"{time:.1f} s" for time in times]
+    labels[0] = prompt
+    return pictures, labels
+
+
+def prompts() -> None:
+    """A row of frames for each of twelve sentences, on the person, in two sheets."""
+    for sheet, chosen in enumerate((PROMPTS[:6], PROMPTS[6:]), 1):
+        pictures, labels = [], []
+        for prompt in chosen:
+            row, names = _row("person", prompt, 4.0)
+            pictures += row
+            labels += names
+        contact_sheet(pictures, labels, OUT / f"prompts-{sheet}.png", columns=FRAMES)
+
+
+def characters() -> None:
+    """The same sentences on the other sample characters."""
+    for prompt in ON_CHARACTERS:
+        pictures, labels = [], []
+        for name in sample_names():
+            if name != "person":
+                row, names = _row(name, prompt, 4.0)
+                pictures += row
+                labels += [name, *names[1:]]
+        slug = prompt.removeprefix("a person ").split()[0]
+        contact_sheet(pictures, labels, OUT / f"characters-{slug}.png", columns=FRAMES, title=prompt)
+
+
+MAKERS: dict[str, Callable[[], None]] = {"samples": samples, "handles": handles, "prompts": prompts, "characters": characters}
+
+
+def main() -> None:
+    OUT.mkdir(parents=True, exist_ok=True)
+    for name in sys.argv[1:] or MAKERS:
+        if name not in MAKERS:
+            sys.exit(f"there is no picture '{name}'; choose from {', '.join(MAKERS)}")
+        print(name, flush=True)
+        MAKERS[name]()
+
+
+if __name__ == "__main__":
+    main()
