@@ -37,6 +37,15 @@ def rig(character: Character, *, progress: Progress | None = None) -> Handles:
     return handles
 
 
+def _check(prompt: str, seconds: float) -> None:
+    """Refuse what cannot be generated, before anything is loaded."""
+    from bunraku.diffusion.text import check_prompt
+
+    check_prompt(prompt)
+    if not math.isfinite(seconds) or not SHORTEST <= seconds <= LONGEST:
+        raise OptionError(f"a clip lasts {SHORTEST:g} to {LONGEST:g} seconds, not {seconds:g}; choose a length in between")
+
+
 def generate(
     prompt: str,
     *,
@@ -64,8 +73,7 @@ def generate(
     """
     from bunraku.diffusion.generate import generate_motion
 
-    if not math.isfinite(seconds) or not SHORTEST <= seconds <= LONGEST:
-        raise OptionError(f"a clip lasts {SHORTEST:g} to {LONGEST:g} seconds, not {seconds:g}; choose a length in between")
+    _check(prompt, seconds)
     return generate_motion(prompt, seconds, seed=seed, steps=steps, guidance=guidance, mesh_feature=mesh_feature, progress=progress)
 
 
@@ -101,6 +109,7 @@ def animate(
         OptionError: The prompt is empty or too long, or the length is out of range.
         WeightsError: The shipped weights are missing or broken.
     """
+    _check(prompt, seconds)
     handles = handles or rig(character, progress=progress)
     motion = generate(prompt, seconds=seconds, seed=seed, steps=steps, guidance=guidance, mesh_feature=handles.features, progress=progress)
     if progress:

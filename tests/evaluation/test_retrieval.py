@@ -20,7 +20,9 @@ class WordEncoder:
     name, token_size, pooled_size = "words", 8, 8
 
     def encode(self, sentences):
-        rows = [torch.stack([torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]) for text in sentences]
+        rows = [
+            torch.stack([torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]) for text in sentences
+        ]
         tokens = torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
         return TextBatch(tokens, tokens.abs().sum(-1) > 0, torch.nn.functional.normalize(tokens.sum(1), dim=-1))
 
@@ -44,7 +46,17 @@ def trained(tmp_path_factory):
         width=16, layers=2, heads=2, feedforward=32, frames=40, mesh_features=12, text_encoder="words", text_size=8, pooled_size=8
     )
     run = TrainingConfig(
-        data=data, out=folder / "run", minutes=None, steps=250, batch=12, learning_rate=5e-3, warmup=10, bf16=False, device="cpu", ema=0.95, drop_text=0.02
+        data=data,
+        out=folder / "run",
+        minutes=None,
+        steps=250,
+        batch=12,
+        learning_rate=5e-3,
+        warmup=10,
+        bf16=False,
+        device="cpu",
+        ema=0.95,
+        drop_text=0.02,
     )
     return data, train_diffusion(run, network, WordEncoder())
 

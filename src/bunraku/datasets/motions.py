@@ -265,7 +265,7 @@ def build_motions(source: str | Path, out: str | Path, jobs: int | None = None, 
             for future in as_completed([pool.submit(_work, batch, out, slopes) for batch in _batches(archive, todo)]):
                 done += future.result()
                 report("converting motions", done / total)
-    index = {
+    entries = {
         name: {
             "texts": clip.get("texts") or [],
             "source": clip.get("source", ""),
@@ -278,6 +278,6 @@ def build_motions(source: str | Path, out: str | Path, jobs: int | None = None, 
     }
     path = out / "index.json"
     temporary = path.with_suffix(".json.tmp")
-    temporary.write_text(json.dumps({"fps": 20, "clips": index}, indent=1), encoding="utf-8")
+    temporary.write_text(json.dumps({"fps": 20, "clips": entries}, indent=1), encoding="utf-8")
     os.replace(temporary, path)
     return path

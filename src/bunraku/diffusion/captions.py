@@ -18,9 +18,10 @@ __all__ = ["CaptionGroup", "caption", "caption_group", "caption_variants", "mirr
 
 _VERB = re.compile(r"\{(\w+)\}")
 _SUBJECTS = ("a person", "someone", "the character", "a human")
-_DOUBLED = frozenset(
-    "run jog hop swim spin sit stop step put get slip mop grab squat flip nod hit stab skip trip strut".split(),
-)
+_DOUBLED = {
+    "run", "jog", "hop", "swim", "spin", "sit", "stop", "step", "put", "get", "slip", "mop", "grab", "squat", "flip", "nod",
+    "hit", "stab", "skip", "trip", "strut",
+}  # fmt: skip
 _GERUNDS = {"lie": "lying", "die": "dying", "be": "being", "tiptoe": "tiptoeing", "dribble": "dribbling"}
 _THIRD = {"be": "is", "do": "does", "go": "goes"}
 _MIRRORED = {

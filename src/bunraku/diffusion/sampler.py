@@ -175,8 +175,8 @@ def sample(
     visited = sampling_steps(steps)
     last: dict[str, Tensor] = {}
     with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
-        doubled = (part.repeat(twice, *[1] * (part.ndim - 1)) for part in (text.tokens, text.mask, text.pooled))
-        condition = model.condition(*doubled, mesh, keep_text, keep_mesh)
+        tokens, mask, pooled = (part.repeat(twice, *[1] * (part.ndim - 1)) for part in (text.tokens, text.mask, text.pooled))
+        condition = model.condition(tokens, mask, pooled, mesh, keep_text, keep_mesh)
 
     def run(x: Tensor, step: int) -> tuple[Tensor, Tensor]:
         whole = torch.full((twice * rows,), x.shape[1], device=device)
