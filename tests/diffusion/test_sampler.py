@@ -18,6 +18,7 @@ def toy(x, step):
     return torch.tanh(0.7 * x.roll(1, 1) + 0.2) * (1 + step / 1000)
 
 
+@pytest.mark.filterwarnings("ignore:__array__ implementation")
 @pytest.mark.parametrize("count", [1, 10, 20, 50])
 def test_dpm_solver_walks_the_path_of_diffusers(count):
     scheduling = pytest.importorskip("diffusers.schedulers.scheduling_dpmsolver_multistep")
