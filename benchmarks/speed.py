@@ -115,6 +115,11 @@ def character_of(size: int, folder: Path) -> Path:
 
     body = reference_body()
     mesh = trimesh.Trimesh(body.vertices, body.faces, process=False)
+    if size < len(mesh.vertices):
+        import fast_simplification
+
+        vertices, faces = fast_simplification.simplify(body.vertices, body.faces.astype(np.int32), target_count=2 * size)
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
     while len(mesh.vertices) < size:
         need = (size - len(mesh.vertices)) / len(mesh.edges_unique)
         faces = None if need > 0.9 else np.arange(max(1, int(len(mesh.faces) * need)))

@@ -24,8 +24,14 @@ def test_noise_keeps_unit_variance():
     torch.testing.assert_close(noisy[2], noise[2], atol=1e-3, rtol=0)
 
 
-@pytest.mark.parametrize("count", [1, 7, 20, 999, 1000])
+@pytest.mark.parametrize("count", [1, 2, 7, 20, 400, 999, 1000])
 def test_steps_fall_from_the_last_and_never_repeat(count):
     steps = sampling_steps(count)
     assert len(steps) == count and steps[0] == 999 and all(a > b for a, b in zip(steps, steps[1:], strict=False))
-    assert steps[-1] >= 0
+    assert 0 <= steps[-1] <= (999 if count == 1 else 500 / (count - 1))
+
+
+def test_steps_are_denser_at_both_ends():
+    gaps = [a - b for a, b in zip(sampling_steps(20), sampling_steps(20)[1:], strict=False)]
+    assert max(gaps[0], gaps[-1]) < 25 < 70 < max(gaps) and gaps.index(max(gaps)) in (9, 10)
+    assert sampling_steps(1000) == list(range(999, -1, -1))

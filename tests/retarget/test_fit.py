@@ -6,11 +6,13 @@ from scipy.spatial.transform import Rotation
 
 from bunraku.animation import Animation
 from bunraku.bodies.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
-from bunraku.bodies.reference import reference_body
+from bunraku.bodies.reference import handle_positions, reference_body
 from bunraku.character import Character, Handles
 from bunraku.datasets.motions import handle_motion_of_body
+from bunraku.geometry.areas import vertex_areas
 from bunraku.motion import SkeletalMotion
-from bunraku.retarget.fit import Stages, find_joints, fit_motion
+from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.joints import find_joints
 
 
 def swing(frames=20):
@@ -30,9 +32,6 @@ def rigid_pose(body, joint, rotation):
         rotations[0, JOINT_NAMES.index(name)] = rotation if name.startswith("left") else rotation.T
     vertices = body.pose(SkeletalMotion(body.skeleton, rotations, body.joints[:1]))[0]
     character = Character("posed", vertices, body.faces)
-    from bunraku.bodies.reference import handle_positions
-    from bunraku.geometry.areas import vertex_areas
-
     return character, Handles(handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces)), body.handle_weights)
 
 
@@ -111,3 +110,18 @@ def test_an_absent_handle_follows_its_parent():
     fitted = fit_motion(motion, body.character(), Handles(body.handles.positions, weights))
     wrist, elbow = HANDLE_NAMES.index("left_wrist"), HANDLE_NAMES.index("left_elbow")
     np.testing.assert_allclose(fitted.rotations[:, wrist], fitted.rotations[:, elbow], atol=1e-6)
+
+
+@pytest.mark.parametrize(("degrees", "straightened"), [(15, True), (48, False), (85, True)])
+def test_bent_legs_are_straightened_unless_they_are_built_so(degrees, straightened):
+    body, motion = reference_body(), swing()
+    bend = Rotation.from_euler("x", -degrees, degrees=True).as_matrix()  # both thighs forward
+    rotations = np.tile(np.eye(3), (1, JOINT_COUNT, 1, 1))
+    for name in ("left_hip", "right_hip"):
+        rotations[0, JOINT_NAMES.index(name)] = bend
+    vertices = body.pose(SkeletalMotion(body.skeleton, rotations, body.joints[:1]))[0]
+    character = Character("bent", vertices, body.faces)
+    handles = Handles(handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces)), body.handle_weights)
+    thigh = fit_motion(motion, character, handles).rotations[0, HANDLE_NAMES.index("right_hip")]
+    angle = np.degrees(np.linalg.norm(Rotation.from_matrix(thigh).as_rotvec()))
+    assert angle == pytest.approx(degrees if straightened else 0, abs=6)

@@ -19,17 +19,16 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d, uniform_filter1d
 
-from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.bodies.layout import HANDLE_PARENTS
 from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
-from bunraku.geometry.areas import vertex_areas
-from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
 from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
+from bunraku.retarget.joints import Joints, find_joints
+from bunraku.retarget.rest_pose import rest_rotations
 
-__all__ = ["Joints", "Stages", "find_joints", "fit_motion", "rest_rotations"]
+__all__ = ["Stages", "fit_motion"]
 
-PRESENT = 2e-3  # share of the surface under which a handle counts as absent and follows its parent
 SAMPLE = 30000  # vertices looked at to find the lowest point
 
 
@@ -46,99 +45,6 @@ class Stages:
     rest_pose: bool = True
     attach: bool = True
     ground: bool = True
-
-
-@dataclass(frozen=True)
-class Joints:
-    """Where handles meet their parents, in the rest pose.
-
-    Args:
-        positions: Joint between each handle and its parent [m], shape (K, 3); for the root the handle itself.
-        parents: Nearest ancestor that is present, shape (K,); -1 for the root.
-        present: Whether a handle has vertices of its own, shape (K,).
-    """
-
-    positions: np.ndarray
-    parents: np.ndarray
-    present: np.ndarray
-
-
-def find_joints(character: Character, handles: Handles) -> Joints:
-    """Joints between neighbouring handles, where both weights are large.
-
-    The joint of k and p is the mean of the vertices weighted by area times s_k times s_p. Where the weights do not overlap
-    (loose parts), it is half way between the two nearest groups of vertices.
-    """
-    areas = vertex_areas(character.vertices, character.faces)
-    mass = handles.weights * areas[:, None]
-    share = mass.sum(axis=0) / max(areas.sum(), 1e-30)
-    present = share > PRESENT
-    present[0] = True
-    vertices = character.vertices.astype(np.float64)
-    positions = handles.positions.astype(np.float64)
-    parents = np.full(len(positions), -1)
-    for handle in range(1, len(positions)):
-        parent = HANDLE_PARENTS[handle]
-        while parent > 0 and not present[parent]:
-            parent = HANDLE_PARENTS[parent]
-        parents[handle] = parent
-        if not present[handle]:
-            continue
-        overlap = mass[:, handle] * handles.weights[:, parent]
-        total = float(overlap.sum())
-        if total > 1e-4 * float(mass[:, handle].sum()):
-            positions[handle] = overlap @ vertices / total
-        else:
-            positions[handle] = 0.5 * (
-                _nearest_group(vertices, mass[:, handle], handles.positions[parent])
-                + _nearest_group(vertices, mass[:, parent], handles.positions[handle])
-            )
-    return Joints(positions, parents, present)
-
-
-def _nearest_group(vertices: np.ndarray, mass: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Mean of the tenth of a handle's mass that is nearest to a point, shape (3,)."""
-    own = np.flatnonzero(mass > 0.2 * mass.max()) if mass.max() > 0 else np.arange(0)
-    if not len(own):
-        return np.asarray(point, float)
-    order = own[np.argsort(np.linalg.norm(vertices[own] - point, axis=1))]
-    return vertices[order[: max(1, len(order) // 10)]].mean(axis=0)
-
-
-# limb: child whose joint ends it, and the degrees of deviation below which its rest direction is taken for style and kept
-_LIMB_ENDS = {"shoulder": ("elbow", 0.0), "elbow": ("wrist", 0.0), "hip": ("knee", 20.0), "knee": ("ankle", 20.0)}
-_LIMBS = {f"{side}_{part}": (f"{side}_{end}", keep) for side in ("left", "right") for part, (end, keep) in _LIMB_ENDS.items()}
-_FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") for part in ("wrist", "fingers")}
-
-
-def rest_rotations(handles: Handles, joints: Joints, reference: Handles, reference_joints: Joints, height: float) -> np.ndarray:
-    """Rotation of each handle that turns the character's rest direction of a limb into the reference body's, shape (K, 3, 3).
-
-    Arms are turned wholly; hands follow their forearms; legs keep small deviations (a wide stance is style) and are turned where
-    they deviate by more than about 30 degrees (sitting, crouching). Everything else keeps the identity.
-    """
-    out = np.tile(np.eye(3), (len(handles.positions), 1, 1))
-    for name, (child_name, keep) in _LIMBS.items():
-        handle, child = HANDLE_NAMES.index(name), HANDLE_NAMES.index(child_name)
-        if not joints.present[handle]:
-            lead = int(joints.parents[handle])
-            if name.endswith("elbow") and joints.present[lead]:
-                out[handle] = out[lead]
-            continue
-        if joints.present[child]:
-            own, want = joints.positions[child] - joints.positions[handle], reference_joints.positions[child] - reference_joints.positions[handle]
-        else:
-            own, want = handles.positions[handle] - joints.positions[handle], reference.positions[handle] - reference_joints.positions[handle]
-        if np.linalg.norm(own) < 0.02 * height:
-            continue
-        turn = axis_angle_from_matrix(rotation_between(own, want))
-        if keep:
-            degrees = np.degrees(np.linalg.norm(turn))
-            turn = turn * np.clip((degrees - keep) / 20.0, 0, 1)
-        out[handle] = matrix_from_axis_angle(turn)
-    for name, lead_name in _FOLLOWERS.items():
-        out[HANDLE_NAMES.index(name)] = out[HANDLE_NAMES.index(lead_name)]
-    return out
 
 
 def _attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
