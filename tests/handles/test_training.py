@@ -6,7 +6,9 @@ import torch
 
 from bunraku.bodies.layout import HANDLE_NAMES
 from bunraku.errors import FormatError
-from bunraku.handles.predictor import PredictorConfig, load_predictor
+from bunraku.handles.bank import write_mesh_bank
+from bunraku.handles.graph import mesh_graph
+from bunraku.handles.predictor import HandlePredictor, PredictorConfig, load_predictor
 from bunraku.handles.train import HandleTrainConfig, HandleTrainer, train_handles, validate_handles
 from bunraku.handles.training_data import AugmentConfig, TrainingCharacter, augment, forward_kinematics, handle_target, plain_mesh
 
@@ -115,3 +117,16 @@ def test_train_handles_writes_a_checkpoint_and_a_log(tmp_path):
 def test_plain_mesh_is_the_character():
     character = worm()
     assert plain_mesh(character, np.random.default_rng(0)).vertices is character.vertices
+
+
+def test_mesh_bank_holds_each_character_and_its_variants(tmp_path):
+    torch.manual_seed(0)
+    model, character = HandlePredictor(SMALL).eval(), worm()
+    path = write_mesh_bank(model, [character, worm("pack/other")], tmp_path / "bank.npz", variants=2)
+    with np.load(path) as bank:
+        features, names = bank["features"], bank["names"].tolist()
+    assert names == ["pack/worm"] * 3 + ["pack/other"] * 3
+    graph = mesh_graph(character.vertices, character.normals, character.edges, character.areas, SMALL.anchors)
+    with torch.no_grad():
+        np.testing.assert_allclose(features[0], model(graph).features.numpy(), atol=1e-5)
+    assert np.abs(features[1] - features[0]).max() > 1e-4 and not list(tmp_path.glob(".*"))

@@ -16,6 +16,7 @@ import torch
 from bunraku.bodies.layout import HANDLE_MIRROR
 from bunraku.errors import OptionError
 from bunraku.handles import losses
+from bunraku.handles.bank import write_mesh_bank
 from bunraku.handles.graph import MeshGraph, mesh_graph
 from bunraku.handles.losses import LossConfig
 from bunraku.handles.predictor import HandlePredictor, PredictorConfig, save_predictor
@@ -247,7 +248,7 @@ def validate_handles(model: HandlePredictor, characters: Sequence[TrainingCharac
 
 
 def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
-    """Train the predictor, or go on where the run in `config.out` stopped.
+    """Train the predictor, or go on where the run in `config.out` stopped; at the end write `mesh_features.npz` for the diffusion.
 
     Args:
         config: Settings.
@@ -270,8 +271,6 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
     out.mkdir(parents=True, exist_ok=True)
     result: dict[str, float] = {}
     checkpoint = out / "handles.safetensors"
-    if trainer.progress() >= 1 and checkpoint.is_file():
-        return checkpoint
     while trainer.progress() < 1:
         row = trainer.train_epoch()
         last = trainer.progress() >= 1
@@ -286,6 +285,9 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
         _log_row(out / "log.csv", row)
         if report:
             report(row)
+    bank = out / "mesh_features.npz"
+    if result or not bank.is_file():
+        write_mesh_bank(trainer.average, [*trainer.characters, *trainer.reference], bank)
     return checkpoint
 
 
