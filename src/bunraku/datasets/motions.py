@@ -27,7 +27,7 @@ from bunraku.geometry.registration import register
 from bunraku.geometry.rotations import matrix_from_6d, matrix_from_quaternion, matrix_to_6d
 from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton
 
-__all__ = ["MotionArchive", "build_motions", "handle_motion_of_body", "handle_motion_of_mesh", "load_clip", "split_of"]
+__all__ = ["MotionArchive", "build_motions", "handle_motion_of_body", "handle_motion_of_mesh", "load_clip", "split_of", "write_clip"]
 
 QUATERNION_STEP = 8192.0  # the archive stores first differences of round(8192 q)
 CHUNK = 400  # frames posed at once: bounds memory at about 30 MB a worker
@@ -150,7 +150,8 @@ def split_of(name: str) -> str:
     return "test" if number < 6 else "val" if number < 9 else "train"
 
 
-def _write_clip(path: Path, motion: HandleMotion) -> None:
+def write_clip(path: Path, motion: HandleMotion) -> None:
+    """Write a converted clip, whole or not at all; locals in half precision, which costs under a millimetre."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with open(temporary, "wb") as handle:
         np.savez(
@@ -189,7 +190,7 @@ def load_clip(path: str | Path) -> HandleMotion:
 def _convert(archive: MotionArchive, indices: list[int], out: Path, slopes: dict[str, float]) -> int:
     for index in indices:
         name = archive.names[index]
-        _write_clip(out / f"{name}.npz", handle_motion_of_body(level_feet(archive.motion(index), name, slopes)))
+        write_clip(out / f"{name}.npz", handle_motion_of_body(level_feet(archive.motion(index), name, slopes)))
     return sum(int(archive.bounds[index + 1] - archive.bounds[index]) for index in indices)
 
 

@@ -249,6 +249,14 @@ class Trainer:
         self.step, self.seconds = state.step, float(state.values["seconds"])
 
 
+def _statistics(path: Path) -> FeatureStatistics | None:
+    """Units of a run that goes on: those it began with, also where clips have been added since; None for a new run."""
+    if not path.is_file():
+        return None
+    model = load_training_state(path).models["model"]
+    return FeatureStatistics(model["mean"].numpy(), model["std"].numpy())
+
+
 def _mesh_bank(path: Path | None, size: int) -> np.ndarray | None:
     if path is None:
         return None
@@ -324,7 +332,7 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
         task = bar.add_task("clips", total=None)
         clips = load_clips(config.data, lambda done, total: bar.update(task, completed=done, total=total))
         training = [entry["features"] for entry in clips.values() if entry.get("split", "train") == "train"]
-        statistics = FeatureStatistics.measure(training)
+        statistics = _statistics(config.out / "state.safetensors") or FeatureStatistics.measure(training)
         frames = (network or PRESETS[config.preset]).frames
         train, val = (ClipSet(clips, statistics, split, frames) for split in ("train", "val"))
         del clips, training

@@ -14,7 +14,6 @@ switched off, turn its motion into one of another character.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d, uniform_filter1d
@@ -24,10 +23,10 @@ from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
 from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
-from bunraku.retarget.joints import Joints, find_joints
+from bunraku.retarget.joints import Joints, attached, estimated_reference_joints, find_joints, reference_joints
 from bunraku.retarget.rest_pose import rest_rotations
 
-__all__ = ["Stages", "fit_motion"]
+__all__ = ["Stages", "fit_motion", "stride_scale"]
 
 SAMPLE = 30000  # vertices looked at to find the lowest point
 
@@ -47,28 +46,19 @@ class Stages:
     ground: bool = True
 
 
-def _attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
-    """Local rotations and translations in which every joint holds; absent handles move with their parents."""
-    rotations = rotations.copy()
-    translations = np.zeros((*rotations.shape[:2], 3))
-    h = handles.positions.astype(np.float64)
-    for handle in range(1, rotations.shape[1]):
-        parent = int(joints.parents[handle])
-        if not joints.present[handle]:
-            rotations[:, handle] = rotations[:, parent]
-        joint = joints.positions[handle]
-        place = np.einsum("nij,j->ni", rotations[:, parent], joint - h[parent]) + h[parent] + translations[:, parent]
-        translations[:, handle] = place - np.einsum("nij,j->ni", rotations[:, handle], joint - h[handle]) - h[handle]
-    return rotations, translations
+def stride_scale(character: Character, handles: Handles) -> float:
+    """How long the character's strides are over the reference body's: the height of the root handle over the floor, as a ratio."""
+    over_floor = float(handles.positions[0, 1]) - float(character.vertices[:, 1].min())
+    return max(over_floor, 0.02 * character.height) / float(reference_body().handles.positions[0, 1])
 
 
-def _residual(motion: HandleMotion, reference_joints: Joints) -> np.ndarray:
+def _residual(motion: HandleMotion) -> np.ndarray:
     """What the motion's local translations hold beyond stiff joints: soft bending and shrugs, in the reference's metres (N, K, 3).
 
     Long residuals are cut to 5 cm: they are errors of the generator, not motion.
     """
     body = reference_body()
-    stiff = _attached(motion.rotations.astype(np.float64), body.handles, reference_joints)[1]
+    stiff = attached(motion.rotations.astype(np.float64), body.handles, reference_joints())[1]
     residual = motion.translations - stiff
     length = np.linalg.norm(residual, axis=-1, keepdims=True)
     return residual * np.minimum(1, 0.05 / np.maximum(length, 1e-9))
@@ -94,38 +84,23 @@ def fit_motion(motion: HandleMotion, character: Character, handles: Handles, sta
     """
     stages = stages or Stages()
     body = reference_body()
-    own_floor = float(character.vertices[:, 1].min())
-    scale = max(float(handles.positions[0, 1]) - own_floor, 0.02 * character.height) / float(body.handles.positions[0, 1])
+    scale = stride_scale(character, handles)
     joints = find_joints(character, handles)
     rotations = motion.rotations.astype(np.float64)
-    reference_joints = _reference_joints()
     turns = np.tile(np.eye(3), (len(handles.positions), 1, 1))
     if stages.rest_pose:
-        turns = rest_rotations(handles, joints, body.handles, _estimated_reference_joints(), character.height)
+        turns = rest_rotations(handles, joints, body.handles, estimated_reference_joints(), character.height)
         rotations = rotations @ turns
-    joints = _corrected(joints, handles, turns, _estimated_reference_joints())
+    joints = _corrected(joints, handles, turns, estimated_reference_joints())
     if stages.attach:
-        rotations, translations = _attached(rotations, handles, joints)
-        translations += _residual(motion, reference_joints) * scale * joints.present[:, None]
+        rotations, translations = attached(rotations, handles, joints)
+        translations += _residual(motion) * scale * joints.present[:, None]
     else:
         translations = motion.translations * scale
     fitted = replace(motion, rotations=rotations, translations=translations, root_translation=motion.root_translation * scale)
     if stages.ground:
         fitted = _grounded(motion, fitted, character, handles, scale)
     return fitted
-
-
-@lru_cache(maxsize=1)
-def _reference_joints() -> Joints:
-    body = reference_body()
-    estimated = find_joints(body.character(), body.handles)
-    return replace(estimated, positions=np.concatenate([body.joints, estimated.positions[len(body.joints) :]]))
-
-
-@lru_cache(maxsize=1)
-def _estimated_reference_joints() -> Joints:
-    body = reference_body()
-    return find_joints(body.character(), body.handles)
 
 
 def _corrected(joints: Joints, handles: Handles, turns: np.ndarray, estimated: Joints) -> Joints:

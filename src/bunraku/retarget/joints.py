@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from bunraku.bodies.layout import HANDLE_PARENTS
+from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
 from bunraku.geometry.areas import vertex_areas
 
-__all__ = ["Joints", "find_joints"]
+__all__ = ["Joints", "attached", "estimated_reference_joints", "find_joints", "reference_joints"]
 
 PRESENT = 2e-3  # share of the surface under which a handle counts as absent and follows its parent
 
@@ -70,3 +72,31 @@ def _nearest_group(vertices: np.ndarray, mass: np.ndarray, point: np.ndarray) ->
         return np.asarray(point, float)
     order = own[np.argsort(np.linalg.norm(vertices[own] - point, axis=1))]
     return vertices[order[: max(1, len(order) // 10)]].mean(axis=0)
+
+
+def attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
+    """Local rotations and translations in which every joint holds; absent handles move with their parents."""
+    rotations = rotations.copy()
+    translations = np.zeros((*rotations.shape[:2], 3))
+    h = handles.positions.astype(np.float64)
+    for handle in range(1, rotations.shape[1]):
+        parent = int(joints.parents[handle])
+        if not joints.present[handle]:
+            rotations[:, handle] = rotations[:, parent]
+        joint = joints.positions[handle]
+        place = np.einsum("nij,j->ni", rotations[:, parent], joint - h[parent]) + h[parent] + translations[:, parent]
+        translations[:, handle] = place - np.einsum("nij,j->ni", rotations[:, handle], joint - h[handle]) - h[handle]
+    return rotations, translations
+
+
+@lru_cache(maxsize=1)
+def reference_joints() -> Joints:
+    body = reference_body()
+    estimated = find_joints(body.character(), body.handles)
+    return replace(estimated, positions=np.concatenate([body.joints, estimated.positions[len(body.joints) :]]))
+
+
+@lru_cache(maxsize=1)
+def estimated_reference_joints() -> Joints:
+    body = reference_body()
+    return find_joints(body.character(), body.handles)

@@ -1,0 +1,116 @@
+"""Labelled clips of rigged characters as handle motions of the reference body: `bunraku data motions --characters`.
+
+Game packs hold what motion capture lacks: waving, clapping, punches and kicks with either side. `game_clips.json` names the clips
+and gives their captions, in which {hand} and {leg} become the side that moves more. Only clips that stay in place are taken, because
+most packs let their characters walk on the spot, and only characters whose default pose is near to upright.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.bodies.bone_names import handle_of_joints
+from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.bodies.reference import handle_positions
+from bunraku.character import Character, Handles
+from bunraku.datasets.motions import handle_motion_of_mesh, split_of, write_clip
+from bunraku.errors import BunrakuError, FormatError
+from bunraku.geometry.areas import vertex_areas
+from bunraku.motion import HandleMotion
+from bunraku.retarget.reference import motion_to_reference
+
+__all__ = ["add_game_clips", "character_clip", "rig_handles"]
+
+
+def rig_handles(character: Character) -> Handles:
+    """Handles of a rigged character from its own bones' names, weights added up by handle.
+
+    Raises:
+        FormatError: It has no rig, or its bones have no names that tell anything.
+    """
+    rig = character.rig
+    if rig is None:
+        raise FormatError(character.name, "there is no rig in this file")
+    dense = rig.dense_weights()
+    areas = vertex_areas(character.vertices, character.faces)
+    handle = handle_of_joints(rig.names, rig.parents, rig.positions, (dense * areas[:, None]).sum(axis=0))
+    if (handle >= 0).sum() < 8:
+        raise FormatError(character.name, "the names of its bones do not tell which part they move")
+    handle = np.where(handle >= 0, handle, 0)
+    weights = dense @ np.eye(HANDLE_COUNT, dtype=np.float32)[handle]
+    weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+    return Handles(handle_positions(character.vertices, weights, areas), weights)
+
+
+def character_clip(path: str | Path, clip: str, fps: float = 20.0) -> HandleMotion:
+    """A clip of a rigged character as handle motion of the reference body.
+
+    Raises:
+        BunrakuError: The file, its rig or the clip cannot be used.
+    """
+    from bunraku.formats.gltf_play import load_animation
+
+    animation = load_animation(path, clip, fps)
+    handles = rig_handles(animation.character)
+    areas = vertex_areas(animation.character.vertices, animation.character.faces)
+    motion = handle_motion_of_mesh(animation.character.vertices, animation.vertices(), handles.weights, handles.positions, areas, fps)
+    return motion_to_reference(motion, animation.character, handles)
+
+
+def _side(motion: HandleMotion, part: str) -> str:
+    """The side on which a handle travels farther in the root's frame."""
+    travel = {}
+    for side in ("left", "right"):
+        handle = HANDLE_NAMES.index(f"{side}_{part}")
+        travel[side] = float(np.linalg.norm(np.diff(motion.translations[:, handle], axis=0), axis=1).sum())
+    return max(travel, key=lambda side: travel[side])
+
+
+def add_game_clips(characters: str | Path, out: str | Path, progress: Callable[[str, float], None] | None = None) -> tuple[list[str], dict[str, str]]:
+    """Convert the clips that `game_clips.json` names and add them to the index that `build_motions` wrote.
+
+    Args:
+        characters: Folder of the unpacked character archive.
+        out: Folder of the motions, with its `index.json`.
+        progress: Called with a stage's name and the share done.
+
+    Returns:
+        Names of the clips in the index, and what failed with its reason.
+
+    Raises:
+        FormatError: There is no index, or none of the characters is there.
+    """
+    characters, out = Path(characters), Path(out)
+    path = out / "index.json"
+    if not path.is_file():
+        raise FormatError(path, "there is no index; run `bunraku data motions` first")
+    index = json.loads(path.read_text(encoding="utf-8"))
+    table = json.loads(resources.files("bunraku.datasets").joinpath("game_clips.json").read_text(encoding="utf-8"))
+    wanted = [(file, clip, caption) for file, clips in table.items() for clip, caption in clips.items() if (characters / f"{file}.glb").is_file()]
+    if not wanted:
+        raise FormatError(characters, "none of the known characters is here; give the folder of the unpacked character archive")
+    added, failed = [], {}
+    for number, (file, clip, caption) in enumerate(wanted):
+        name = "game_" + file.replace("/", "-") + f"_{clip}"
+        try:
+            motion = character_clip(characters / f"{file}.glb", clip)
+        except BunrakuError as error:
+            failed[name] = str(error)
+            continue
+        write_clip(out / f"{name}.npz", motion)
+        text = caption.format(hand=_side(motion, "wrist"), leg=_side(motion, "ankle"))
+        entry = {"texts": [text], "source": f"character archive, {file}", "licence": "CC0-1.0", "frames": len(motion)}
+        index["clips"][name] = entry | {"split": split_of(name), "weight": 1.0}
+        added.append(name)
+        if progress:
+            progress("converting clips of characters", (number + 1) / len(wanted))
+    temporary = path.with_suffix(".json.tmp")
+    temporary.write_text(json.dumps(index, indent=1), encoding="utf-8")
+    os.replace(temporary, path)
+    return added, failed
