@@ -13,6 +13,7 @@ from bunraku.geometry.areas import vertex_areas
 from bunraku.motion import SkeletalMotion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.joints import find_joints
+from bunraku.retarget.reference import motion_to_reference
 
 
 def swing(frames=20):
@@ -125,3 +126,12 @@ def test_bent_legs_are_straightened_unless_they_are_built_so(degrees, straighten
     thigh = fit_motion(motion, character, handles).rotations[0, HANDLE_NAMES.index("right_hip")]
     angle = np.degrees(np.linalg.norm(Rotation.from_matrix(thigh).as_rotvec()))
     assert angle == pytest.approx(degrees if straightened else 0, abs=6)
+
+
+def test_the_way_to_a_character_and_back_is_the_same_motion():
+    body, motion = reference_body(), swing()
+    down = Rotation.from_euler("z", -45, degrees=True).as_matrix()
+    character, handles = rigid_pose(body, ("left_shoulder", "right_shoulder"), down)
+    back = motion_to_reference(fit_motion(motion, character, handles), character, handles)
+    one, other = (Animation(body.character(), body.handles, m).vertices() for m in (motion, back))
+    assert np.linalg.norm(one - other, axis=-1).mean() < 0.01 * body.character().height

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -30,13 +31,24 @@ class Motions:
     """Folder to write to, made when it is not there."""
     jobs: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
     """Processes. Default: one for each core."""
+    characters: Path | None = None
+    """Folder of the unpacked character archive, whose labelled clips of waving, clapping and the like are added."""
 
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
+        if self.characters is not None:
+            check_folder(self.characters)
         from bunraku.datasets.motions import build_motions
 
+        failed: dict[str, str] = {}
         with stages() as report:
             index = build_motions(self.source, self.output, self.jobs, report)
+            if self.characters is not None:
+                from bunraku.datasets.game_clips import add_game_clips
+
+                failed = add_game_clips(self.characters, self.output, report)[1]
+        for reason in failed.values():
+            print(f"left out {reason}", file=sys.stderr)
         print(f"wrote {index}")
 
 

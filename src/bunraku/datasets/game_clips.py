@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.animation import Animation
 from bunraku.bodies.bone_names import handle_of_joints
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.bodies.reference import handle_positions
@@ -25,7 +26,7 @@ from bunraku.geometry.areas import vertex_areas
 from bunraku.motion import HandleMotion
 from bunraku.retarget.reference import motion_to_reference
 
-__all__ = ["add_game_clips", "character_clip", "rig_handles"]
+__all__ = ["add_game_clips", "reference_clip", "rig_handles"]
 
 
 def rig_handles(character: Character) -> Handles:
@@ -48,19 +49,17 @@ def rig_handles(character: Character) -> Handles:
     return Handles(handle_positions(character.vertices, weights, areas), weights)
 
 
-def character_clip(path: str | Path, clip: str, fps: float = 20.0) -> HandleMotion:
-    """A clip of a rigged character as handle motion of the reference body.
+def reference_clip(animation: Animation) -> HandleMotion:
+    """What a rigged character does, by whatever handles it is driven, as handle motion of the reference body.
 
     Raises:
-        BunrakuError: The file, its rig or the clip cannot be used.
+        FormatError: The character has no rig with telling names.
     """
-    from bunraku.formats.gltf_play import load_animation
-
-    animation = load_animation(path, clip, fps)
-    handles = rig_handles(animation.character)
-    areas = vertex_areas(animation.character.vertices, animation.character.faces)
-    motion = handle_motion_of_mesh(animation.character.vertices, animation.vertices(), handles.weights, handles.positions, areas, fps)
-    return motion_to_reference(motion, animation.character, handles)
+    character = animation.character
+    handles = rig_handles(character)
+    areas = vertex_areas(character.vertices, character.faces)
+    motion = handle_motion_of_mesh(character.vertices, animation.vertices(), handles.weights, handles.positions, areas, animation.motion.fps)
+    return motion_to_reference(motion, character, handles)
 
 
 def _side(motion: HandleMotion, part: str) -> str:
@@ -86,6 +85,8 @@ def add_game_clips(characters: str | Path, out: str | Path, progress: Callable[[
     Raises:
         FormatError: There is no index, or none of the characters is there.
     """
+    from bunraku.formats.gltf_play import load_animation
+
     characters, out = Path(characters), Path(out)
     path = out / "index.json"
     if not path.is_file():
@@ -99,7 +100,7 @@ def add_game_clips(characters: str | Path, out: str | Path, progress: Callable[[
     for number, (file, clip, caption) in enumerate(wanted):
         name = "game_" + file.replace("/", "-") + f"_{clip}"
         try:
-            motion = character_clip(characters / f"{file}.glb", clip)
+            motion = reference_clip(load_animation(characters / f"{file}.glb", clip, 20.0))
         except BunrakuError as error:
             failed[name] = str(error)
             continue
