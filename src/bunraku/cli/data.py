@@ -36,8 +36,8 @@ class Motions:
 
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
-        if self.characters is not None:
-            check_folder(self.characters)
+        if self.characters is not None and not self.characters.is_dir():
+            raise FormatError(self.characters, "there is no such folder; name the one of the unpacked character archive")
         from bunraku.datasets.motions import build_motions
 
         failed: dict[str, str] = {}
