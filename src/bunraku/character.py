@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -112,10 +113,18 @@ class Character:
         if self.rig is not None and len(self.rig.indices) != count:
             raise CharacterError(f"{self.name}: the rig weights {len(self.rig.indices)} vertices but the mesh has {count}")
 
+    @cached_property
+    def surface(self) -> np.ndarray:
+        """Which vertices have faces, shape (V,), bool. Files bring stray ones; nobody sees them, so nothing is measured by them."""
+        used = np.zeros(len(self.vertices), bool)
+        used[self.faces] = True
+        used.flags.writeable = False
+        return used
+
     @property
     def height(self) -> float:
-        """Extent along +Y [m]; the largest extent for something flat."""
-        extent = np.ptp(self.vertices, axis=0)
+        """Extent of the surface along +Y [m]; the largest extent for something flat."""
+        extent = np.ptp(self.vertices[self.surface], axis=0)
         return float(extent[1] if extent[1] > 1e-3 * extent.max() else extent.max())
 
 

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from bunraku.diffusion.denoiser import load_denoiser
-from bunraku.diffusion.train import Trainer, TrainingConfig, train_diffusion
+from bunraku.diffusion.train import TrainingConfig, train_diffusion
+from bunraku.diffusion.trainer import Trainer
 from bunraku.errors import FormatError, OptionError
 from bunraku.nn.checkpoints import load_training_state
 

@@ -135,3 +135,14 @@ def test_the_way_to_a_character_and_back_is_the_same_motion():
     back = motion_to_reference(fit_motion(motion, character, handles), character, handles)
     one, other = (Animation(body.character(), body.handles, m).vertices() for m in (motion, back))
     assert np.linalg.norm(one - other, axis=-1).mean() < 0.01 * body.character().height
+
+
+def test_vertices_without_faces_do_not_matter():
+    body, motion = reference_body(), swing()
+    stray = np.array([[0, -50, 0], [3, 40, 9]], np.float32)
+    character = Character("stray", np.concatenate([body.vertices, stray]), body.faces)
+    handles = Handles(body.handles.positions, np.concatenate([body.handle_weights, np.eye(2, body.handle_weights.shape[1])]))
+    want, got = fit_motion(motion, body.character(), body.handles), fit_motion(motion, character, handles)
+    assert character.height == pytest.approx(body.character().height)
+    np.testing.assert_allclose(got.root_translation, want.root_translation, atol=1e-5)
+    np.testing.assert_allclose(got.translations, want.translations, atol=1e-5)

@@ -129,7 +129,7 @@ def render_still(
     """
     colors = character.colors if handles is None else handle_colors(handles)
     vertices = np.ascontiguousarray(character.vertices, np.float32)
-    rest, faces, colors, _ = _simplified(vertices, character.faces, colors, None)
+    rest, faces, colors, _ = _simplified(vertices, character.faces, colors)
     take = _Take(rest, faces, colors, lambda: iter([rest]), 1)
     return next(_draw(take, size, 20.0, background, axes=view_axes(yaw), renderer=renderer))
 
@@ -147,7 +147,7 @@ def _take(animation: Animation, times: np.ndarray, color: str) -> _Take:
         raise OptionError(f"color must be 'texture' or 'handles', not {color!r}")
     character, motion = animation.character, animation.motion
     colors = character.colors if color == "texture" else handle_colors(animation.handles)
-    rest, faces, colors, origin = _simplified(character.vertices, character.faces, colors, animation.handles.weights)
+    rest, faces, colors, origin = _simplified(character.vertices, character.faces, colors)
     weights = animation.handles.weights if origin is None else animation.handles.weights[origin]
     transforms = motion.transforms(animation.handles.positions)
     at = np.clip(times * motion.fps, 0, len(motion) - 1)
@@ -169,9 +169,19 @@ def _take(animation: Animation, times: np.ndarray, color: str) -> _Take:
 
 
 def _simplified(
-    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None, weights: np.ndarray | None
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """The mesh itself, or for a large one fewer faces, with the vertex of the original that each new vertex takes after."""
+    """The mesh itself, or for a large one fewer faces, with the vertex of the original that each new vertex takes after.
+
+    Vertices without faces are left out: they are not seen, and would draw the camera away.
+    """
+    used = np.zeros(len(vertices), bool)
+    used[faces] = True
+    if not used.all():
+        kept = np.flatnonzero(used)
+        tints = colors if colors is None or colors.ndim == 1 else colors[kept]
+        rest, small, tints, origin = _simplified(np.ascontiguousarray(vertices[kept]), (np.cumsum(used) - 1)[faces], tints)
+        return rest, small, tints, kept if origin is None else kept[origin]
     if len(faces) <= MOST_FACES and len(vertices) <= MOST_FACES:
         return vertices, faces, colors, None
     import fast_simplification

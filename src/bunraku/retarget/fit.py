@@ -48,7 +48,7 @@ class Stages:
 
 def stride_scale(character: Character, handles: Handles) -> float:
     """How long the character's strides are over the reference body's: the height of the root handle over the floor, as a ratio."""
-    over_floor = float(handles.positions[0, 1]) - float(character.vertices[:, 1].min())
+    over_floor = float(handles.positions[0, 1]) - float(character.vertices[character.surface, 1].min())
     return max(over_floor, 0.02 * character.height) / float(reference_body().handles.positions[0, 1])
 
 
@@ -126,7 +126,8 @@ def _grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, 
     want = _lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
     window = 2 * round(0.75 * motion.fps) + 1
     drift = gaussian_filter1d(minimum_filter1d(want, window, mode="nearest"), 0.25 * motion.fps, mode="nearest")
-    have = _lowest(character.vertices, handles.weights, fitted, handles.positions)
+    seen = character.surface
+    have = _lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions)
     lift = uniform_filter1d((want - drift) * scale - have, 5, mode="nearest")
     moved = fitted.root_translation.copy()
     moved[:, 1] += lift
