@@ -105,6 +105,19 @@ def test_input_is_not_overwritten(fails, good):
     assert good.read_bytes() == before
 
 
+def test_outputs_that_would_meet(fails, good, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for one, other in (("walk.glb", "./walk.glb"), ("walk.obj", "walk.ply")):
+        assert "both" in fails("animate", good, "walks", "-o", one, "-o", other)
+
+
+def test_a_folder_of_other_files_is_known_before_the_work(fails, good, tmp_path, monkeypatch):
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))  # any work would fail for the lack of weights
+    (tmp_path / "walk").mkdir()
+    (tmp_path / "walk" / "letter.txt").write_text("mine")
+    assert "holds other files" in fails("animate", good, "walks", "-o", tmp_path / "walk.obj")
+
+
 def test_motion_without_a_character(fails, good, tmp_path):
     motion = tmp_path / "motion.npz"
     np.savez(motion, a=np.zeros(3))

@@ -1,6 +1,7 @@
 """What the verbs do when all is well, with tiny real files."""
 
 import dataclasses
+import errno
 import importlib
 import json
 from pathlib import Path
@@ -159,6 +160,21 @@ def test_animate_writes_every_output_and_names_the_default(tmp_path, monkeypatch
     assert "wrote person-a-person-walks.glb" in capsys.readouterr().out
     first, second = (describe(Path(name))["animations"][0] for name in ("new/walk.glb", "person-a-person-walks.glb"))
     assert first["seconds"] == second["seconds"]
+
+
+def test_what_is_whole_is_named_when_the_rest_fails(tmp_path, monkeypatch, capsys):
+    need_weights()
+    monkeypatch.chdir(tmp_path)
+    assert main(["samples", "person"]) == 0
+    capsys.readouterr()
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "no space left on device")
+
+    monkeypatch.setattr("bunraku.render.save_preview", full)
+    assert main(["animate", "person.glb", "walks", "--seconds", "1", "--steps", "2", "-o", "walk.glb", "--preview", "walk.mp4"]) == 2
+    said = capsys.readouterr()
+    assert "wrote walk.glb" in said.out and "the disk is full" in said.err
 
 
 def test_limits_and_defaults_agree_with_the_library():

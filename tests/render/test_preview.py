@@ -106,6 +106,15 @@ def test_a_large_mesh_is_drawn_simplified(monkeypatch):
     assert 0 < np.abs(whole[1].astype(int) - fewer[1]).mean() < 3
 
 
+def test_a_vertex_without_faces_does_not_draw_the_camera_away():
+    plain = swinging()
+    vertices, weights = np.concatenate([plain.character.vertices, [[0, -90, 0]]]), np.concatenate([plain.handles.weights, [[1, 0]]])
+    colors = np.full((len(vertices), 3), 120, np.uint8)
+    stray = Animation(Character("stray", vertices, plain.character.faces, colors=colors), Handles(plain.handles.positions, weights), plain.motion)
+    pictures = [np.stack(list(render_animation(animation, size=(96, 96), times=np.array([0, 0.3])))) for animation in (plain, stray)]
+    assert np.array_equal(*pictures)
+
+
 def test_stills_show_the_handles(tmp_path):
     animation = swinging()
     plain = np.asarray(Image.open(save_still(animation.character, tmp_path / "plain.png", size=(100, 120))))

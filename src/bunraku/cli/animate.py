@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_output, check_prompt, check_range, check_seconds, make_folder, slug
+from bunraku.cli.checks import check_different, check_input, check_output, check_prompt, check_range, check_seconds, make_folder, slug
 from bunraku.cli.progress import stages
 from bunraku.cli.report import wrote
 from bunraku.errors import OptionError
@@ -67,39 +67,42 @@ class Animate:
             check_output(path, OUTPUTS, [self.character])
         for path in self.preview:
             check_output(path, PREVIEWS, [self.character])
+        check_different((*outputs, *self.preview))
         fitting = _stages(self.without)
 
         from bunraku.formats import load_character
 
-        with stages() as report:
-            report("load", 0.0)
-            character = load_character(self.character)
-            report("load", 1.0)
+        written: list[Path] = []
+        try:
+            with stages() as report:
+                report("load", 0.0)
+                character = load_character(self.character)
+                report("load", 1.0)
 
-            from bunraku.pipeline import animate
+                from bunraku.pipeline import animate
 
-            animation = animate(
-                character,
-                self.prompt,
-                seconds=self.seconds,
-                seed=self.seed,
-                steps=self.steps,
-                guidance=self.guidance,
-                stages=fitting,
-                progress=report,
-            )
-            written = []
-            for number, path in enumerate(outputs):
-                report("write", number / len(outputs))
-                written.append(animation.save(path, **({} if path.suffix.lower() == ".npz" else {"fps": self.fps})))
-            report("write", 1.0)
-            for path in self.preview:
-                from bunraku.render import save_preview
+                animation = animate(
+                    character,
+                    self.prompt,
+                    seconds=self.seconds,
+                    seed=self.seed,
+                    steps=self.steps,
+                    guidance=self.guidance,
+                    stages=fitting,
+                    progress=report,
+                )
+                for number, path in enumerate(outputs):
+                    report("write", number / len(outputs))
+                    written.append(animation.save(path, **({} if path.suffix.lower() == ".npz" else {"fps": self.fps})))
+                report("write", 1.0)
+                for path in self.preview:
+                    from bunraku.render import save_preview
 
-                make_folder(path)
-                written.append(save_preview(animation, path, fps=self.fps, progress=lambda done, total: report("preview", done / total)))
-        for path in written:
-            wrote(path)
+                    make_folder(path)
+                    written.append(save_preview(animation, path, fps=self.fps, progress=lambda done, total: report("preview", done / total)))
+        finally:  # what is whole stays, so it is named, whatever became of the rest
+            for path in written:
+                wrote(path)
 
 
 def _stages(without: tuple[str, ...]) -> Stages | None:

@@ -11,10 +11,12 @@ from pathlib import Path
 
 from bunraku.errors import FormatError, OptionError
 
-__all__ = ["check_folder", "check_input", "check_output", "check_prompt", "check_range", "check_seconds", "make_folder", "slug"]
+__all__ = ["check_different", "check_folder", "check_input", "check_output", "check_prompt", "check_range", "check_seconds", "make_folder", "slug"]
 
 SECONDS = (0.5, 120.0)
 PROMPT_LENGTH = 1000
+SEQUENCES = (".obj", ".ply")
+"""Outputs that are folders with one mesh a frame."""
 
 
 def check_range(option: str, value: float | None, low: float, high: float) -> None:
@@ -62,7 +64,21 @@ def check_output(path: Path, suffixes: Iterable[str], inputs: Iterable[Path] = (
         raise FormatError(path, "this is a folder; name a file in it")
     if any(path.exists() and other.exists() and path.samefile(other) for other in inputs):
         raise FormatError(path, "this would overwrite the input; choose another name")
+    if path.suffix.lower() in SEQUENCES:
+        from bunraku.formats.sequences import check_sequence
+
+        check_sequence(path)
     check_folder(path.parent)
+
+
+def check_different(paths: Iterable[Path]) -> None:
+    """Raise OptionError where two outputs would be the same file, or the same folder of a sequence of meshes."""
+    seen: dict[Path, Path] = {}
+    for path in paths:
+        target = path.resolve().with_suffix("") if path.suffix.lower() in SEQUENCES else path.resolve()
+        if target in seen:
+            raise OptionError(f"{seen[target]} and {path} would both be written to {target.name}; choose another name for one of them")
+        seen[target] = path
 
 
 def check_folder(folder: Path) -> None:

@@ -39,10 +39,12 @@ class Motions:
         if self.characters is not None and not self.characters.is_dir():
             raise FormatError(self.characters, "there is no such folder; name the one of the unpacked character archive")
         from bunraku.datasets.motions import build_motions
+        from bunraku.datasets.turns import add_turns
 
         failed: dict[str, str] = {}
         with stages() as report:
             index = build_motions(self.source, self.output, self.jobs, report)
+            add_turns(self.output)
             if self.characters is not None:
                 from bunraku.datasets.game_clips import add_game_clips
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bunraku.animation import Animation
     from bunraku.character import Character
 
-__all__ = ["write_obj_sequence", "write_ply_sequence"]
+__all__ = ["check_sequence", "write_obj_sequence", "write_ply_sequence"]
 
 Frame = Callable[[np.ndarray], bytes]
 
@@ -85,8 +85,7 @@ def _write(animation: Animation, path: Path, fps: float | None, frame: Frame) ->
     motion = resample(animation.motion, checked_fps(fps, animation.motion.fps))
     moved = Animation(animation.character, animation.handles, motion)
     check_output_folder(path)
-    folder = path.with_suffix("")
-    _check_ours(path, folder)
+    folder = check_sequence(path)
     temporary = ""
     try:
         temporary = tempfile.mkdtemp(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent)
@@ -110,10 +109,16 @@ def _write(animation: Animation, path: Path, fps: float | None, frame: Frame) ->
     return folder
 
 
-def _check_ours(path: Path, folder: Path) -> None:
-    """Refuse to replace a folder that holds anything but an earlier sequence of this name."""
+def check_sequence(path: Path) -> Path:
+    """The folder that a sequence of this name goes to.
+
+    Raises:
+        FormatError: The folder holds anything but an earlier sequence of this name, which is all that is replaced.
+    """
+    folder = path.with_suffix("")
     if not folder.exists():
-        return
+        return folder
     pattern = re.compile(re.escape(path.stem) + r"_\d{4,}" + re.escape(path.suffix))
     if not folder.is_dir() or any(not pattern.fullmatch(entry.name) or not entry.is_file() for entry in folder.iterdir()):
         raise FormatError(path, f"{folder} exists and holds other files; choose another name for the sequence")
+    return folder

@@ -1,0 +1,95 @@
+"""Turns on the spot, cut out of longer clips: their captions come from the motion itself.
+
+Labels such as "walk" hide that somebody turns round in the middle. Where the heading changes by about half a turn within 2.5 to 3.5 s
+and less than a metre, that stretch becomes a clip of its own that says so, with its direction.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.datasets.motions import load_clip, write_clip
+from bunraku.diffusion.features import heading
+from bunraku.errors import FormatError
+from bunraku.motion import HandleMotion
+
+__all__ = ["add_turns", "cut", "find_turn"]
+
+WINDOWS = (50, 70)  # frames
+LEAST, MOST, FARTHEST = 2.5, 3.9, 0.9  # rad, rad, m
+MARGIN = 6  # frames kept before and after
+_WALKS = ("walk", "turn", "stand", "push", "stop")
+_OTHERS = ("dance", "jete", "pirouette", "wheel", "ball", "tennis", "jump", "hop", "climb", "sit", "pick", "uneven", "spiral", "playground")
+
+
+def find_turn(motion: HandleMotion) -> tuple[int, int, float] | None:
+    """The stretch in which somebody turns round the farthest with the smallest move, if there is one.
+
+    Returns:
+        First frame, frame after the last, and the change of heading [rad], positive to the left; None without a turn.
+    """
+    angle = heading(motion.root_rotation, motion.fps)
+    path = motion.root_translation[:, [0, 2]]
+    best: tuple[float, int, int, float] | None = None
+    for window in WINDOWS:
+        for start in range(0, len(angle) - window, 5):
+            change = float(angle[start + window - 1] - angle[start])
+            if LEAST < abs(change) < MOST:
+                moved = float(np.ptp(path[start : start + window], axis=0).max())
+                cost = moved - 0.3 * abs(change)
+                if moved < FARTHEST and (best is None or cost < best[0]):
+                    best = (cost, start, start + window, change)
+    return best and best[1:]
+
+
+def cut(motion: HandleMotion, start: int, stop: int) -> HandleMotion:
+    """Frames `start` to `stop` - 1 of a motion."""
+    part = slice(max(start, 0), stop)
+    return HandleMotion(motion.translations[part], motion.rotations[part], motion.root_translation[part], motion.root_rotation[part], motion.fps)
+
+
+def add_turns(out: str | Path) -> list[str]:
+    """Cut the turns out of the training clips that `build_motions` wrote and add them to the index.
+
+    Args:
+        out: Folder of the motions, with its `index.json`.
+
+    Returns:
+        Names of the new clips.
+
+    Raises:
+        FormatError: The index or a clip is missing or broken.
+    """
+    out = Path(out)
+    path = out / "index.json"
+    try:
+        index: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FormatError(path, "there is no index that can be read; run `bunraku data motions` first") from error
+    added = {}
+    for name, entry in list(index["clips"].items()):
+        if name.startswith("turn_"):
+            del index["clips"][name]  # of an earlier run; made again below
+            continue
+        text = " ".join(entry["texts"]).lower()
+        if entry["split"] != "train" or not any(word in text for word in _WALKS) or any(word in text for word in _OTHERS):
+            continue
+        motion = load_clip(out / f"{name}.npz")
+        found = find_turn(motion)
+        if found is None:
+            continue
+        start, stop, change = found
+        clip = cut(motion, start - MARGIN, stop + MARGIN)
+        write_clip(out / f"turn_{name}.npz", clip)
+        caption = f"a person turns around to the {'left' if change > 0 else 'right'}"
+        added[f"turn_{name}"] = entry | {"texts": [caption], "frames": len(clip)}
+    index["clips"] |= added
+    temporary = path.with_suffix(".json.tmp")
+    temporary.write_text(json.dumps(index, indent=1), encoding="utf-8")
+    os.replace(temporary, path)
+    return list(added)
