@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,8 +75,8 @@ class SkeletalMotion:
         joints = len(self.skeleton.names)
         object.__setattr__(self, "rotations", _array(self.rotations, (None, joints, 3, 3), "joint rotations"))
         object.__setattr__(self, "root_translation", _array(self.root_translation, (len(self.rotations), 3), "root translation"))
-        if not self.fps > 0:
-            raise MotionError("frames a second must be positive")
+        if not 0 < self.fps < math.inf:
+            raise MotionError("frames a second must be positive and finite")
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -124,8 +125,8 @@ class HandleMotion:
         object.__setattr__(self, "root_rotation", _array(self.root_rotation, (frames, 3, 3), "root rotation"))
         if frames == 0:
             raise MotionError("a motion needs at least one frame")
-        if not self.fps > 0:
-            raise MotionError("frames a second must be positive")
+        if not 0 < self.fps < math.inf:
+            raise MotionError("frames a second must be positive and finite")
         if np.abs(self.translations[:, 0]).max() > 1e-5 or np.abs(self.rotations[:, 0] - np.eye(3)).max() > 1e-5:
             raise MotionError("handle 0 is the root: its local transform must be the identity")
 

@@ -107,6 +107,7 @@ def animate(
 
     Raises:
         OptionError: The prompt is empty or too long, or the length is out of range.
+        CharacterError: `handles` are not 30.
         WeightsError: The shipped weights are missing or broken.
     """
     _check(prompt, seconds)

@@ -60,6 +60,17 @@ def test_inspect_warns_of_a_mesh_that_lies(tmp_path):
     assert "turn it" in describe(path)["up_axis"]["why"]
 
 
+def test_animate_and_rig_warn_of_a_mesh_that_lies(tmp_path, capsys):
+    need_weights()
+    upright, lying = tmp_path / "upright.obj", tmp_path / "lying.obj"
+    upright.write_text("v 0 0 0\nv 1 0 0\nv 0 0 1\nv 0 9 0\nf 1 2 3\nf 1 2 4\n")
+    lying.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 9\nf 1 2 3\nf 1 2 4\n")
+    for words, path in ((["animate"], lying), (["rig"], lying), (["rig"], upright)):
+        prompt = ["walks", "--seconds", "1", "--steps", "2"] if words == ["animate"] else []
+        assert main([*words, str(path), *prompt, "-o", str(tmp_path / "out.glb")]) == 0
+        assert ("lies on its back" in capsys.readouterr().err) == (path == lying)
+
+
 def test_inspect_of_rig_and_clip(moving, capsys):
     assert main(["inspect", str(moving), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)

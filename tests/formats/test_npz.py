@@ -67,7 +67,7 @@ def test_broken_and_hostile_files(animation, tmp_path):
     refused(packed(fps=np.array([object()])), "not plain numbers")
     refused(packed(rotations=np.zeros((24, 30, 4))), "6D or 3 x 3")
     refused(packed(translations=np.full((24, 30, 3), np.nan)), "not numbers")
-    refused(packed(fps=0), "positive")
+    refused(packed(fps=0), "from 1 to 1000")
     refused(packed(fps=np.ones(2)), "one number")
     refused(packed(root_translation=np.zeros((23, 3))), "shape")
     out = io.BytesIO()
@@ -80,3 +80,16 @@ def test_broken_and_hostile_files(animation, tmp_path):
             np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": (10**9, 3)})
             archive.writestr(f"{name}.npy", header.getvalue() + bytes(100))
     refused(out.getvalue(), "cut short")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "match"),
+    [("fps", np.inf, "fps"), ("fps", 1e-6, "fps"), ("fps", np.nan, "fps"), ("rotations", None, "handle 0")],
+)
+def test_numbers_that_make_no_motion_name_the_file(animation, tmp_path, name, value, match):
+    with np.load(animation.save(tmp_path / "good.npz"), allow_pickle=False) as good:
+        parts = dict(good)
+    parts[name] = np.zeros_like(parts[name]) if value is None else np.float32(value)
+    np.savez(tmp_path / "odd.npz", **parts)
+    with pytest.raises((FormatError, MotionError), match=f"odd.npz.*{match}"):
+        load_motion(tmp_path / "odd.npz")

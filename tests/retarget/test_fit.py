@@ -9,6 +9,7 @@ from bunraku.bodies.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.bodies.reference import handle_positions, reference_body
 from bunraku.character import Character, Handles
 from bunraku.datasets.motions import handle_motion_of_body
+from bunraku.errors import CharacterError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.motion import SkeletalMotion
 from bunraku.retarget.fit import Stages, fit_motion
@@ -146,3 +147,23 @@ def test_vertices_without_faces_do_not_matter():
     assert character.height == pytest.approx(body.character().height)
     np.testing.assert_allclose(got.root_translation, want.root_translation, atol=1e-5)
     np.testing.assert_allclose(got.translations, want.translations, atol=1e-5)
+
+
+def test_feet_stay_on_the_ground_when_a_hand_holds_something_that_hangs_lower():
+    body, motion = reference_body(), swing()
+    wrist = HANDLE_NAMES.index("left_wrist")
+    hand = body.handles.positions[wrist]
+    pole = hand + np.array([[0, 0, 0], [1.3, 0.02, 0], [1.3, -0.02, 0.02]], np.float32)  # below the feet once the arm comes down
+    vertices = np.concatenate([body.vertices, pole])
+    faces = np.concatenate([body.faces, [np.arange(3) + len(body.vertices)]])
+    weights = np.concatenate([body.handle_weights, np.eye(len(body.handles.positions), dtype=np.float32)[[wrist] * 3]])
+    character, handles = Character("armed", vertices, faces), Handles(body.handles.positions, weights)
+    posed = Animation(character, handles, fit_motion(motion, character, handles)).vertices()
+    assert posed[-1, -3:, 1].min() < -0.1  # it does hang lower
+    assert np.abs(posed[:, : len(body.vertices), 1].min(axis=1)).max() < 0.03 * character.height
+
+
+def test_handles_of_another_layout_are_refused():
+    body, motion = reference_body(), swing(2)
+    with pytest.raises(CharacterError, match="30 handles, not 5"):
+        fit_motion(motion, body.character(), Handles(np.zeros((5, 3)), np.eye(5)[np.zeros(len(body.vertices), int)]))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from bunraku.cli.checks import check_different, check_input, check_output, check_prompt, check_range, check_seconds, make_folder, slug
+from bunraku.cli.inspect import warn_of_lying
 from bunraku.cli.progress import stages
 from bunraku.cli.report import wrote
 from bunraku.errors import OptionError
@@ -78,6 +79,7 @@ class Animate:
                 report("load", 0.0)
                 character = load_character(self.character)
                 report("load", 1.0)
+                warn_of_lying(character, self.character)
 
                 from bunraku.pipeline import animate
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from bunraku.character import Character
     from bunraku.formats.gltf_document import Document
 
-__all__ = ["Inspect", "describe"]
+__all__ = ["Inspect", "describe", "warn_of_lying"]
 
 GLTF = (".glb", ".gltf", ".vrm")
 
@@ -114,13 +115,25 @@ def _count_parts(character: Character) -> tuple[int, int]:
     return count, int(mesh_parts(unique_edges(clean.faces, count), count).max()) + 1
 
 
+def _lies(extent: Any, suffix: str) -> bool:
+    """Whether a mesh seems to be made for +Z up: glTF's up axis is a rule, other files do not say and are taken for +Y up."""
+    return suffix not in GLTF and bool(extent[2] > 1.2 * extent[1])
+
+
 def _up_axis(extent: Any, suffix: str) -> dict[str, str]:
-    """glTF's up axis is a rule; other mesh files do not say, so the longer of Y and Z is taken for it."""
     if suffix in GLTF:
         return {"axis": "+Y", "why": "the rule of glTF"}
-    if extent[2] > 1.2 * extent[1]:
+    if _lies(extent, suffix):
         return {"axis": "+Y", "why": "assumed, but the mesh is longer along Z: if it lies on its back, turn it by -90 degrees about X first"}
     return {"axis": "+Y", "why": "assumed; the shape agrees"}
+
+
+def warn_of_lying(character: Character, path: Path) -> None:
+    """Say on standard error when a mesh may lie on its back, as those of CAD and printing programs do."""
+    import numpy as np
+
+    if _lies(np.ptp(character.vertices[character.surface], axis=0), path.suffix.lower()):
+        print(f"{path}: taken as +Y up, but longer along Z: if it lies on its back, turn it by -90 degrees about X first", file=sys.stderr)
 
 
 def _document(document: Document) -> dict[str, Any]:

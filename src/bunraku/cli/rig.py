@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from bunraku.cli.checks import check_input, check_output, make_folder
+from bunraku.cli.inspect import warn_of_lying
 from bunraku.cli.progress import stages
 from bunraku.cli.report import wrote
 
@@ -44,6 +45,7 @@ class Rig:
             report("load", 0.0)
             character = load_character(self.character)
             report("load", 1.0)
+            warn_of_lying(character, self.character)
 
             from bunraku.pipeline import rig
 

@@ -72,12 +72,15 @@ def read_motion(path: Path, data: bytes) -> HandleMotion:
         raise FormatError(path, "the NPZ is truncated or broken; save it again") from None
     if arrays["fps"].size != 1:
         raise FormatError(path, "its 'fps' must be one number; save it again")
+    fps = float(arrays["fps"].reshape(()))
+    if not 1 <= fps <= 1000:
+        raise FormatError(path, f"its 'fps' must be from 1 to 1000, not {fps:g}; save it again")
     return HandleMotion(
         arrays["translations"],
         _matrices(path, arrays["rotations"], 4),
         arrays["root_translation"],
         _matrices(path, arrays["root_rotation"], 3),
-        float(arrays["fps"].reshape(())),
+        fps,
     )
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bunraku.errors import BunrakuError, CharacterError, FormatError, OptionError
+from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError
 from bunraku.formats.files import check_input, check_output_folder, read_bounded
 
 if TYPE_CHECKING:
@@ -115,6 +115,8 @@ def _read(path: str | Path, ability: str) -> Any:
             return function(path, read_bounded(path))
     except CharacterError as error:
         raise CharacterError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
+    except MotionError as error:
+        raise MotionError(f"{path}: {error}") from None
     except BunrakuError:
         raise
     except MemoryError:

@@ -302,13 +302,3 @@ def _log_row(path: Path, row: dict[str, float]) -> None:
         if new:
             writer.writeheader()
         writer.writerow({name: f"{value:.6g}" for name, value in row.items()})
-
-
-def _print_row(row: dict[str, float]) -> None:
-    print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
-
-
-if __name__ == "__main__":
-    import tyro
-
-    train_handles(tyro.cli(HandleTrainConfig), _print_row)

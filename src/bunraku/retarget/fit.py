@@ -7,7 +7,7 @@ switched off, turn its motion into one of another character.
   dog) is first turned into the reference's direction, so the motion means the same.
 - `attach`: local translations are set so that each handle stays joined to its parent at the place where their weights meet. It
   takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than the reference's.
-- `ground`: the lowest point of the character is as high above the ground, in its own scale, as that of the reference body, and
+- `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of the reference body, and
   a reference body that drifts off the ground for longer than a jump lasts is set back on it.
 """
 
@@ -18,17 +18,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d, uniform_filter1d
 
-from bunraku.bodies.layout import HANDLE_PARENTS
+from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
+from bunraku.errors import CharacterError
 from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
 from bunraku.retarget.joints import Joints, attached, estimated_reference_joints, find_joints, reference_joints
-from bunraku.retarget.rest_pose import rest_rotations
+from bunraku.retarget.rest_pose import rest_rotations, upright
 
 __all__ = ["Stages", "fit_motion", "stride_scale"]
 
 SAMPLE = 30000  # vertices looked at to find the lowest point
+CHUNK = 200  # frames posed at once for it: bounds memory at about 70 MB
+_LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
+_HANGING = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("shoulder", "elbow", "wrist", "fingers", "wing", "tail", "tail_tip"))]
 
 
 @dataclass(frozen=True)
@@ -46,9 +50,20 @@ class Stages:
     ground: bool = True
 
 
+def _standing(character: Character, handles: Handles) -> np.ndarray:
+    """Vertices that may stand on the ground, shape (V,), bool: the surface, but of who stands on legs not what may hang lower
+    than the feet, such as a weapon in a hand, long arms or a tail.
+    """
+    seen, heights = character.surface, character.vertices[:, 1]
+    legs = seen & (handles.weights[:, _LEGS].sum(axis=1) > 0.5)
+    if not upright(handles) or not legs.any() or heights[legs].min() - heights[seen].min() > 0.2 * character.height:
+        return seen
+    return seen & (handles.weights[:, _HANGING].sum(axis=1) < 0.5)
+
+
 def stride_scale(character: Character, handles: Handles) -> float:
     """How long the character's strides are over the reference body's: the height of the root handle over the floor, as a ratio."""
-    over_floor = float(handles.positions[0, 1]) - float(character.vertices[character.surface, 1].min())
+    over_floor = float(handles.positions[0, 1]) - float(character.vertices[_standing(character, handles), 1].min())
     return max(over_floor, 0.02 * character.height) / float(reference_body().handles.positions[0, 1])
 
 
@@ -67,7 +82,9 @@ def _residual(motion: HandleMotion) -> np.ndarray:
 def _lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
     """Height of the lowest vertex in each frame [m], shape (N,), from an even sample of the vertices."""
     pick = slice(None, None, max(1, len(vertices) // SAMPLE))
-    return skin(vertices[pick], weights[pick], motion.transforms(positions))[..., 1].min(axis=1)
+    transforms = motion.transforms(positions)
+    parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
+    return np.concatenate([skin(vertices[pick], weights[pick], part)[..., 1].min(axis=1) for part in parts])
 
 
 def fit_motion(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None = None) -> HandleMotion:
@@ -80,10 +97,16 @@ def fit_motion(motion: HandleMotion, character: Character, handles: Handles, sta
         stages: Which stages run; all when None.
 
     Returns:
-        The motion for the character, its root path scaled by the height of the root handle above the lowest vertex.
+        The motion for the character, its root path scaled by the height of the root handle above the floor.
+
+    Raises:
+        CharacterError: The handles are not as many as the reference body's.
     """
     stages = stages or Stages()
     body = reference_body()
+    if len(handles.positions) != len(body.handles.positions):
+        want = len(body.handles.positions)
+        raise CharacterError(f"a motion is fitted to {want} handles, not {len(handles.positions)}; take those of `bunraku.rig`")
     scale = stride_scale(character, handles)
     joints = find_joints(character, handles)
     rotations = motion.rotations.astype(np.float64)
@@ -126,8 +149,14 @@ def _grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, 
     want = _lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
     window = 2 * round(0.75 * motion.fps) + 1
     drift = gaussian_filter1d(minimum_filter1d(want, window, mode="nearest"), 0.25 * motion.fps, mode="nearest")
+    stands = _standing(character, handles)
+    have = _lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions)
     seen = character.surface
-    have = _lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions)
+    if stands.sum() < seen.sum():
+        feet = _standing(body.character(), body.handles)
+        hands_down = _lowest(body.vertices[feet], body.handle_weights[feet], motion, body.handles.positions) > want + 0.01
+        if hands_down.any():
+            have = np.where(hands_down, _lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have)
     lift = uniform_filter1d((want - drift) * scale - have, 5, mode="nearest")
     moved = fitted.root_translation.copy()
     moved[:, 1] += lift

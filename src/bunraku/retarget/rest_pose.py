@@ -9,7 +9,7 @@ from bunraku.character import Handles
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
 from bunraku.retarget.joints import Joints
 
-__all__ = ["rest_rotations"]
+__all__ = ["rest_rotations", "upright"]
 
 _LIMB_ENDS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
 _FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") for part in ("wrist", "fingers")}
@@ -23,7 +23,7 @@ def rest_rotations(handles: Handles, joints: Joints, reference: Handles, referen
     their stance (see `_leg_turn`); hind legs of animals are left as they are. Everything else keeps the identity.
     """
     out = np.tile(np.eye(3), (len(handles.positions), 1, 1))
-    upright = _upright(handles)
+    stands = upright(handles)
     for side in ("left", "right"):
         for part, end in _LIMB_ENDS.items():
             handle, child = HANDLE_NAMES.index(f"{side}_{part}"), HANDLE_NAMES.index(f"{side}_{end}")
@@ -38,7 +38,7 @@ def rest_rotations(handles: Handles, joints: Joints, reference: Handles, referen
             if np.linalg.norm(own) < SHORTEST * height:
                 continue
             if part in ("hip", "knee"):
-                out[handle] = _leg_turn(own, want) if upright else np.eye(3)
+                out[handle] = _leg_turn(own, want) if stands else np.eye(3)
             else:
                 out[handle] = rotation_between(own, want)
     for name, lead in _FOLLOWERS.items():
@@ -46,7 +46,7 @@ def rest_rotations(handles: Handles, joints: Joints, reference: Handles, referen
     return out
 
 
-def _upright(handles: Handles) -> bool:
+def upright(handles: Handles) -> bool:
     """Whether the head is over the hips rather than before them."""
     spine = handles.positions[HANDLE_NAMES.index("head")] - handles.positions[0]
     return bool(spine[1] > abs(spine[2]))
