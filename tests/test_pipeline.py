@@ -48,7 +48,7 @@ def test_the_same_seed_gives_the_same_animation(person, walk):
     assert difference(other.vertices(), walk.vertices(), person.height) > 0.05
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(0.01, (0, 0, 0)), (128.0, (0, 0, 0)), (1.0, (3.0, 0.0, -2.0))])
+@pytest.mark.parametrize(("scale", "shift"), [(0.01, (0, 0, 0)), (128.0, (0, 0, 0)), (1.0, (3.0, 4.0, -2.0))])
 def test_scale_and_place_change_the_animation_by_rounding_only(person, walk, scale, shift):
     moved = dataclasses.replace(person, vertices=person.vertices * np.float32(scale) + np.float32(shift))
     got = animate(moved, PROMPT, seconds=2.0).vertices()

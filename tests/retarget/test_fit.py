@@ -167,3 +167,19 @@ def test_handles_of_another_layout_are_refused():
     body, motion = reference_body(), swing(2)
     with pytest.raises(CharacterError, match="30 handles, not 5"):
         fit_motion(motion, body.character(), Handles(np.zeros((5, 3)), np.eye(5)[np.zeros(len(body.vertices), int)]))
+
+
+def test_a_body_that_lies_along_its_spine_takes_a_third_of_the_tilt():
+    body = reference_body()
+    rotations = np.tile(np.eye(3), (10, JOINT_COUNT, 1, 1))
+    rotations[:, 0] = Rotation.from_euler("x", 60, degrees=True).as_matrix()  # the pelvis bends forward
+    motion = handle_motion_of_body(SkeletalMotion(body.skeleton, rotations, np.tile(body.joints[0], (10, 1))))
+    lying = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    vertices = (body.vertices @ lying.T).astype(np.float32)
+    dog, handles = Character("dog", vertices, body.faces), Handles(body.handles.positions @ lying.T, body.handle_weights)
+
+    def tilt(fitted):
+        return np.degrees(np.linalg.norm(Rotation.from_matrix(fitted.root_rotation[5]).as_rotvec()))
+
+    assert tilt(fit_motion(motion, body.character(), body.handles)) == pytest.approx(60, abs=3)
+    assert tilt(fit_motion(motion, dog, handles)) == pytest.approx(20, abs=3)

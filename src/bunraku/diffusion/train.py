@@ -132,7 +132,6 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
     ):
         raise OptionError("batch, threads, minutes and steps must be positive")
     torch.set_num_threads(config.threads)
-    torch.set_flush_denormal(True)
     config.out.mkdir(parents=True, exist_ok=True)
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -162,7 +161,11 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
         f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "
         f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, from step {trainer.step}"
     )
-    _loop(trainer, network, train, bank, examples, console)
+    torch.set_flush_denormal(True)  # tiny moments of the optimiser cost ten times their worth
+    try:
+        _loop(trainer, network, train, bank, examples, console)
+    finally:
+        torch.set_flush_denormal(False)
     return config.out / "diffusion.safetensors"
 
 

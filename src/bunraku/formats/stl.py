@@ -30,7 +30,7 @@ def read_stl(path: Path, data: bytes) -> Character:
         CharacterError: What it holds is no character.
     """
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
-    text = data[:512].lstrip().lower().startswith(b"solid") and len(data) != 84 + 50 * count
+    text = data[:512].lstrip().lower().startswith(b"solid") and b"facet" in data[:4096].lower() and len(data) != 84 + 50 * count
     corners = _text(path, data) if text else _binary(path, data, count)
     triangles = np.arange(len(corners)).reshape(-1, 3)
     material = {"name": path.stem, "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]}}

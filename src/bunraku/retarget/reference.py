@@ -11,7 +11,7 @@ from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
 from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
-from bunraku.retarget.fit import stride_scale
+from bunraku.retarget.ground import stride_scale
 from bunraku.retarget.joints import Joints, attached, estimated_reference_joints, find_joints, reference_joints
 from bunraku.retarget.rest_pose import rest_rotations
 

@@ -1,0 +1,72 @@
+"""Feet on the floor: how high a character stands and how its lowest point follows the reference body's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d, uniform_filter1d
+
+from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.bodies.reference import reference_body
+from bunraku.character import Character, Handles
+from bunraku.geometry.skinning import skin
+from bunraku.motion import HandleMotion
+from bunraku.retarget.rest_pose import upright
+
+__all__ = ["grounded", "stride_scale"]
+
+SAMPLE = 30000  # vertices looked at to find the lowest point
+CHUNK = 200  # frames posed at once for it: bounds memory at about 70 MB
+_LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
+_HANGING = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("shoulder", "elbow", "wrist", "fingers", "wing", "tail", "tail_tip"))]
+
+
+def _standing(character: Character, handles: Handles) -> np.ndarray:
+    """Vertices that may stand on the ground, shape (V,), bool: the surface, but of who stands on legs not what may hang lower
+    than the feet, such as a weapon in a hand, long arms or a tail.
+    """
+    seen, heights = character.surface, character.vertices[:, 1]
+    legs = seen & (handles.weights[:, _LEGS].sum(axis=1) > 0.5)
+    if not upright(handles) or not legs.any() or heights[legs].min() - heights[seen].min() > 0.2 * character.height:
+        return seen
+    return seen & (handles.weights[:, _HANGING].sum(axis=1) < 0.5)
+
+
+def stride_scale(character: Character, handles: Handles) -> float:
+    """How long the character's strides are over the reference body's: the height of the root handle over the floor, as a ratio."""
+    over_floor = float(handles.positions[0, 1]) - float(character.vertices[_standing(character, handles), 1].min())
+    return max(over_floor, 0.02 * character.height) / float(reference_body().handles.positions[0, 1])
+
+
+def _lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
+    """Height of the lowest vertex in each frame [m], shape (N,), from an even sample of the vertices."""
+    pick = slice(None, None, max(1, len(vertices) // SAMPLE))
+    transforms = motion.transforms(positions)
+    parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
+    return np.concatenate([skin(vertices[pick], weights[pick], part)[..., 1].min(axis=1) for part in parts])
+
+
+def grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, handles: Handles, scale: float) -> HandleMotion:
+    """The fitted motion with its lowest point as high over the floor, that of its rest pose, as the reference body's is over y = 0.
+
+    The reference body's own drift off the ground is taken out first.
+    Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the ground is for that frame.
+    """
+    body = reference_body()
+    want = _lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
+    window = 2 * round(0.75 * motion.fps) + 1
+    drift = gaussian_filter1d(minimum_filter1d(want, window, mode="nearest"), 0.25 * motion.fps, mode="nearest")
+    stands = _standing(character, handles)
+    have = _lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions)
+    seen = character.surface
+    if stands.sum() < seen.sum():
+        feet = _standing(body.character(), body.handles)
+        hands_down = _lowest(body.vertices[feet], body.handle_weights[feet], motion, body.handles.positions) > want + 0.01
+        if hands_down.any():
+            have = np.where(hands_down, _lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have)
+    floor = float(character.vertices[stands, 1].min())
+    lift = uniform_filter1d(floor + (want - drift) * scale - have, 5, mode="nearest")
+    moved = fitted.root_translation.copy()
+    moved[:, 1] += lift
+    return replace(fitted, root_translation=moved)
