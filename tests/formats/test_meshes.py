@@ -9,7 +9,7 @@ from gltf_files import CUBE, CUBE_FACES, made_up_handles, png
 from gltf_player import Player
 
 from bunraku.errors import BunrakuError, CharacterError, FormatError
-from bunraku.formats import load_character, save_character
+from bunraku.formats import files, load_character, save_character
 
 OBJ = """mtllib cube.mtl
 o cube
@@ -202,3 +202,20 @@ def test_large_files_are_read_in_a_moment(tmp_path):
         start = time.perf_counter()
         assert len(load_character(tmp_path / f"sheet.{suffix}").faces) == len(faces)
         assert time.perf_counter() - start < 5
+
+
+@pytest.mark.parametrize(("name", "text"), [("big.obj", "v 0 0 0\n"), ("big.stl", "solid x\nfacet normal 0 0 1\n")])
+def test_text_that_would_not_fit_in_memory_is_refused(tmp_path, name, text, monkeypatch):
+    monkeypatch.setattr(files, "MAX_TEXT_BYTES", 1000)
+    path = tmp_path / name
+    path.write_text(text + "# more\n" * 400)
+    with pytest.raises(FormatError, match="of text are too many"):
+        load_character(path)
+
+
+def test_a_binary_stl_whose_header_says_solid_and_that_has_a_tail(tmp_path):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
+    record = np.zeros(3, "<f4").tobytes() + corners.tobytes() + b"\0\0"
+    path = tmp_path / "tail.stl"
+    path.write_bytes(b"solid made by a tool".ljust(80) + (1).to_bytes(4, "little") + record + b"trailing")
+    np.testing.assert_array_equal(load_character(path).vertices, corners)

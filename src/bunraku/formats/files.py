@@ -14,10 +14,13 @@ from urllib.parse import unquote
 
 from bunraku.errors import FormatError
 
-__all__ = ["MAX_BYTES", "atomic_write", "check_input", "check_output_folder", "inside", "read_bounded"]
+__all__ = ["MAX_BYTES", "atomic_write", "check_input", "check_output_folder", "check_text", "inside", "read_bounded"]
 
 MAX_BYTES = 2 << 30
 """Largest file that is read [bytes]."""
+
+MAX_TEXT_BYTES = 400 << 20
+"""Largest mesh that is read as text [bytes]: words take some ten times their file's memory."""
 
 
 def check_input(path: Path) -> int:
@@ -41,6 +44,16 @@ def check_input(path: Path) -> int:
     if status.st_size > MAX_BYTES:
         raise FormatError(path, f"the file has {status.st_size / 2**30:.1f} GiB but at most {MAX_BYTES >> 30} GiB are read; simplify the mesh first")
     return status.st_size
+
+
+def check_text(path: Path, data: bytes) -> None:
+    """Refuse a text mesh that is too large to be taken apart.
+
+    Raises:
+        FormatError: It has more than `MAX_TEXT_BYTES`.
+    """
+    if len(data) > MAX_TEXT_BYTES:
+        raise FormatError(path, f"{len(data) >> 20} MiB of text are too many, at most {MAX_TEXT_BYTES >> 20} are read; save it as GLB or binary PLY")
 
 
 def read_bounded(path: Path) -> bytes:

@@ -13,6 +13,7 @@ import numpy as np
 
 from bunraku.character import Character
 from bunraku.errors import FormatError
+from bunraku.formats.files import check_text
 from bunraku.formats.gltf_builder import mesh_document
 from bunraku.formats.gltf_colors import linear_from_srgb
 from bunraku.formats.gltf_read import character_from_document
@@ -34,6 +35,7 @@ def read_obj(path: Path, data: bytes) -> Character:
         FormatError: A line cannot be understood, or a face uses a vertex that does not exist.
         CharacterError: What it holds is no character.
     """
+    check_text(path, data)
     lines = _Lines(path, data)
     rows = _numbers(path, lines.positions, (3, 4, 6, 7, 8), "a vertex (v)")
     positions = rows[:, :3]

@@ -10,7 +10,7 @@ import numpy as np
 
 from bunraku.character import Character
 from bunraku.errors import FormatError
-from bunraku.formats.files import inside
+from bunraku.formats.files import check_text, inside
 from bunraku.formats.gltf_builder import mesh_document
 from bunraku.formats.gltf_colors import linear_from_srgb
 from bunraku.formats.gltf_document import Document
@@ -48,6 +48,8 @@ def read_ply(path: Path, data: bytes) -> Character:
     kind, elements, texture, body = _header(path, data)
     vertices: dict[str, np.ndarray] = {}
     triangles = np.zeros((0, 3), np.int64)
+    if kind == "ascii":
+        check_text(path, data)
     reader = _Text(path, body, elements) if kind == "ascii" else _Binary(path, body, ">" if kind == "binary_big_endian" else "<")
     for element in elements:
         lists = [entry for entry in element.properties if entry[2]]

@@ -9,6 +9,7 @@ import numpy as np
 
 from bunraku.character import Character
 from bunraku.errors import FormatError
+from bunraku.formats.files import check_text
 from bunraku.formats.gltf_builder import mesh_document
 from bunraku.formats.gltf_read import character_from_document
 
@@ -31,6 +32,8 @@ def read_stl(path: Path, data: bytes) -> Character:
     """
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
     text = data[:512].lstrip().lower().startswith(b"solid") and b"facet" in data[:4096].lower() and len(data) != 84 + 50 * count
+    if text:
+        check_text(path, data)
     corners = _text(path, data) if text else _binary(path, data, count)
     triangles = np.arange(len(corners)).reshape(-1, 3)
     material = {"name": path.stem, "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]}}
