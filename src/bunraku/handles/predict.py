@@ -16,7 +16,7 @@ from bunraku.geometry.simplify import NetworkMesh, network_mesh
 if TYPE_CHECKING:
     from bunraku.handles.predictor import HandlePredictor
 
-__all__ = ["predict_handles", "predict_weights", "smooth_weights", "trim_weights"]
+__all__ = ["predict_handles", "predict_weights", "smooth_weights", "stiffen_parts", "trim_weights"]
 
 
 def smooth_weights(weights: np.ndarray, edges: np.ndarray, steps: int = 2, share: float = 0.5) -> np.ndarray:
@@ -45,6 +45,28 @@ def trim_weights(weights: np.ndarray, least: float = 0.01) -> np.ndarray:
     return (kept / kept.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
+def stiffen_parts(weights: np.ndarray, mesh: NetworkMesh, largest: float = 0.35, clear: float = 0.7) -> np.ndarray:
+    """Give each small loose part (an eye, a button, a helmet, a sword) one weight for all of it, so that it moves as a whole.
+
+    Args:
+        weights: Shape (M, K), rows sum to 1.
+        mesh: The network mesh, whose `components` are its loose parts.
+        largest: Parts of a greater extent than this, as a share of the mesh's, may bend and stay as they are.
+        clear: So do parts of which no handle holds this share; they reach over a joint, as a sleeve does.
+    """
+    if not mesh.components.any():
+        return weights
+    out = weights.copy()
+    order = np.argsort(mesh.components, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(mesh.components[order])) + 1):
+        if np.ptp(mesh.vertices[members], axis=0).max() > largest:
+            continue
+        mean = np.average(weights[members], axis=0, weights=mesh.areas[members] + 1e-12)
+        if mean.max() >= clear:
+            out[members] = mean
+    return out
+
+
 @lru_cache(maxsize=2)
 def _model(path: Path, changed: int) -> HandlePredictor:
     from bunraku.handles.predictor import load_predictor
@@ -71,9 +93,9 @@ def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarr
 def predict_handles(character: Character, checkpoint: str | Path | None = None) -> Handles:
     """The handles of a character (Eq. 1 of TapMo): positions, skinning weights of every vertex, and the feature f_phi.
 
-    The network sees the normalised network mesh; its weights are smoothed over that mesh and carried to every vertex of the
-    original. Handle positions are weighted means by surface area, in the form of Eq. 4, so that tessellation does not matter;
-    a handle without a surface stands where its parent stands.
+    The network sees the normalised network mesh. Its weights are smoothed over that mesh, made one over small loose parts, and
+    carried to every vertex of the original. Handle positions are weighted means by surface area, in the form of Eq. 4, so that
+    tessellation does not matter; a handle without a surface stands where its parent stands.
 
     Args:
         character: Any mesh, +Y up and facing +Z; a rig it may have is not looked at.
@@ -89,7 +111,7 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     model = _model(path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0)
     mesh = network_mesh(character.vertices, character.faces, model.config.mesh_vertices)
     weights, features = predict_weights(mesh, model)
-    weights = trim_weights(smooth_weights(weights, mesh.edges))
+    weights = trim_weights(stiffen_parts(smooth_weights(weights, mesh.edges), mesh))
     positions = handle_positions(mesh.vertices, weights, mesh.areas) * mesh.scale + mesh.center
     spread = np.maximum(mesh.push(weights), 0)
     total = spread.sum(axis=1, keepdims=True)
