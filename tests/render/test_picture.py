@@ -173,3 +173,11 @@ def test_frames_that_are_not_numbers_are_refused():
         render_frames(np.full((1, 3, 3), np.nan), np.array([(0, 1, 2)]))
     with pytest.raises(OptionError):
         render_frames(np.zeros((0, 3, 3)), np.array([(0, 1, 2)]))
+
+
+@pytest.mark.parametrize(("floor", "lift", "ground"), [(None, 0.0, -0.3), (0.0, 0.0, 0.0), (0.0, 5.0, 4.7)])
+def test_the_ground_is_where_the_rest_pose_stands_unless_the_motion_is_elsewhere(floor, lift, ground):
+    framing = Framing(10, (200, 160), floor=floor)
+    for frame in range(10):  # a tall thing whose sword hangs 0.3 m through the floor
+        framing.add(frame, np.array([[0, lift - 0.3, 0], [1, lift + 2, 0], [0, lift + 2, 1]], np.float32))
+    assert framing.ground == pytest.approx(ground, abs=1e-6)

@@ -101,6 +101,7 @@ class Framing:
         fps: Frames a second [1/s].
         axes: Rows right, up and back, shape (3, 3).
         margin: Share of the picture's half width and height left empty at each border; a pair gives the lower border another.
+        floor: Height on which the character stands at rest [m]; it is the ground where the motion stays near it.
     """
 
     def __init__(
@@ -110,11 +111,13 @@ class Framing:
         fps: float = 20.0,
         axes: np.ndarray | None = None,
         margin: float | tuple[float, float] = 0.1,
+        floor: float | None = None,
     ):
         self.axes = view_axes() if axes is None else np.asarray(axes, np.float64)
         self.bounds = np.zeros((frames, 2, 3), np.float32)
         self._support = np.zeros((frames, 4))
         self._fps = fps
+        self._floor = floor
         above, below = (margin, margin) if isinstance(margin, float) else margin
         slope = float(np.tan(0.5 * FIELD_OF_VIEW))
         self._slopes = np.array([slope * size[0] / size[1] * (1 - above), slope * (1 - above), slope * (1 - below)])
@@ -132,8 +135,13 @@ class Framing:
 
     @property
     def ground(self) -> float:
-        """Height of the floor [m]: what the lowest vertices of nearly all frames stand above."""
-        return float(np.quantile(self.bounds[:, 0, 1], 0.05, method="lower"))
+        """Height of the ground [m]: the floor of the rest pose, through which a weapon or a tail may pass for a while; of a motion
+        elsewhere, or without a floor, what the lowest vertices of nearly all frames stand above.
+        """
+        lowest = float(np.quantile(self.bounds[:, 0, 1], 0.05, method="lower"))
+        if self._floor is not None and abs(lowest - self._floor) < 0.4 * self.extent:
+            return self._floor
+        return lowest
 
     def offsets(self) -> np.ndarray:
         """How far the camera and the lit part of the floor have moved in each frame [m], shape (N, 3); zeros for a short path."""

@@ -35,6 +35,7 @@ class _Take:
     colors: np.ndarray | None
     frames: Callable[[], Iterator[np.ndarray]]
     count: int
+    floor: float | None = None
 
 
 def render_frames(
@@ -165,7 +166,7 @@ def _take(animation: Animation, times: np.ndarray, color: str) -> _Take:
             for posed in (left @ basis).reshape(len(blend), 3, -1):
                 yield np.ascontiguousarray(posed.T)
 
-    return _Take(rest, faces, colors, frames, len(times))
+    return _Take(rest, faces, colors, frames, len(times), floor=float(rest[:, 1].min()))
 
 
 def _simplified(
@@ -216,7 +217,7 @@ def _draw(
     width, height = int(size[0]), int(size[1])
     if not (16 <= width <= 4096 and 16 <= height <= 4096):
         raise OptionError(f"a picture has 16 to 4096 pixels a side, not {width} x {height}")
-    framing = Framing(take.count, (width, height), fps, axes if camera is None else camera.axes)
+    framing = Framing(take.count, (width, height), fps, axes if camera is None else camera.axes, floor=take.floor)
     for index, posed in enumerate(take.frames()):
         framing.add(index, posed)
     stage = set_stage(framing, background)
