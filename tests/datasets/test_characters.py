@@ -7,6 +7,7 @@ import pytest
 from bunraku.bodies.reference import reference_body
 from bunraku.datasets.characters import HELD_OUT, build_characters, reference_characters, training_character
 from bunraku.errors import CharacterError, FormatError
+from bunraku.samples import sample_names
 
 
 def test_reference_character_knows_its_handles():
@@ -57,5 +58,6 @@ def test_archive(tmp_path):
     (small / "Knight.glb").write_bytes(file.read_bytes())
     (small / "Broken.glb").write_bytes(b"glTF broken")
     done, failed = build_characters(tmp_path / "in", tmp_path / "cache", 600)
-    assert [d.stem for d in done] == ["Knight"] and set(failed) == {"kaykit/Broken"}
+    assert [d.stem for d in done if d.parent.name == "kaykit"] == ["Knight"] and set(failed) == {"kaykit/Broken"}
+    assert sorted(d.stem for d in done if d.parent.name == "samples") == sorted(sample_names())
     assert len(HELD_OUT) == 30
