@@ -91,6 +91,7 @@ def attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[n
 
 @lru_cache(maxsize=1)
 def reference_joints() -> Joints:
+    """The reference body's handles with its true joints, positions [m] of shape (30, 3)."""
     body = reference_body()
     estimated = find_joints(body.character(), body.handles)
     return replace(estimated, positions=np.concatenate([body.joints, estimated.positions[len(body.joints) :]]))
@@ -98,5 +99,6 @@ def reference_joints() -> Joints:
 
 @lru_cache(maxsize=1)
 def estimated_reference_joints() -> Joints:
+    """The reference body's joints as `find_joints` sees them, to compare with those of other characters [m], shape (30, 3)."""
     body = reference_body()
     return find_joints(body.character(), body.handles)
