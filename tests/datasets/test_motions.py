@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from bunraku.bodies.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.bodies.reference import reference_body
 from bunraku.datasets.feet import level_feet, standing_foot_pitch, subject_of, subject_pitches
-from bunraku.datasets.motions import MotionArchive, build_motions, handle_motion_of_body, load_clip, split_of
+from bunraku.datasets.motions import MotionArchive, build_motions, handle_motion_of_body, split_of
+from bunraku.diffusion.clips import load_clip
 from bunraku.errors import FormatError
 from bunraku.geometry.skinning import skin
 from bunraku.motion import SkeletalMotion

@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from bunraku.datasets.motions import load_clip, write_clip
 from bunraku.datasets.turns import add_turns, find_turn
+from bunraku.diffusion.clips import load_clip, write_clip
 from bunraku.diffusion.features import heading
+from bunraku.errors import FormatError
 from bunraku.geometry.rotations import matrix_y
 from bunraku.motion import HandleMotion
 
@@ -45,3 +46,9 @@ def test_turns_join_the_index_with_their_direction(tmp_path):
     turn = load_clip(tmp_path / "turn_a.npz")
     assert len(turn) == index["turn_a"]["frames"] < 90
     assert np.ptp(heading(turn.root_rotation)) > 2.5
+
+
+def test_an_index_cannot_name_a_file_outside_its_folder(tmp_path):
+    (tmp_path / "index.json").write_text(json.dumps({"clips": {"../outside": {"texts": ["walk"], "split": "train"}}}))
+    with pytest.raises(FormatError, match="not a plain name"):
+        add_turns(tmp_path)

@@ -8,7 +8,6 @@ most packs let their characters walk on the spot, and only characters whose defa
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -20,7 +19,8 @@ from bunraku.bodies.bone_names import handle_of_joints
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.bodies.reference import handle_positions
 from bunraku.character import Character, Handles
-from bunraku.datasets.motions import handle_motion_of_mesh, split_of, write_clip
+from bunraku.datasets.motions import handle_motion_of_mesh, split_of
+from bunraku.diffusion.clips import load_index, write_clip, write_index
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.motion import HandleMotion
@@ -88,12 +88,9 @@ def add_game_clips(characters: str | Path, out: str | Path, progress: Callable[[
     from bunraku.formats.gltf_play import load_animation
 
     characters, out = Path(characters), Path(out)
-    path = out / "index.json"
-    if not path.is_file():
-        raise FormatError(path, "there is no index; run `bunraku data motions` first")
-    index = json.loads(path.read_text(encoding="utf-8"))
+    clips = load_index(out)
     table = json.loads(resources.files("bunraku.datasets").joinpath("game_clips.json").read_text(encoding="utf-8"))
-    wanted = [(file, clip, caption) for file, clips in table.items() for clip, caption in clips.items() if (characters / f"{file}.glb").is_file()]
+    wanted = [(file, clip, caption) for file, named in table.items() for clip, caption in named.items() if (characters / f"{file}.glb").is_file()]
     if not wanted:
         raise FormatError(characters, "none of the known characters is here; give the folder of the unpacked character archive")
     added, failed = [], {}
@@ -107,11 +104,9 @@ def add_game_clips(characters: str | Path, out: str | Path, progress: Callable[[
         write_clip(out / f"{name}.npz", motion)
         text = caption.format(hand=_side(motion, "wrist"), leg=_side(motion, "ankle"))
         entry = {"texts": [text], "source": f"character archive, {file}", "licence": "CC0-1.0", "frames": len(motion)}
-        index["clips"][name] = entry | {"split": split_of(name), "weight": 1.0}
+        clips[name] = entry | {"split": split_of(name), "weight": 1.0}
         added.append(name)
         if progress:
             progress("converting clips of characters", (number + 1) / len(wanted))
-    temporary = path.with_suffix(".json.tmp")
-    temporary.write_text(json.dumps(index, indent=1), encoding="utf-8")
-    os.replace(temporary, path)
+    write_index(out, clips)
     return added, failed

@@ -21,13 +21,14 @@ import numpy as np
 from bunraku.bodies.layout import JOINT_NAMES
 from bunraku.bodies.reference import ReferenceBody, handle_positions, reference_body
 from bunraku.datasets.feet import level_feet, standing_foot_pitch, subject_pitches
+from bunraku.diffusion.clips import write_clip, write_index
 from bunraku.errors import FormatError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.registration import register
-from bunraku.geometry.rotations import matrix_from_6d, matrix_from_quaternion, matrix_to_6d
+from bunraku.geometry.rotations import matrix_from_quaternion
 from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton
 
-__all__ = ["MotionArchive", "build_motions", "handle_motion_of_body", "handle_motion_of_mesh", "load_clip", "split_of", "write_clip"]
+__all__ = ["MotionArchive", "build_motions", "handle_motion_of_body", "handle_motion_of_mesh", "split_of"]
 
 QUATERNION_STEP = 8192.0  # the archive stores first differences of round(8192 q)
 CHUNK = 400  # frames posed at once: bounds memory at about 30 MB a worker
@@ -150,43 +151,6 @@ def split_of(name: str) -> str:
     return "test" if number < 6 else "val" if number < 9 else "train"
 
 
-def write_clip(path: Path, motion: HandleMotion) -> None:
-    """Write a converted clip, whole or not at all; locals in half precision, which costs under a millimetre."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with open(temporary, "wb") as handle:
-        np.savez(
-            handle,
-            translations=motion.translations.astype(np.float16),
-            rotations6d=matrix_to_6d(motion.rotations).astype(np.float16),
-            root_translation=motion.root_translation,
-            root_rotation6d=matrix_to_6d(motion.root_rotation),
-            fps=np.float32(motion.fps),
-        )
-    os.replace(temporary, path)
-
-
-def load_clip(path: str | Path) -> HandleMotion:
-    """A clip that `build_motions` wrote.
-
-    Raises:
-        FormatError: The file is missing or broken.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as clip:
-            rotations = matrix_from_6d(clip["rotations6d"].astype(np.float32))
-            return HandleMotion(
-                clip["translations"].astype(np.float32),
-                rotations,
-                clip["root_translation"],
-                matrix_from_6d(clip["root_rotation6d"]),
-                float(clip["fps"]),
-            )
-    except Exception as error:
-        raise FormatError(
-            path, f"cannot be read as a converted clip ({type(error).__name__}); delete it and run `bunraku data motions` again"
-        ) from error
-
-
 def _convert(archive: MotionArchive, indices: list[int], out: Path, slopes: dict[str, float]) -> int:
     for index in indices:
         name = archive.names[index]
@@ -277,8 +241,4 @@ def build_motions(source: str | Path, out: str | Path, jobs: int | None = None, 
         }
         for i, (name, clip) in enumerate((name, archive.clips.get(name, {})) for name in archive.names)
     }
-    path = out / "index.json"
-    temporary = path.with_suffix(".json.tmp")
-    temporary.write_text(json.dumps({"fps": 20, "clips": entries}, indent=1), encoding="utf-8")
-    os.replace(temporary, path)
-    return path
+    return write_index(out, entries)

@@ -6,16 +6,12 @@ and less than a metre, that stretch becomes a clip of its own that says so, with
 
 from __future__ import annotations
 
-import json
-import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from bunraku.datasets.motions import load_clip, write_clip
+from bunraku.diffusion.clips import load_clip, load_index, write_clip, write_index
 from bunraku.diffusion.features import heading
-from bunraku.errors import FormatError
 from bunraku.motion import HandleMotion
 
 __all__ = ["add_turns", "cut", "find_turn"]
@@ -66,15 +62,11 @@ def add_turns(out: str | Path) -> list[str]:
         FormatError: The index or a clip is missing or broken.
     """
     out = Path(out)
-    path = out / "index.json"
-    try:
-        index: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise FormatError(path, "there is no index that can be read; run `bunraku data motions` first") from error
+    clips = load_index(out)
     added = {}
-    for name, entry in list(index["clips"].items()):
+    for name, entry in list(clips.items()):
         if name.startswith("turn_"):
-            del index["clips"][name]  # of an earlier run; made again below
+            del clips[name]  # of an earlier run; made again below
             continue
         text = " ".join(entry["texts"]).lower()
         if entry["split"] != "train" or not any(word in text for word in _WALKS) or any(word in text for word in _OTHERS):
@@ -88,8 +80,5 @@ def add_turns(out: str | Path) -> list[str]:
         write_clip(out / f"turn_{name}.npz", clip)
         caption = f"a person turns around to the {'left' if change > 0 else 'right'}"
         added[f"turn_{name}"] = entry | {"texts": [caption], "frames": len(clip)}
-    index["clips"] |= added
-    temporary = path.with_suffix(".json.tmp")
-    temporary.write_text(json.dumps(index, indent=1), encoding="utf-8")
-    os.replace(temporary, path)
+    write_index(out, clips | added)
     return list(added)

@@ -6,7 +6,6 @@ have seen.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from bunraku.diffusion.captions import caption_group, caption_variants
+from bunraku.diffusion.clips import load_clip, load_index
 from bunraku.diffusion.features import FeatureStatistics, encode, feature_weights, mirror
 from bunraku.errors import FormatError
-from bunraku.geometry.rotations import matrix_from_6d
-from bunraku.motion import HandleMotion
 
 __all__ = ["ClipSet", "MotionBatch", "join_point", "load_clips", "splice"]
 
@@ -63,16 +61,8 @@ class MotionBatch:
     sentences: list[str]
 
 
-def _read_clip(path: Path) -> np.ndarray:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            translations = np.asarray(file["translations"], np.float32)
-            rotations = matrix_from_6d(np.asarray(file["rotations6d"], np.float32))
-            translations[:, 0], rotations[:, 0] = 0, np.eye(3)
-            root = matrix_from_6d(np.asarray(file["root_rotation6d"], np.float32))
-            motion = HandleMotion(translations, rotations, np.asarray(file["root_translation"], np.float32), root, float(file["fps"]))
-    except Exception as error:
-        raise FormatError(path, f"this is not a handle-motion clip ({error}); build the data again with 'bunraku data motions'") from error
+def _features(path: Path) -> np.ndarray:
+    motion = load_clip(path)
     if abs(motion.fps - 20) > 0.01:
         raise FormatError(path, f"the clip has {motion.fps:g} frames a second, not 20; build the data again with 'bunraku data motions'")
     return encode(motion)
@@ -90,16 +80,11 @@ def load_clips(folder: str | Path, progress: Any = None, splits: Collection[str]
         FormatError: The index or a clip is missing or damaged.
     """
     folder = Path(folder)
-    try:
-        index = json.loads((folder / "index.json").read_text(encoding="utf-8"))["clips"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FormatError(folder / "index.json", "the motion data are missing or damaged; build them with 'bunraku data motions'") from error
+    index = load_index(folder)
     found = {}
     for done, (name, entry) in enumerate(sorted(index.items())):
-        if "/" in name or "\\" in name or name.startswith("."):
-            raise FormatError(folder / "index.json", f"the clip name {name!r} is not a plain name")
         if entry.get("texts") and (splits is None or entry.get("split", "train") in splits):
-            features = _read_clip(folder / f"{name}.npz")
+            features = _features(folder / f"{name}.npz")
             if len(features) >= MIN_FRAMES:
                 found[name] = {**entry, "features": features}
         if progress is not None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from bunraku.formats.files import atomic_write
 from bunraku.handles.graph import mesh_graph
 from bunraku.handles.predictor import HandlePredictor
 from bunraku.handles.training_data import AugmentConfig, TrainingCharacter, augment, plain_mesh
@@ -39,8 +39,6 @@ def write_mesh_bank(model: HandlePredictor, characters: Sequence[TrainingCharact
             features.append(model(graph).features.float().cpu().numpy())
             names.append(character.name)
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with open(temporary, "wb") as handle:
-        np.savez(handle, features=np.stack(features).astype(np.float32), names=np.array(names))
-    os.replace(temporary, path)
+    with atomic_write(path) as file:
+        np.savez(file, features=np.stack(features).astype(np.float32), names=np.array(names))
     return path
