@@ -103,9 +103,8 @@ def textured_glb(extra=None):
     bind = np.tile(np.eye(4, dtype=np.float32), (2, 1, 1))
     bind[1, 3, 1] = -1  # column-major: the second joint is bound at height 1
     clip = {"channels": [{"sampler": 0, "target": {"node": 2, "path": "rotation"}}]}
-    clip["samplers"] = [
-        {"input": maker.add(np.array([0, 1], np.float32), bounds=True), "output": maker.add(np.array([[0, 0, 0, 1], [1, 0, 0, 0]], np.float32))}
-    ]
+    keys = maker.add(np.array([0, 1], np.float32), bounds=True)
+    clip["samplers"] = [{"input": keys, "output": maker.add(np.array([[0, 0, 0, 1], [1, 0, 0, 0]], np.float32)), "interpolation": "LINEAR"}]
     return maker.glb(
         scenes=[{"nodes": [0, 1], "name": "stage"}],
         nodes=[

@@ -13,10 +13,10 @@ from bunraku.formats import load_character
 
 @pytest.fixture
 def load(tmp_path):
-    def load(data, name="thing.glb"):
+    def load(data, name="thing.glb", **options):
         path = tmp_path / name
         path.write_bytes(data)
-        return load_character(path)
+        return load_character(path, **options)
 
     return load
 
@@ -89,7 +89,7 @@ def test_the_default_scene_is_the_character(load):
 
 
 def test_skins_pose_their_meshes_and_the_rest_hangs_on_joints(load):
-    thing = load(textured_glb())
+    thing = load(textured_glb(), rest="default")
     assert len(thing.vertices) == 24 and len(thing.faces) == 36
     assert thing.rig.names == ("hip", "spine") and thing.rig.parents.tolist() == [-1, 0]
     angle = 2 * np.arcsin(0.1736482)

@@ -62,10 +62,10 @@ def read_bounded(path: Path) -> bytes:
     Raises:
         FormatError: As `check_input`, or the file cannot be read.
     """
-    check_input(path)
+    size = check_input(path)
     try:
         with path.open("rb") as file:
-            return file.read(MAX_BYTES)
+            return file.read(size)  # a larger number would be set aside in memory first
     except OSError as error:
         raise FormatError(path, f"the file cannot be read ({_reason(error)}); check its permissions") from None
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from bunraku.formats.gltf_document import Document
 from bunraku.formats.gltf_nodes import NodeTree, SkinJoints
+from bunraku.formats.skins import borrow_weights
 
 __all__ = ["MeshPart", "PrimitiveData", "check_size", "primitive_groups", "primitive_triangles", "read_part", "skin_matrices"]
 
@@ -226,23 +227,9 @@ def _influences(document: Document, attributes: dict[str, Any], raw: np.ndarray,
     total = shares.sum(axis=1)
     lost = np.flatnonzero(~(total > 1e-9))
     if len(lost):
-        _borrow(raw, indices, shares, lost)
+        borrow_weights(raw, indices, shares, lost)
         total = shares.sum(axis=1)
     return indices, shares / total[:, None], len(lost)
-
-
-def _borrow(raw: np.ndarray, indices: np.ndarray, shares: np.ndarray, lost: np.ndarray) -> None:
-    """Give vertices without weights those of the nearest vertex that has some; the first joint where none has."""
-    good = np.flatnonzero(shares.sum(axis=1) > 1e-9)
-    good = good[np.isfinite(raw[good]).all(axis=1)]
-    if not len(good):
-        indices[lost], shares[lost] = 0, 0
-        shares[lost, 0] = 1
-        return
-    from scipy.spatial import cKDTree
-
-    nearest = good[cKDTree(raw[good]).query(np.nan_to_num(raw[lost]))[1]]
-    indices[lost], shares[lost] = indices[nearest], shares[nearest]
 
 
 def _skinned(raw: np.ndarray, slots: np.ndarray, weights: np.ndarray, bind: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:

@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bunraku.formats.gltf_document import Document
 from bunraku.geometry.rotations import matrix_from_quaternion
 
-__all__ = ["NodeTree", "SkinJoints", "read_nodes", "read_skins"]
+__all__ = ["NodeTree", "SkinJoints", "posed_skins", "read_nodes", "read_skins"]
 
 
 @dataclass(frozen=True)
 class NodeTree:
-    """The nodes of a document in its default pose.
+    """The nodes of a document in a pose: the default one as `read_nodes` gives it.
 
     Args:
         parents: Parent of each node, shape (M,); -1 for a root.
-        world: World transform of each node [m], shape (M, 4, 4).
+        world: World transform of each node in this pose [m], shape (M, 4, 4).
         scene: Nodes of the default scene, ascending.
+        local: Transform of each node in its parent as the file says, whatever the pose, shape (M, 4, 4).
     """
 
     parents: np.ndarray
     world: np.ndarray
     scene: list[int]
+    local: np.ndarray
+
+    def order(self) -> list[int]:
+        """All nodes, each after its parent."""
+        below: list[list[int]] = [[] for _ in self.parents]
+        order: list[int] = []
+        for node, parent in enumerate(self.parents):
+            (below[parent] if parent >= 0 else order).append(node)
+        for node in order:
+            order.extend(below[node])
+        return order
 
     def ancestor_in(self, node: int, chosen: dict[int, int]) -> int | None:
         """The nearest of the chosen nodes at or above a node."""
@@ -42,12 +54,20 @@ class SkinJoints:
     Args:
         nodes: Node of each joint, length J.
         slots: For each skin, the joint of each of its slots.
-        bind: For each skin, what takes a mesh from bind pose to the default pose through each slot, shape (slots, 4, 4).
+        inverse: For each skin, the inverse bind matrix of each slot, shape (slots, 4, 4).
+        bind: For each skin, what takes a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4).
     """
 
     nodes: list[int]
     slots: list[np.ndarray]
+    inverse: list[np.ndarray]
     bind: list[np.ndarray]
+
+
+def posed_skins(skins: SkinJoints, tree: NodeTree) -> SkinJoints:
+    """The joints with the nodes in another pose."""
+    nodes = np.array(skins.nodes, int)
+    return replace(skins, bind=[tree.world[nodes[slots]] @ inverse for slots, inverse in zip(skins.slots, skins.inverse, strict=True)])
 
 
 def read_nodes(document: Document) -> NodeTree:
@@ -66,20 +86,20 @@ def read_nodes(document: Document) -> NodeTree:
             if parents[child] != -1:
                 document.fail(f"node {child} has two parents; the file is broken, export it again")
             parents[child] = node
-    world = np.empty((len(nodes), 4, 4))
+    world, local = np.empty((len(nodes), 4, 4)), np.empty((len(nodes), 4, 4))
     order = [int(node) for node in np.flatnonzero(parents < 0)]
     extensions = document.tree.get("extensions")
     turned = isinstance(extensions, dict) and "VRM" in extensions
     front = np.diag([-1.0, 1, -1, 1]) if turned else np.eye(4)
     for node in order:
-        above = world[parents[node]] if parents[node] >= 0 else front
-        world[node] = above @ _local(document, nodes[node])
+        local[node] = _local(document, nodes[node]) if parents[node] >= 0 else front @ _local(document, nodes[node])
+        world[node] = world[parents[node]] @ local[node] if parents[node] >= 0 else local[node]
         order.extend(children[node])
     if len(order) != len(nodes):
         document.fail("its nodes form a cycle; the file is broken, export it again")
     if not np.isfinite(world).all():
         document.fail("its node transforms overflow; the file is broken, export it again")
-    return NodeTree(parents, world, _scene_nodes(document, parents, children))
+    return NodeTree(parents, world, _scene_nodes(document, parents, children), local)
 
 
 def _local(document: Document, node: dict) -> np.ndarray:
@@ -116,7 +136,7 @@ def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
         FormatError: A skin has no joints, or fewer inverse bind matrices than joints.
     """
     merged: dict[int, int] = {}
-    slots, bind = [], []
+    slots, inverses = [], []
     for skin in document.items("skins"):
         nodes = document.indices(skin, "joints", "nodes")
         if not nodes:
@@ -131,5 +151,5 @@ def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
             inverse[:, 3] = 0, 0, 0, 1
         if not np.isfinite(inverse).all():
             document.fail("a skin has inverse bind matrices that are not numbers; the file is broken, export it again")
-        bind.append(tree.world[nodes] @ inverse)
-    return SkinJoints(list(merged), slots, bind)
+        inverses.append(inverse)
+    return posed_skins(SkinJoints(list(merged), slots, inverses, []), tree)

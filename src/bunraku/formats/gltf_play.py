@@ -1,4 +1,4 @@
-"""Play a clip of a glTF file on the file's own skin."""
+"""Play a clip of a glTF or FBX file on the file's own skin."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bunraku.errors import FormatError, OptionError
 from bunraku.formats.gltf_document import Document
 from bunraku.formats.gltf_nodes import NodeTree
 from bunraku.formats.gltf_read import Source
-from bunraku.formats.registry import load_character
+from bunraku.formats.registry import load_with_clips
 from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_slerp
 from bunraku.motion import HandleMotion
 
@@ -28,11 +28,11 @@ def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> 
     """Read a character and a clip of its file, as an animation whose handles are the file's joints.
 
     Each joint becomes a handle that holds the vertices of its skin; handle 0 stands still and holds none. A joint's transform
-    is taken relative to the file's default pose, so the result is exact where that is the pose that the skin was bound in, as in
-    every file that Bunraku writes, and close elsewhere. Scales and shears of joints are kept.
+    is taken relative to the bind pose, in which the character rests, so skinned meshes are exact; where a file has no bind pose
+    that makes sense, it is relative to the default pose and the result is close. Scales and shears of joints are kept.
 
     Args:
-        path: A GLB, glTF or VRM file with a skin and a clip.
+        path: A GLB, glTF, VRM or FBX file with a skin and a clip.
         clip: Number or name of the clip, with or without its armature's name before a bar.
         fps: Frames a second of the result [1/s].
 
@@ -43,7 +43,7 @@ def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> 
     path = Path(path)
     if not 1 <= fps <= 240:
         raise OptionError(f"frames a second must be from 1 to 240, not {fps:g}")
-    character = load_character(path)
+    character = load_with_clips(path, fps)
     source = character.source
     if not isinstance(source, Source) or not source.document.items("animations"):
         raise FormatError(path, "it holds no animation; make one with `bunraku animate`")
@@ -139,7 +139,7 @@ def _world(document: Document, tree: NodeTree, curves: dict[tuple[int, str], Any
         for link in reversed(chain):
             above = int(tree.parents[link])
             if link not in moving:  # its default place, carried along by what is above it
-                rest = np.linalg.pinv(tree.world[above]) @ tree.world[link] if above >= 0 else tree.world[link]
+                rest = tree.local[link]
                 known[link] = known[above] @ rest if above >= 0 else np.broadcast_to(rest, (len(moments), 4, 4))
             else:
                 local = _local(document, nodes[link], link, curves, moments)

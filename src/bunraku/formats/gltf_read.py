@@ -1,4 +1,4 @@
-"""Read GLB, glTF and VRM: the mesh in its default pose, the rig, and preview colours."""
+"""Read GLB, glTF and VRM: the mesh in its rest pose, the rig, and preview colours."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import numpy as np
 
 from bunraku.character import Character, Rig
 from bunraku.errors import CharacterError
+from bunraku.formats.gltf_bind import bind_pose
 from bunraku.formats.gltf_colors import vertex_colors
 from bunraku.formats.gltf_document import Document, open_document
 from bunraku.formats.gltf_mesh import MeshPart, check_size, read_part
-from bunraku.formats.gltf_nodes import NodeTree, SkinJoints, read_nodes, read_skins
+from bunraku.formats.gltf_nodes import NodeTree, SkinJoints, posed_skins, read_nodes, read_skins
 
 __all__ = ["Source", "character_from_document", "read_gltf"]
 
@@ -27,9 +28,9 @@ class Source:
 
     Args:
         document: The glTF document that was read, or that stands for a file of another format.
-        tree: Its nodes.
-        skins: Its joints.
-        parts: Its meshes where nodes place them.
+        tree: Its nodes in the character's rest pose.
+        skins: Its joints in that pose.
+        parts: Its meshes where nodes and skins place them.
         index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats have
             fewer vertices than their document where a seam splits one in two.
         suffix: The format of the file.
@@ -43,24 +44,26 @@ class Source:
     suffix: str = ".glb"
 
 
-def read_gltf(path: Path, data: bytes) -> Character:
+def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
     """Read a GLB, glTF or VRM file.
 
-    The vertices are those of all primitives in node order, in world space in the file's default pose; primitives of one mesh
-    that share their positions share their vertices.
+    The vertices are those of all primitives in node order, in world space in the rest pose; primitives of one mesh that share
+    their positions share their vertices.
 
     Args:
         path: The file.
         data: Its bytes.
+        rest: "bind" rests in the pose that the skins were bound in (see `gltf_bind`), "default" in that of the file's nodes, which
+            may be the middle of a clip.
 
     Raises:
         FormatError: The file is broken, or needs what is not read.
         CharacterError: What it holds is no character.
     """
-    return character_from_document(open_document(path, data), path.stem)
+    return character_from_document(open_document(path, data), path.stem, rest=rest)
 
 
-def character_from_document(document: Document, name: str, index: np.ndarray | None = None, suffix: str = ".glb") -> Character:
+def character_from_document(document: Document, name: str, index: np.ndarray | None = None, suffix: str = ".glb", *, rest: str = "bind") -> Character:
     """The character that a glTF document holds.
 
     Args:
@@ -68,6 +71,7 @@ def character_from_document(document: Document, name: str, index: np.ndarray | N
         name: The character's name.
         index: Character vertex of each document vertex where the document repeats vertices of its file, shape (U,).
         suffix: The format of the file.
+        rest: Its rest pose, "bind" or "default".
 
     Raises:
         FormatError: The document is broken.
@@ -75,6 +79,9 @@ def character_from_document(document: Document, name: str, index: np.ndarray | N
     """
     tree = read_nodes(document)
     skins = read_skins(document, tree)
+    if rest == "bind" and skins.nodes:
+        tree = bind_pose(document, tree, skins)
+        skins = posed_skins(skins, tree)
     nodes = document.items("nodes")
     check_size(document, tree.scene)
     parts = tuple(read_part(document, tree, skins, node) for node in tree.scene if "mesh" in nodes[node])
@@ -95,6 +102,8 @@ def character_from_document(document: Document, name: str, index: np.ndarray | N
     else:
         first = np.unique(index, return_index=True)[1]
         vertices, colors, triangles = vertices[first], colors[first], index[triangles]
+        if rig is not None:
+            rig = Rig(rig.names, rig.parents, rig.transforms, rig.indices[first], rig.weights[first])
     source = Source(document, tree, skins, parts, index, suffix)
     return Character(name, vertices, triangles, rig, colors, source)
 

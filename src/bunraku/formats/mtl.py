@@ -15,7 +15,7 @@ from bunraku.formats.files import inside, read_bounded
 from bunraku.formats.gltf_carry import image_type
 from bunraku.formats.gltf_colors import MAX_PIXELS, linear_from_srgb
 
-__all__ = ["embeddable", "read_materials"]
+__all__ = ["beside", "embeddable", "read_materials"]
 
 _OPTION_ARGUMENTS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
     ["-blendu", "-blendv", "-clamp", "-cc", "-bm", "-boost", "-texres", "-imfchan", "-type"], 1
@@ -38,7 +38,7 @@ def read_materials(path: Path, libraries: list[str], wanted: list[str]) -> tuple
     found: dict[str, dict[str, str]] = {}
     for names in libraries:
         for library in dict.fromkeys([names, *names.split()]):
-            target = _beside(path, library)
+            target = beside(path, library)
             if target is not None:
                 _parse(read_bounded(target), found)
     numbers: dict[str, int] = {}
@@ -84,7 +84,7 @@ def _texture(path: Path, text: str, images: list[tuple[bytes, str]], textures: d
     words = text.split()
     while words and words[0] in _OPTION_ARGUMENTS:
         words = words[1 + _OPTION_ARGUMENTS[words[0]] :]
-    target = _beside(path, " ".join(words))
+    target = beside(path, " ".join(words))
     if target is None:
         return None
     if target not in textures:
@@ -95,7 +95,7 @@ def _texture(path: Path, text: str, images: list[tuple[bytes, str]], textures: d
     return textures[target]
 
 
-def _beside(path: Path, name: str) -> Path | None:
+def beside(path: Path, name: str) -> Path | None:
     """The file of this name in the folder of the OBJ, or of its last part where the name is of another machine."""
     last = name.replace("\\", "/").rsplit("/", 1)[-1]
     for candidate in (name, last):
@@ -115,10 +115,14 @@ def _parse(data: bytes, found: dict[str, dict[str, str]]) -> None:
             current[word.lower()] = rest.strip()
 
 
-def embeddable(path: Path) -> tuple[bytes, str] | None:
-    """Bytes of an image as glTF may embed it, PNG or JPEG, with their MIME type; other kinds are converted. None if it cannot be read."""
+def embeddable(image: Path | bytes) -> tuple[bytes, str] | None:
+    """Bytes of an image as glTF may embed it, PNG or JPEG, with their MIME type; other kinds are converted. None if it cannot be read.
+
+    Args:
+        image: A file, or its bytes.
+    """
     try:
-        data = read_bounded(path)
+        data = image if isinstance(image, bytes) else read_bounded(image)
     except FormatError:
         return None
     mime = image_type(data[:16])
@@ -129,11 +133,11 @@ def embeddable(path: Path) -> tuple[bytes, str] | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(io.BytesIO(data), formats=["BMP", "TGA", "TIFF", "WEBP", "GIF"]) as image:
-                if image.width * image.height > MAX_PIXELS:
+            with Image.open(io.BytesIO(data), formats=["BMP", "TGA", "TIFF", "WEBP", "GIF"]) as picture:
+                if picture.width * picture.height > MAX_PIXELS:
                     return None
                 packed = io.BytesIO()
-                image.convert("RGBA" if "A" in image.getbands() else "RGB").save(packed, "PNG")
+                picture.convert("RGBA" if "A" in picture.getbands() else "RGB").save(packed, "PNG")
     except Exception:  # a texture that cannot be decoded is no reason to refuse the mesh
         return None
     return packed.getvalue(), "image/png"

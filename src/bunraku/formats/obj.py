@@ -18,6 +18,7 @@ from bunraku.formats.gltf_builder import mesh_document
 from bunraku.formats.gltf_colors import linear_from_srgb
 from bunraku.formats.gltf_read import character_from_document
 from bunraku.formats.mtl import read_materials
+from bunraku.formats.polygons import fans, split_corners
 
 __all__ = ["parse_numbers", "read_obj"]
 
@@ -48,8 +49,8 @@ def read_obj(path: Path, data: bytes) -> Character:
         low = 0 if column == 0 else -1
         if len(corners) and not low <= int(corners[:, column].min()) <= int(corners[:, column].max()) < have:
             raise FormatError(path, f"a face uses {what} {int(corners[:, column].max()) + 1} but there are {have}; {_BROKEN}")
-    slots, index, corner_of = _split(corners, len(positions))
-    triangles, material = _fans(slots[of_face], sizes, face_material)
+    slots, index, corner_of = split_corners(corners, len(positions))
+    triangles, material = fans(slots[of_face], sizes, face_material)
     names, materials, images = read_materials(path, lines.libraries, lines.materials)
     groups = [(triangles[material == number], names.get(name)) for number, name in enumerate(lines.materials)]
     document = mesh_document(
@@ -170,28 +171,6 @@ def _numbers(path: Path, lines: list[bytes], widths: tuple[int, ...], what: str)
         if width < min(widths):
             raise FormatError(path, f"{what} has only {width} numbers; {_BROKEN}")
     return values.reshape(len(lines), width)
-
-
-def _split(corners: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Document vertex of each corner, file vertex of each document vertex, and the corner that each document vertex shows (-1: none)."""
-    unique, first = np.unique(corners[:, 0], return_index=True)
-    slots = np.full(len(corners), -1, np.int64)
-    slots[first] = unique
-    extra = np.flatnonzero(slots < 0)
-    slots[extra] = vertices + np.arange(len(extra))
-    index = np.concatenate([np.arange(vertices), corners[extra, 0]])
-    corner_of = np.full(vertices + len(extra), -1, np.int64)
-    corner_of[slots] = np.arange(len(corners))
-    return slots, index, corner_of
-
-
-def _fans(corners: np.ndarray, sizes: np.ndarray, materials: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of polygons and the material of each: corner 0 with each further edge."""
-    counts = np.maximum(sizes - 2, 0)
-    face = np.repeat(np.arange(len(sizes)), counts)
-    starts = (np.cumsum(sizes) - sizes)[face]
-    step = np.arange(len(face)) - (np.cumsum(counts) - counts)[face]
-    return np.stack([corners[starts], corners[starts + step + 1], corners[starts + step + 2]], axis=1).reshape(-1, 3), materials[face]
 
 
 def _corner_uvs(uvs: np.ndarray, corners: np.ndarray, corner_of: np.ndarray) -> np.ndarray | None:

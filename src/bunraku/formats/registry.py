@@ -13,13 +13,14 @@ import numpy as np
 
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError
 from bunraku.formats.files import check_input, check_output_folder, read_bounded
+from bunraku.geometry.axes import axis_name, default_orientation
 
 if TYPE_CHECKING:
     from bunraku.animation import Animation
     from bunraku.character import Character, Handles
-    from bunraku.motion import HandleMotion
+    from bunraku.motion import HandleMotion, SkeletalMotion
 
-__all__ = ["FORMATS", "Format", "detect", "load_character", "load_motion", "save_animation", "save_character"]
+__all__ = ["FORMATS", "Format", "detect", "load_character", "load_motion", "load_with_clips", "save_animation", "save_character"]
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,11 @@ FORMATS: tuple[Format, ...] = (
     Format("VRM", (".vrm",), (b"glTF",), character="gltf_read:read_gltf"),
     Format("glTF", (".gltf",), character="gltf_read:read_gltf"),
     Format("PLY", (".ply",), (b"ply\n", b"ply\r"), character="ply:read_ply", animation="sequences:write_ply_sequence"),
-    Format("OBJ", (".obj",), character="obj:read_obj", animation="sequences:write_obj_sequence"),
+    Format("OBJ", (".obj",), character="rignet:read_obj_with_rig", animation="sequences:write_obj_sequence"),
     Format("STL", (".stl",), character="stl:read_stl"),
     Format("handle motion", (".npz",), (b"PK\x03\x04",), motion="npz:read_motion", animation="npz:write_animation"),
+    Format("FBX", (".fbx",), (b"Kaydara FBX Binary", b"; FBX"), character="fbx:read_fbx", motion="fbx_motion:read_motion"),
+    Format("RigNet", (".txt",), character="rignet:read_rignet"),
 )
 _ABILITIES = {
     "character": "characters are read from",
@@ -101,7 +104,7 @@ def _resolve(target: str) -> Callable[..., Any]:
     return function
 
 
-def _read(path: str | Path, ability: str) -> Any:
+def _read(path: str | Path, ability: str, **options: Any) -> Any:
     path = Path(path)
     check_input(path)
     try:
@@ -112,7 +115,8 @@ def _read(path: str | Path, ability: str) -> Any:
     function = _resolve(getattr(detect(path, start, ability), ability))
     try:
         with np.errstate(all="ignore"):  # broken numbers are found by what they lead to
-            return function(path, read_bounded(path))
+            known = _parameters(function)
+            return function(path, read_bounded(path), **{name: value for name, value in options.items() if name in known})
     except CharacterError as error:
         raise CharacterError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
     except MotionError as error:
@@ -126,25 +130,53 @@ def _read(path: str | Path, ability: str) -> Any:
         raise FormatError(path, f"the file is broken ({type(error).__name__}: {str(error)[:80]}); export it again") from error
 
 
-def load_character(path: str | Path) -> Character:
-    """Read a character from GLB, glTF, VRM, OBJ, PLY or STL.
+def load_character(path: str | Path, *, rest: str = "bind", up: str | None = None, front: str | None = None) -> Character:
+    """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY, STL, or the rig text of RigNet.
 
-    The vertices of GLB, glTF and VRM are in world space, in the file's default pose. OBJ, PLY and STL name neither frame nor unit
-    and are taken as they are: +Y up, +Z forward, metres.
+    The vertices of GLB, glTF, VRM and FBX are in world space, those of FBX turned from the frame and unit that the file states.
+    OBJ, PLY and STL name neither and are taken as they are: +Y up, +Z forward, metres.
 
     Args:
         path: The file; its first bytes decide the format where they can, its suffix otherwise.
+        rest: The rest pose of a file with a skin: "bind", the pose that its meshes were skinned in (T or A for most), or "default", that
+            of its nodes, which may be the middle of a clip. Files whose bind pose makes no sense take the default.
+        up: The axis that is up in the character as it would be read without this, such as "+z"; it is turned to stand along +Y.
+            `bunraku.upright` finds out by itself.
+        front: The axis that it faces; "-y" with "+z" up, "+z" otherwise, when only `up` is given.
 
     Raises:
         FormatError: The file is missing, empty, too large, broken, or of no known format.
         CharacterError: It holds no usable mesh: points only, coordinates that are not numbers, no extent.
+        OptionError: `rest` is neither, or `up` and `front` are not two axes at a right angle.
     """
-    character: Character = _read(path, "character")
+    if rest not in ("bind", "default"):
+        raise OptionError(f"the rest pose of a file is 'bind' or 'default', not {rest!r}")
+    axes = [None if axis is None else axis_name(axis) for axis in (up, front)]
+    character: Character = _read(path, "character", rest=rest)
+    if axes == [None, None]:
+        return character
+    from bunraku.formats.turning import turned
+
+    return turned(character, *default_orientation(*axes))
+
+
+def load_with_clips(path: str | Path, fps: float) -> Character:
+    """Read a character as `load_character` does, its document with all clips of the file.
+
+    Args:
+        path: The file.
+        fps: Frames a second of clips that the document cannot hold as the file has them, those of FBX [1/s].
+
+    Raises:
+        FormatError: As `load_character`.
+        CharacterError: As `load_character`.
+    """
+    character: Character = _read(path, "character", clip_fps=fps)
     return character
 
 
-def load_motion(path: str | Path) -> HandleMotion:
-    """Read a handle motion that `Animation.save` wrote to NPZ.
+def load_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
+    """Read a motion: a handle motion that `Animation.save` wrote to NPZ, or the first clip of an FBX file as a skeletal one.
 
     Args:
         path: The file.
@@ -153,7 +185,7 @@ def load_motion(path: str | Path) -> HandleMotion:
         FormatError: The file is missing, empty, too large, broken, or of no known format.
         MotionError: What it holds breaks the rules of a motion.
     """
-    motion: HandleMotion = _read(path, "motion")
+    motion: HandleMotion | SkeletalMotion = _read(path, "motion")
     return motion
 
 

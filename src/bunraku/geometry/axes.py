@@ -1,0 +1,64 @@
+"""The six axes, and the 24 right-angle rotations that make any one of them up and any other at a right angle to it the front."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from bunraku.errors import OptionError
+
+__all__ = ["AXES", "ORIENTATIONS", "axis_name", "axis_vector", "default_orientation", "right_angle_rotations", "upright_rotation"]
+
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+ORIENTATIONS: tuple[tuple[str, str], ...] = tuple((up, front) for up, front in product(AXES, AXES) if up[1] != front[1])
+"""All pairs of up and front, 24 of them."""
+
+
+def axis_name(text: str) -> str:
+    """An axis as it is written here: "Z", "z" and "+Z" are "+z".
+
+    Raises:
+        OptionError: It is no axis.
+    """
+    name = text.strip().lower()
+    name = name if name[:1] in ("+", "-") else f"+{name}"
+    if name not in AXES:
+        raise OptionError(f"'{text}' is no axis; there are {', '.join(AXES)}")
+    return name
+
+
+def axis_vector(name: str) -> np.ndarray:
+    """The unit vector of an axis, shape (3,)."""
+    vector = np.zeros(3)
+    vector["xyz".index(name[1])] = 1 if name[0] == "+" else -1
+    return vector
+
+
+def upright_rotation(up: str, front: str) -> np.ndarray:
+    """The rotation that takes one axis to +Y and another to +Z, shape (3, 3); its entries are -1, 0 and 1.
+
+    Raises:
+        OptionError: Both are the same axis, or opposite ones.
+    """
+    if up[1] == front[1]:
+        raise OptionError(f"{up} cannot be up while {front} is the front; choose two axes at a right angle")
+    rows = [np.cross(axis_vector(up), axis_vector(front)), axis_vector(up), axis_vector(front)]
+    return np.array(rows) + 0.0  # no negative zeros
+
+
+def right_angle_rotations() -> np.ndarray:
+    """`upright_rotation` of each of `ORIENTATIONS`: the rotation group of the cube, shape (24, 3, 3)."""
+    return np.stack([upright_rotation(up, front) for up, front in ORIENTATIONS])
+
+
+def default_orientation(up: str | None = None, front: str | None = None) -> tuple[str, str]:
+    """Up and front where no guess decides: +Y and +Z, the rule of glTF, or what is nearest to it with an axis that is known.
+
+    A file with +Z up faces -Y, as modelling programs have it.
+    """
+    if up is not None:
+        return up, front or {"+z": "-y", "-z": "+y"}.get(up, "+z")
+    if front is not None:
+        return ("+z" if front[1] == "y" else "+y"), front
+    return "+y", "+z"
