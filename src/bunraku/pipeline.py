@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
 
 from bunraku.animation import Animation
 from bunraku.character import Character, Handles
@@ -17,24 +19,31 @@ SHORTEST, LONGEST = 0.5, 120.0
 Progress = Callable[[str, float], None]
 
 
-def rig(character: Character, *, progress: Progress | None = None) -> Handles:
+def rig(character: Character, *, handles: Literal["predict", "rig"] = "predict", progress: Progress | None = None) -> Handles:
     """The handles of a character (Eq. 1 of TapMo): positions h, skinning weights s and the mesh feature f_phi.
 
     Args:
         character: Any mesh, +Y up and facing +Z.
+        handles: "predict" them from the shape alone, or take those of the file's own "rig", told by the names of its bones.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Raises:
+        CharacterError: The handles are to be the rig's, and there is none, or its bones have no telling names.
+        OptionError: `handles` is neither.
         WeightsError: The shipped weights are missing or broken.
     """
-    from bunraku.handles.predict import predict_handles
+    from bunraku.handles.from_rig import rig_handles
+    from bunraku.handles.predict import mesh_feature, predict_handles
 
+    if handles not in ("predict", "rig"):
+        raise OptionError(f"handles are made by 'predict' or 'rig', not '{handles}'; choose one of the two")
     if progress:
         progress("handles", 0.0)
-    handles = predict_handles(character).top(4)  # what viewers read, so the file plays as the library does
+    found = replace(rig_handles(character), features=mesh_feature(character)) if handles == "rig" else predict_handles(character)
+    found = found.top(4)  # what viewers read, so the file plays as the library does
     if progress:
         progress("handles", 1.0)
-    return handles
+    return found
 
 
 def _check(prompt: str, seconds: float) -> None:
@@ -85,7 +94,7 @@ def animate(
     seed: int = 0,
     steps: int | None = None,
     guidance: float | None = None,
-    handles: Handles | None = None,
+    handles: Handles | Literal["predict", "rig"] = "predict",
     stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> Animation:
@@ -98,7 +107,7 @@ def animate(
         seed: The same seed and version give the same animation.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
-        handles: The character's handles; predicted when None.
+        handles: The character's handles, or how to make them: "predict" or "rig" (see `rig`).
         stages: Which stages fit the motion to the character; all when None.
         progress: Called with a stage's name and the share done, 0 to 1.
 
@@ -107,11 +116,12 @@ def animate(
 
     Raises:
         OptionError: The prompt is empty or too long, or the length is out of range.
-        CharacterError: `handles` are not 30.
+        CharacterError: `handles` are not 30, or cannot be taken from the rig.
         WeightsError: The shipped weights are missing or broken.
     """
     _check(prompt, seconds)
-    handles = handles or rig(character, progress=progress)
+    if not isinstance(handles, Handles):
+        handles = rig(character, handles=handles or "predict", progress=progress)
     motion = generate(prompt, seconds=seconds, seed=seed, steps=steps, guidance=guidance, mesh_feature=handles.features, progress=progress)
     if progress:
         progress("fit", 0.0)

@@ -10,7 +10,7 @@ from bunraku.animation import Animation
 from bunraku.bodies.layout import HANDLE_NAMES
 from bunraku.bodies.reference import reference_body
 from bunraku.character import Handles
-from bunraku.datasets.game_clips import add_game_clips, reference_clip, rig_handles
+from bunraku.datasets.game_clips import add_game_clips, reference_clip
 from bunraku.errors import FormatError
 from bunraku.motion import HandleMotion
 from bunraku.samples import sample_character
@@ -51,16 +51,6 @@ def test_a_raised_arm_is_raised_on_the_reference_body(side, other):
     assert rise == pytest.approx(arm * np.sin(np.radians(70)), rel=0.3)
     assert abs(posed[-1, idle, 1].mean() - posed[0, idle, 1].mean()) < 0.05
     assert np.abs(posed[..., 1].min(axis=1)).max() < 0.03
-
-
-def test_handles_from_bone_names_hold_every_vertex():
-    person = sample_character("person", 0.3, rigged=True)
-    handles = rig_handles(person)
-    np.testing.assert_allclose(handles.weights.sum(axis=1), 1, atol=1e-4)
-    left = handles.weights[:, HANDLE_NAMES.index("left_wrist")] > 0.5
-    assert left.any() and (person.vertices[left, 0] > 0.3).all()
-    with pytest.raises(FormatError, match="no rig"):
-        rig_handles(sample_character("person", 0.3))
 
 
 def test_what_is_missing_is_said(tmp_path):

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 
 __all__ = ["NO_HANDLE", "handle_of_joints", "left_axis", "limb_parents", "part_of_name"]
 
@@ -227,6 +227,8 @@ def handle_of_joints(
     Returns:
         Handle indices of `bunraku.bodies.layout.HANDLE_NAMES`, shape (J,); -1 where a name says nothing.
     """
+    if set(JOINT_NAMES) <= set(names) <= set(HANDLE_NAMES):  # a rig that Bunraku wrote: its "shoulder" is no collar bone
+        return np.array([_H[name] for name in names], np.int64)
     tree = _Tree(names, list(parents), positions, mass)
     out = np.full(len(names), NO_HANDLE, np.int64)
     plain = {"head_top": "head_top", "face": "face", "neck": "neck", "head": "head", "hips": "pelvis"}

@@ -15,48 +15,26 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.animation import Animation
-from bunraku.bodies.bone_names import handle_of_joints
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.bodies.reference import handle_positions
-from bunraku.character import Character, Handles
+from bunraku.bodies.layout import HANDLE_NAMES
 from bunraku.datasets.motions import handle_motion_of_mesh, split_of
 from bunraku.diffusion.clips import load_index, write_clip, write_index
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.geometry.areas import vertex_areas
+from bunraku.handles.from_rig import rig_handles
 from bunraku.motion import HandleMotion
 from bunraku.retarget.reference import motion_to_reference
 
-__all__ = ["add_game_clips", "reference_clip", "rig_handles"]
-
-
-def rig_handles(character: Character) -> Handles:
-    """Handles of a rigged character from its own bones' names, weights added up by handle.
-
-    Raises:
-        FormatError: It has no rig, or its bones have no names that tell anything.
-    """
-    rig = character.rig
-    if rig is None:
-        raise FormatError(character.name, "there is no rig in this file")
-    dense = rig.dense_weights()
-    areas = vertex_areas(character.vertices, character.faces)
-    handle = handle_of_joints(rig.names, rig.parents, rig.positions, (dense * areas[:, None]).sum(axis=0))
-    if (handle >= 0).sum() < 8:
-        raise FormatError(character.name, "the names of its bones do not tell which part they move")
-    handle = np.where(handle >= 0, handle, 0)
-    weights = dense @ np.eye(HANDLE_COUNT, dtype=np.float32)[handle]
-    weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
-    return Handles(handle_positions(character.vertices, weights, areas), weights)
+__all__ = ["add_game_clips", "reference_clip"]
 
 
 def reference_clip(animation: Animation) -> HandleMotion:
     """What a rigged character does, by whatever handles it is driven, as handle motion of the reference body.
 
     Raises:
-        FormatError: The character has no rig with telling names.
+        CharacterError: The character has no rig with telling names.
     """
     character = animation.character
-    handles = rig_handles(character)
+    handles = rig_handles(character, least=8)
     areas = vertex_areas(character.vertices, character.faces)
     motion = handle_motion_of_mesh(character.vertices, animation.vertices(), handles.weights, handles.positions, areas, animation.motion.fps)
     return motion_to_reference(motion, character, handles)

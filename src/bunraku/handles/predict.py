@@ -9,14 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
+from bunraku.bodies.layout import HANDLE_MIRROR
 from bunraku.bodies.reference import handle_positions
 from bunraku.character import Character, Handles
-from bunraku.geometry.simplify import NetworkMesh, network_mesh
+from bunraku.geometry.simplify import NetworkMesh, network_mesh, network_views
+from bunraku.handles.loose_parts import seat_parts
 
 if TYPE_CHECKING:
     from bunraku.handles.predictor import HandlePredictor
 
-__all__ = ["predict_handles", "predict_weights", "smooth_weights", "stiffen_parts", "trim_weights"]
+__all__ = ["VIEWS", "mesh_feature", "predict_handles", "predict_weights", "smooth_weights", "trim_weights"]
+
+VIEWS = ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5))  # how the grids lie whose network meshes are averaged, in cells
 
 
 def smooth_weights(weights: np.ndarray, edges: np.ndarray, steps: int = 2, share: float = 0.5) -> np.ndarray:
@@ -45,28 +49,6 @@ def trim_weights(weights: np.ndarray, least: float = 0.01) -> np.ndarray:
     return (kept / kept.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-def stiffen_parts(weights: np.ndarray, mesh: NetworkMesh, largest: float = 0.35, clear: float = 0.7) -> np.ndarray:
-    """Give each small loose part (an eye, a button, a helmet, a sword) one weight for all of it, so that it moves as a whole.
-
-    Args:
-        weights: Shape (M, K), rows sum to 1.
-        mesh: The network mesh, whose `components` are its loose parts.
-        largest: Parts of a greater extent than this, as a share of the mesh's, may bend and stay as they are.
-        clear: So do parts of which no handle holds this share; they reach over a joint, as a sleeve does.
-    """
-    if not mesh.components.any():
-        return weights
-    out = weights.copy()
-    order = np.argsort(mesh.components, kind="stable")
-    for members in np.split(order, np.flatnonzero(np.diff(mesh.components[order])) + 1):
-        if np.ptp(mesh.vertices[members], axis=0).max() > largest:
-            continue
-        mean = np.average(weights[members], axis=0, weights=mesh.areas[members] + 1e-12)
-        if mean.max() >= clear:
-            out[members] = mean
-    return out
-
-
 @lru_cache(maxsize=2)
 def _model(path: Path, changed: int) -> HandlePredictor:
     from bunraku.handles.predictor import load_predictor
@@ -75,27 +57,38 @@ def _model(path: Path, changed: int) -> HandlePredictor:
 
 
 def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarray, np.ndarray]:
-    """What the network says of a network mesh.
+    """What the network says of a network mesh: the mean over the mesh and its mirror image, so that it favours no side.
 
     Returns:
-        Skinning weights (M, K) and the mesh deformation feature f_phi (448,), float32.
+        Skinning weights (M, K) and the mesh deformation feature f_phi (448,) of the mesh as it is, float32.
     """
     import torch
 
     from bunraku.handles.graph import mesh_graph
+    from bunraku.nn.threads import fitting_threads
 
     graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors).to(next(model.parameters()).device)
-    with torch.no_grad():
-        predicted = model.eval()(graph)
-    return predicted.weights.float().cpu().numpy(), predicted.features.float().cpu().numpy()
+    with torch.no_grad(), fitting_threads(model):
+        plain, mirrored = model.eval()(graph), model(graph.mirrored())
+        weights = 0.5 * (plain.weights + mirrored.weights[:, list(HANDLE_MIRROR)])
+    return weights.float().cpu().numpy(), plain.features.float().cpu().numpy()
+
+
+def _load(checkpoint: str | Path | None) -> HandlePredictor:
+    from bunraku.nn.checkpoints import shipped_checkpoint
+
+    path = Path(checkpoint) if checkpoint is not None else shipped_checkpoint("handles")
+    return _model(path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 def predict_handles(character: Character, checkpoint: str | Path | None = None) -> Handles:
     """The handles of a character (Eq. 1 of TapMo): positions, skinning weights of every vertex, and the feature f_phi.
 
-    The network sees the normalised network mesh. Its weights are smoothed over that mesh, made one over small loose parts, and
-    carried to every vertex of the original. Handle positions are weighted means by surface area, in the form of Eq. 4, so that
-    tessellation does not matter; a handle without a surface stands where its parent stands.
+    The network sees the normalised network mesh, in two tessellations and mirrored, and the mean of what it says counts: its
+    answers differ a little with the tessellation, and the mean does so less. The weights are smoothed over that mesh, made one
+    over small loose parts (`seat_parts`), and carried to every vertex of the original; vertices at one place get equal weights.
+    Handle positions are weighted means by surface area, in the form of Eq. 4, so that tessellation does not matter; a handle
+    without a surface stands where its parent stands.
 
     Args:
         character: Any mesh, +Y up and facing +Z; a rig it may have is not looked at.
@@ -105,15 +98,19 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
         CharacterError: The mesh has no surface.
         WeightsError: The checkpoint is missing or does not fit.
     """
-    from bunraku.nn.checkpoints import shipped_checkpoint
-
-    path = Path(checkpoint) if checkpoint is not None else shipped_checkpoint("handles")
-    model = _model(path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0)
-    mesh = network_mesh(character.vertices, character.faces, model.config.mesh_vertices)
+    model = _load(checkpoint)
+    mesh, *others = network_views(character.vertices, character.faces, model.config.mesh_vertices, offsets=VIEWS)
     weights, features = predict_weights(mesh, model)
-    weights = trim_weights(stiffen_parts(smooth_weights(weights, mesh.edges), mesh))
+    weights = np.mean([weights, *(mesh.carry(predict_weights(view, model)[0], view) for view in others)], axis=0)
+    weights, full = seat_parts(mesh, trim_weights(smooth_weights(weights, mesh.edges)))
     positions = handle_positions(mesh.vertices, weights, mesh.areas) * mesh.scale + mesh.center
-    spread = np.maximum(mesh.push(weights), 0)
-    total = spread.sum(axis=1, keepdims=True)
-    spread = np.where(total > 1e-6, spread / np.maximum(total, 1e-6), np.eye(1, spread.shape[1]))  # a vertex of no surface follows the root
-    return Handles(positions, trim_weights(spread), features)
+    return Handles(positions, trim_weights(full)[mesh.clean.index], features)
+
+
+def mesh_feature(character: Character, checkpoint: str | Path | None = None) -> np.ndarray:
+    """The mesh deformation feature f_phi of a character, shape (448,), for handles that do not come from the predictor.
+
+    Arguments and errors are those of `predict_handles`.
+    """
+    model = _load(checkpoint)
+    return predict_weights(network_mesh(character.vertices, character.faces, model.config.mesh_vertices), model)[1]

@@ -1,0 +1,77 @@
+"""Loose parts: a button takes one row of the surface below it, a sleeve and a hand keep what was said of them."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from bunraku.geometry.simplify import network_mesh
+from bunraku.handles.loose_parts import find_loose_parts, seat_parts
+
+BUTTON, HAND = np.array([0, 0.5, 0.52]), np.array([1.06, -0.5, 0])
+
+
+@pytest.fixture(scope="module")
+def dressed():
+    """A body with a button on it, a sleeve that sticks out of it, and a hand that touches it with one side."""
+    body = trimesh.creation.box((1, 2, 1)).subdivide().subdivide()
+    button = trimesh.creation.icosphere(2, 0.03).apply_translation(BUTTON)
+    sleeve = trimesh.creation.box((0.8, 0.1, 0.1)).subdivide().apply_translation([0.92, 0.5, 0])
+    hand = trimesh.creation.box((0.1, 0.2, 0.1)).subdivide().apply_translation(HAND - [0.5, 0, 0])
+    whole = trimesh.util.concatenate([body, button, sleeve, hand])
+    mesh = network_mesh(whole.vertices, whole.faces, 1500)
+    return mesh, mesh.vertices * mesh.scale + mesh.center, mesh.clean.vertices * mesh.scale + mesh.center
+
+
+def weights_of(place):
+    """The body turns from handle 0 to handle 1 along its height; the button is said to be split, the hand all of handle 3."""
+    up = np.clip(0.5 + place[:, 1], 0, 1)
+    weights = np.stack([1 - up, up, 0 * up, 0 * up], axis=1)
+    on_button = np.linalg.norm(place - BUTTON, axis=1) < 0.04
+    weights[on_button] = np.where(place[on_button, 1:2] > 0.5, [0, 0, 0.4, 0.6], [0, 0, 1, 0])
+    weights[place[:, 0] > 0.505] = [0, 0, 1, 0]
+    weights[place[:, 0] > 0.9] = [0, 0, 0, 1]
+    hand = (place[:, 0] > 0.505) & (place[:, 1] < 0)
+    weights[hand] = [0, 0, 0.1, 0.9]
+    return weights.astype(np.float32)
+
+
+def test_how_parts_lie_on_others(dressed):
+    mesh, _, _ = dressed
+    parts = find_loose_parts(mesh)
+    order = np.argsort(parts.extent)
+    assert len(order) == 4
+    np.testing.assert_allclose(parts.extent[order], [0.03, 0.1, 0.4, 1], atol=0.005)
+    assert parts.cover[order[0]] > 0.95 and 0.05 < parts.cover[order[1]] < 0.6 and (parts.cover[order[2:]] == 0).all()
+
+
+def test_a_button_moves_with_what_it_sits_on(dressed):
+    mesh, place, clean = dressed
+    weights = weights_of(place)
+    out, full = seat_parts(mesh, weights)
+    button = np.abs(np.linalg.norm(clean - BUTTON, axis=1) - 0.03) < 0.002
+    assert button.sum() > 100 and (full[button] == full[button][0]).all()
+    np.testing.assert_allclose(full[button][0], [0, 1, 0, 0], atol=0.02)
+    on_button = mesh.components == mesh.components[np.linalg.norm(place - BUTTON - [0, 0, 0.03], axis=1).argmin()]
+    np.testing.assert_allclose(out[on_button], np.tile(full[button][0], (on_button.sum(), 1)), atol=1e-6)
+
+
+def test_a_hand_keeps_its_own_and_a_sleeve_bends(dressed):
+    mesh, place, clean = dressed
+    weights = weights_of(place)
+    out, full = seat_parts(mesh, weights)
+    hand = (clean[:, 0] > 0.52) & (clean[:, 1] < 0)
+    assert (full[hand] == full[hand][0]).all() and full[hand][0].argmax() == 3 and full[hand][0, 3] > 0.95
+    sleeve = (clean[:, 0] > 0.505) & (clean[:, 1] > 0.4)
+    assert full[sleeve, 2].max() > 0.9 and full[sleeve, 3].max() > 0.9
+    body = (np.abs(place[:, 0]) <= 0.5) & (np.linalg.norm(place - BUTTON, axis=1) > 0.1) & ((place[:, 0] < 0.4) | (np.abs(place[:, 1]) > 0.9))
+    np.testing.assert_array_equal(out[body], weights[body])
+    np.testing.assert_allclose(full.sum(axis=1), 1, atol=1e-5)
+
+
+def test_one_part_alone_stays_as_it_is():
+    ball = trimesh.creation.icosphere(3)
+    mesh = network_mesh(ball.vertices, ball.faces, 600)
+    weights = np.stack([mesh.vertices[:, 1] + 0.5, 0.5 - mesh.vertices[:, 1]], axis=1)
+    out, full = seat_parts(mesh, weights)
+    np.testing.assert_allclose(out, weights)
+    np.testing.assert_allclose(full, mesh.push_clean(weights))
