@@ -1,12 +1,14 @@
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bunraku.bodies.reference import reference_body
-from bunraku.datasets.characters import HELD_OUT, build_characters, reference_characters, training_character
+from bunraku.datasets.characters import HELD_OUT, build_characters, load_characters, reference_characters, training_character
 from bunraku.errors import CharacterError, FormatError
+from bunraku.handles.training_data import TrainingCharacter
 from bunraku.samples import sample_names
 
 
@@ -48,6 +50,16 @@ def test_reference_shapes():
         np.testing.assert_allclose(shape.target.sum(1), 1, atol=1e-3)
 
 
+def test_variants_of_held_out_characters_are_neither_trained_on_nor_validated_twice(tmp_path):
+    built = training_character(reference_body().character(), "x", mesh_vertices=300)
+    for name in (HELD_OUT[0], HELD_OUT[0] + "~posed", "pack/free", "pack/free~posed"):
+        path = tmp_path / f"{name}.npz"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace(built, name=name).save(path)
+    train, held = load_characters(tmp_path)
+    assert [c.name for c in train] == ["pack/free", "pack/free~posed"] and [c.name for c in held] == [HELD_OUT[0]]
+
+
 def test_archive(tmp_path):
     folder = Path(os.environ.get("BUNRAKU_DATA", "../shared/data")) / "characters"
     file = folder / "kaykit" / "Knight.glb"
@@ -58,6 +70,9 @@ def test_archive(tmp_path):
     (small / "Knight.glb").write_bytes(file.read_bytes())
     (small / "Broken.glb").write_bytes(b"glTF broken")
     done, failed = build_characters(tmp_path / "in", tmp_path / "cache", 600)
-    assert [d.stem for d in done if d.parent.name == "kaykit"] == ["Knight"] and set(failed) == {"kaykit/Broken"}
+    assert [d.stem for d in done if d.parent.name == "kaykit"] == ["Knight", "Knight~coarse", "Knight~fine", "Knight~posed"]
+    assert set(failed) == {"kaykit/Broken"}
+    sizes = [len(TrainingCharacter.load(d).vertices) for d in done[:4]]
+    assert sizes[1] < sizes[0] < sizes[2]
     assert sorted(d.stem for d in done if d.parent.name == "samples") == sorted(sample_names())
     assert len(HELD_OUT) == 30

@@ -1,8 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
+import pytest
 import torch
 
+from bunraku.errors import WeightsError
 from bunraku.handles.graph import EdgeConv, edge_conv_reference, mesh_graph
-from bunraku.handles.predictor import HandlePredictor, PredictorConfig, load_predictor, save_predictor
+from bunraku.handles.predictor import HandlePredictor, PredictorConfig, grow_predictor, load_predictor, save_predictor
 
 SMALL = PredictorConfig(levels=(8, 12, 16), hidden=(16, 16), anchors=10)
 
@@ -56,3 +60,26 @@ def test_checkpoint_carries_its_config(tmp_path):
     assert again.config == SMALL
     graph, _ = small_graph()
     assert torch.equal(again(graph).logits, model(graph).logits)
+
+
+def test_a_deeper_predictor_begins_as_the_one_it_grew_from(tmp_path):
+    shallow = HandlePredictor(replace(SMALL, depth=1)).eval()
+    path = save_predictor(tmp_path / "shallow.safetensors", shallow)
+    deep = HandlePredictor(replace(SMALL, depth=3)).eval()
+    graph, _ = small_graph()
+    grow_predictor(deep, path)
+    torch.testing.assert_close(deep(graph).logits, shallow(graph).logits)
+    with pytest.raises(WeightsError, match="do not fit"):
+        grow_predictor(HandlePredictor(replace(SMALL, levels=(8, 12, 20))), path)
+    with pytest.raises(WeightsError, match="do not fit"):
+        grow_predictor(shallow, save_predictor(tmp_path / "deep.safetensors", deep))
+
+
+def test_training_draws_other_anchors_each_time():
+    graph, (positions, normals, edges) = small_graph()
+    rng = np.random.default_rng(0)
+    areas = graph.areas.numpy()
+    first, second = (mesh_graph(positions, normals, edges, areas, 6, rng).anchors for _ in range(2))
+    assert not torch.equal(first, second)
+    rows = {tuple(row) for row in positions.astype(np.float32).round(5).tolist()}
+    assert all(tuple(row) in rows for row in first.numpy().round(5).tolist())  # anchors stand on vertices, noise or not

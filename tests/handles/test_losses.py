@@ -25,6 +25,14 @@ def test_skinning_loss_by_hand():
     assert losses.skinning_loss(logits, i, j, torch.tensor([1.0])).item() == pytest.approx(kl)
     assert losses.skinning_loss(logits, i, j, torch.tensor([-1.0])).item() == pytest.approx(-kl)
     assert losses.skinning_loss(logits * 100, i, j, torch.tensor([-1.0]), apart=3.0).item() == pytest.approx(-3.0)
+    assert losses.skinning_loss(logits * 100, i, j, torch.tensor([-1.0]), apart=math.inf).item() < -3  # Eq. 13 as it is written
+
+
+def test_smoothness_by_hand():
+    weights = torch.tensor([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])
+    # |(0.5, -0.5)|^2 = 0.5 and |(1, -1)|^2 = 2
+    assert losses.smoothness_loss(weights, torch.tensor([[0, 1], [0, 2]])).item() == pytest.approx(1.25)
+    assert losses.smoothness_loss(weights, torch.zeros(0, 2, dtype=torch.long)).item() == 0
 
 
 def test_pairs_are_sure_and_rightly_signed():

@@ -1,7 +1,7 @@
 """The training set of the Mesh Handle Predictor: rigged characters, as network meshes with their rigs' truth.
 
-The characters come from the archive that `shared/data/README.md` of the project's data describes, or from any folder of GLB
-files with skins. Each becomes one npz in a cache folder.
+The characters come from the archive that `shared/data/README.md` of the project's data describes, or from any folder of GLB or
+FBX files with skins (Mixamo), or of OBJ files with their rig texts (ModelsResource-RigNet). Each becomes one npz in a cache folder.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.bodies.bone_names import handle_of_joints, left_axis, limb_parents
+from bunraku.bodies.bone_names import handle_of_joints, limb_parents
 from bunraku.bodies.layout import HANDLE_NAMES, JOINT_PARENTS
 from bunraku.bodies.reference import reference_body, reference_shapes
 from bunraku.character import Character
+from bunraku.datasets.known_rigs import facing_turn, known_handles, root_joint
 from bunraku.errors import BunrakuError, CharacterError, FormatError
-from bunraku.geometry.rotations import matrix_y
 from bunraku.geometry.simplify import network_mesh
 from bunraku.handles.training_data import TrainingCharacter, handle_target
 
-__all__ = ["HELD_OUT", "build_characters", "load_characters", "reference_characters", "training_character"]
+__all__ = ["HELD_OUT", "build_characters", "load_characters", "reference_characters", "rigged_files", "training_character", "whole_head"]
 
 _log = logging.getLogger(__name__)
 
@@ -45,68 +45,13 @@ HELD_OUT: tuple[str, ...] = (
 )  # fmt: skip
 """Characters that no training sees: one or two of most packs, and two packs whole (platformer_game_pack, single_knight_pack)."""
 
-# Rigs whose bones have no names, or wrong ones: the turn about +Y that makes them face +Z [degrees], and the part of each bone.
-# Sides follow from where the bone stands.
-_PET = "Bone:pelvis Bone.001:spine2 Bone.002:neck Bone.003:head Bone.014:shoulder Bone.015:elbow Bone.016:wrist Bone.017:shoulder " \
-    "Bone.018:elbow Bone.019:wrist Bone.004:tail Bone.005:tail Bone.006:tail_tip Bone.007:tail_tip Bone.008:hip Bone.009:knee " \
-    "Bone.010:ankle Bone.011:hip Bone.012:knee Bone.013:ankle"  # fmt: skip
-_BY_HAND: dict[str, tuple[float, str]] = {
-    "quaternius2019/Cat": (-90, _PET),
-    "quaternius2019/Dog": (-90, _PET),
-    "quaternius2019/Wolf": (-90, _PET),
-    "quaternius2019/Chick": (-90, "Bone:pelvis Bone.001:spine2 Bone.002:neck Bone.009:head Bone.003:hip Bone.004:knee Bone.005:ankle Bone.006:hip "
-                             "Bone.007:knee Bone.008:ankle"),
-    "quaternius2019/bird": (0, "Bone:pelvis Bone.001:spine3 Bone.002:head Bone.003:pelvis Bone.004:tail Bone.005:tail_tip Bone.006:wing "
-                            "Bone.007:wing Bone.008:wing Bone.009:wing"),
-    "quaternius2019/Eagle": (180, "Bone:pelvis Bone.001:spine2 Bone.002:neck Bone.003:head Bone.007:wing Bone.008:wing Bone.009:wing Bone.010:wing "
-                             "Bone.011:wing Bone.012:wing Bone.013:wing Bone.014:wing Bone.015:wing Bone.004:tail Bone.005:tail Bone.006:tail_tip "
-                             "Bone.016:hip Bone.017:knee Bone.018:ankle Bone.019:foot Bone.020:hip Bone.021:knee Bone.022:ankle Bone.023:foot"),
-    "quaternius2019/Fish": (0, "Bone:pelvis Bone.001:head Bone.002:tail Bone.003:shoulder Bone.004:elbow Bone.005:shoulder Bone.006:elbow"),
-    "quaternius2019/Whale": (0, "Bone:pelvis Bone.002:spine2 Bone.009:head Bone.005:shoulder Bone.006:elbow Bone.007:shoulder Bone.008:elbow "
-                             "Bone.003:tail Bone.004:tail_tip"),
-    "quaternius2019/Red_Fox": (180, "Bone:pelvis Bone.001:spine3 Bone.002:head Bone.003:tail Bone.010:tail_tip Bone.004:hip Bone.005:knee "
-                               "Bone.006:ankle Bone.007:hip Bone.008:knee Bone.009:ankle Bone.011:shoulder Bone.012:elbow Bone.013:wrist "
-                               "Bone.014:shoulder Bone.015:elbow Bone.016:wrist"),
-    "quaternius2019/Piranha": (0, "Bone:pelvis Bone.001:spine2 Bone.002:spine3 Bone.003:head Bone.004:face Bone.007:shoulder Bone.008:shoulder "
-                               "Bone.005:tail Bone.006:tail_tip"),
-    "quaternius2019/Skeleton": (0, "Hips:pelvis Torso:spine2 Neck:neck Head:head L.UpperLeg:hip L.DownLeg:knee R.UpperLeg:hip R.DownLeg:knee "
-                                "L.UpperLeg.001:shoulder L.DownLeg.001:elbow R.UpperLeg.001:shoulder R.DownLeg.001:elbow"),
-    "quaternius2019/Bat": (0, "Bone:face"),
-    "quaternius2019/Dragon": (0, "Bone:face"),
-}  # fmt: skip
-
-
-def _facing(name: str, names: tuple[str, ...], positions: np.ndarray) -> np.ndarray:
-    """The quarter turn about +Y after which the character faces +Z, shape (3, 3)."""
-    if name in _BY_HAND:
-        return np.asarray(matrix_y(np.array(np.radians(_BY_HAND[name][0]))))
-    left = left_axis(names, positions)
-    if left is None or left[0] > 0.5:  # a stride or a twist is not a turn
-        return np.eye(3)
-    quarter = np.round(np.arctan2(left[2], left[0]) / (np.pi / 2))
-    return np.asarray(matrix_y(np.array(quarter * np.pi / 2)))
-
-
-def _by_hand(name: str, names: tuple[str, ...], positions: np.ndarray, handles: np.ndarray) -> np.ndarray:
-    if name not in _BY_HAND:
-        return handles
-    parts = dict(entry.rsplit(":", 1) for entry in _BY_HAND[name][1].split())
-    handles = handles.copy()
-    middle = (positions[:, 0].max() + positions[:, 0].min()) / 2
-    for joint, bone in enumerate(names):
-        part = parts.get(bone)
-        if part:
-            side = "left_" if positions[joint, 0] > middle else "right_"
-            handles[joint] = HANDLE_NAMES.index(part if part in HANDLE_NAMES else side + part)
-    return handles
-
 
 def training_character(character: Character, name: str, mesh_vertices: int = 2400) -> TrainingCharacter:
     """A rigged character as the predictor trains on it.
 
     Args:
         character: With a rig.
-        name: Its name in the archive; some rigs are known by it.
+        name: Its name in the archive; some rigs are known by it. What follows a "~" says which variant it is.
         mesh_vertices: Most vertices of the network mesh.
 
     Raises:
@@ -115,7 +60,8 @@ def training_character(character: Character, name: str, mesh_vertices: int = 240
     rig = character.rig
     if rig is None:
         raise CharacterError(f"{name}: there is no rig in this file; only rigged characters can be trained on")
-    turn = _facing(name, rig.names, rig.positions)
+    known = name.partition("~")[0]
+    turn = facing_turn(known, rig.names, rig.positions)
     vertices = character.vertices @ turn.T.astype(np.float32)
     joints = rig.positions @ turn.T
     dense = rig.dense_weights()
@@ -124,64 +70,83 @@ def training_character(character: Character, name: str, mesh_vertices: int = 240
     total = weights.sum(axis=1, keepdims=True)
     weights = np.where(total > 1e-6, weights / np.maximum(total, 1e-6), 1 / weights.shape[1]).astype(np.float32)
     mass = (weights * mesh.areas[:, None]).sum(axis=0)
-    handles = _by_hand(name, rig.names, joints, handle_of_joints(rig.names, rig.parents, joints, mass))
+    handles = known_handles(known, rig.names, joints, handle_of_joints(rig.names, rig.parents, joints, mass))
     joints = (joints - mesh.center) / mesh.scale
     return TrainingCharacter(
         name=name, vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges, weights=weights, joints=joints,
         parents=limb_parents(handles, rig.parents, joints), handles=handles, target=handle_target(weights, handles),
-        root=_root(mesh.vertices, joints, rig.parents, handles, mass), height=float(np.ptp(mesh.vertices[:, 1])),
+        root=root_joint(mesh.vertices, joints, rig.parents, handles, mass), height=float(np.ptp(mesh.vertices[:, 1])),
     )  # fmt: skip
 
 
-def _root(vertices: np.ndarray, joints: np.ndarray, parents: np.ndarray, handles: np.ndarray, mass: np.ndarray) -> np.ndarray:
-    """The root joint b_1 of Eq. 4: the pelvis joints that move something, or the pelvis, or the rig's root."""
-    for choice in ((handles == 0) & (mass > 0), handles == 0, parents < 0):
-        if choice.any():
-            place = joints[choice].mean(axis=0)
-            return np.asarray(np.clip(place, vertices.min(axis=0), vertices.max(axis=0)), np.float32)
-    return np.zeros(3, np.float32)
+def _variants(load: Callable[..., Character], mesh_vertices: int) -> dict[str, tuple[Callable[[], Character], int]]:
+    """The ways in which one file is trained on: what to append to its name, how to load it, and the size of the network mesh.
+
+    As it is; in a finer and in a coarser network mesh, whose vertices fall elsewhere, so that the network does not learn one
+    tessellation by heart; and in the pose that the file's nodes have, often the middle of a clip.
+    """
+    return {
+        "": (load, mesh_vertices),
+        "~coarse": (load, round(0.72 * mesh_vertices)),
+        "~fine": (load, round(1.2 * mesh_vertices)),
+        "~posed": (partial(load, rest="default"), mesh_vertices),
+    }
+
+
+def rigged_files(folder: Path) -> list[Path]:
+    """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text (see `bunraku.formats.rignet`)."""
+    from bunraku.formats.rignet import find_rig
+
+    files = [file for file in folder.rglob("*") if file.suffix.lower() in (".glb", ".fbx", ".obj") and file.is_file()]
+    return sorted(file for file in files if file.suffix.lower() != ".obj" or find_rig(file) is not None)
 
 
 def build_characters(
-    folder: str | Path, cache: str | Path, mesh_vertices: int = 2400, progress: Callable[[int, int, str], None] | None = None
+    folder: str | Path, cache: str | Path, mesh_vertices: int = 2400, progress: Callable[[int, int, str], None] | None = None, code_made: int = 0
 ) -> tuple[list[Path], dict[str, str]]:
-    """Build the cache: one npz for each GLB under a folder and for each sample character. What is there already is kept, so a
-    run that was cut off goes on.
+    """Build the cache: four npz for each file under a folder (see `_variants`), one for each sample character. What is there
+    already is kept, so a run that was cut off goes on.
 
     Args:
-        folder: Folder of rigged GLB files, searched through.
+        folder: Folder of rigged files, searched through (see `rigged_files`).
         cache: Where the npz files go, in the same sub-folders.
         mesh_vertices: Most vertices of a network mesh.
         progress: Called with the number done, the number of all, and the name.
+        code_made: How many characters made by code to add (`bunraku.datasets.code_made`).
 
     Returns:
         The npz files, and what failed with its reason.
 
     Raises:
-        FormatError: There is no GLB under the folder.
+        FormatError: There is no such file under the folder.
     """
+    from bunraku.datasets.code_made import code_made_character, code_made_names
     from bunraku.formats import load_character
     from bunraku.samples import sample_character, sample_names
 
     folder, cache = Path(folder), Path(cache)
-    files = sorted(folder.rglob("*.glb"))
+    files = rigged_files(folder)
     if not files:
-        raise FormatError(folder, "there are no GLB files here; unpack the character archive and give its folder")
-    makers: dict[str, Callable[[], Character]] = {}
+        raise FormatError(folder, "there are no GLB files here, no FBX, and no OBJ with rig texts; unpack the character archive and give its folder")
+    makers: dict[str, tuple[Callable[[], Character], int]] = {}
     for file in files:
-        makers[file.relative_to(folder).with_suffix("").as_posix()] = partial(load_character, file)
+        name = file.relative_to(folder).with_suffix("").as_posix()
+        name += file.suffix if name in makers else ""  # the same character in two formats
+        makers |= {name + suffix: maker for suffix, maker in _variants(partial(load_character, file), mesh_vertices).items()}
     for sample in sample_names():
-        makers[f"samples/{sample}"] = partial(sample_character, sample, rigged=True)
+        makers[f"samples/{sample}"] = (partial(sample_character, sample, rigged=True), mesh_vertices)
+    for family, seed in code_made_names(code_made):
+        makers[f"code_made/{family}_{seed}"] = (partial(code_made_character, family, seed), mesh_vertices)
     done, failed = [], {}
-    for number, (name, make) in enumerate(makers.items()):
+    for number, (name, (make, size)) in enumerate(makers.items()):
         target = cache / f"{name}.npz"
         if progress:
             progress(number, len(makers), name)
         if not target.is_file():
             try:
-                built = training_character(make(), name, mesh_vertices)
+                built = training_character(make(), name, size)
             except BunrakuError as error:
-                failed[name] = str(error)
+                failed[name.partition("~")[0]] = str(error)
                 continue
             target.parent.mkdir(parents=True, exist_ok=True)
             built.save(target)
@@ -194,7 +159,7 @@ def build_characters(
 
 
 def load_characters(cache: str | Path) -> tuple[list[TrainingCharacter], list[TrainingCharacter]]:
-    """The cached characters for training, and those held out.
+    """The cached characters for training, in all their variants, and those held out, each once.
 
     Raises:
         FormatError: The cache is empty or damaged.
@@ -204,7 +169,20 @@ def load_characters(cache: str | Path) -> tuple[list[TrainingCharacter], list[Tr
         raise FormatError(cache, "no cached characters here; run `bunraku data characters` first")
     characters = [TrainingCharacter.load(file) for file in files]
     held = set(HELD_OUT)
-    return [c for c in characters if c.name not in held], [c for c in characters if c.name in held]
+    return [c for c in characters if c.name.partition("~")[0] not in held], [c for c in characters if c.name in held]
+
+
+def whole_head(target: np.ndarray) -> np.ndarray:
+    """Handle shares of a person, shape (V, 30), with face, hair and hat as one with the head.
+
+    Rigs of people hardly ever have bones for them: were the reference body labelled more finely than a hundred rigged people
+    are, the predictor would learn two answers to one question.
+    """
+    head, others = HANDLE_NAMES.index("head"), [HANDLE_NAMES.index("face"), HANDLE_NAMES.index("head_top")]
+    out = np.array(target, np.float32)
+    out[:, head] += out[:, others].sum(axis=1)
+    out[:, others] = 0
+    return out
 
 
 def reference_characters(mesh_vertices: int = 2400) -> list[TrainingCharacter]:
@@ -217,7 +195,7 @@ def reference_characters(mesh_vertices: int = 2400) -> list[TrainingCharacter]:
         character = TrainingCharacter(
             name=f"reference/{shape}", vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges,
             weights=mesh.pull(body.joint_weights), joints=joints, parents=np.array(JOINT_PARENTS), handles=np.arange(len(joints)),
-            target=mesh.pull(body.handle_weights), root=joints[0].astype(np.float32), height=float(np.ptp(mesh.vertices[:, 1])),
+            target=whole_head(mesh.pull(body.handle_weights)), root=joints[0].astype(np.float32), height=float(np.ptp(mesh.vertices[:, 1])),
         )  # fmt: skip
         out.append(character)
     return out

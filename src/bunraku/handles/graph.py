@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import nn
 
-__all__ = ["EdgeConv", "GraphLayer", "MeshGraph", "edge_conv_reference", "mesh_graph"]
+__all__ = ["EdgeConv", "GraphLayer", "MeshGraph", "edge_conv_reference", "farthest_points", "mesh_graph"]
 
 _NEAR = 3  # anchors that each vertex listens to
 
@@ -54,7 +54,7 @@ class MeshGraph:
         return MeshGraph(**{**vars(self), "inputs": self.inputs * flip, "anchors": self.anchors * flip[:3]})
 
 
-def _farthest_points(positions: np.ndarray, count: int) -> np.ndarray:
+def farthest_points(positions: np.ndarray, count: int) -> np.ndarray:
     """Indices of points spread evenly by farthest-point sampling, starting with the point farthest from the middle."""
     x = np.ascontiguousarray(positions.T, dtype=np.float32)
     distance = ((x - x.mean(axis=1, keepdims=True)) ** 2).sum(axis=0)
@@ -84,7 +84,9 @@ def _neighbour_ranks(edges: np.ndarray, count: int) -> tuple[list[np.ndarray], n
     return ranks, place
 
 
-def mesh_graph(positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, areas: np.ndarray, anchors: int = 128) -> MeshGraph:
+def mesh_graph(
+    positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, areas: np.ndarray, anchors: int = 128, rng: np.random.Generator | None = None
+) -> MeshGraph:
     """Tensors of a normalised mesh.
 
     Args:
@@ -93,9 +95,11 @@ def mesh_graph(positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, ar
         edges: Undirected edges, each once, bridges between loose parts included, shape (E, 2).
         areas: Surface that each vertex stands for, any unit, shape (V,).
         anchors: Most anchors, M.
+        rng: For training, where other anchors are to be drawn each time; without it they depend on the mesh alone.
     """
     count = len(positions)
-    chosen = _farthest_points(positions, min(anchors, count))
+    seen = positions if rng is None else positions + rng.normal(0, 0.02, positions.shape)
+    chosen = farthest_points(seen, min(anchors, count))
     points = positions[chosen].astype(np.float32)
     squared = ((positions**2).sum(axis=1)[:, None] - 2 * positions @ points.T + (points**2).sum(axis=1)).astype(np.float32)
     near = min(_NEAR, len(chosen))
@@ -181,37 +185,64 @@ def edge_conv_reference(layer: EdgeConv, x: torch.Tensor, graph: MeshGraph) -> t
     return torch.stack(rows)
 
 
-class GraphLayer(nn.Module):
-    """`LayerNorm(EdgeConv(x) + spread(attention(gather(x))))`, then GELU.
+class AnchorBlock(nn.Module):
+    """One round in which the anchors hear of one another: attention, then an MLP, each added to what was there.
 
     Args:
-        width_in, width_out: Channels.
-        heads: Attention heads among the anchors.
+        width: Channels.
+        heads: Attention heads.
+        quiet: Start without effect, so that a deeper network begins as the shallower one it grew from.
 
-    Shapes: (V, width_in) -> (V, width_out).
+    Shapes: (M, width) -> (M, width).
     """
 
-    def __init__(self, width_in: int, width_out: int, heads: int = 4):
+    def __init__(self, width: int, heads: int, quiet: bool = False):
         super().__init__()
-        self.fine = EdgeConv(width_in, width_out)
         self.heads = heads
-        self.enter = nn.Linear(width_in + 3, width_out)
-        self.norm_attention = nn.LayerNorm(width_out)
-        self.attention = nn.Linear(width_out, 3 * width_out)
-        self.merge = nn.Linear(width_out, width_out)
-        self.norm_mix = nn.LayerNorm(width_out)
-        self.mix = nn.Sequential(nn.Linear(width_out, 2 * width_out), nn.GELU(), nn.Linear(2 * width_out, width_out))
-        self.norm = nn.LayerNorm(width_out)
+        self.norm_attention = nn.LayerNorm(width)
+        self.attention = nn.Linear(width, 3 * width)
+        self.merge = nn.Linear(width, width)
+        self.norm_mix = nn.LayerNorm(width)
+        last = nn.Linear(2 * width, width)
+        self.mix = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), last)
+        if quiet:
+            for layer in (self.merge, last):
+                nn.init.zeros_(layer.weight)
+                nn.init.zeros_(layer.bias)
 
-    def coarse(self, x: torch.Tensor, graph: MeshGraph) -> torch.Tensor:
-        """Features of the anchors after they have heard of one another, shape (M, width_out)."""
-        tokens = self.enter(torch.cat([graph.gather @ x.float(), graph.anchors], dim=-1))
+    def forward(self, tokens: torch.Tensor) -> torch.Tensor:
         count, width = tokens.shape
         q, k, v = self.attention(self.norm_attention(tokens)).reshape(count, 3, self.heads, width // self.heads).permute(1, 2, 0, 3)
         heard = nn.functional.scaled_dot_product_attention(q[None], k[None], v[None])[0]
         tokens = tokens + self.merge(heard.transpose(0, 1).reshape(count, width))
         result: torch.Tensor = tokens + self.mix(self.norm_mix(tokens))
         return result
+
+
+class GraphLayer(nn.Module):
+    """`LayerNorm(EdgeConv(x) + spread(blocks(gather(x))))`, then GELU.
+
+    Args:
+        width_in, width_out: Channels.
+        heads: Attention heads among the anchors.
+        depth: Rounds among the anchors.
+
+    Shapes: (V, width_in) -> (V, width_out).
+    """
+
+    def __init__(self, width_in: int, width_out: int, heads: int = 4, depth: int = 1):
+        super().__init__()
+        self.fine = EdgeConv(width_in, width_out)
+        self.enter = nn.Linear(width_in + 3, width_out)
+        self.blocks = nn.ModuleList(AnchorBlock(width_out, heads, quiet=n > 0) for n in range(depth))
+        self.norm = nn.LayerNorm(width_out)
+
+    def coarse(self, x: torch.Tensor, graph: MeshGraph) -> torch.Tensor:
+        """Features of the anchors after they have heard of one another, shape (M, width_out)."""
+        tokens: torch.Tensor = self.enter(torch.cat([graph.gather @ x.float(), graph.anchors], dim=-1))
+        for block in self.blocks:
+            tokens = block(tokens)
+        return tokens
 
     def forward(self, x: torch.Tensor, graph: MeshGraph) -> torch.Tensor:
         both = self.fine(x, graph) + graph.spread @ self.coarse(x, graph).float()

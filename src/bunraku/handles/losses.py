@@ -1,4 +1,4 @@
-"""The losses of the Mesh Handle Predictor: the paper's three (Eq. 4, 13, 14) and three that give handles their meaning.
+"""The losses of the Mesh Handle Predictor: the paper's three (Eq. 4, 13, 14) and four that give handles their meaning.
 
 All take the prediction for one mesh in normalised units (largest extent 1). The paper's losses make handles follow the rig's
 parts but leave open which handle takes which part; the semantic loss ties handle 18 to the left forearm of every character.
@@ -21,6 +21,7 @@ __all__ = [
     "semantic_loss",
     "skinning_loss",
     "skinning_pairs",
+    "smoothness_loss",
     "sparsity_loss",
 ]
 
@@ -31,6 +32,8 @@ class LossConfig:
 
     Args:
         root: nu_r of Eq. 5.
+        root_unit: Eq. 4 is a squared distance in units of the character's extent, so small that nu_r alone leaves it without
+            effect; this factor brings it to the size of the others.
         pose: nu_p of Eq. 5.
         pose_unit: Eq. 14 sums over vertices; `pose_loss` is a mean, and this factor stands for the sum's size.
         skinning: Weight of Eq. 13, 1 in the paper, where it is the main signal; here the semantic loss is.
@@ -38,20 +41,23 @@ class LossConfig:
         apart: Divergence at which pairs of different parts count as apart enough (see `skinning_loss`).
         semantic: Weight of the cross-entropy with the handles that bone names give.
         sparsity: Weight of the share outside the four largest weights.
-        mirror: Weight of left-right consistency.
+        mirror: Weight of left-right consistency, which is also consistency between two sets of anchors.
         mirror_rate: Share of the meshes on which it is computed.
+        smoothness: Weight of the differences along edges.
     """
 
     root: float = 0.1
+    root_unit: float = 1000.0
     pose: float = 1.0
-    pose_unit: float = 100.0
+    pose_unit: float = 400.0
     skinning: float = 0.1
     skinning_pairs: int = 2000
     apart: float = 3.0
     semantic: float = 1.0
     sparsity: float = 0.5
-    mirror: float = 0.1
-    mirror_rate: float = 0.125
+    mirror: float = 0.3
+    mirror_rate: float = 0.25
+    smoothness: float = 0.1
 
 
 def root_loss(positions: torch.Tensor, weights: torch.Tensor, root: torch.Tensor, areas: torch.Tensor | None = None) -> torch.Tensor:
@@ -117,6 +123,7 @@ def skinning_loss(logits: torch.Tensor, i: torch.Tensor, j: torch.Tensor, gamma:
     Args:
         logits: Predicted weights before the softmax, shape (V, K).
         i, j, gamma: From `skinning_pairs`.
+        apart: The bound; infinity gives Eq. 13 as it is written.
     """
     if len(i) == 0:
         return logits.sum() * 0
@@ -188,6 +195,13 @@ def semantic_loss(logits: torch.Tensor, target: torch.Tensor, areas: torch.Tenso
 def sparsity_loss(weights: torch.Tensor, count: int = 4) -> torch.Tensor:
     """Mean share of the weights outside each vertex's `count` largest, which viewers drop."""
     return 1 - weights.topk(min(count, weights.shape[1]), dim=-1).values.sum(-1).mean()
+
+
+def smoothness_loss(weights: torch.Tensor, edges: torch.Tensor) -> torch.Tensor:
+    """Mean squared difference of the weights along the edges (E, 2), the mesh's Dirichlet energy without its angles."""
+    if len(edges) == 0:
+        return weights.sum() * 0
+    return (weights[edges[:, 0]] - weights[edges[:, 1]]).square().sum(-1).mean()
 
 
 def mirror_loss(logits: torch.Tensor, mirrored: torch.Tensor, swap: torch.Tensor) -> torch.Tensor:

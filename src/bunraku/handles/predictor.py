@@ -14,7 +14,7 @@ from bunraku.errors import WeightsError
 from bunraku.handles.graph import GraphLayer, MeshGraph
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 
-__all__ = ["HandlePrediction", "HandlePredictor", "PredictorConfig", "load_predictor", "save_predictor"]
+__all__ = ["HandlePrediction", "HandlePredictor", "PredictorConfig", "grow_predictor", "load_predictor", "save_predictor"]
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class PredictorConfig:
         handles: K.
         heads: Attention heads among the anchors.
         anchors: Anchors of the coarse term.
+        depth: Rounds in which the anchors of a layer hear of one another.
         mesh_vertices: Most vertices of the network mesh it was trained on, for `bunraku.geometry.simplify.network_mesh`.
     """
 
@@ -35,6 +36,7 @@ class PredictorConfig:
     handles: int = HANDLE_COUNT
     heads: int = 4
     anchors: int = 128
+    depth: int = 3
     mesh_vertices: int = 2400
 
 
@@ -63,7 +65,7 @@ class HandlePredictor(nn.Module):
         super().__init__()
         self.config = config or PredictorConfig()
         widths = (6, *self.config.levels)
-        self.layers = nn.ModuleList(GraphLayer(a, b, self.config.heads) for a, b in zip(widths, widths[1:], strict=False))
+        self.layers = nn.ModuleList(GraphLayer(a, b, self.config.heads, self.config.depth) for a, b in zip(widths, widths[1:], strict=False))
         length = sum(self.config.levels)
         first, second = self.config.hidden
         self.local = nn.Linear(length + 6, first)
@@ -107,3 +109,18 @@ def load_predictor(path: str | Path) -> HandlePredictor:
     except (KeyError, TypeError, RuntimeError, ValueError) as error:
         raise WeightsError(f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again") from error
     return model.eval()
+
+
+def grow_predictor(model: HandlePredictor, path: str | Path) -> None:
+    """Give a new predictor the weights of a checkpoint, which may have fewer rounds among the anchors.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or of another shape.
+    """
+    state, _ = load_checkpoint(path, "handles")
+    try:
+        missing, unexpected = model.load_state_dict(state, strict=False)
+    except RuntimeError as error:
+        raise WeightsError(f"{path}: the weights do not fit this predictor ({str(error).splitlines()[-1].strip()}); use its settings") from error
+    if unexpected or any(".blocks." not in name for name in missing):
+        raise WeightsError(f"{path}: the weights do not fit this predictor ({[*unexpected, *missing][0]}); use its settings")

@@ -17,9 +17,10 @@ from bunraku.bodies.layout import HANDLE_MIRROR
 from bunraku.errors import OptionError
 from bunraku.handles import losses
 from bunraku.handles.bank import write_mesh_bank
+from bunraku.handles.damage import DamageConfig, damage
 from bunraku.handles.graph import MeshGraph, mesh_graph
 from bunraku.handles.losses import LossConfig
-from bunraku.handles.predictor import HandlePredictor, PredictorConfig, save_predictor
+from bunraku.handles.predictor import HandlePredictor, PredictorConfig, grow_predictor, save_predictor
 from bunraku.handles.training_data import AugmentConfig, TrainingCharacter, TrainingMesh, augment, plain_mesh
 from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
 
@@ -46,6 +47,8 @@ class HandleTrainConfig:
         reference_share: Share of the examples that are the reference body.
         validate_every: Epochs between validations.
         seed: Of everything random.
+        start: Checkpoint of kind "handles" to start a new run from, for example the shipped one, to go on with it on other
+            characters; a deeper network begins as the one in the checkpoint.
     """
 
     cache: Path = Path("runs/data/characters")
@@ -62,13 +65,15 @@ class HandleTrainConfig:
     reference_share: float = 0.12
     validate_every: int = 3
     seed: int = 1
+    start: Path | None = None
     predictor: PredictorConfig = field(default_factory=PredictorConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     augment: AugmentConfig = field(default_factory=AugmentConfig)
+    damage: DamageConfig = field(default_factory=DamageConfig)
 
 
-def _graph(mesh: TrainingMesh, config: PredictorConfig, device: str) -> MeshGraph:
-    return mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, config.anchors).to(device)
+def _graph(mesh: TrainingMesh, config: PredictorConfig, device: str, rng: np.random.Generator | None = None) -> MeshGraph:
+    return mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, config.anchors, rng).to(device)
 
 
 class HandleTrainer:
@@ -94,6 +99,8 @@ class HandleTrainer:
         self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
         torch.manual_seed(config.seed)
         self.model = HandlePredictor(config.predictor).to(config.device)
+        if config.start is not None:
+            grow_predictor(self.model, config.start)
         self.average = HandlePredictor(config.predictor).to(config.device).eval()
         self.average.load_state_dict(self.model.state_dict())
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=config.rate)
@@ -115,14 +122,15 @@ class HandleTrainer:
     def example_loss(self, mesh: TrainingMesh) -> tuple[torch.Tensor, dict[str, float]]:
         """Eq. 5 with the further losses, for one mesh; and each loss before its weight."""
         config, device = self.config.loss, self.config.device
-        graph = _graph(mesh, self.config.predictor, device)
+        graph = _graph(mesh, self.config.predictor, device, self.rng)
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
             predicted = self.model(graph)
         logits, weights = predicted.logits.float(), predicted.weights.float()
         positions = graph.inputs[:, :3]
         parts = {
             "semantic": losses.semantic_loss(logits, torch.from_numpy(mesh.target).to(device), graph.areas),
-            "root": losses.root_loss(positions, weights, torch.from_numpy(mesh.root).to(device), graph.areas),
+            "root": config.root_unit * losses.root_loss(positions, weights, torch.from_numpy(mesh.root).to(device), graph.areas),
+            "smoothness": losses.smoothness_loss(weights, torch.from_numpy(mesh.edges).to(device)),
             "sparsity": losses.sparsity_loss(weights),
         }
         i, j, gamma = losses.skinning_pairs(
@@ -132,8 +140,9 @@ class HandleTrainer:
         if len(mesh.posed):
             parts["pose"] = config.pose_unit * losses.pose_loss(positions, torch.from_numpy(mesh.posed).to(device), weights)
         if self.rng.random() < config.mirror_rate:
+            again = _graph(mesh, self.config.predictor, device, self.rng).mirrored()  # other anchors, so they must not matter either
             with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
-                mirrored = self.model(graph.mirrored()).logits.float()
+                mirrored = self.model(again).logits.float()
             parts["mirror"] = losses.mirror_loss(logits, mirrored, self.swap.to(device))
         total = sum((getattr(config, name) * value for name, value in parts.items()), start=logits.sum() * 0)
         return total, {name: float(value.detach()) for name, value in parts.items()}
@@ -154,7 +163,8 @@ class HandleTrainer:
                     character = self.reference[self.rng.integers(len(self.reference))]
                 else:
                     character = self.characters[self.rng.choice(len(self.characters), p=self.chances)]
-                loss, parts = self.example_loss(augment(character, self.rng, self.config.augment))
+                mesh = damage(augment(character, self.rng, self.config.augment), self.rng, self.config.damage)
+                loss, parts = self.example_loss(mesh)
                 (loss / self.config.batch).backward()
                 for name, value in {"total": float(loss.detach()), **parts}.items():
                     sums[name], counts[name] = sums.get(name, 0.0) + value, counts.get(name, 0) + 1
@@ -223,13 +233,14 @@ def validate_handles(model: HandlePredictor, characters: Sequence[TrainingCharac
         seed: Of the poses.
 
     Returns:
-        accuracy: Share of the labelled surface whose largest weight is the right handle's. root: distance of handle 0 from
-        the root joint, over the height. pose: mean distance between posed vertices and those that the handles rebuild, over
-        the height.
+        accuracy: Share of the labelled surface whose largest weight is the right handle's. purity: of the surface that one
+        joint moves (weight over 0.9), the share on the main handle of that joint's part. root: distance of handle 0 from the
+        root joint, over the height. pose: mean distance between posed vertices and those that the handles rebuild, over the
+        height. outside: share of the weights outside the four largest.
     """
     model.eval()
     device = next(model.parameters()).device
-    accuracy, root, pose = [], [], []
+    accuracy, purity, root, pose, outside = [], [], [], [], []
     for number, character in enumerate(characters):
         rng = np.random.default_rng([seed, number])
         mesh = augment(character, rng) if varied else plain_mesh(character, rng)
@@ -239,12 +250,18 @@ def validate_handles(model: HandlePredictor, characters: Sequence[TrainingCharac
         known = (target.sum(1) > 0.5) * graph.areas
         if float(known.sum()) > 0:
             accuracy.append(float((known * (weights.argmax(1) == target.argmax(1))).sum() / known.sum()))
+        parts = torch.from_numpy(mesh.weights * (mesh.weights > 0.9)).to(device) * graph.areas[:, None]
+        shares = parts.T @ torch.nn.functional.one_hot(weights.argmax(1), weights.shape[1]).float()
+        if float(shares.sum()) > 0:
+            purity.append(float(shares.amax(1).sum() / shares.sum()))
+        outside.append(float(losses.sparsity_loss(weights)))
         if (character.handles == 0).any():
             root.append(float(losses.root_loss(positions, weights, torch.from_numpy(mesh.root).to(device), graph.areas).sqrt()) / mesh.height)
         posed = torch.from_numpy(mesh.posed).to(device)
         moved = losses.drive_local(positions, weights, *losses.register_torch(positions, posed, weights))
         pose.append(float((moved - posed).norm(dim=-1).mean()) / mesh.height)
-    return {"accuracy": float(np.mean(accuracy)), "root": float(np.mean(root)), "pose": float(np.mean(pose))}
+    results = {"accuracy": accuracy, "purity": purity, "root": root, "pose": pose, "outside": outside}
+    return {name: float(np.mean(values)) if values else math.nan for name, values in results.items()}
 
 
 def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
@@ -258,7 +275,7 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
         The checkpoint.
 
     Raises:
-        BunrakuError: No cache, or the folder cannot be written.
+        BunrakuError: No cache, the folder cannot be written, or the checkpoint to start from does not fit.
     """
     from bunraku.datasets.characters import load_characters, reference_characters  # the data is built on this package's types
 
@@ -291,8 +308,8 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
     return checkpoint
 
 
-_COLUMNS = ("epoch", "step", "seconds", "rate", "total", "semantic", "skinning", "pose", "root", "sparsity", "mirror",
-            "held_accuracy", "held_root", "held_pose", "varied_accuracy", "varied_root", "varied_pose")  # fmt: skip
+_COLUMNS = ("epoch", "step", "seconds", "rate", "total", "semantic", "skinning", "pose", "root", "sparsity", "smoothness", "mirror",
+            "held_accuracy", "held_purity", "held_root", "held_pose", "varied_accuracy", "varied_purity", "varied_root", "varied_pose")  # fmt: skip
 
 
 def _log_row(path: Path, row: dict[str, float]) -> None:

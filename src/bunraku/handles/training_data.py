@@ -105,7 +105,7 @@ class AugmentConfig:
 
     poses: int = 2
     pose_angle: float = 1.05
-    rest_rate: float = 0.7
+    rest_rate: float = 0.8
     rest_angle: float = 0.6
     stretch: float = 1.25
     joint_scale: float = 1.35
@@ -173,20 +173,35 @@ def _first_of(character: TrainingCharacter, handle: int) -> list[int]:
 
 
 def _human_rest(rng: np.random.Generator, character: TrainingCharacter, rotations: np.ndarray) -> None:
-    """Turn arms up or down and legs forward, for bodies that stand upright: T, A, arms-down, sitting."""
+    """Turn arms up or down and legs forward, for bodies that stand upright: T, A, arms down, sitting, crouching.
+
+    Arms are turned to an elevation, whatever theirs is now: half of the time to any, else to one between A and arms down, where
+    most files have them that are not in T.
+    """
     heads = np.flatnonzero((character.handles == 15) | (character.handles == 12))
     if len(heads) == 0:
         return
     spine = character.joints[heads[0]] - character.root
     if spine[1] < 0.7 * np.linalg.norm(spine):
         return
-    lift, forward = rng.uniform(-1.3, 1.3), rng.normal(0, 0.35)
+    elevation = rng.uniform(-1.45, 1.1) if rng.random() < 0.5 else rng.uniform(-1.5, -0.6)
+    forward = rng.normal(0, 0.35)
     hip, knee, elbow = (rng.uniform(-1.6, 0.2), rng.uniform(0, 1.6), rng.uniform(-1.2, 0.2)) if rng.random() < 0.35 else (0.0, 0.0, 0.0)
     for sign, shoulder, arm, leg, shin in ((1, 16, 18, 1, 4), (-1, 17, 19, 2, 5)):
-        angles = {shoulder: (forward, 0.0, sign * (lift + rng.normal(0, 0.15))), arm: (elbow, 0.0, 0.0), leg: (hip, 0.0, 0.0), shin: (knee, 0.0, 0.0)}
+        lift = elevation - _elevation(character, shoulder, arm) + rng.normal(0, 0.1)
+        angles = {shoulder: (forward, 0.0, sign * lift), arm: (elbow, 0.0, 0.0), leg: (hip, 0.0, 0.0), shin: (knee, 0.0, 0.0)}
         for handle, turn in angles.items():
             for joint in _first_of(character, handle):
                 rotations[joint] = matrix_from_axis_angle(np.array(turn)) @ rotations[joint]
+
+
+def _elevation(character: TrainingCharacter, upper: int, lower: int) -> float:
+    """Angle of a limb above the horizontal [rad]; 0 where the character lacks one of its ends."""
+    starts, ends = _first_of(character, upper), _first_of(character, lower)
+    if not starts or not ends:
+        return 0.0
+    along = character.joints[ends[0]] - character.joints[starts[0]]
+    return float(np.arctan2(along[1], abs(along[0]) + 1e-9))
 
 
 def _normalised(points: np.ndarray) -> tuple[np.ndarray, float]:
