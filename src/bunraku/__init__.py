@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from bunraku.animation import Animation
     from bunraku.character import Character, Handles, Rig
     from bunraku.formats import load_character, load_motion, save_character
+    from bunraku.handles.orientation import Orientation, guess_orientation, upright
     from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton
     from bunraku.pipeline import animate, rig
 
@@ -44,16 +45,19 @@ __all__ = [
     "MissingExtraError",
     "MotionError",
     "OptionError",
+    "Orientation",
     "Rig",
     "SkeletalMotion",
     "Skeleton",
     "WeightsError",
     "__version__",
     "animate",
+    "guess_orientation",
     "load_character",
     "load_motion",
     "rig",
     "save_character",
+    "upright",
 ]
 
 _HOME = {
@@ -61,14 +65,17 @@ _HOME = {
     "Character": "bunraku.character",
     "HandleMotion": "bunraku.motion",
     "Handles": "bunraku.character",
+    "Orientation": "bunraku.handles.orientation",
     "Rig": "bunraku.character",
     "SkeletalMotion": "bunraku.motion",
     "Skeleton": "bunraku.motion",
     "animate": "bunraku.pipeline",
+    "guess_orientation": "bunraku.handles.orientation",
     "load_character": "bunraku.formats",
     "load_motion": "bunraku.formats",
     "rig": "bunraku.pipeline",
     "save_character": "bunraku.formats",
+    "upright": "bunraku.handles.orientation",
 }
 
 
