@@ -114,16 +114,23 @@ def test_an_absent_handle_follows_its_parent():
     np.testing.assert_allclose(fitted.rotations[:, wrist], fitted.rotations[:, elbow], atol=1e-6)
 
 
-@pytest.mark.parametrize(("degrees", "straightened"), [(15, True), (48, False), (85, True)])
-def test_bent_legs_are_straightened_unless_they_are_built_so(degrees, straightened):
-    body, motion = reference_body(), swing()
+@pytest.mark.parametrize(
+    ("degrees", "arms", "straightened"), [(15, False, True), (48, False, False), (48, True, True), (85, False, True), (85, True, True)]
+)
+def test_bent_legs_are_straightened_unless_they_are_built_so(degrees, arms, straightened):
+    body, motion = reference_body(), swing(3)
     bend = Rotation.from_euler("x", -degrees, degrees=True).as_matrix()  # both thighs forward
     rotations = np.tile(np.eye(3), (1, JOINT_COUNT, 1, 1))
     for name in ("left_hip", "right_hip"):
         rotations[0, JOINT_NAMES.index(name)] = bend
     vertices = body.pose(SkeletalMotion(body.skeleton, rotations, body.joints[:1]))[0]
+    weights = body.handle_weights.copy()
+    if not arms:  # as a bird or a walking machine
+        limbs = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("shoulder", "elbow", "wrist", "fingers"))]
+        weights[:, HANDLE_NAMES.index("spine3")] += weights[:, limbs].sum(axis=1)
+        weights[:, limbs] = 0
     character = Character("bent", vertices, body.faces)
-    handles = Handles(handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces)), body.handle_weights)
+    handles = Handles(handle_positions(vertices, weights, vertex_areas(vertices, body.faces)), weights)
     thigh = fit_motion(motion, character, handles).rotations[0, HANDLE_NAMES.index("right_hip")]
     angle = np.degrees(np.linalg.norm(Rotation.from_matrix(thigh).as_rotvec()))
     assert angle == pytest.approx(degrees if straightened else 0, abs=6)

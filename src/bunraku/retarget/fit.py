@@ -18,16 +18,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bunraku.bodies.layout import HANDLE_PARENTS
 from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
 from bunraku.diffusion.features import heading
 from bunraku.errors import CharacterError
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.motion import HandleMotion
-from bunraku.retarget.ground import grounded, stride_scale
-from bunraku.retarget.joints import Joints, attached, estimated_reference_joints, find_joints, reference_joints
-from bunraku.retarget.rest_pose import rest_rotations, upright
+from bunraku.retarget.ground import grounded, standing, stride_scale
+from bunraku.retarget.joints import attached, find_joints, reference_joints, refined_joints
+from bunraku.retarget.neutral import neutral_pose, rest_turns
+from bunraku.retarget.rest_pose import upright
 
 __all__ = ["Stages", "fit_motion"]
 
@@ -79,24 +79,30 @@ def fit_motion(motion: HandleMotion, character: Character, handles: Handles, sta
     if len(handles.positions) != len(body.handles.positions):
         want = len(body.handles.positions)
         raise CharacterError(f"a motion is fitted to {want} handles, not {len(handles.positions)}; take those of `bunraku.rig`")
-    scale = stride_scale(character, handles)
-    joints = find_joints(character, handles)
     rotations = motion.rotations.astype(np.float64)
-    turns = np.tile(np.eye(3), (len(handles.positions), 1, 1))
     if stages.rest_pose:
-        turns = rest_rotations(handles, joints, body.handles, estimated_reference_joints(), character.height)
+        turns, joints = rest_turns(character, handles)
         rotations = rotations @ turns
-    joints = _corrected(joints, handles, turns, estimated_reference_joints())
+    else:
+        turns = np.tile(np.eye(3), (len(handles.positions), 1, 1))
+        joints = refined_joints(character, handles, find_joints(character, handles), turns)
+    stance = neutral_pose(character, handles, joints, turns)
+    stands = standing(*stance)
+    scale = stride_scale(*stance, stands)
     if stages.attach:
         rotations, translations = attached(rotations, handles, joints)
         translations += _residual(motion) * scale * joints.present[:, None]
     else:
         translations = motion.translations * scale
-    fitted = replace(motion, rotations=rotations, translations=translations, root_translation=motion.root_translation * scale)
+    floors = [float(some.vertices[stands, 1].min()) for some in (character, stance[0])]
+    path = motion.root_translation * scale + np.array([0, floors[0] - floors[1], 0])  # who sits stands up
+    lever = handles.positions[0] - stance[1].positions[0]  # the root turns about its place in the stance, not in the rest pose
+    path += (motion.root_rotation - np.eye(3)) @ lever
+    fitted = replace(motion, rotations=rotations, translations=translations, root_translation=path)
     if stages.rest_pose and not upright(handles):
         fitted = replace(fitted, root_rotation=_levelled(motion.root_rotation, motion.fps))
     if stages.ground:
-        fitted = grounded(motion, fitted, character, handles, scale)
+        fitted = grounded(motion, fitted, character, handles, scale, stands)
     return fitted
 
 
@@ -108,17 +114,3 @@ def _levelled(root_rotation: np.ndarray, fps: float) -> np.ndarray:
     facing = matrix_y(heading(root_rotation, fps))
     tilt = axis_angle_from_matrix(facing.transpose(0, 2, 1) @ root_rotation)
     return np.asarray(facing @ matrix_from_axis_angle(tilt / 3))
-
-
-def _corrected(joints: Joints, handles: Handles, turns: np.ndarray, estimated: Joints) -> Joints:
-    """Joints moved by what the estimate misses on the reference body, whose true joints are known, in each part's own scale."""
-    body = reference_body()
-    positions = joints.positions.copy()
-    for handle in range(1, len(body.joints)):
-        parent = int(joints.parents[handle])
-        if not joints.present[handle] or parent != HANDLE_PARENTS[handle]:
-            continue
-        own = np.linalg.norm(handles.positions[handle] - handles.positions[parent])
-        size = float(own / np.linalg.norm(body.handles.positions[handle] - body.handles.positions[parent]))
-        positions[handle] += turns[handle].T @ (body.joints[handle] - estimated.positions[handle]) * size
-    return replace(joints, positions=positions)

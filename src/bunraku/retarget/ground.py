@@ -14,7 +14,7 @@ from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
 from bunraku.retarget.rest_pose import upright
 
-__all__ = ["grounded", "stride_scale"]
+__all__ = ["grounded", "standing", "stride_scale"]
 
 SAMPLE = 30000  # vertices looked at to find the lowest point
 CHUNK = 200  # frames posed at once for it: bounds memory at about 70 MB
@@ -22,9 +22,13 @@ _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee
 _HANGING = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("shoulder", "elbow", "wrist", "fingers", "wing", "tail", "tail_tip"))]
 
 
-def _standing(character: Character, handles: Handles) -> np.ndarray:
+def standing(character: Character, handles: Handles) -> np.ndarray:
     """Vertices that may stand on the ground, shape (V,), bool: the surface, but of who stands on legs not what may hang lower
     than the feet, such as a weapon in a hand, long arms or a tail.
+
+    Args:
+        character: In the reference body's stance (`neutral_pose`): who sits has its legs below it all the same.
+        handles: Its handles.
     """
     seen, heights = character.surface, character.vertices[:, 1]
     legs = seen & (handles.weights[:, _LEGS].sum(axis=1) > 0.5)
@@ -33,9 +37,15 @@ def _standing(character: Character, handles: Handles) -> np.ndarray:
     return seen & (handles.weights[:, _HANGING].sum(axis=1) < 0.5)
 
 
-def stride_scale(character: Character, handles: Handles) -> float:
-    """How long the character's strides are over the reference body's: the height of the root handle over the floor, as a ratio."""
-    over_floor = float(handles.positions[0, 1]) - float(character.vertices[_standing(character, handles), 1].min())
+def stride_scale(character: Character, handles: Handles, stands: np.ndarray) -> float:
+    """How long the character's strides are over the reference body's: the height of the root handle over the floor, as a ratio.
+
+    Args:
+        character: In the reference body's stance.
+        handles: Its handles there.
+        stands: What may stand on the ground, shape (V,).
+    """
+    over_floor = float(handles.positions[0, 1]) - float(character.vertices[stands, 1].min())
     return max(over_floor, 0.02 * character.height) / float(reference_body().handles.positions[0, 1])
 
 
@@ -47,7 +57,7 @@ def _lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, pos
     return np.concatenate([skin(vertices[pick], weights[pick], part)[..., 1].min(axis=1) for part in parts])
 
 
-def grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, handles: Handles, scale: float) -> HandleMotion:
+def grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, handles: Handles, scale: float, stands: np.ndarray) -> HandleMotion:
     """The fitted motion with its lowest point as high over the floor, that of its rest pose, as the reference body's is over y = 0.
 
     The reference body's own drift off the ground is taken out first.
@@ -57,11 +67,10 @@ def grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, h
     want = _lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
     window = 2 * round(0.75 * motion.fps) + 1
     drift = gaussian_filter1d(minimum_filter1d(want, window, mode="nearest"), 0.25 * motion.fps, mode="nearest")
-    stands = _standing(character, handles)
     have = _lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions)
     seen = character.surface
     if stands.sum() < seen.sum():
-        feet = _standing(body.character(), body.handles)
+        feet = standing(body.character(), body.handles)
         hands_down = _lowest(body.vertices[feet], body.handle_weights[feet], motion, body.handles.positions) > want + 0.01
         if hands_down.any():
             have = np.where(hands_down, _lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have)

@@ -11,9 +11,9 @@ from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
 from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
-from bunraku.retarget.ground import stride_scale
-from bunraku.retarget.joints import Joints, attached, estimated_reference_joints, find_joints, reference_joints
-from bunraku.retarget.rest_pose import rest_rotations
+from bunraku.retarget.ground import standing, stride_scale
+from bunraku.retarget.joints import Joints, attached, reference_joints
+from bunraku.retarget.neutral import neutral_pose, rest_turns
 
 __all__ = ["motion_to_reference"]
 
@@ -31,13 +31,13 @@ def motion_to_reference(motion: HandleMotion, character: Character, handles: Han
         character lacks moving with their parents, and the root's path in the reference's scale.
     """
     body, known = reference_body(), reference_joints()
-    own = find_joints(character, handles)
-    turns = rest_rotations(handles, own, body.handles, estimated_reference_joints(), character.height)
+    turns, own = rest_turns(character, handles)
+    stance = neutral_pose(character, handles, own, turns)
     rotations = motion.rotations.astype(np.float64) @ turns.transpose(0, 2, 1)
     rotations, translations = attached(rotations, body.handles, Joints(known.positions, own.parents, own.present))
     tail = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]  # a person has none
     rotations[:, tail], translations[:, tail] = np.eye(3), 0
-    path = motion.root_translation / stride_scale(character, handles)
+    path = motion.root_translation / stride_scale(*stance, standing(*stance))
     result = replace(motion, rotations=rotations, translations=translations, root_translation=path)
     lowest = skin(body.vertices, body.handle_weights, result.transforms(body.handles.positions))[..., 1].min(axis=1)
     return replace(result, root_translation=path - np.array([0, np.quantile(lowest, 0.05), 0], np.float32))
