@@ -1,16 +1,20 @@
-"""Make the pictures of the docs: `python tools/make_pictures.py [NAME ...]`, in docs/pictures, at most 300 kB each.
+"""Make the pictures of the docs: `python tools/make_pictures.py [NAME ...] [--characters DIR]`, in docs/pictures, at most 300 kB each.
 
-Everything is drawn from the shipped weights and the sample characters, so anyone can make them again.
+Everything is drawn from the shipped weights and the sample characters, so anyone can make them again; the sheet of handles from
+the character archive, where its folder is given.
 """
 
 from __future__ import annotations
 
+import argparse
+import csv
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+import bunraku
 from bunraku.pipeline import animate, rig
 from bunraku.render import contact_sheet, render_animation, render_still
 from bunraku.samples import sample_character, sample_names
@@ -32,6 +36,8 @@ PROMPTS = (
 )
 ON_CHARACTERS = ("a person walks forward", "a person waves with the right hand", "a person dances")
 FRAMES = 7
+SHEET = 40
+CHARACTERS: Path | None = None
 
 
 def samples() -> None:
@@ -42,12 +48,35 @@ def samples() -> None:
 
 
 def handles() -> None:
-    """The handles that the predictor finds on them."""
-    pictures = []
-    for name in sample_names():
-        character = sample_character(name)
-        pictures.append(render_still(character, rig(character), size=(300, 360)))
-    contact_sheet(pictures, list(sample_names()), OUT / "handles.png", columns=3)
+    """The handles that the predictor finds on forty characters of every category, or on the samples where no archive is given."""
+    chosen = _of_every_category(CHARACTERS, SHEET) if CHARACTERS else []
+    if not chosen:
+        pictures = [render_still(character, rig(character), size=(300, 360)) for character in map(sample_character, sample_names())]
+        contact_sheet(pictures, list(sample_names()), OUT / "handles.png", columns=3)
+        return
+    pictures, labels = [], []
+    for file, category in chosen:
+        character = bunraku.load_character(file)
+        pictures.append(render_still(character, rig(character), size=(130, 140)))
+        labels.append(f"{file.stem} ({category})")
+    contact_sheet(pictures, labels, OUT / "handles.png", columns=8)
+
+
+def _of_every_category(folder: Path, count: int) -> list[tuple[Path, str]]:
+    """Files of the archive with their categories: as many of each category as there are, up to an even share, spread over its packs."""
+    with (folder / "index.csv").open(newline="") as file:
+        rows = sorted((row["category"], row["path"]) for row in csv.DictReader(file) if (folder / row["path"]).is_file())
+    groups: dict[str, list[str]] = {}
+    for category, path in rows:
+        groups.setdefault(category, []).append(path)
+    shares = dict.fromkeys(groups, 0)
+    for _ in range(min(count, len(rows))):
+        category = min((name for name in groups if shares[name] < len(groups[name])), key=lambda name: shares[name])
+        shares[category] += 1
+    picked = []
+    for category, paths in groups.items():
+        picked += [(folder / paths[i], category) for i in np.linspace(0, len(paths) - 1, shares[category]).round().astype(int)]
+    return picked
 
 
 def _row(character_name: str, prompt: str, seconds: float, seed: int = 0, size: tuple[int, int] = (150, 180)) -> tuple[list[np.ndarray], list[str]]:
@@ -88,8 +117,14 @@ MAKERS: dict[str, Callable[[], None]] = {"samples": samples, "handles": handles,
 
 
 def main() -> None:
+    global CHARACTERS
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MAKERS))
+    parser.add_argument("--characters", type=Path, help="folder of the unpacked character archive, with its index.csv")
+    args = parser.parse_args()
+    CHARACTERS = args.characters
     OUT.mkdir(parents=True, exist_ok=True)
-    for name in sys.argv[1:] or MAKERS:
+    for name in args.names or MAKERS:
         if name not in MAKERS:
             sys.exit(f"there is no picture '{name}'; choose from {', '.join(MAKERS)}")
         print(name, flush=True)

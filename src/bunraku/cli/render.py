@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from bunraku.cli.checks import check_input, check_output, check_range
+from bunraku.cli.orientation import AxisOption, check_axes, stand_up
 from bunraku.cli.progress import Report, stages
 from bunraku.cli.report import wrote
 from bunraku.errors import FormatError, OptionError
@@ -25,14 +26,14 @@ OUTPUTS = (".mp4", ".webp", ".gif", ".png")
 class Render:
     """Make a video or a picture of an animated file, a character or a motion.
 
-    A GLB with a clip is played; .png gives a contact sheet of it. A character without a clip gives a still (.png). A handle
+    A GLB or FBX with a clip is played; .png gives a contact sheet of it. A character without a clip gives a still (.png). A handle
     motion (.npz) is played on the character that --character names.
 
     Example: bunraku render dragon-wave.glb -o dragon-wave.mp4 --fps 30
     """
 
     file: tyro.conf.Positional[Path]
-    """An animated GLB, a character, or a handle motion (.npz)."""
+    """An animated GLB or FBX, a character, or a handle motion (.npz)."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH", help_behavior_hint="")] = None
     """File to write: .mp4, .webp, .gif or .png. Default: FILE.mp4 for what moves, FILE.png for what does not, in this folder."""
     character: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
@@ -45,8 +46,13 @@ class Render:
     """Width and height of a video or a still in pixels."""
     color: Literal["texture", "handles"] = "texture"
     """The character's own colours, or one for each handle or joint."""
+    up: AxisOption = "auto"
+    """The axis that is up in a character without a clip, or in that of --character."""
+    front: AxisOption = "auto"
+    """The axis that it faces."""
 
     def run(self) -> None:
+        check_axes(self.up, self.front)
         check_range("--fps", self.fps, 1, 120)
         for side in self.size:
             check_range("--size", side, 16, 4096)
@@ -86,18 +92,21 @@ class Render:
     def _motion(self, report: Report) -> Animation:
         from bunraku.animation import Animation
         from bunraku.formats import load_character, load_motion
+        from bunraku.motion import HandleMotion
         from bunraku.pipeline import rig
 
         assert self.character is not None
         motion = load_motion(self.file)
-        character = load_character(self.character)
+        if not isinstance(motion, HandleMotion):
+            raise FormatError(self.file, "this is no handle motion, whatever its suffix says; write one with `bunraku animate -o motion.npz`")
+        character = stand_up(load_character(self.character), self.character, self.up, self.front)
         return Animation(character, rig(character, progress=report), motion)
 
     def _clip(self) -> Animation | None:
-        from bunraku.formats import load_character
         from bunraku.formats.gltf_play import load_animation
+        from bunraku.formats.registry import load_with_clips
 
-        source = load_character(self.file).source
+        source = load_with_clips(self.file, self.fps).source
         if getattr(source, "document", None) is None or not source.document.items("animations"):
             return None
         return load_animation(self.file, self.clip, self.fps)
@@ -110,4 +119,4 @@ class Render:
             raise FormatError(self.file, f"it holds no animation, so there is nothing to put in a {output.suffix}; ask for a .png")
         if self.color == "handles":
             raise OptionError("the handles of a character without a clip are shown by `bunraku rig --preview`")
-        save_still(load_character(self.file), output, size=self.size)
+        save_still(stand_up(load_character(self.file), self.file, self.up, self.front), output, size=self.size)

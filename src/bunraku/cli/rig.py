@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from bunraku.cli.checks import check_input, check_output, make_folder
-from bunraku.cli.inspect import warn_of_lying
+from bunraku.cli.orientation import AxisOption, check_axes, stand_up
 from bunraku.cli.progress import stages
 from bunraku.cli.report import wrote
 
@@ -31,8 +31,15 @@ class Rig:
     """GLB to write. Default: CHARACTER-rigged.glb in this folder."""
     preview: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Also make a picture (.png) of the front and the back, coloured by handle."""
+    handles: Literal["predict", "rig"] = "predict"
+    """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by their names."""
+    up: AxisOption = "auto"
+    """The axis that is up in the file. "auto" goes by the rule of the format, and by the shape where it has none."""
+    front: AxisOption = "auto"
+    """The axis that the character faces in the file."""
 
     def run(self) -> None:
+        check_axes(self.up, self.front)
         check_input(self.character)
         output = self.output or Path(f"{self.character.stem}-rigged.glb")
         check_output(output, (".glb",), [self.character])
@@ -43,13 +50,12 @@ class Rig:
 
         with stages() as report:
             report("load", 0.0)
-            character = load_character(self.character)
+            character = stand_up(load_character(self.character), self.character, self.up, self.front)
             report("load", 1.0)
-            warn_of_lying(character, self.character)
 
             from bunraku.pipeline import rig
 
-            handles = rig(character, progress=report)
+            handles = rig(character, handles=self.handles, progress=report)
             report("write", 0.0)
             save_character(character, output, handles=handles)
             report("write", 1.0)

@@ -1,4 +1,4 @@
-"""`bunraku train`: the two networks. Their options are the dataclasses of their training modules."""
+"""`bunraku train`: the networks. Their options are the dataclasses of their training modules."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from bunraku.cli.progress import stages
 
-__all__ = ["diffusion", "handles"]
+__all__ = ["diffusion", "handles", "orientation"]
 
 
 def handles() -> tuple[type, Callable[[Any], None]]:
@@ -32,6 +32,21 @@ def handles() -> tuple[type, Callable[[Any], None]]:
         print(f"wrote {path}")
 
     return HandleTrainConfig, run
+
+
+def orientation() -> tuple[type, Callable[[Any], None]]:
+    """Train the network that knows which way up a character belongs and which way it faces.
+
+    The same command goes on where a run stopped.
+
+    Example: bunraku train orientation --cache data/characters --out runs/orientation
+    """
+    from bunraku.handles.orientation_train import OrientationTrainConfig, train_orientation
+
+    def tell(row: dict[str, float]) -> None:
+        print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
+
+    return OrientationTrainConfig, lambda config: print(f"wrote {train_orientation(config, tell)}")
 
 
 def diffusion() -> tuple[type, Callable[[Any], None]]:

@@ -1,0 +1,136 @@
+"""Characters that lie or face backwards: what the command line says and does about them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bunraku.cli import main
+from bunraku.cli.app import _joined
+from bunraku.cli.inspect import describe
+from bunraku.cli.orientation import said_axes, settle_file
+from bunraku.errors import WeightsError
+from bunraku.formats import load_character, load_motion, save_character
+from bunraku.geometry.axes import upright_rotation
+from bunraku.handles.orientation import Orientation, Settled
+from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.samples import sample_character
+
+
+def need_weights(*names):
+    try:
+        for name in names:
+            shipped_checkpoint(name)
+    except WeightsError:
+        pytest.skip(f"needs the shipped weights: {', '.join(names)}")
+
+
+def write_stl(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
+    """A binary STL, written without the library."""
+    records = np.zeros(len(faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    records["corners"] = vertices[faces]
+    path.write_bytes(bytes(80) + np.uint32(len(faces)).tobytes() + records.tobytes())
+    return path
+
+
+@pytest.fixture(scope="module")
+def stls(tmp_path_factory):
+    """The robot as STL: standing, and as a modelling program writes it, with +Z up and facing -Y; in millimetres."""
+    folder, robot = tmp_path_factory.mktemp("stls"), sample_character("robot")
+    lying = robot.vertices @ upright_rotation("+z", "-y").astype(np.float32)
+    return write_stl(folder / "standing.stl", robot.vertices, robot.faces), write_stl(folder / "lying.stl", 1000 * lying, robot.faces)
+
+
+def test_axes_are_checked_before_any_work(fails, good, tmp_path):
+    out = tmp_path / "out.glb"
+    assert "--up: 'w' is no axis" in fails("rig", good, "-o", out, "--up", "w")
+    assert "--front: 'up' is no axis" in fails("animate", good, "walks", "-o", out, "--front", "up")
+    for words in (("--up", "-z", "--front", "z"), ("--up", "y", "--front", "+Y")):
+        assert "lie along the same axis" in fails("rig", good, "-o", out, *words)
+    assert "same axis" in fails("render", good, "-o", tmp_path / "out.png", "--up=-x", "--front=+x")
+
+
+def test_an_axis_may_begin_with_a_minus():
+    assert _joined(["a", "--up", "-z", "--front", "+x", "-o", "b"]) == ["a", "--up=-z", "--front", "+x", "-o", "b"]
+    assert _joined(["--up", "z", "-x"]) == ["--up", "z", "-x"]
+
+
+def test_up_of_an_stl_gives_what_the_upright_file_gives(stls, tmp_path, capsys):
+    need_weights("handles", "orientation")
+    standing, lying = stls
+    outs = tmp_path / "standing.glb", tmp_path / "lying.glb"
+    assert main(["rig", str(standing), "-o", str(outs[0]), "--up", "y", "--front", "z"]) == 0
+    assert main(["rig", str(lying), "-o", str(outs[1]), "--up", "z", "--front", "-y"]) == 0
+    assert "seems to" not in capsys.readouterr().err
+    one, other = (load_character(path) for path in outs)
+    assert np.abs(one.vertices - other.vertices / 1000).max() < 1e-5 * one.height
+    assert np.abs(one.rig.positions - other.rig.positions / 1000).max() < 1e-4 * one.height
+    assert np.abs(one.rig.dense_weights() - other.rig.dense_weights()).max() < 0.01
+
+
+def test_animations_of_both_are_the_same_motion(stls, tmp_path):
+    need_weights("handles", "orientation", "diffusion")
+    options = ["a person waves", "--seconds", "1", "--steps", "2"]
+    motions = []
+    for path, axes in zip(stls, (("y", "z"), ("z", "-y")), strict=True):
+        out = tmp_path / f"{path.stem}.npz"
+        assert main(["animate", str(path), *options, "-o", str(out), "--up", axes[0], "--front", axes[1]]) == 0
+        motions.append(load_motion(out))
+    assert np.abs(motions[0].rotations - motions[1].rotations).max() < 2e-3
+    assert np.abs(motions[0].root_translation - motions[1].root_translation / 1000).max() < 2e-3
+
+
+def test_inspect_says_how_a_mesh_seems_to_stand_and_its_unit(stls, capsys):
+    need_weights("orientation")
+    standing, lying = (describe(path) for path in stls)
+    assert (standing["orientation"]["up"], standing["orientation"]["front"]) == ("+y", "+z")
+    assert standing["unit"] == {"name": "metres", "note": ""}
+    found = lying["orientation"]
+    assert (found["up"], found["front"]) == ("+z", "-y") and 0 < found["up_confidence"] <= 1 and 0 < found["front_confidence"] <= 1
+    assert lying["unit"]["name"] == "millimetres" and "the animation keeps the file's unit" in lying["unit"]["note"]
+    assert main(["inspect", str(stls[1]), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["orientation"] == found
+    assert main(["inspect", str(stls[1])]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "+Z up" in said and "millimetres" in said
+
+
+def test_inspect_works_without_the_weights(stls, monkeypatch, tmp_path):
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
+    facts = describe(stls[0])["orientation"]
+    assert (facts["up"], facts["front"], facts["up_confidence"]) == ("+y", "+z", None) and "assumed" in facts["note"]
+
+
+def test_what_is_said_about_a_guess():
+    def guess(up, front, up_sure, front_sure):
+        return Orientation(up, front, up_sure, front_sure, np.zeros(24))
+
+    lies = guess("+z", "-y", 0.99, 0.98)
+    assert (
+        said_axes(Settled("+z", "-y", lies)) == "seems to have +Z up (99 % sure) and face -Y (98 % sure); turned. Say --up and --front to settle it."
+    )
+    half = guess("+z", "+x", 0.999, 0.6)
+    assert said_axes(Settled("+z", "-y", half)) == "seems to have +Z up (99 % sure); turned. Say --up and --front to settle it."
+    unsure = guess("+y", "-x", 0.9, 0.7)
+    assert "may have +Y up (90 % sure) and face -X (70 % sure); taken as +Y up, facing +Z." in said_axes(Settled("+y", "+z", unsure))
+    assert said_axes(Settled("+z", "+x", guess("+z", "+x", 1, 0.97)), up="z") == "seems to face +X (97 % sure); turned. Say --front to settle it."
+    for quiet in (Settled("+y", "+z", guess("+y", "+z", 0.99, 0.99)), Settled("+y", "+z", guess("-x", "+z", 0.3, 0.9)), Settled("+z", "-y", None)):
+        assert said_axes(quiet) == ""
+
+
+def test_an_stl_is_turned_unasked_and_a_glb_is_not(stls, tmp_path, capsys):
+    need_weights("handles", "orientation")
+    standing, lying = (load_character(path) for path in stls)
+    turned, line = settle_file(lying)
+    assert (turned.up, turned.front) == ("+z", "-y") and "; turned. Say --up and --front" in line
+    settled, line = settle_file(standing)
+    assert (settled.up, settled.front, line) == ("+y", "+z", "")
+    path = save_character(lying, tmp_path / "lying.glb")
+    kept, line = settle_file(load_character(path))
+    assert (kept.up, kept.front) == ("+y", "+z") and "against the rule of its format; left as it is" in line
+    asked, line = settle_file(load_character(path), up="z")
+    assert (asked.up, asked.front, line) == ("+z", "-y", "")
+    assert main(["rig", str(path), "-o", str(tmp_path / "rigged.glb"), "--up", "z", "--front=-y"]) == 0
+    assert load_character(tmp_path / "rigged.glb").height == pytest.approx(1000 * standing.height, rel=1e-5)
+    assert "rule" not in capsys.readouterr().err

@@ -1,0 +1,144 @@
+"""The table of handles, with a predictor that knows the truth and with the shipped one."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.bodies.reference import handle_positions, reference_body
+from bunraku.character import Character, Handles
+from bunraku.datasets.code_made import EVALUATION_SEED
+from bunraku.errors import CharacterError, FormatError, OptionError
+from bunraku.evaluation.handle_trials import Reference, measure_subject, prediction_seconds, resolution_differences
+from bunraku.evaluation.handles import BARS, Bar, code_made_subjects, evaluate_handles, folder_subjects
+from bunraku.evaluation.resampling import carried
+from bunraku.evaluation.subjects import find_files, subject
+from bunraku.formats import save_character
+from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.samples import sample_character
+
+needs_weights = pytest.mark.skipif(not shipped_checkpoint("handles").is_file(), reason="the shipped weights are not there")
+
+
+def knowing(character: Character) -> Handles:
+    """The canonical handles of the reference body, for it in any pose and resolution."""
+    body = reference_body()
+    same = len(character.vertices) == len(body.vertices)
+    weights = body.handle_weights if same else carried(body.handle_weights, body.vertices, body.faces, character.vertices)
+    return Handles(handle_positions(character.vertices, weights, np.ones(len(weights))), weights)
+
+
+def guessing(character: Character) -> Handles:
+    """Handles by height alone."""
+    level = np.clip((character.vertices[:, 1] / character.vertices[:, 1].max() * 30).astype(int), 0, 29)
+    weights = np.eye(30, dtype=np.float32)[level]
+    return Handles(handle_positions(character.vertices, weights, np.ones(len(weights))), weights)
+
+
+def test_the_truth_gets_full_marks():
+    person = subject(reference_body().character(), "reference/average")
+    row = measure_subject(person, knowing, Reference.of(knowing), baselines=False)
+    assert row["humanoid"] and all(row["parts"].values()) and len(row["parts"]) == 15
+    assert row["same_meaning"] == 1 and row["same_meaning_vertices"] > 0.95
+    assert row["root_error"] < 0.05 and row["part_purity"] > 0.75  # the hand is one joint and two handles
+    assert row["pose_error"] < 0.005
+    assert row["rest_pose_agreement"] == 1 and set(row["rest_poses"]) == {"A", "arms down", "sitting"}
+    assert row["top4_error"] < 1e-3
+    assert max(resolution_differences(person, knowing).values()) < 0.05
+
+
+def test_a_guess_does_not():
+    person = subject(reference_body().character(), "reference/average")
+    row = measure_subject(person, guessing, Reference.of(knowing))
+    assert row["same_meaning"] < 0.2 and row["part_purity"] < 0.8 and row["rest_pose_agreement"] < 0.9
+    assert row["pose_error"] > 0.01 and row["pose_error"] > row["pose_error_clusters"]
+    assert 0 < row["pose_error_bone_heat"] < 0.05
+
+
+def test_samples_are_humanoids_or_not():
+    kinds = {
+        name: subject(sample_character(name, 0.3, rigged=True), name).humanoid for name in ("person", "dancer", "robot", "dog", "mushroom", "dragon")
+    }
+    assert [name for name, human in kinds.items() if human] == ["person", "dancer", "robot", "mushroom"]
+
+
+def test_what_faces_sideways_is_turned():
+    person = sample_character("person", 0.3, rigged=True)
+    turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # left is at -Z now
+    rig = person.rig
+    transforms = rig.transforms.copy()
+    transforms[:, :3, 3] = rig.positions @ turn.T
+    sideways = Character(person.name, person.vertices @ turn.T, person.faces, type(rig)(rig.names, rig.parents, transforms, rig.indices, rig.weights))
+    a, b = subject(person, "person"), subject(sideways, "person")
+    np.testing.assert_allclose(b.character.vertices, a.character.vertices, atol=1e-5)
+    np.testing.assert_allclose(b.truth.joints, a.truth.joints, atol=1e-5)
+    np.testing.assert_array_equal(b.truth.handles, a.truth.handles)
+
+
+def test_no_rig_is_said():
+    with pytest.raises(CharacterError, match="no rig"):
+        subject(sample_character("dog", 0.3), "dog")
+
+
+def test_bars_know_both_directions():
+    assert Bar("", 0.1).reached(0.1) and not Bar("", 0.1).reached(0.2)
+    assert Bar("", 0.9, high=True).reached(0.95) and not Bar("", 0.9, high=True).reached(0.8)
+    assert Bar("").reached(1.0) is None and Bar("", 0.1).reached(None) is None
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder like the archive: a held-out character, another one, and files without a rig."""
+    (tmp_path / "kaykit").mkdir()
+    for name in ("kaykit/Rogue_Hooded", "kaykit/Other"):
+        body = reference_body().character()
+        rig = Handles(reference_body().handles.positions, reference_body().handle_weights)
+        save_character(Character(name, body.vertices, body.faces), tmp_path / f"{name}.glb", rig)
+    save_character(sample_character("mushroom", 0.3), tmp_path / "plain.glb")
+    (tmp_path / "notes.txt").write_text("nothing")
+    return tmp_path
+
+
+def test_of_the_archive_only_what_training_never_saw_is_taken(folder):
+    assert list(folder_subjects(folder)) == ["kaykit/Rogue_Hooded"]
+    assert list(folder_subjects(folder, everything=True)) == ["kaykit/Other", "kaykit/Rogue_Hooded", "plain"]
+    (folder / "kaykit" / "Rogue_Hooded.glb").unlink()
+    assert len(find_files(folder)) == 2
+    with pytest.raises(FormatError, match="no characters"):
+        find_files(folder / "kaykit" / "none")
+
+
+@needs_weights
+def test_the_table_as_a_whole(folder):
+    calls = []
+    result = evaluate_handles(folder_subjects(folder, True), speed=False, progress=lambda stage, share: calls.append((stage, share)))
+    assert json.loads(json.dumps(result)) == result
+    assert set(BARS) <= set(result) and result["seconds_5k"] is None and set(result["reached"]) == set(result["bars"])
+    assert result["counts"] == {"characters": 2, "humanoids": 2, "resampled": 2}
+    assert list(result["left_out"]) == ["plain"] and "no rig" in result["left_out"]["plain"]
+    assert result["same_meaning"] > 0.8 and result["pose_error"] < result["pose_error_bone_heat"]
+    assert calls[-1] == ("speed", 1) and ("characters", 1) in calls and ("resolutions", 1) in calls
+    first, second = result["characters"]
+    drawn = {"name", *(key for key in first if key.startswith("pose_error"))}  # each name has its own poses
+    assert {key: first[key] for key in first.keys() - drawn} == {key: second[key] for key in first.keys() - drawn}
+
+
+def test_nothing_to_measure_is_said(tmp_path):
+    save_character(sample_character("mushroom", 0.3), tmp_path / "plain.glb")
+    if shipped_checkpoint("handles").is_file():
+        with pytest.raises(OptionError, match="no rig"):
+            evaluate_handles(folder_subjects(tmp_path), speed=False)
+
+
+def test_predictions_are_timed():
+    assert 0 < prediction_seconds(1_000, guessing, 2) < 5
+
+
+def test_code_made_characters_are_of_seeds_that_nothing_trains_on():
+    loads = code_made_subjects()
+    assert len(loads) == 30 and all(int(name.rsplit("_", 1)[1]) >= EVALUATION_SEED for name in loads)
+    name, load = next(iter(loads.items()))
+    first = load()
+    assert first.name == name and first.humanoid
+    assert first.truth.weights.shape[1] == len(first.truth.joints) and first.truth.target.shape[1] == len(HANDLE_NAMES)
