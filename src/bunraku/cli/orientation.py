@@ -69,10 +69,22 @@ def settle_file(character: Character, up: str = "auto", front: str = "auto") -> 
     guess = settled.guess
     if not rule or guess is None:
         return settled, said_axes(settled, up, front)
+    bones = _front_of_bones(character)
+    if bones not in ("", settled.front):
+        return settled, f"its bones face {bones.upper()}, if left and right are named rightly; left as it is. Say --front {bones} to turn it."
     if guess.confidence < SURE or (guess.up, guess.front) == (settled.up, settled.front):
         return settled, ""
     seen = f"{guess.up.upper()} up and face {guess.front.upper()} ({_percent(guess.confidence)} sure)"
     return settled, f"seems to have {seen}, against the rule of its format; left as it is. Say --up and --front to turn it."
+
+
+def _front_of_bones(character: Character) -> str:
+    """The horizontal axis that a rig with +Y up faces; "" where there is none or the bones do not say."""
+    from bunraku.bodies.rig_axes import rig_axes
+
+    rig = character.rig
+    axes = None if rig is None else rig_axes(rig.names, rig.parents, rig.positions)
+    return axes[1] if axes and axes[0] == "+y" else ""
 
 
 def said_axes(settled: Settled, up: str = "auto", front: str = "auto") -> str:
