@@ -17,7 +17,7 @@ from bunraku.handles.predict import predict_handles
 
 __all__ = ["BARS", "Bar", "code_made_subjects", "evaluate_handles", "folder_subjects"]
 
-RESAMPLED = 8
+RESAMPLED = 30
 """Characters on which resolutions are compared, evenly over the list."""
 SPEEDS = {"seconds_5k": 5_000, "seconds_200k": 200_000}
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +16,8 @@ from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.handles.orientation_measures import FRONTS, OTHERS, UPRIGHT, fitted_temperature, orientation_results, validate_orientation, varied_tokens
 from bunraku.handles.orientation_net import OrientationConfig, OrientationPredictor, save_orientation_predictor
 from bunraku.handles.training_data import AugmentConfig, TrainingCharacter
-from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku.nn.checkpoints import TrainingState, save_training_state
+from bunraku.nn.runs import append_row, plain_settings, resumed
 
 __all__ = ["OrientationTrainConfig", "OrientationTrainer", "train_orientation"]
 
@@ -146,7 +145,7 @@ class OrientationTrainer:
 
     def save(self, results: dict[str, float], temperature: float = 1.0) -> Path:
         """Write the training state and the checkpoint; a kill leaves the last ones."""
-        out, settings = Path(self.config.out), _plain(asdict(self.config))
+        out, settings = Path(self.config.out), plain_settings(asdict(self.config))
         models = {"model": self.model.state_dict(), "average": self.average.state_dict()}
         values = {"seconds": self.seconds, "rng": self.rng.bit_generator.state}
         save_training_state(out / "state.safetensors", TrainingState(self.step, models, {"adam": self.optimizer.state_dict()}, settings, values))
@@ -157,24 +156,12 @@ class OrientationTrainer:
 
     def resume(self) -> bool:
         """Go on from the run's folder, if it holds a state; whether it did."""
-        path = Path(self.config.out) / "state.safetensors"
-        if not path.is_file():
+        state = resumed(Path(self.config.out), self.model, self.average, self.optimizer)
+        if state is None:
             return False
-        state = load_training_state(path)
-        self.model.load_state_dict(state.models["model"])
-        self.average.load_state_dict(state.models["average"])
-        self.optimizer.load_state_dict(state.optimizers["adam"])
         self.rng.bit_generator.state = state.values["rng"]
         self.step, self.seconds = state.step, float(state.values["seconds"])
         return True
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
 
 
 def train_orientation(config: OrientationTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
@@ -213,16 +200,7 @@ def train_orientation(config: OrientationTrainConfig, report: Callable[[dict[str
             results |= {f"varied_{name}": value for name, value in orientation_results(logs[:, 1:].reshape(-1, len(ORIENTATIONS))).items()}
         checkpoint = trainer.save(results, temperature)
         row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results, "temperature": temperature}
-        _log_row(out / "log.csv", row)
+        append_row(out / "log.csv", row)
         if report:
             report(row)
     return checkpoint
-
-
-def _log_row(path: Path, row: dict[str, float]) -> None:
-    new = not path.is_file()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, list(row))
-        if new:
-            writer.writeheader()
-        writer.writerow({name: f"{value:.6g}" for name, value in row.items()})

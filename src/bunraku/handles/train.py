@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +20,8 @@ from bunraku.handles.graph import MeshGraph, mesh_graph
 from bunraku.handles.losses import LossConfig
 from bunraku.handles.predictor import HandlePredictor, PredictorConfig, grow_predictor, save_predictor
 from bunraku.handles.training_data import AugmentConfig, TrainingCharacter, TrainingMesh, augment, plain_mesh
-from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku.nn.checkpoints import TrainingState, save_training_state
+from bunraku.nn.runs import append_row, plain_settings, resumed
 
 __all__ = ["HandleTrainConfig", "HandleTrainer", "train_handles", "validate_handles"]
 
@@ -186,7 +185,7 @@ class HandleTrainer:
     def save(self, results: dict[str, float]) -> Path:
         """Write the training state and the checkpoint; a kill leaves the last ones."""
         out = Path(self.config.out)
-        settings = _plain(asdict(self.config))
+        settings = plain_settings(asdict(self.config))
         state = TrainingState(
             self.step,
             {"model": self.model.state_dict(), "average": self.average.state_dict()},
@@ -201,25 +200,13 @@ class HandleTrainer:
 
     def resume(self) -> bool:
         """Go on from the run's folder, if it holds a state; whether it did."""
-        path = Path(self.config.out) / "state.safetensors"
-        if not path.is_file():
+        state = resumed(Path(self.config.out), self.model, self.average, self.optimizer)
+        if state is None:
             return False
-        state = load_training_state(path)
-        self.model.load_state_dict(state.models["model"])
-        self.average.load_state_dict(state.models["average"])
-        self.optimizer.load_state_dict(state.optimizers["adam"])
         self.rng.bit_generator.state = state.values["rng"]
         self.generator.set_state(state.generators["pairs"])
         self.step, self.epoch, self.seconds = state.step, int(state.values["epoch"]), float(state.values["seconds"])
         return True
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
 
 
 @torch.no_grad()
@@ -299,7 +286,7 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
             checkpoint = trainer.save(result)
         rate = trainer.optimizer.param_groups[0]["lr"]
         row = {"epoch": trainer.epoch, "step": trainer.step, "seconds": round(trainer.seconds, 1), "rate": rate, **row}
-        _log_row(out / "log.csv", row)
+        append_row(out / "log.csv", row, _COLUMNS)
         if report:
             report(row)
     bank = out / "mesh_features.npz"
@@ -310,12 +297,3 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
 
 _COLUMNS = ("epoch", "step", "seconds", "rate", "total", "semantic", "skinning", "pose", "root", "sparsity", "smoothness", "mirror",
             "held_accuracy", "held_purity", "held_root", "held_pose", "varied_accuracy", "varied_purity", "varied_root", "varied_pose")  # fmt: skip
-
-
-def _log_row(path: Path, row: dict[str, float]) -> None:
-    new = not path.is_file()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, _COLUMNS, extrasaction="ignore")
-        if new:
-            writer.writeheader()
-        writer.writerow({name: f"{value:.6g}" for name, value in row.items()})

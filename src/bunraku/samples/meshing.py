@@ -7,7 +7,7 @@ import scipy.sparse as sp
 
 from bunraku.samples.fields import Field
 
-__all__ = ["field_mesh", "mirror_mesh", "neighbour_average"]
+__all__ = ["field_mesh", "marched", "mirror_mesh", "neighbour_average"]
 
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
@@ -28,12 +28,12 @@ def field_mesh(field: Field, count: int, *, half: bool = False, crease: float = 
     import igl
 
     share = 0.5 if half else 1.0
-    rough = _march(field, 0.03, half)
+    rough = marched(field, 0.03, half)
     corners = rough[0][rough[1]]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
     thinnest = min(max(lump.radii) * (1 if lump.stretch is None else float(np.min(lump.stretch))) for lump in field.lumps if not lump.carve)
     spacing = min(float(np.sqrt(1.5 * area / (3.5 * count * share))), max(0.7 * thinnest, 0.006))
-    vertices, faces = _march(field, spacing, half)
+    vertices, faces = marched(field, spacing, half)
     # thinning in position and normal together spends the triangles where the surface bends
     lifted = np.hstack([vertices, crease * _unit(field.gradient(vertices))])
     target = max(int(2 * count * share), 60)
@@ -47,8 +47,14 @@ def field_mesh(field: Field, count: int, *, half: bool = False, crease: float = 
     return mirror_mesh(vertices, faces) if half else (vertices, faces)
 
 
-def _march(field: Field, spacing: float, half: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Marching cubes on the cells that the surface crosses."""
+def marched(field: Field, spacing: float, half: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Marching cubes on the cells that the surface of a field crosses: vertices (V, 3) and faces (F, 3).
+
+    Args:
+        field: Distances.
+        spacing: Size of a cell, in the field's unit.
+        half: Only the side x >= 0 (see `Field.grid`).
+    """
     import igl
 
     low, samples = field.grid(spacing, half)

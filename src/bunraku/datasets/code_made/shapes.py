@@ -8,12 +8,11 @@ from functools import lru_cache
 import numpy as np
 
 from bunraku.samples.fields import Field, Lump
+from bunraku.samples.meshing import marched
 
 __all__ = ["Mesh", "block_mesh", "melted_mesh", "sheet_mesh", "thinned", "unit"]
 
 Mesh = tuple[np.ndarray, np.ndarray]
-
-_CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
 
 def unit(vector: np.ndarray) -> np.ndarray:
@@ -80,8 +79,6 @@ def block_mesh(lump: Lump, exponent: float = 2.0, cells: int = 4, cap: float = 1
 
 def melted_mesh(lumps: Sequence[Lump], count: int) -> Mesh:
     """The skin around lumps melted into each other, by marching cubes, with about `count` vertices."""
-    import igl
-
     field = Field(lumps)
     solid = [lump for lump in lumps if not lump.carve]
     area = 0.0
@@ -92,18 +89,7 @@ def melted_mesh(lumps: Sequence[Lump], count: int) -> Mesh:
     thinnest = min(max(lump.radii) * (1.0 if lump.stretch is None else float(np.min(lump.stretch))) for lump in solid)
     spacing = float(np.sqrt(0.9 * area / count))
     spacing = min(spacing, max(0.8 * thinnest, 0.45 * spacing))
-    low, samples = field.grid(spacing, half=False)
-    samples = np.where(np.abs(samples) < 1e-3 * spacing, np.float32(1e-3 * spacing), samples)
-    inside = samples < 0
-    number = np.zeros(np.array(samples.shape) - 1, np.int8)
-    for dx, dy, dz in _CORNERS:
-        number += inside[dx : dx + number.shape[0], dy : dy + number.shape[1], dz : dz + number.shape[2]]
-    cells = np.argwhere((number > 0) & (number < 8))
-    corners = np.ravel_multi_index((cells[:, None] + _CORNERS).reshape(-1, 3).T, samples.shape)
-    used, cubes = np.unique(corners, return_inverse=True)
-    places = np.stack(np.unravel_index(used, samples.shape), axis=1) * spacing + low
-    vertices, faces, _ = igl.marching_cubes(samples.reshape(-1)[used].astype(float), places, cubes.reshape(-1, 8).astype(np.int64), 0.0)
-    return np.asarray(vertices), np.asarray(faces, np.int64)
+    return marched(field, spacing, half=False)
 
 
 def thinned(mesh: Mesh, faces: int) -> Mesh:
