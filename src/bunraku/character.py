@@ -136,11 +136,17 @@ class Handles:
         positions: Handle positions h in the rest pose [m], shape (K, 3).
         weights: Skinning weights s, shape (V, K), rows sum to 1.
         features: The mesh deformation feature f_phi, shape (448,), when the predictor made the handles.
+        roles: The handle whose part each handle plays, shape (K,), where spare handles move further limbs: the second left knee of
+            a spider plays that of the left knee. None where each plays its own.
+
+    Raises:
+        CharacterError: Shapes disagree, a value is not finite, rows do not sum to 1, or a role is that of no handle or the root's.
     """
 
     positions: np.ndarray
     weights: np.ndarray
     features: np.ndarray | None = None
+    roles: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", _frozen(self.positions, np.float32, (None, 3), "handle positions"))
@@ -149,13 +155,23 @@ class Handles:
             raise CharacterError("handles must be finite")
         if np.abs(self.weights.sum(axis=1) - 1).max(initial=0) > 1e-3:
             raise CharacterError("the handle weights of each vertex must sum to 1")
+        if self.roles is not None:
+            count = len(self.positions)
+            object.__setattr__(self, "roles", _frozen(self.roles, np.int64, (count,), "handle roles"))
+            if count and (self.roles[0] != 0 or self.roles[1:].min(initial=1) < 1 or self.roles.max() >= count):
+                raise CharacterError("handle 0 plays the root, and every other handle the part of one that exists and is not the root")
+
+    @property
+    def played(self) -> np.ndarray:
+        """The handle whose part each handle plays, shape (K,): its own where `roles` says nothing."""
+        return np.arange(len(self.positions)) if self.roles is None else self.roles
 
     def top(self, count: int = 4) -> Handles:
         """The same handles with only the largest `count` weights of each vertex kept and renormalised, as viewers read them."""
         indices, shares = top_influences(self.weights, count)
         kept = np.zeros_like(self.weights)
         np.put_along_axis(kept, indices, shares, axis=1)
-        return Handles(self.positions, kept, self.features)
+        return Handles(self.positions, kept, self.features, self.roles)
 
 
 def top_influences(weights: np.ndarray, count: int = 4) -> tuple[np.ndarray, np.ndarray]:

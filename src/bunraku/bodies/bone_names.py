@@ -227,8 +227,10 @@ def handle_of_joints(
     Returns:
         Handle indices of `bunraku.bodies.layout.HANDLE_NAMES`, shape (J,); -1 where a name says nothing.
     """
-    if set(JOINT_NAMES) <= set(names) <= set(HANDLE_NAMES):  # a rig that Bunraku wrote: its "shoulder" is no collar bone
-        return np.array([_H[name] for name in names], np.int64)
+    own = [re.sub(r"_[2-9]\d*$", "", name) for name in names]  # left_hip_2 moves the second left leg
+    whole = len(names) == len(HANDLE_NAMES) or set(JOINT_NAMES) <= set(names)
+    if whole and set(own) <= set(HANDLE_NAMES):  # a rig that Bunraku wrote: its "shoulder" is no collar bone
+        return np.array([_H[name] for name in own], np.int64)
     tree = _Tree(names, list(parents), positions, mass)
     out = np.full(len(names), NO_HANDLE, np.int64)
     plain = {"head_top": "head_top", "face": "face", "neck": "neck", "head": "head", "hips": "pelvis"}

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.character import Handles
 from bunraku.errors import OptionError
 from bunraku.formats.gltf_builder import GltfBuilder
 from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
@@ -15,9 +16,20 @@ from bunraku.motion import HandleMotion
 __all__ = ["add_joints", "add_motion", "checked_fps", "handle_names", "resample"]
 
 
-def handle_names(count: int) -> tuple[str, ...]:
-    """Names of K handles: those of the layout where there are as many, numbers otherwise."""
-    return HANDLE_NAMES if count == len(HANDLE_NAMES) else tuple(f"handle_{handle}" for handle in range(count))
+def handle_names(handles: Handles) -> tuple[str, ...]:
+    """Names of handles: those of the layout where there are as many, numbers otherwise.
+
+    A handle that plays the part of another is named after it and numbered: left_hip_2 is the second left hip.
+    """
+    count = len(handles.positions)
+    if count != len(HANDLE_NAMES):
+        return tuple(f"handle_{handle}" for handle in range(count))
+    names, met = list(HANDLE_NAMES), [1] * count
+    for handle, role in enumerate(handles.played.tolist()):
+        if role != handle:
+            met[role] += 1
+            names[handle] = f"{HANDLE_NAMES[role]}_{met[role]}"
+    return tuple(names)
 
 
 def checked_fps(fps: float | None, default: float) -> float:
@@ -63,15 +75,15 @@ def resample(motion: HandleMotion, fps: float) -> HandleMotion:
     return HandleMotion(linear(motion.translations), shortest(motion.rotations), linear(motion.root_translation), shortest(motion.root_rotation), fps)
 
 
-def add_joints(builder: GltfBuilder, positions: np.ndarray) -> list[int]:
+def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:
     """Add one node for each handle, handle 0 above the others, and return the nodes.
 
     Args:
         builder: The document.
-        positions: Handle positions h [m], shape (K, 3).
+        handles: The K handles.
     """
-    h = positions.astype(np.float64)
-    names = handle_names(len(h))
+    h = handles.positions.astype(np.float64)
+    names = handle_names(handles)
     first = len(builder.tree.get("nodes", []))
     for handle, name in enumerate(names):
         offset = (h[handle] - h[0] if handle else h[0]).astype(np.float32)

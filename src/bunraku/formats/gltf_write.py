@@ -88,7 +88,7 @@ def _build(character: Character, handles: Handles | None, path: Path) -> tuple[G
     try:
         builder = GltfBuilder(carry_tree(source.document))
         carry_images(source.document, builder)
-        joints = add_joints(builder, handles.positions) if handles is not None else []
+        joints = add_joints(builder, handles) if handles is not None else []
         carrier, start, roots = MeshCarrier(source, builder), 0, joints[:1]
         skins: dict[bytes, int] = {}
         for part in source.parts:

@@ -42,7 +42,7 @@ def write_animation(animation: Animation, path: Path) -> Path:
         "root_rotation": matrix_to_6d(motion.root_rotation),
         "fps": np.float32(motion.fps),
         "handle_positions": positions,
-        "handle_names": np.array(handle_names(len(positions))),
+        "handle_names": np.array(handle_names(animation.handles)),
     }
     packed = io.BytesIO()
     np.savez_compressed(packed, **arrays)

@@ -2,7 +2,8 @@
 
 The handles know one leg and one arm a side, so the predictor gives all the legs of a side the same ones, and they would move as
 one rigid group about their common middle. Where the region of a limb is several limbs, each of the others gets handles of its
-own: spare ones, that nothing else of the character uses. They play the part of the limb's handles (`Handles.roles`).
+own: spare ones, that nothing else of the character uses. They play the part of the limb's handles (`Handles.roles`). What the
+predictor takes for the arms of such a character and yet stands on the ground plays the part of a leg.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ TOUCH = 0.75  # loose parts nearer than this are one limb, in cells
 BLEND = 1.5  # how softly limbs meet, in cells
 SPARE = 2e-3  # share of the surface under which a handle is spare; it would follow its parent
 HELD = 3e-3  # share of the surface from which a part of a further limb gets a handle
+GROUND = 0.2  # a limb whose tip is so near to the lowest point, over the height, is a leg
 TALL = 0.55  # a character whose head is over its hips and so far above its feet, over its extent, is a person
 _SIDES = ("left", "right")
 _SPARE_FIRST = (
@@ -84,7 +86,7 @@ def _graph(mesh: NetworkMesh) -> csr_matrix:
 
 
 def find_limbs(mesh: NetworkMesh, weights: np.ndarray, columns: list[int]) -> tuple[list[Limb], list[Limb]]:
-    """The limbs that share some handles, front first, and stubs beside them; fewer than two limbs where it is one or none.
+    """The limbs that share some handles, raised ones and then front ones first, and stubs beside them; fewer than two limbs where it is one or none.
 
     Candidates are the connected pieces of the region that the handles hold, or, where those hang together at the body, of what the
     lower parts hold. One counts as a limb of its own if it is about as large as the largest, goes out side by side with the others
@@ -102,8 +104,8 @@ def find_limbs(mesh: NetworkMesh, weights: np.ndarray, columns: list[int]) -> tu
     distance, before, _ = dijkstra(_graph(mesh), indices=np.flatnonzero(body), min_only=True, return_predecessors=True)
     regions = [weights[:, some].sum(axis=1) > 0.5 for some in (columns, columns[1:])]
     whole, lower = (_limbs(mesh, region, distance, before) if region.any() else ([], []) for region in regions)
-    limbs, stubs = lower if len(lower[0]) > len(whole[0]) else whole
-    return sorted(limbs, key=lambda limb: -float(mesh.vertices[limb.members, 2].mean())), stubs
+    limbs, stubs = max(whole, lower, key=lambda found: (len(found[0]), len(found[1])))
+    return sorted(limbs, key=lambda limb: (_stands(mesh, limb), -float(mesh.vertices[limb.members, 2].mean()))), stubs
 
 
 def _limbs(mesh: NetworkMesh, region: np.ndarray, distance: np.ndarray, before: np.ndarray) -> tuple[list[Limb], list[Limb]]:
@@ -170,17 +172,39 @@ def _apart(mesh: NetworkMesh, one: Limb, other: Limb) -> bool:
 
 @dataclass(eq=False)
 class _Split:
-    """Limbs that share their handles: the handles, the weights of each, shape (M, P), and how much each vertex is of each limb, shape (M, L)."""
+    """Limbs that share their handles.
+
+    Args:
+        columns: The handles.
+        legs: Those of the leg of that side.
+        parts: What each of the handles weighs, shape (M, P).
+        members: How much each vertex is of each limb, shape (M, L).
+        stands: Which limbs stand on the ground.
+    """
 
     columns: list[int]
+    legs: list[int]
     parts: np.ndarray
     members: np.ndarray
+    stands: list[bool]
 
-    def owners(self, areas: np.ndarray, most: int) -> list[list[int]]:
-        """For each further limb, the part whose new handle each of its parts takes; at most so many handles a limb."""
-        out = []
-        for limb in range(1, self.members.shape[1]):
-            mass = areas @ (self.parts * self.members[:, limb : limb + 1])
+    def roles(self, limb: int) -> list[int]:
+        """The handles whose parts a limb's handles play: a leg's where it stands on the ground."""
+        return self.legs if self.stands[limb] else self.columns
+
+    def masses(self, areas: np.ndarray) -> list[np.ndarray]:
+        """Shares of the surface of the parts of each limb, shape (P,) each."""
+        return [areas @ (self.parts * member[:, None]) for member in self.members.T]
+
+    def owners(self, areas: np.ndarray, most: int, mirrored: _Split) -> list[list[int]]:
+        """For each further limb, the part whose new handle each of its parts takes; at most so many handles a limb.
+
+        Where both sides have as many limbs they are dealt with alike.
+        """
+        out, masses = [], self.masses(areas)
+        if self.members.shape == mirrored.members.shape:
+            masses = [0.5 * (one + other) for one, other in zip(masses, mirrored.masses(areas), strict=True)]
+        for mass in masses[1:]:
             own = [number for number in range(len(mass)) if mass[number] >= HELD][:most] or [int(mass.argmax())]
             out.append([max((some for some in own if some <= number), default=own[0]) for number in range(len(mass))])
         return out
@@ -220,17 +244,27 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
                 held = out[:, columns] * members[:, number : number + 1]
                 out[:, columns] -= held
                 out[:, _body_handle(mesh, out, stub)] += held.sum(axis=1)
-            splits[-1].append(_Split(columns, out[:, columns], members[:, : len(limbs)] / members[:, : len(limbs)].sum(axis=1, keepdims=True)))
+            members = members[:, : len(limbs)] / members[:, : len(limbs)].sum(axis=1, keepdims=True)
+            legs = _columns(side, FAMILIES[0])
+            splits[-1].append(_Split(columns, legs, out[:, columns], members, [_stands(mesh, limb) for limb in limbs]))
     roles = np.arange(HANDLE_COUNT)
-    for split, owners in _fitted(splits, areas, len(spare)):
+    dealt = _fitted(splits, areas, len(spare))
+    spare = sorted(spare[: sum(len(set(owner)) for _, owners in dealt for owner in owners)])  # handles of a limb follow one another
+    for split, _ in dealt:
         out[:, split.columns] = split.parts * split.members[:, :1]
+    for split, owners in dealt:
         for limb, owner in enumerate(owners, 1):
             fresh = {part: spare.pop(0) for part in sorted(set(owner))}
             for part, own in enumerate(owner):
-                roles[fresh[own]] = split.columns[own]
+                roles[fresh[own]] = split.roles(limb)[0 if own == owner[0] else own]
                 out[:, fresh[own]] += split.parts[:, part] * split.members[:, limb]
     if (roles == np.arange(HANDLE_COUNT)).all():
         return weights, None
+    for side in _SIDES:
+        arm, (limbs, _) = np.array(_columns(side, FAMILIES[1])), found[FAMILIES[1], side]
+        if limbs and _stands(mesh, limbs[0]):
+            kept = roles[arm] == arm
+            roles[arm[kept]] = np.array(_columns(side, FAMILIES[0]))[kept]
     return (out / out.sum(axis=1, keepdims=True)).astype(np.float32), roles
 
 
@@ -238,7 +272,9 @@ def _fitted(splits: list[list[_Split]], areas: np.ndarray, room: int) -> list[tu
     """Every split with the owners of its parts (`_Split.owners`), as many handles as there is room for; both sides of a family alike."""
     most = [len(family) for family in FAMILIES]
     while True:
-        dealt = [(split, split.owners(areas, most[number])) for number, family in enumerate(splits) for split in family]
+        dealt = [
+            (split, split.owners(areas, most[number], family[-1 - side])) for number, family in enumerate(splits) for side, split in enumerate(family)
+        ]
         if sum(len(set(owner)) for _, owners in dealt for owner in owners) <= room:
             return dealt
         if max(most) > 1:
@@ -269,6 +305,12 @@ def _body_handle(mesh: NetworkMesh, weights: np.ndarray, stub: Limb) -> int:
     away[mesh.areas @ weights < SPARE * mesh.areas.sum()] = np.inf
     away[_ALL] = np.inf
     return int(away.argmin())
+
+
+def _stands(mesh: NetworkMesh, limb: Limb) -> bool:
+    """Whether a limb reaches the ground."""
+    heights = mesh.vertices[:, 1]
+    return bool(heights[limb.members].min() - heights.min() < GROUND * np.ptp(heights))
 
 
 def _membership(mesh: NetworkMesh, graph: csr_matrix, limbs: list[Limb]) -> np.ndarray:

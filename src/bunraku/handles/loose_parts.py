@@ -57,7 +57,7 @@ def find_loose_parts(mesh: NetworkMesh) -> LooseParts:
     return LooseParts(label, extent, cover, gap, host)
 
 
-def seat_parts(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Weights where each small loose part has one row for all of it.
 
     A part that lies on a larger one takes the mean of that one's weights at the points nearest to it. A part that lies on
@@ -66,6 +66,7 @@ def seat_parts(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.n
     Args:
         mesh: The network mesh.
         weights: Of its vertices, rows sum to 1, shape (M, K).
+        stiff: Whether parts that lie on no other may move as a whole; not where they are legs, as those of insects often are.
 
     Returns:
         Weights of the network vertices, shape (M, K), and of the vertices of `mesh.clean`, shape (W, K), float32.
@@ -90,10 +91,10 @@ def seat_parts(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.n
     hosts, inverse = np.unique(parts.host[on], return_inverse=True)
     rows = means(on, share, mesh.push_surface(weights, hosts)[inverse.reshape(-1)])
 
-    stiff = ~sits & (parts.extent < STIFF)
-    alone = np.flatnonzero(stiff[label])
+    single = ~sits & (parts.extent < STIFF) & stiff
+    alone = np.flatnonzero(single[label])
     own = means(alone, areas[alone], mesh.push_surface(weights, alone))
-    clear = stiff & (own.max(axis=1) >= CLEAR)
+    clear = single & (own.max(axis=1) >= CLEAR)
     rows[clear] = own[clear]
 
     one = sits | clear

@@ -13,6 +13,7 @@ from bunraku.bodies.layout import HANDLE_MIRROR
 from bunraku.bodies.reference import handle_positions
 from bunraku.character import Character, Handles
 from bunraku.geometry.simplify import NetworkMesh, network_mesh, network_views
+from bunraku.handles.extra_limbs import split_limbs
 from bunraku.handles.loose_parts import seat_parts
 
 if TYPE_CHECKING:
@@ -86,7 +87,8 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
 
     The network sees the normalised network mesh, in two tessellations and mirrored, and the mean of what it says counts: its
     answers differ a little with the tessellation, and the mean does so less. The weights are smoothed over that mesh, made one
-    over small loose parts (`seat_parts`), and carried to every vertex of the original; vertices at one place get equal weights.
+    over small loose parts (`seat_parts`), divided among the legs of who has more than two (`split_limbs`), and carried to every
+    vertex of the original; vertices at one place get equal weights.
     Handle positions are weighted means by surface area, in the form of Eq. 4, so that tessellation does not matter; a handle
     without a surface stands where its parent stands.
 
@@ -102,9 +104,10 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     mesh, *others = network_views(character.vertices, character.faces, model.config.mesh_vertices, offsets=VIEWS)
     weights, features = predict_weights(mesh, model)
     weights = np.mean([weights, *(mesh.carry(predict_weights(view, model)[0], view) for view in others)], axis=0)
-    weights, full = seat_parts(mesh, trim_weights(smooth_weights(weights, mesh.edges)))
+    weights, roles = split_limbs(mesh, trim_weights(smooth_weights(weights, mesh.edges)))
+    weights, full = seat_parts(mesh, weights, stiff=roles is None)
     positions = handle_positions(mesh.vertices, weights, mesh.areas) * mesh.scale + mesh.center
-    return Handles(positions, trim_weights(full)[mesh.clean.index], features)
+    return Handles(positions, trim_weights(full)[mesh.clean.index], features, roles)
 
 
 def mesh_feature(character: Character, checkpoint: str | Path | None = None) -> np.ndarray:

@@ -26,6 +26,7 @@ from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_
 from bunraku.motion import HandleMotion
 from bunraku.retarget.ground import grounded, standing, stride_scale
 from bunraku.retarget.joints import attached, find_joints, reference_joints, refined_joints
+from bunraku.retarget.limbs import by_limb
 from bunraku.retarget.neutral import neutral_pose, rest_turns
 from bunraku.retarget.rest_pose import upright
 
@@ -65,7 +66,8 @@ def fit_motion(motion: HandleMotion, character: Character, handles: Handles, sta
     Args:
         motion: Motion of the reference body's handles, feet on y = 0.
         character: The character, facing +Z.
-        handles: Its handles, K = 30 with the reference body's meaning.
+        handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose parts they play,
+            about their own joints.
         stages: Which stages run; all when None.
 
     Returns:
@@ -79,21 +81,21 @@ def fit_motion(motion: HandleMotion, character: Character, handles: Handles, sta
     if len(handles.positions) != len(body.handles.positions):
         want = len(body.handles.positions)
         raise CharacterError(f"a motion is fitted to {want} handles, not {len(handles.positions)}; take those of `bunraku.rig`")
-    rotations = motion.rotations.astype(np.float64)
+    rotations = motion.rotations[:, handles.played].astype(np.float64)
     if stages.rest_pose:
         turns, joints = rest_turns(character, handles)
         rotations = rotations @ turns
     else:
-        turns = np.tile(np.eye(3), (len(handles.positions), 1, 1))
-        joints = refined_joints(character, handles, find_joints(character, handles), turns)
+        still = np.tile(np.eye(3), (len(handles.positions), 1, 1))
+        turns, joints = by_limb(handles, lambda some: (still, refined_joints(character, some, find_joints(character, some), still)))
     stance = neutral_pose(character, handles, joints, turns)
     stands = standing(*stance)
     scale = stride_scale(*stance, stands)
     if stages.attach:
         rotations, translations = attached(rotations, handles, joints)
-        translations += _residual(motion) * scale * joints.present[:, None]
+        translations += _residual(motion)[:, handles.played] * scale * joints.present[:, None]
     else:
-        translations = motion.translations * scale
+        translations = motion.translations[:, handles.played] * scale
     floors = [float(some.vertices[stands, 1].min()) for some in (character, stance[0])]
     path = motion.root_translation * scale + np.array([0, floors[0] - floors[1], 0])  # who sits stands up
     lever = handles.positions[0] - stance[1].positions[0]  # the root turns about its place in the stance, not in the rest pose

@@ -31,10 +31,10 @@ def standing(character: Character, handles: Handles) -> np.ndarray:
         handles: Its handles.
     """
     seen, heights = character.surface, character.vertices[:, 1]
-    legs = seen & (handles.weights[:, _LEGS].sum(axis=1) > 0.5)
+    legs = seen & (handles.weights[:, np.isin(handles.played, _LEGS)].sum(axis=1) > 0.5)
     if not upright(handles) or not legs.any() or heights[legs].min() - heights[seen].min() > 0.2 * character.height:
         return seen
-    return seen & (handles.weights[:, _HANGING].sum(axis=1) < 0.5)
+    return seen & (handles.weights[:, np.isin(handles.played, _HANGING)].sum(axis=1) < 0.5)
 
 
 def stride_scale(character: Character, handles: Handles, stands: np.ndarray) -> float:

@@ -171,7 +171,7 @@ def attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[n
     rotations = rotations.copy()
     translations = np.zeros((*rotations.shape[:2], 3))
     h = handles.positions.astype(np.float64)
-    for handle in range(1, rotations.shape[1]):
+    for handle in _downwards(joints.parents)[1:]:
         parent = int(joints.parents[handle])
         if not joints.present[handle]:
             rotations[:, handle] = rotations[:, parent]
@@ -179,6 +179,15 @@ def attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[n
         place = np.einsum("nij,j->ni", rotations[:, parent], joint - h[parent]) + h[parent] + translations[:, parent]
         translations[:, handle] = place - np.einsum("nij,j->ni", rotations[:, handle], joint - h[handle]) - h[handle]
     return rotations, translations
+
+
+def _downwards(parents: np.ndarray) -> list[int]:
+    """All handles, every parent before its children."""
+    depth = np.zeros(len(parents), int)
+    for handle, parent in enumerate(parents):
+        while parent >= 0:
+            depth[handle], parent = depth[handle] + 1, parents[parent]
+    return [int(handle) for handle in np.argsort(depth, kind="stable")]
 
 
 @lru_cache(maxsize=1)

@@ -13,6 +13,7 @@ from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
 from bunraku.retarget.joints import Joints, attached, estimated_reference_joints, find_joints, reference_joints, refined_joints
+from bunraku.retarget.limbs import by_limb
 from bunraku.retarget.rest_pose import rest_rotations
 
 __all__ = ["flat_feet", "neutral_pose", "rest_turns"]
@@ -28,6 +29,10 @@ def rest_turns(character: Character, handles: Handles) -> tuple[np.ndarray, Join
     Returns:
         The turn of each handle that makes up for it (see `rest_rotations`), shape (K, 3, 3), and the joints in the rest pose.
     """
+    return by_limb(handles, lambda plain: _rest_turns(character, plain))
+
+
+def _rest_turns(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
     reference, found = reference_body().handles, find_joints(character, handles)
     turns = rest_rotations(handles, found, reference, estimated_reference_joints(), character.height)
     for _ in range(PASSES):
@@ -51,7 +56,7 @@ def neutral_pose(character: Character, handles: Handles, joints: Joints, turns: 
     motion = HandleMotion(translations, rotations, *still)
     vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]
     positions = handle_positions(vertices, handles.weights, vertex_areas(vertices, character.faces))
-    return replace(character, vertices=vertices, rig=None, source=None), Handles(positions, handles.weights)
+    return replace(character, vertices=vertices, rig=None, source=None), Handles(positions, handles.weights, roles=handles.roles)
 
 
 def flat_feet(character: Character, handles: Handles, turns: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
 from bunraku.retarget.ground import standing, stride_scale
 from bunraku.retarget.joints import Joints, attached, reference_joints
+from bunraku.retarget.limbs import reference_parts
 from bunraku.retarget.neutral import neutral_pose, rest_turns
 
 __all__ = ["motion_to_reference"]
@@ -34,7 +35,7 @@ def motion_to_reference(motion: HandleMotion, character: Character, handles: Han
     turns, own = rest_turns(character, handles)
     stance = neutral_pose(character, handles, own, turns)
     rotations = motion.rotations.astype(np.float64) @ turns.transpose(0, 2, 1)
-    rotations, translations = attached(rotations, body.handles, Joints(known.positions, own.parents, own.present))
+    rotations, translations = attached(rotations, body.handles, Joints(known.positions, *reference_parts(handles, own)))
     tail = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]  # a person has none
     rotations[:, tail], translations[:, tail] = np.eye(3), 0
     path = motion.root_translation / stride_scale(*stance, standing(*stance))

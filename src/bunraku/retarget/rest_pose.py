@@ -68,7 +68,9 @@ def rest_rotations(handles: Handles, joints: Joints, reference: Handles, referen
 
 
 def upright(handles: Handles) -> bool:
-    """Whether the head is over the hips rather than before them."""
+    """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to stand on."""
+    if handles.roles is not None:
+        return False
     spine = handles.positions[HANDLE_NAMES.index("head")] - handles.positions[0]
     return bool(spine[1] > abs(spine[2]))
 
