@@ -47,9 +47,9 @@ class LossConfig:
     """
 
     root: float = 0.1
-    root_unit: float = 1000.0
+    root_unit: float = 200.0
     pose: float = 1.0
-    pose_unit: float = 400.0
+    pose_unit: float = 150.0
     skinning: float = 0.1
     skinning_pairs: int = 2000
     apart: float = 3.0
