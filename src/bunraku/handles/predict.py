@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["VIEWS", "mesh_feature", "predict_handles", "predict_weights", "smooth_weights", "trim_weights"]
 
-VIEWS = ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5))  # how the grids lie whose network meshes are averaged, in cells
+VIEWS = ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.25, 0.75, 0.5))  # how the grids lie whose network meshes are averaged, in cells
 
 
 def smooth_weights(weights: np.ndarray, edges: np.ndarray, steps: int = 2, share: float = 0.5) -> np.ndarray:
