@@ -48,7 +48,7 @@ def build_head(m: Model, h: Human) -> None:
     if shape != "beast" and m.chance(0.5):
         for _, s in SIDES:
             m.lump(centre + [s * size[0] * 0.98, 0, 0], half * np.array([0.1, 0.22, 0.14]), "Head", "head")
-    if shape == "beast" or m.chance(0.15):
+    if shape == "beast" or m.chance(0.3):
         ears_and_horns(m, centre, size, "Head")
     worn = str(
         m.pick("hair", "hat", "helmet", "hood", "bald", weights=(0.5, 0.16, 0.1, 0.07, 0.17) if shape != "beast" else (0.1, 0.15, 0.1, 0.05, 0.6))
@@ -119,7 +119,7 @@ def ears_and_horns(
 ) -> None:
     """Two of a kind on top of a head."""
     kind = m.pick(*kinds)
-    tall, tilt, out = m.u(0.35, 0.9), m.u(-0.3, 0.3), m.u(0.35, 0.75)
+    tall, tilt, out, fat = m.u(0.35, 0.9), m.u(-0.3, 0.3), m.u(0.35, 0.75), m.u(0.6, 1.7)
     for _, s in SIDES:
         root = centre + size * [s * out, 0.7, -0.05]
         way = unit(np.array([s * m.u(0.2, 0.7) if s > 0 else -out, 1.0, tilt]))
@@ -128,7 +128,7 @@ def ears_and_horns(
         elif kind == "long":
             m.limb(
                 [root, root + way * size[1] * tall, root + way * size[1] * 2.2 * tall],
-                [0.16 * size[0], 0.26 * size[0], 0.1 * size[0]],
+                np.array([0.16, 0.26, 0.1 * fat]) * fat * size[0],  # up to the girth of an arm, which it must not be taken for
                 share,
                 f"ear {s}",
                 stretch=(1, 1, 0.45),
