@@ -10,7 +10,8 @@ from bunraku.bodies.reference import reference_body
 from bunraku.character import Handles
 from bunraku.errors import CharacterError
 from bunraku.geometry.simplify import NetworkMesh, network_mesh
-from bunraku.handles.extra_limbs import find_limbs, split_limbs
+from bunraku.handles.extra_limbs import split_limbs
+from bunraku.handles.limbs import find_limbs
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 SIDES = (("left", 1.0), ("right", -1.0))
@@ -130,6 +131,19 @@ def test_too_few_spare_handles_join_the_outer_parts() -> None:
     assert roles is not None
     np.testing.assert_allclose(split.sum(axis=1), 1, atol=1e-5)
     assert (roles == H["left_hip"]).sum() == (roles == H["right_hip"]).sum() > 3
+
+
+def test_a_part_that_gets_no_handle_moves_no_other(spider: tuple[NetworkMesh, np.ndarray, np.ndarray]) -> None:
+    """Weights that differ a little must not deal other handles to the parts that both have."""
+    mesh, weights, roles = spider
+    plain = shared_weights(mesh)
+    spare = H["head_top"]
+    taken = plain.copy()
+    taken[:, spare] += 0.3 * taken[:, 0]  # no longer spare: only the part that had it goes elsewhere
+    taken[:, 0] *= 0.7
+    other = split_limbs(mesh, taken)[1]
+    changed = {handle for handle in range(HANDLE_COUNT) if roles[handle] != other[handle]}
+    assert spare in changed and len(changed) == 2
 
 
 def test_roles_are_checked_and_kept() -> None:

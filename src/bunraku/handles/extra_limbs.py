@@ -13,32 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.bodies.reference import handle_positions
-from bunraku.geometry.graph import mesh_parts
 from bunraku.geometry.simplify import NetworkMesh
+from bunraku.handles.limbs import FAMILIES, LIMB_HANDLES, SIDES, Limb, edge_lengths, find_limbs, limb_handles, stands
 
-__all__ = ["FAMILIES", "Limb", "find_limbs", "split_limbs"]
+__all__ = ["split_limbs"]
 
-FAMILIES: tuple[tuple[str, ...], ...] = (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "fingers"))
-"""Parts of a limb, from the body outwards; a limb is found by all but the first."""
-
-AREA = 0.15  # least surface of a further limb, over the largest one's
-REACH = 0.45  # how far out a further limb reaches at the least, over the farthest one
-LEAST = 0.008  # least surface of a limb, over the character's; the spikes of a puffer fish are smaller
-SLENDER = 3.0  # least length of a limb over its radius, if it were a cylinder
-OVERLAP = 0.5  # share of the way outwards that two limbs go side by side; a boot and a shin follow one another
-APART = 0.15  # least mean distance of two limbs, over the shorter one's length; a sleeve and its arm are nearer
-FREE = 0.35  # least share of the way from the body to its tip on which a limb is on its own; fingers are so for less
-TOUCH = 0.75  # loose parts nearer than this are one limb, in cells
 BLEND = 1.5  # how softly limbs meet, in cells
 SPARE = 2e-3  # share of the surface under which a handle is spare; it would follow its parent
 HELD = 3e-3  # share of the surface from which a part of a further limb gets a handle
-GROUND = 0.2  # a limb whose tip is so near to the lowest point, over the height, is a leg
 TALL = 0.55  # a character whose head is over its hips and so far above its feet, over its extent, is a person
-_SIDES = ("left", "right")
 _SPARE_FIRST = (
     "left_wing", "right_wing", "head_top", "face", "left_fingers", "right_fingers", "left_foot", "right_foot", "tail_tip", "tail",
     "left_collar", "right_collar", "spine1", "spine2", "spine3", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_elbow",
@@ -46,128 +32,11 @@ _SPARE_FIRST = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Limb:
-    """One limb of those that share their handles.
-
-    Args:
-        members: Vertices of its lower parts, shape (m,).
-        start: Distance from the body, along the mesh, at which it is on its own.
-        end: Distance of its tip.
-        area: Of its members.
-    """
-
-    members: np.ndarray
-    start: float
-    end: float
-    area: float
-
-
 def _person(mesh: NetworkMesh, weights: np.ndarray) -> bool:
     """Whether a character stands upright and tall on its legs; what looks like further limbs are its clothes and weapons."""
     places = handle_positions(mesh.vertices, weights, mesh.areas)
     pelvis, head, *feet = (places[HANDLE_NAMES.index(name)] for name in ("pelvis", "head", "left_ankle", "right_ankle"))
     return bool(head[1] - pelvis[1] > 2 * abs(head[2] - pelvis[2]) and head[1] - max(foot[1] for foot in feet) > TALL)
-
-
-def _columns(side: str, family: tuple[str, ...]) -> list[int]:
-    return [HANDLE_NAMES.index(f"{side}_{part}") for part in family]
-
-
-_ALL = [column for side in _SIDES for family in FAMILIES for column in _columns(side, family)]
-
-
-def _graph(mesh: NetworkMesh) -> csr_matrix:
-    """Lengths of the edges, bridges between loose parts included, shape (M, M)."""
-    first, second = mesh.edges.T
-    length = np.maximum(np.linalg.norm(mesh.vertices[first] - mesh.vertices[second], axis=1), 1e-6).astype(np.float64)
-    count = len(mesh.vertices)
-    return csr_matrix((np.tile(length, 2), (np.concatenate([first, second]), np.concatenate([second, first]))), shape=(count, count))
-
-
-def find_limbs(mesh: NetworkMesh, weights: np.ndarray, columns: list[int]) -> tuple[list[Limb], list[Limb]]:
-    """The limbs that share some handles, raised ones and then front ones first, and stubs beside them; fewer than two limbs where it is one or none.
-
-    Candidates are the connected pieces of the region that the handles hold, or, where those hang together at the body, of what the
-    lower parts hold. One counts as a limb of its own if it is about as large as the largest, goes out side by side with the others
-    and apart from them, and meets the body by itself: weapons, shields and boots meet it through the limb that bears them. What
-    does all that but reaches less far, as the fangs of a spider, is a stub.
-
-    Args:
-        mesh: The network mesh.
-        weights: Of its vertices, shape (M, K).
-        columns: Handles of the parts of the limb, from the body outwards.
-    """
-    body = weights[:, _ALL].sum(axis=1) < 0.5
-    if not body.any():
-        return [], []
-    distance, before, _ = dijkstra(_graph(mesh), indices=np.flatnonzero(body), min_only=True, return_predecessors=True)
-    regions = [weights[:, some].sum(axis=1) > 0.5 for some in (columns, columns[1:])]
-    whole, lower = (_limbs(mesh, region, distance, before) if region.any() else ([], []) for region in regions)
-    limbs, stubs = max(whole, lower, key=lambda found: (len(found[0]), len(found[1])))
-    return sorted(limbs, key=lambda limb: (_stands(mesh, limb), -float(mesh.vertices[limb.members, 2].mean()))), stubs
-
-
-def _limbs(mesh: NetworkMesh, region: np.ndarray, distance: np.ndarray, before: np.ndarray) -> tuple[list[Limb], list[Limb]]:
-    """Pieces of a region that are limbs, largest first, and those that are stubs.
-
-    Args:
-        mesh: The network mesh.
-        region: Its vertices, shape (M,), bool.
-        distance: Of each vertex from the body, shape (M,).
-        before: The vertex before each on the way from the body, negative on the body, shape (M,).
-    """
-    label = np.where(region, mesh_parts(_joined(mesh, region), len(region)), -1)
-    areas = np.bincount(label[region], mesh.areas[region])
-    large = np.flatnonzero(areas > max(AREA * areas.max(), LEAST * mesh.areas.sum()))
-    found: list[Limb] = []
-    for piece in large[np.argsort(-areas[large], kind="stable")]:
-        members = np.flatnonzero(label == piece)
-        nearest = int(members[distance[members].argmin()])
-        if not _borne(nearest, before, label, set(large.tolist()) - {int(piece)}):
-            found.append(Limb(members, float(distance[nearest]), float(distance[members].max()), float(areas[piece])))
-    farthest = max((limb.end for limb in found), default=0.0)
-    kept: list[Limb] = []
-    stubs: list[Limb] = []
-    for limb in found:
-        alone = limb.end - limb.start
-        if alone < FREE * limb.end or alone**2 < SLENDER * limb.area / (2 * np.pi):
-            continue
-        if limb.end < REACH * farthest:
-            stubs.append(limb)
-        elif all(_side_by_side(limb, other) and _apart(mesh, limb, other) for other in kept):
-            kept.append(limb)
-    return kept, [stub for stub in stubs if all(_apart(mesh, stub, limb) for limb in kept)]
-
-
-def _joined(mesh: NetworkMesh, region: np.ndarray) -> np.ndarray:
-    """Edges within a region, and pairs of its vertices on different loose parts that touch, shape (E, 2)."""
-    own = mesh.edges[mesh.components[mesh.edges[:, 0]] == mesh.components[mesh.edges[:, 1]]]
-    where = np.flatnonzero(region)
-    near = where[cKDTree(mesh.vertices[where]).query_pairs(TOUCH * mesh.cell, output_type="ndarray")]
-    near = near[mesh.components[near[:, 0]] != mesh.components[near[:, 1]]]
-    return np.concatenate([own[region[own].all(axis=1)], near])
-
-
-def _borne(vertex: int, before: np.ndarray, label: np.ndarray, others: set[int]) -> bool:
-    """Whether the way from a vertex to the body leads over another piece."""
-    while vertex >= 0:
-        if int(label[vertex]) in others:
-            return True
-        vertex = int(before[vertex])
-    return False
-
-
-def _side_by_side(one: Limb, other: Limb) -> bool:
-    shared = min(one.end, other.end) - max(one.start, other.start)
-    return shared >= OVERLAP * min(one.end - one.start, other.end - other.start)
-
-
-def _apart(mesh: NetworkMesh, one: Limb, other: Limb) -> bool:
-    points = [mesh.vertices[limb.members] for limb in (one, other)]
-    gaps = [float(np.average(cKDTree(far).query(own)[0], weights=mesh.areas[limb.members])) for own, far, limb in
-            ((points[0], points[1], one), (points[1], points[0], other))]  # fmt: skip
-    return min(gaps) >= APART * min(one.end - one.start, other.end - other.start)
 
 
 @dataclass(eq=False)
@@ -180,6 +49,7 @@ class _Split:
         parts: What each of the handles weighs, shape (M, P).
         members: How much each vertex is of each limb, shape (M, L).
         stands: Which limbs stand on the ground.
+        first: Slot of the first part of the first further limb; slots are counted through families, limbs, parts and sides.
     """
 
     columns: list[int]
@@ -187,6 +57,11 @@ class _Split:
     parts: np.ndarray
     members: np.ndarray
     stands: list[bool]
+    first: int
+
+    def slot(self, limb: int, part: int) -> int:
+        """The place of a part of a further limb among all that may need a handle."""
+        return self.first + len(SIDES) * ((limb - 1) * len(self.columns) + part)
 
     def roles(self, limb: int) -> list[int]:
         """The handles whose parts a limb's handles play: a leg's where it stands on the ground."""
@@ -225,46 +100,47 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
     """
     if _person(mesh, weights):
         return weights, None
-    found = {(family, side): find_limbs(mesh, weights, _columns(side, family)) for family in FAMILIES for side in _SIDES}
-    if any(all(len(found[family, side][0]) < 2 for family in FAMILIES) for side in _SIDES):
+    found = {(family, side): find_limbs(mesh, weights, limb_handles(side, family)) for family in FAMILIES for side in SIDES}
+    if any(all(len(found[family, side][0]) < 2 for family in FAMILIES) for side in SIDES):
         return weights, None
     areas = mesh.areas / mesh.areas.sum(dtype=np.float64)
     spare = [handle for handle in map(HANDLE_NAMES.index, _SPARE_FIRST) if areas @ weights[:, handle] < SPARE]
-    out, graph = _without(weights, spare), _graph(mesh)
+    out, graph = _without(weights, spare), edge_lengths(mesh)
     splits: list[list[_Split]] = []
+    slots = 0
     for family in FAMILIES:
         splits.append([])
-        for side in _SIDES:
+        for number, side in enumerate(SIDES):
             limbs, stubs = found[family, side]
             if len(limbs) < 2:
                 continue
-            columns = _columns(side, family)
+            columns = limb_handles(side, family)
             members = _membership(mesh, graph, limbs + stubs)
-            for number, stub in enumerate(stubs, len(limbs)):
-                held = out[:, columns] * members[:, number : number + 1]
+            for place, stub in enumerate(stubs, len(limbs)):
+                held = out[:, columns] * members[:, place : place + 1]
                 out[:, columns] -= held
                 out[:, _body_handle(mesh, out, stub)] += held.sum(axis=1)
             members = members[:, : len(limbs)] / members[:, : len(limbs)].sum(axis=1, keepdims=True)
-            legs = _columns(side, FAMILIES[0])
-            splits[-1].append(_Split(columns, legs, out[:, columns], members, [_stands(mesh, limb) for limb in limbs]))
+            legs = limb_handles(side, FAMILIES[0])
+            splits[-1].append(_Split(columns, legs, out[:, columns], members, [stands(mesh, limb) for limb in limbs], slots + number))
+        slots += len(SIDES) * len(family) * max(len(found[family, side][0]) - 1 for side in SIDES) if splits[-1] else 0
     roles = np.arange(HANDLE_COUNT)
     dealt = _fitted(splits, areas, len(spare))
-    spare = sorted(spare[: sum(len(set(owner)) for _, owners in dealt for owner in owners)])  # handles of a limb follow one another
     for split, _ in dealt:
         out[:, split.columns] = split.parts * split.members[:, :1]
-    for split, owners in dealt:
-        for limb, owner in enumerate(owners, 1):
-            fresh = {part: spare.pop(0) for part in sorted(set(owner))}
-            for part, own in enumerate(owner):
-                roles[fresh[own]] = split.roles(limb)[0 if own == owner[0] else own]
-                out[:, fresh[own]] += split.parts[:, part] * split.members[:, limb]
+    asked = [(split, limb, part, owner) for split, owners in dealt for limb, owner in enumerate(owners, 1) for part in sorted(set(owner))]
+    fresh = _places([split.slot(limb, part) for split, limb, part, _ in asked], spare)
+    for (split, limb, part, owner), handle in zip(asked, fresh, strict=True):
+        roles[handle] = split.roles(limb)[0 if part == owner[0] else part]
+        moved = [number for number, own in enumerate(owner) if own == part]
+        out[:, handle] += split.parts[:, moved].sum(axis=1) * split.members[:, limb]
     if (roles == np.arange(HANDLE_COUNT)).all():
         return weights, None
-    for side in _SIDES:
-        arm, (limbs, _) = np.array(_columns(side, FAMILIES[1])), found[FAMILIES[1], side]
-        if limbs and _stands(mesh, limbs[0]):
+    for side in SIDES:
+        arm, (limbs, _) = np.array(limb_handles(side, FAMILIES[1])), found[FAMILIES[1], side]
+        if limbs and stands(mesh, limbs[0]):
             kept = roles[arm] == arm
-            roles[arm[kept]] = np.array(_columns(side, FAMILIES[0]))[kept]
+            roles[arm[kept]] = np.array(limb_handles(side, FAMILIES[0]))[kept]
     return (out / out.sum(axis=1, keepdims=True)).astype(np.float32), roles
 
 
@@ -286,6 +162,14 @@ def _fitted(splits: list[list[_Split]], areas: np.ndarray, room: int) -> list[tu
                 split.members = np.column_stack([split.members[:, :-2], split.members[:, -2:].sum(axis=1)])
 
 
+def _places(slots: list[int], spare: list[int]) -> list[int]:
+    """A spare handle for each slot: its own in `_SPARE_FIRST`, so that a part more or less does not move the others; where that is
+    taken by the character itself, the first that is left."""
+    own = [HANDLE_NAMES.index(_SPARE_FIRST[slot]) if slot < len(_SPARE_FIRST) else -1 for slot in slots]
+    left = [handle for handle in spare if handle not in own]
+    return [handle if handle in spare else left.pop(0) for handle in own]
+
+
 def _without(weights: np.ndarray, spare: list[int]) -> np.ndarray:
     """The weights with what spare handles hold given to their nearest ancestors that are not spare."""
     out = np.array(weights, np.float64)
@@ -303,14 +187,8 @@ def _body_handle(mesh: NetworkMesh, weights: np.ndarray, stub: Limb) -> int:
     places = handle_positions(mesh.vertices, weights, mesh.areas)
     away = np.linalg.norm(places - mesh.vertices[stub.members].mean(axis=0), axis=1)
     away[mesh.areas @ weights < SPARE * mesh.areas.sum()] = np.inf
-    away[_ALL] = np.inf
+    away[LIMB_HANDLES] = np.inf
     return int(away.argmin())
-
-
-def _stands(mesh: NetworkMesh, limb: Limb) -> bool:
-    """Whether a limb reaches the ground."""
-    heights = mesh.vertices[:, 1]
-    return bool(heights[limb.members].min() - heights.min() < GROUND * np.ptp(heights))
 
 
 def _membership(mesh: NetworkMesh, graph: csr_matrix, limbs: list[Limb]) -> np.ndarray:
@@ -318,10 +196,3 @@ def _membership(mesh: NetworkMesh, graph: csr_matrix, limbs: list[Limb]) -> np.n
     gaps = np.stack([dijkstra(graph, indices=limb.members, min_only=True) for limb in limbs], axis=1)
     closeness = np.exp((gaps.min(axis=1, keepdims=True) - gaps) / (BLEND * mesh.cell))
     return np.asarray(closeness / closeness.sum(axis=1, keepdims=True))
-
-
-def _deal(
-    mesh: NetworkMesh, base: np.ndarray, members: dict[tuple[str, tuple[str, ...]], np.ndarray], spare: list[int]
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Give the spare handles to the parts of the further limbs."""
-    raise NotImplementedError

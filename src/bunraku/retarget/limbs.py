@@ -9,7 +9,7 @@ import numpy as np
 
 from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.character import Handles
-from bunraku.handles.extra_limbs import FAMILIES
+from bunraku.handles.limbs import FAMILIES
 from bunraku.retarget.joints import Joints
 
 __all__ = ["LimbView", "by_limb", "limb_views", "reference_parts"]
