@@ -135,7 +135,7 @@ def test_too_few_spare_handles_join_the_outer_parts() -> None:
 
 def test_a_part_that_gets_no_handle_moves_no_other(spider: tuple[NetworkMesh, np.ndarray, np.ndarray]) -> None:
     """Weights that differ a little must not deal other handles to the parts that both have."""
-    mesh, weights, roles = spider
+    mesh, _, roles = spider
     plain = shared_weights(mesh)
     spare = H["head_top"]
     taken = plain.copy()

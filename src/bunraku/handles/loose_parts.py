@@ -57,7 +57,7 @@ def find_loose_parts(mesh: NetworkMesh) -> LooseParts:
     return LooseParts(label, extent, cover, gap, host)
 
 
-def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> tuple[np.ndarray, np.ndarray]:
+def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> np.ndarray:
     """Weights where each small loose part has one row for all of it.
 
     A part that lies on a larger one takes the mean of that one's weights at the points nearest to it. A part that lies on
@@ -69,11 +69,11 @@ def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> tu
         stiff: Whether parts that lie on no other may move as a whole; not where they are legs, as those of insects often are.
 
     Returns:
-        Weights of the network vertices, shape (M, K), and of the vertices of `mesh.clean`, shape (W, K), float32.
+        Weights of the vertices of `mesh.clean`, shape (W, K), float32.
     """
     full = mesh.push_clean(weights)
     if not mesh.surface.parts.any():
-        return np.asarray(weights, np.float32), full
+        return full
     parts = find_loose_parts(mesh)
     label, areas, count = parts.label, mesh.surface.areas, len(parts.extent)
 
@@ -102,13 +102,4 @@ def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> tu
     rows[one] /= rows[one].sum(axis=1, keepdims=True)
     member = label[mesh.surface.start]
     full[one[member]] = rows[member[one[member]]]
-    # A network vertex belongs to the part that gives it most of its surface.
-    place = mesh.surface_label
-    key, inverse = np.unique(place * count + label, return_inverse=True)
-    shared = np.bincount(inverse.reshape(-1), areas)
-    vertex, part = np.divmod(key, count)
-    order = np.lexsort((-shared, vertex))
-    main = part[order[np.unique(vertex[order], return_index=True)[1]]]
-    out = np.array(weights, np.float32)
-    out[one[main]] = rows[main[one[main]]]
-    return out, full
+    return full

@@ -85,12 +85,13 @@ def _load(checkpoint: str | Path | None) -> HandlePredictor:
 def predict_handles(character: Character, checkpoint: str | Path | None = None) -> Handles:
     """The handles of a character (Eq. 1 of TapMo): positions, skinning weights of every vertex, and the feature f_phi.
 
-    The network sees the normalised network mesh, in two tessellations and mirrored, and the mean of what it says counts: its
+    The network sees the normalised network mesh, in three tessellations, each also mirrored, and the mean of what it says counts: its
     answers differ a little with the tessellation, and the mean does so less. The weights are smoothed over that mesh, made one
     over small loose parts (`seat_parts`), divided among the legs of who has more than two (`split_limbs`), and carried to every
     vertex of the original; vertices at one place get equal weights.
-    Handle positions are weighted means by surface area, in the form of Eq. 4, so that tessellation does not matter; a handle
-    without a surface stands where its parent stands.
+    Handle positions are weighted means by surface area, in the form of Eq. 4, so that tessellation does not matter; loose parts
+    count as the network sees them, not as they are bound, for a pivot belongs where the joint is. A handle without a surface
+    stands where its parent stands.
 
     Args:
         character: Any mesh, +Y up and facing +Z; a rig it may have is not looked at.
@@ -105,8 +106,8 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     weights, features = predict_weights(mesh, model)
     weights = np.mean([weights, *(mesh.carry(predict_weights(view, model)[0], view) for view in others)], axis=0)
     weights, roles = split_limbs(mesh, trim_weights(smooth_weights(weights, mesh.edges)))
-    weights, full = seat_parts(mesh, weights, stiff=roles is None)
     positions = handle_positions(mesh.vertices, weights, mesh.areas) * mesh.scale + mesh.center
+    full = seat_parts(mesh, weights, stiff=roles is None)
     return Handles(positions, trim_weights(full)[mesh.clean.index], features, roles)
 
 
