@@ -120,3 +120,44 @@ def test_shapes_that_are_no_characters_still_animate(shape, count):
     assert len(mesh.vertices) >= count
     animation = animate(bunraku.Character(shape, mesh.vertices, mesh.faces), PROMPT, seconds=0.5)
     assert np.isfinite(animation.vertices()).all() and len(animation.motion) == 10
+
+
+def test_a_loop_on_a_character_closes(person):
+    loop = animate(person, PROMPT, seconds=2.0, loop=True, in_place=True, steps=4).motion
+    assert len(loop) == 41 and np.array_equal(loop.rotations[0], loop.rotations[-1]) and np.array_equal(loop.translations[0], loop.translations[-1])
+    np.testing.assert_allclose(loop.root_translation[0], loop.root_translation[-1], atol=1e-4)
+    assert np.ptp(loop.root_translation[:, 2]) < 0.3
+
+
+def test_an_edit_keeps_the_legs_of_an_animation(person, walk):
+    from bunraku.diffusion.parts import kept_handles
+
+    found, legs = bunraku.edit(walk, "a person waves", keep="legs", steps=4), kept_handles("legs")
+    for name in ("translations", "rotations"):
+        assert np.array_equal(getattr(found.motion, name)[:, legs], getattr(walk.motion, name)[:, legs])
+        assert np.array_equal(getattr(found.reference, name)[:, legs], getattr(walk.reference, name)[:, legs])
+    assert np.array_equal(found.motion.root_translation, walk.motion.root_translation)
+    assert not np.array_equal(found.motion.rotations, walk.motion.rotations)
+
+
+def test_an_animation_without_its_reference_is_edited_too(walk):
+    bare = dataclasses.replace(walk, reference=None)
+    found = bunraku.edit(bare, "a person waves", span=(0.5, 1.5), steps=4)
+    outside = np.r_[0:10, 30:40]
+    assert np.array_equal(found.motion.rotations[outside], walk.motion.rotations[outside])
+    assert np.array_equal(found.motion.root_translation[outside], walk.motion.root_translation[outside])
+
+
+def test_an_animation_goes_on_from_another(person, walk):
+    found = animate(person, "a person jumps", seconds=1.0, after=walk, steps=4)
+    for name in ("translations", "rotations", "root_translation", "root_rotation"):
+        assert np.array_equal(getattr(found.motion, name)[0], getattr(walk.motion, name)[-1])
+
+
+def test_lists_of_prompts_and_what_is_refused(walk):
+    found = bunraku.generate([PROMPT, "a person jumps: 1; a person waves: 1"], seconds=1.0, steps=2)
+    assert [len(motion) for motion in found] == [20, 40] and len(bunraku.generate(PROMPT, seconds=1.0, steps=2)) == 20
+    with pytest.raises(bunraku.OptionError, match="cannot follow"):
+        bunraku.generate(PROMPT, loop=True, after=walk.reference)
+    with pytest.raises(bunraku.OptionError, match="no words"):
+        bunraku.generate([PROMPT, "..."])

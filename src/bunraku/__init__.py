@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from bunraku.formats import load_character, load_motion, save_character
     from bunraku.handles.orientation import Orientation, guess_orientation, upright
     from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton
-    from bunraku.pipeline import animate, rig
+    from bunraku.motion_transfer import transfer
+    from bunraku.pipeline import animate, edit, generate, rig
+    from bunraku.rig_animation import RigAnimation
 
 __version__ = "0.1.0"
 
@@ -47,16 +49,20 @@ __all__ = [
     "OptionError",
     "Orientation",
     "Rig",
+    "RigAnimation",
     "SkeletalMotion",
     "Skeleton",
     "WeightsError",
     "__version__",
     "animate",
+    "edit",
+    "generate",
     "guess_orientation",
     "load_character",
     "load_motion",
     "rig",
     "save_character",
+    "transfer",
     "upright",
 ]
 
@@ -67,14 +73,18 @@ _HOME = {
     "Handles": "bunraku.character",
     "Orientation": "bunraku.handles.orientation",
     "Rig": "bunraku.character",
+    "RigAnimation": "bunraku.rig_animation",
     "SkeletalMotion": "bunraku.motion",
     "Skeleton": "bunraku.motion",
     "animate": "bunraku.pipeline",
+    "edit": "bunraku.pipeline",
+    "generate": "bunraku.pipeline",
     "guess_orientation": "bunraku.handles.orientation",
     "load_character": "bunraku.formats",
     "load_motion": "bunraku.formats",
     "rig": "bunraku.pipeline",
     "save_character": "bunraku.formats",
+    "transfer": "bunraku.motion_transfer",
     "upright": "bunraku.handles.orientation",
 }
 

@@ -20,6 +20,12 @@ __all__ = ["Animation"]
 class Animation:
     """A character driven by a handle motion.
 
+    Args:
+        character: The character.
+        handles: Its K handles.
+        motion: Their motion.
+        reference: The motion of the reference body that `motion` was fitted from, where it is known; it is what `bunraku.edit` edits.
+
     Raises:
         CharacterError: The handles weigh another number of vertices than the character has.
         MotionError: The motion has another number of handles.
@@ -28,6 +34,7 @@ class Animation:
     character: Character
     handles: Handles
     motion: HandleMotion
+    reference: HandleMotion | None = None
 
     def __post_init__(self) -> None:
         if len(self.handles.weights) != len(self.character.vertices):
@@ -39,6 +46,12 @@ class Animation:
         """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named (Eq. 3)."""
         transforms = self.motion.transforms(self.handles.positions)
         return skin(self.character.vertices, self.handles.weights, transforms if frames is None else transforms[frames])
+
+    def at(self, fps: float) -> Animation:
+        """The same at another rate [1/s]; the motion that it was fitted from is left out, as it stays at its own."""
+        from bunraku.formats.gltf_motion import resample
+
+        return self if fps == self.motion.fps else Animation(self.character, self.handles, resample(self.motion, fps))
 
     def save(self, path: str | Path, **options: Any) -> Path:
         """Write the animation in the format that the file's suffix names and return the path.

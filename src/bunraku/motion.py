@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -92,6 +93,12 @@ class SkeletalMotion:
             positions[:, joint] = positions[:, parent] + rotations[:, parent] @ self.skeleton.offsets[joint]
         return rotations, positions
 
+    def save(self, path: str | Path, **options: Any) -> Path:
+        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see `bunraku.formats.save_motion`)."""
+        from bunraku.formats import save_motion
+
+        return save_motion(self, path, **options)
+
 
 @dataclass(frozen=True)
 class HandleMotion:
@@ -138,6 +145,12 @@ class HandleMotion:
         """Length [s]."""
         return len(self) / self.fps
 
+    def take(self, frames: slice | np.ndarray) -> HandleMotion:
+        """The motion of some of the frames: a slice, or indices of shape (M,)."""
+        return HandleMotion(
+            self.translations[frames], self.rotations[frames], self.root_translation[frames], self.root_rotation[frames], self.fps
+        )  # fmt: skip
+
     def transforms(self, positions: np.ndarray) -> np.ndarray:
         """World transform of each handle as Eq. 3 applies it to rest positions.
 
@@ -153,3 +166,12 @@ class HandleMotion:
         out[..., :3] = self.root_rotation[:, None] @ self.rotations
         out[..., 3] = np.einsum("nij,nkj->nki", self.root_rotation, local - h[0]) + h[0] + self.root_translation[:, None]
         return out
+
+    def save(self, path: str | Path, **options: Any) -> Path:
+        """Write a motion of the reference body in the format that the file's suffix names, and return the path.
+
+        .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do (see `bunraku.formats.save_motion`).
+        """
+        from bunraku.formats import save_motion
+
+        return save_motion(self, path, **options)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal, TypeVar, cast, overload
+
+import numpy as np
 
 from bunraku.animation import Animation
 from bunraku.character import Character, Handles
@@ -13,9 +14,8 @@ from bunraku.errors import OptionError
 from bunraku.motion import HandleMotion
 from bunraku.retarget.fit import Stages, fit_motion
 
-__all__ = ["LONGEST", "SHORTEST", "animate", "generate", "rig"]
+__all__ = ["animate", "edit", "generate", "perform", "reference_of", "rig"]
 
-SHORTEST, LONGEST = 0.5, 120.0
 Progress = Callable[[str, float], None]
 
 
@@ -46,44 +46,96 @@ def rig(character: Character, *, handles: Literal["predict", "rig"] = "predict",
     return found
 
 
-def _check(prompt: str, seconds: float) -> None:
-    """Refuse what cannot be generated, before anything is loaded."""
+def _scripts(prompts: Sequence[str], seconds: float) -> list[list[tuple[str, float]]]:
+    """The sentences of each prompt with their seconds; what cannot be generated is refused before anything is loaded."""
+    from bunraku.diffusion.sequence import parse_sequence, timed_sequence
     from bunraku.diffusion.text import check_prompt
 
-    check_prompt(prompt)
-    if not math.isfinite(seconds) or not SHORTEST <= seconds <= LONGEST:
-        raise OptionError(f"a clip lasts {SHORTEST:g} to {LONGEST:g} seconds, not {seconds:g}; choose a length in between")
+    scripts = []
+    for prompt in prompts:
+        if not isinstance(prompt, str):
+            raise OptionError("the prompt must be a sentence")
+        scripts.append([(check_prompt(part), length) for part, length in timed_sequence(parse_sequence(prompt), seconds)])
+    return scripts
 
 
+@overload
 def generate(
     prompt: str,
     *,
+    seconds: float = ...,
+    seed: int | Sequence[int] = ...,
+    steps: int | None = ...,
+    guidance: float | None = ...,
+    mesh_feature: object | None = ...,
+    loop: bool = ...,
+    after: HandleMotion | None = ...,
+    progress: Progress | None = ...,
+) -> HandleMotion: ...
+
+
+@overload
+def generate(
+    prompt: list[str] | tuple[str, ...],
+    *,
+    seconds: float = ...,
+    seed: int | Sequence[int] = ...,
+    steps: int | None = ...,
+    guidance: float | None = ...,
+    mesh_feature: object | None = ...,
+    loop: bool = ...,
+    after: HandleMotion | None = ...,
+    progress: Progress | None = ...,
+) -> list[HandleMotion]: ...
+
+
+def generate(
+    prompt: str | list[str] | tuple[str, ...],
+    *,
     seconds: float = 6.0,
-    seed: int = 0,
+    seed: int | Sequence[int] = 0,
     steps: int | None = None,
     guidance: float | None = None,
     mesh_feature: object | None = None,
+    loop: bool = False,
+    after: HandleMotion | None = None,
     progress: Progress | None = None,
-) -> HandleMotion:
-    """A handle motion of the reference body from a sentence (Eq. 2 of TapMo).
+) -> HandleMotion | list[HandleMotion]:
+    """Handle motions of the reference body from sentences (Eq. 2 of TapMo).
 
     Args:
-        prompt: What the character does, in English.
-        seconds: Length [s], 0.5 to 120.
-        seed: The same seed and version give the same motion.
+        prompt: What the character does, in English; several sentences in a row with their seconds ("walks:4; jumps:2; waves:3");
+            or a list of such prompts, which are made in one batch.
+        seconds: Length [s], 0.5 to 120; what prompts without seconds of their own share.
+        seed: The same seed and version give the same motion. One number gives each prompt of a list noise of its own, the first
+            as when it is alone; a list has one for each.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         mesh_feature: f_phi of the character, shape (448,); None generates for no mesh in particular.
+        loop: Make a loop: the last frame is the first again, at another place where the motion travels.
+        after: Motion of the reference body whose last pose is the first of the new motion.
         progress: Called with a stage's name and the share done.
 
     Raises:
-        OptionError: The prompt is empty or too long, or the length is out of range.
+        OptionError: A prompt is empty or too long, a length is out of range, or a loop is to follow another motion.
+        MotionError: `after` is no motion of the reference body at 20 frames a second.
         WeightsError: The shipped weights are missing or broken.
     """
-    from bunraku.diffusion.generate import generate_motion
+    prompts = [prompt] if isinstance(prompt, str) else list(prompt)
+    scripts = _scripts(prompts, seconds)
+    if loop and after is not None:
+        raise OptionError("a loop ends where it starts, so it cannot follow another motion; leave one of the two out")
+    how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "progress": progress}
+    from bunraku.diffusion.generate import generate_motions
 
-    _check(prompt, seconds)
-    return generate_motion(prompt, seconds, seed=seed, steps=steps, guidance=guidance, mesh_feature=mesh_feature, progress=progress)
+    if after is None:
+        motions = generate_motions(scripts, seeds=seed, loop=loop, **how)
+    else:
+        from bunraku.diffusion.editing import continue_motion
+
+        seeds = [seed + index for index in range(len(scripts))] if isinstance(seed, int) else list(seed)
+        motions = [continue_motion(after, script, seed=one, **how) for script, one in zip(scripts, seeds, strict=True)]
+    return motions[0] if isinstance(prompt, str) else motions
 
 
 def animate(
@@ -95,6 +147,9 @@ def animate(
     steps: int | None = None,
     guidance: float | None = None,
     handles: Handles | Literal["predict", "rig"] = "predict",
+    loop: bool = False,
+    in_place: bool = False,
+    after: HandleMotion | Animation | None = None,
     stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> Animation:
@@ -102,12 +157,15 @@ def animate(
 
     Args:
         character: Any mesh, +Y up and facing +Z.
-        prompt: What it does, in English.
-        seconds: Length [s], 0.5 to 120.
+        prompt: What it does, in English; or several sentences in a row with their seconds: "walks:4; jumps:2; waves:3".
+        seconds: Length [s], 0.5 to 120; what sentences without seconds of their own share.
         seed: The same seed and version give the same animation.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `rig`).
+        loop: Make a loop: the last pose is the first again, at another place where the motion travels.
+        in_place: Take the way over the ground out, as game engines want it that move the character themselves.
+        after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
         stages: Which stages fit the motion to the character; all when None.
         progress: Called with a stage's name and the share done, 0 to 1.
 
@@ -115,17 +173,139 @@ def animate(
         The animation at 20 frames a second.
 
     Raises:
-        OptionError: The prompt is empty or too long, or the length is out of range.
+        OptionError: The prompt is empty or too long, the length is out of range, or a loop is to follow another clip.
         CharacterError: `handles` are not 30, or cannot be taken from the rig.
         WeightsError: The shipped weights are missing or broken.
     """
-    _check(prompt, seconds)
+    _scripts([prompt], seconds)
     if not isinstance(handles, Handles):
         handles = rig(character, handles=handles or "predict", progress=progress)
-    motion = generate(prompt, seconds=seconds, seed=seed, steps=steps, guidance=guidance, mesh_feature=handles.features, progress=progress)
+    before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
+    motion = generate(
+        prompt, seconds=seconds, seed=seed, steps=steps, guidance=guidance, mesh_feature=handles.features, loop=loop, after=before, progress=progress
+    )  # fmt: skip
+    return perform(motion, character, handles, loop=loop, in_place=in_place, after=after, stages=stages, progress=progress)
+
+
+def perform(
+    motion: HandleMotion,
+    character: Character,
+    handles: Handles,
+    *,
+    loop: bool = False,
+    in_place: bool = False,
+    after: HandleMotion | Animation | None = None,
+    stages: Stages | None = None,
+    progress: Progress | None = None,
+) -> Animation:
+    """A motion of the reference body, as `generate` makes them, on a character.
+
+    Args:
+        motion: N frames.
+        character: +Y up and facing +Z.
+        handles: Its handles.
+        loop: Whether the motion is a loop.
+        in_place: As in `animate`.
+        after: As in `animate`.
+        stages: As in `animate`.
+        progress: As in `animate`.
+    """
     if progress:
         progress("fit", 0.0)
-    fitted = fit_motion(motion, character, handles, stages)
+    fitted = _fit(motion, character, handles, stages, loop)
+    if isinstance(after, Animation):
+        from bunraku.diffusion.editing import follow
+
+        fitted = follow(fitted, after.motion)
+    if in_place:
+        from bunraku.diffusion.paths import in_place as on_the_spot
+
+        fitted = on_the_spot(fitted, loop)
     if progress:
         progress("fit", 1.0)
-    return Animation(character, handles, fitted)
+    return Animation(character, handles, fitted, motion)
+
+
+def _fit(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False) -> HandleMotion:
+    """`fit_motion`, with the rounds before and after a loop in sight, so that no stage treats its ends as ends."""
+    from bunraku.diffusion.generate import load_generator
+
+    native = handles.features is not None and bool(load_generator()[0].notes.get("creatures"))
+    if not loop or len(motion) < 3:
+        return fit_motion(motion, character, handles, stages, native=native)
+    from bunraku.diffusion.paths import closed_loop, repeated
+
+    margin = round(2 * motion.fps)
+    fitted = fit_motion(repeated(motion, margin, margin), character, handles, stages, native=native)
+    return closed_loop(fitted.take(slice(margin, margin + len(motion))), motion)
+
+
+def reference_of(animation: Animation) -> HandleMotion:
+    """The motion of the reference body that an animation plays: the one that it was fitted from, or the way back from its own."""
+    if animation.reference is not None:
+        return animation.reference
+    from bunraku.retarget.reference import motion_to_reference
+
+    return motion_to_reference(animation.motion, animation.character, animation.handles)
+
+
+Clip = TypeVar("Clip", bound=HandleMotion | Animation)
+
+
+def edit(
+    clip: Clip,
+    prompt: str,
+    *,
+    keep: str | Sequence[str] = (),
+    span: tuple[float, float] | None = None,
+    seed: int = 0,
+    steps: int | None = None,
+    guidance: float | None = None,
+    stages: Stages | None = None,
+    progress: Progress | None = None,
+) -> Clip:
+    """Keep chosen handles, or all but a span of seconds, and generate the rest from a sentence (section A.3 of TapMo).
+
+    Args:
+        clip: An animation, or a motion of the reference body at 20 frames a second.
+        prompt: What is done instead, in English.
+        keep: What stays as it is: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or single
+            handles such as left_wrist; a list, or one text with commas.
+        span: Seconds from and to which is generated; all of the clip by default.
+        seed: The same seed and version give the same motion.
+        steps: Sampling steps; None takes the default.
+        guidance: Classifier-free guidance scale; None takes the default.
+        stages: Which stages fit an animation's new motion to its character; all when None.
+        progress: Called with a stage's name and the share done, 0 to 1.
+
+    Returns:
+        As many frames. What is kept holds the same arrays bit for bit: those of the animation's own motion, and of its `reference`.
+
+    Raises:
+        OptionError: Nothing is kept, or everything; the prompt is empty or too long; or the span is outside the clip.
+        MotionError: The motion is not that of 30 handles at 20 frames a second.
+        WeightsError: The shipped weights are missing or broken.
+    """
+    from bunraku.diffusion.editing import edit_motion, put_back, span_frames
+    from bunraku.diffusion.parts import kept_handles
+
+    how: dict[str, Any] = {"keep": keep, "span": span, "seed": seed, "steps": steps, "guidance": guidance, "progress": progress}
+    if isinstance(clip, HandleMotion):
+        return cast(Clip, edit_motion(clip, prompt, **how))
+    assert isinstance(clip, Animation)
+    handles = clip.handles
+    if handles.features is None:
+        from bunraku.handles.predict import mesh_feature
+
+        handles = replace(handles, features=mesh_feature(clip.character))
+    made = edit_motion(reference_of(clip), prompt, mesh_feature=handles.features, **how)
+    if progress:
+        progress("fit", 0.0)
+    kept = np.zeros(len(handles.positions), bool)
+    if keep:
+        kept = kept_handles(keep)[handles.played]  # a spare handle that plays a kept part is kept with it
+    first, after = (0, len(made)) if span is None else span_frames(span, len(made), made.fps)
+    fitted = put_back(_fit(made, clip.character, handles, stages), clip.motion, kept, first, after)
+    if progress:
+        progress("fit", 1.0)
+    return cast(Clip, Animation(clip.character, clip.handles, fitted, made))

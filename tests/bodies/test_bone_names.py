@@ -2,7 +2,8 @@
 import numpy as np
 import pytest
 
-from bunraku.bodies.bone_names import handle_of_joints, left_axis, limb_parents, part_of_name
+from bunraku.bodies.bone_names import handle_of_joints, limb_parents
+from bunraku.bodies.bone_words import left_axis, part_of_name
 from bunraku.bodies.layout import HANDLE_NAMES
 
 
@@ -146,6 +147,19 @@ def test_left_axis_and_parts():
     np.testing.assert_allclose(left_axis(names, np.array([[0.0, 1, -1], [0, 1, 1], [0, 0, 0]])), [0, 0, -1])
     assert left_axis(["Spine"], np.zeros((1, 3))) is None
     assert part_of_name("L.UpperLeg.001")[:2] == ("leg", 1)
+
+
+def test_what_mmd_models_add_to_the_standard_bones():
+    found = read(
+        "センター 下半身 左足 左ひざ 左足首 左足D<下半身 左ひざＤ 左足首D 左足先EX 左足IK親<センター 上半身<センター 上半身2 首 頭 前髪1_1 左耳1<頭 "
+        "左肩P<上半身2 左肩 左肩C 左腕 左腕捩 左腕捩1<左腕 左ひじ<左腕捩 左手捩 左手首 尻尾1<下半身 尻尾2 左つま先EX<左足首"
+    )
+    check(
+        found,
+        "左足D=left_hip 左ひざＤ=left_knee 左足首D=left_ankle 左足先EX=left_foot 左足IK親= 前髪1_1=head_top 左耳1=head_top 左肩P= 左肩C= "
+        "左肩=left_collar 左腕=left_shoulder 左腕捩=left_shoulder 左腕捩1=left_shoulder 左ひじ=left_elbow 左手捩=left_elbow 左手首=left_wrist "
+        "尻尾1=tail 尻尾2=tail_tip 左つま先EX=left_foot",
+    )
 
 
 def test_limb_parents_put_feet_back_on_legs():

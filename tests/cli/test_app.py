@@ -4,7 +4,6 @@ import errno
 import os
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -37,14 +36,12 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"bunraku {bunraku.__version__}\n"
 
 
-def test_help_is_quick():
-    """The best of three, since other work may run beside the tests."""
-    took = []
-    for _ in range(3):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "bunraku", "--help"], check=True, capture_output=True)
-        took.append(time.perf_counter() - start)
-    assert min(took) < 0.6
+def test_help_loads_nothing_heavy():
+    """What makes it quick; the time itself depends on the machine."""
+    code = "import sys; from bunraku.cli import main; main(['--help']); print('loaded', *sys.modules, file=sys.stderr)"
+    shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    loaded = set(shown.stderr.split("loaded ")[-1].split())
+    assert "animate" in shown.stdout and not loaded & {"numpy", "scipy", "torch", "transformers", "numba", "av"}
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_missing_file_and_folder(fails, tmp_path):
         (["--steps", "0"], "--steps"),
         (["--guidance", "-3"], "--guidance"),
         (["--seed", "-1"], "--seed"),
-        (["-o", "out.fbx"], "'.fbx' cannot be written here; end the name in .glb, .npz, .obj or .ply"),
+        (["-o", "out.dae"], "'.dae' cannot be written here; end the name in .glb"),
         (["-o", "out"], "a file without a suffix"),
         (["--preview", "out.avi"], ".mp4"),
         (["--without", "magic"], "there are rest-pose, attach, ground"),

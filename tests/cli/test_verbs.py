@@ -172,8 +172,8 @@ def test_what_is_whole_is_named_when_the_rest_fails(tmp_path, monkeypatch, capsy
 
 
 def test_limits_and_defaults_agree_with_the_library():
-    pipeline, generate = importlib.import_module("bunraku.pipeline"), importlib.import_module("bunraku.diffusion.generate")
-    assert SECONDS == (pipeline.SHORTEST, pipeline.LONGEST)
+    sequence, generate = importlib.import_module("bunraku.diffusion.sequence"), importlib.import_module("bunraku.diffusion.generate")
+    assert SECONDS == (sequence.SHORTEST, sequence.LONGEST)
     text = (ROOT / "docs" / "cli.md").read_text()
     assert f"{generate.STEPS} by default" in text and f"{generate.GUIDANCE} by default" in text
 

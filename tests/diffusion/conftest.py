@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.diffusion.denoiser import Denoiser, DenoiserConfig
+from bunraku.diffusion.denoiser import Denoiser
+from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import decode, encode
 from bunraku.diffusion.text import TextBatch
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
@@ -67,7 +68,7 @@ def encoder():
     return WordEncoder()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def denoiser():
     return tiny_denoiser
 
@@ -98,3 +99,38 @@ def features():
 @pytest.fixture
 def motion_of():
     return decode
+
+
+@pytest.fixture(scope="session")
+def bank_path(tmp_path_factory):
+    """A bank of characters as `bunraku data character-bank` writes it: the reference body, a dancer, a dog and a person, with f_phi of 12 numbers."""
+    from dataclasses import replace
+
+    from bunraku.datasets.character_bank import bank_row, write_rows
+    from bunraku.handles.from_rig import rig_handles
+    from bunraku.samples import sample_character
+
+    random, rows = np.random.default_rng(0), []
+    for name in ("dancer", "dog", "person"):
+        character = sample_character(name, 0.5, rigged=True)
+        handles = replace(rig_handles(character).top(4), features=random.normal(size=12).astype(np.float32))
+        rows.append(bank_row(character, f"samples/{name}", lambda plain, handles=handles: handles))
+    return write_rows(tmp_path_factory.mktemp("bank") / "bank.npz", rows, np.zeros(12, np.float32))
+
+
+@pytest.fixture(scope="session")
+def bank(bank_path):
+    from bunraku.diffusion.character_bank import load_character_bank
+
+    return load_character_bank(bank_path)
+
+
+@pytest.fixture
+def gesture():
+    """Local rotations (1, N, 30, 3, 3) and translations (1, N, 30, 3) of a swinging handle."""
+
+    def make(handle, frames, height=0.9):
+        motion = swing(handle, frames, height, period=2 * frames)
+        return tuple(torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations))
+
+    return make

@@ -1,9 +1,9 @@
 import pytest
 import torch
 
-from bunraku.diffusion.sampler import Known, ancestral, dpm_solver, guided, sample, starting_noise, token_share
+from bunraku.diffusion.sampler import Known, guided, sample, starting_noise, token_share
 from bunraku.diffusion.schedule import alphas_cumprod, sampling_steps
-from bunraku.diffusion.windows import hold, plan_windows, sample_long
+from bunraku.diffusion.solvers import ancestral, dpm_solver
 
 FEATURES = 6
 
@@ -111,62 +111,29 @@ def test_tokens_are_trusted_least_at_their_edges():
         assert float((share + token_share(40 + patch // 2, patch)[patch // 2 :]).min()) >= 0.5
 
 
-def test_progress_counts_every_step(model, encoder):
-    calls = []
-    sample_long(model, encoder.encode(["walks"]), 100, steps=3, progress=lambda done, total: calls.append((done, total)))
-    assert [done for done, _ in calls] == list(range(1, len(calls) + 1)) and calls[-1][0] == calls[-1][1] == 3 * len(plan_windows(100, 60, 20))
+@pytest.mark.parametrize("method", ["dpm", "ddpm"])
+def test_known_features_are_kept(model, encoder, method):
+    values, share = torch.randn(2, 24, FEATURES), torch.zeros(24, FEATURES)
+    share[:, :2] = share[5, 3] = 1
+    found = sample(model, encoder.encode(["walks", "runs"]), 24, steps=6, known=Known(values, share), method=method).values
+    kept = share.bool().expand(2, -1, -1)
+    torch.testing.assert_close(found[kept], values[kept])
+    assert (found - values)[~kept].abs().max() > 0.1
+    free = sample(model, encoder.encode(["walks", "runs"]), 24, steps=6, method=method).values
+    assert (found - free)[~kept].abs().max() > 0.01  # the rest is made to fit
 
 
-@pytest.mark.parametrize("frames", [1, 196, 197, 364, 365, 1000, 2400])
-def test_windows_cover_all_frames_and_overlap(frames):
-    windows = plan_windows(frames, 196, 28)
-    assert windows[0][0] == 0 and windows[-1][1] >= frames > windows[-1][1] - len(windows) - 1
-    assert all(0 < stop - start <= 196 for start, stop in windows)
-    assert all(before[1] - after[0] == 28 for before, after in zip(windows, windows[1:], strict=False))
+def test_lengths_of_a_batch_are_padded(model, encoder):
+    text = encoder.encode(["walks", "runs", "waves"])
+    found = sample(model, text, [24, 40, 10], steps=4)
+    assert found.values.shape == (3, 40, FEATURES) and not found.values[0, 24:].any() and not found.values[2, 10:].any()
+    assert not found.adaptation[0, 24:].any()
+    alone = sample(model, encoder.encode(["walks"]), 24, steps=4).values
+    torch.testing.assert_close(found.values[:1, :24], alone, atol=1e-4, rtol=1e-4)
 
 
-def test_the_hold_falls_smoothly():
-    share = hold(28, 100, 12)
-    assert share[:16].eq(1).all() and share[28:].eq(0).all() and bool((share.diff() <= 0).all()) and share.diff().abs().max() < 0.15
-
-
-@pytest.mark.parametrize("frames", [1, 10, 59, 60, 61, 200])
-def test_any_length_can_be_made(model, encoder, frames):
-    found = sample_long(model, encoder.encode(["walks", "runs"]), frames, steps=2)
-    assert found.values.shape == (2, frames, FEATURES) and found.adaptation.shape == (2, frames, 3, 3)
-    assert bool(torch.isfinite(found.values).all())
-
-
-class Waves(torch.nn.Module):
-    """The best denoiser there is for smooth Gaussian processes: x0 = sqrt(a) S (a S + (1 - a) I)^-1 x_t, with S their covariance."""
-
-    def __init__(self, config):
-        super().__init__()
-        self.config = config
-        self.curve = alphas_cumprod().float()
-        self.register_buffer("mean", torch.zeros(config.features))
-
-    def condition(self, text, mask, pooled, mesh, keep_text, keep_mesh):
-        return text, mask, pooled
-
-    def forward(self, x, step, lengths, condition):
-        frames, share = x.shape[1], self.curve[step[0]]
-        apart = torch.arange(frames)[:, None] - torch.arange(frames)
-        covariance = torch.exp(-0.5 * (apart / 8.0) ** 2) + 1e-4 * torch.eye(frames)
-        gain = share.sqrt() * torch.linalg.solve(share * covariance + (1 - share) * torch.eye(frames), covariance)
-        return gain.T @ x, torch.zeros(*x.shape[:2], 3, 3)
-
-
-def test_long_motions_have_no_jump_where_windows_meet(config, encoder):
-    model = Waves(config(features=FEATURES, frames=196, handles=3))
-    frames = 700
-    values = sample_long(model, encoder.encode(["walks"]), frames, steps=20, guidance=1.0, seed=2).values[0]
-    seams = torch.zeros(frames, dtype=torch.bool)
-    for start, _ in plan_windows(frames, 196, 28)[1:]:
-        seams[start - 2 : start + 30] = True
-    for order in (1, 2):
-        change = values.diff(n=order, dim=0).abs().amax(-1)
-        inside = seams[:-order]
-        assert float(change[inside].max()) <= 1.25 * float(change[~inside].max())
-    assert float(values.std()) == pytest.approx(1, abs=0.3)
-    assert float((values[100:] - values[:-100]).std()) > 0.7  # windows are not copies of one another
+def test_padding_does_not_count_in_rescaling(model, encoder):
+    text = encoder.encode(["walks", "runs"])
+    found = sample(model, text, [24, 40], steps=4, guidance=4.0, rescale=0.7).values
+    alone = sample(model, encoder.encode(["walks"]), 24, steps=4, guidance=4.0, rescale=0.7).values
+    torch.testing.assert_close(found[:1, :24], alone, atol=1e-4, rtol=1e-4)

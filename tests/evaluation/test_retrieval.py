@@ -6,7 +6,8 @@ import torch
 
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.diffusion import generate
-from bunraku.diffusion.denoiser import DenoiserConfig, load_denoiser, save_denoiser
+from bunraku.diffusion.denoiser import load_denoiser, save_denoiser
+from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.text import TextBatch
 from bunraku.diffusion.train import TrainingConfig, train_diffusion
 from bunraku.errors import FormatError, OptionError

@@ -25,6 +25,8 @@ class Player:
     def accessor(self, index):
         """Values of an accessor, integers kept unless normalised."""
         entry = self.tree["accessors"][index]
+        if "bufferView" not in entry:
+            return self._sparse(entry)
         view = self.tree["bufferViews"][entry["bufferView"]]
         dtype, size = np.dtype(_TYPES[entry["componentType"]]), _SIZES[entry["type"]]
         start = view.get("byteOffset", 0) + entry.get("byteOffset", 0)
@@ -33,6 +35,18 @@ class Player:
         out = np.array(rows).reshape(entry["count"], size)
         if entry.get("normalized"):
             out = np.maximum(out / np.iinfo(dtype).max, -1)
+        return out
+
+    def _sparse(self, entry):
+        """Zeros but for the elements that a sparse accessor lists."""
+        out = np.zeros((entry["count"], _SIZES[entry["type"]]))
+        if "sparse" in entry:
+            sparse, parts = entry["sparse"], []
+            for part, component, size in (("indices", sparse["indices"]["componentType"], 1), ("values", entry["componentType"], out.shape[1])):
+                view = self.tree["bufferViews"][sparse[part]["bufferView"]]
+                start = view.get("byteOffset", 0) + sparse[part].get("byteOffset", 0)
+                parts.append(np.frombuffer(self.binary, _TYPES[component], size * sparse["count"], start).reshape(-1, size))
+            out[parts[0][:, 0]] = parts[1]
         return out
 
     def vertices(self, time, animation=0):
@@ -48,11 +62,16 @@ class Player:
                 for primitive in self.tree["meshes"][node["mesh"]]["primitives"]:
                     if primitive["attributes"]["POSITION"] not in seen:
                         seen.add(primitive["attributes"]["POSITION"])
-                        out.append(self._place(primitive["attributes"], node, world, number))
+                        weights = pose.get((number, "weights"), self.tree["meshes"][node["mesh"]].get("weights", []))
+                        out.append(self._place(primitive, weights, node, world, number))
         return np.concatenate(out)
 
-    def _place(self, attributes, node, world, number):
+    def _place(self, primitive, morphs, node, world, number):
+        attributes = primitive["attributes"]
         positions = np.c_[self.accessor(attributes["POSITION"]).astype(float), np.ones(self.tree["accessors"][attributes["POSITION"]]["count"])]
+        for weight, target in zip(morphs, primitive.get("targets", []), strict=True):
+            if weight and "POSITION" in target:
+                positions[:, :3] += weight * self.accessor(target["POSITION"])
         if "skin" not in node:
             return (positions @ world[number].T)[:, :3]
         skin = self.tree["skins"][node["skin"]]
@@ -74,6 +93,8 @@ class Player:
             times, values = self.accessor(sampler["input"])[:, 0].astype(float), self.accessor(sampler["output"]).astype(float)
             assert sampler["interpolation"] == "LINEAR"
             path = channel["target"]["path"]
+            if path == "weights":
+                values = values.reshape(len(times), -1)
             pose[channel["target"]["node"], path] = self._sample(times, values, time, path == "rotation")
         return pose
 

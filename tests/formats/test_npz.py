@@ -26,7 +26,7 @@ def test_there_and_back(animation, tmp_path):
         assert np.allclose(getattr(motion, name), getattr(animation.motion, name), atol=1e-6)
     assert motion.fps == animation.motion.fps
     with np.load(path, allow_pickle=False) as plain:
-        assert plain["rotations"].shape == (24, 30, 6) and plain["handle_names"][0] == "pelvis"
+        assert plain["rotations"].shape == (24, 30, 3, 3) and plain["handle_names"][0] == "pelvis"
         assert np.array_equal(plain["handle_positions"], animation.handles.positions)
 
 

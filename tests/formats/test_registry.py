@@ -6,9 +6,11 @@ import time
 
 import numpy as np
 import pytest
-from gltf_files import CUBE, cube_glb, glb_bytes, textured_glb
+from gltf_files import CUBE, CUBE_FACES, cube_glb, glb_bytes, made_up_handles, made_up_motion, textured_glb
 
-from bunraku.errors import BunrakuError, FormatError
+from bunraku.animation import Animation
+from bunraku.character import Character
+from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.formats import load_character, load_motion
 
 
@@ -33,7 +35,7 @@ def test_unknown_and_wrong_suffixes(tmp_path):
             load_character(path)
     path = tmp_path / "thing.glb"
     path.write_bytes(cube_glb())
-    with pytest.raises(FormatError, match=r"motions are read from \.npz"):
+    with pytest.raises(FormatError, match="no handle motion of Bunraku"):
         load_motion(path)
 
 
@@ -182,6 +184,25 @@ def test_outputs_that_are_not_files(tmp_path):
     with pytest.raises(FormatError, match="cannot be written"):
         save_character(cube, tmp_path / f"{'x' * 300}.glb")
     assert [entry.name for entry in tmp_path.iterdir()] == ["pipe.glb"]
+
+
+@pytest.mark.parametrize(("suffix", "magic"), [("mp4", b"ftyp"), ("webp", b"RIFF"), ("gif", b"GIF8"), ("png", b"\x89PNG")])
+def test_pictures_are_saved_by_their_suffix(tmp_path, suffix, magic):
+    cube = Character("cube", CUBE, CUBE_FACES)
+    animation = Animation(cube, made_up_handles(cube), made_up_motion(cube, frames=3))
+    assert magic in animation.save(tmp_path / f"dance.{suffix}", fps=10, size=(64, 48)).read_bytes()[:12]
+
+
+def test_saving_under_a_name_that_says_nothing(tmp_path):
+    cube = Character("cube", CUBE, CUBE_FACES)
+    animation = Animation(cube, made_up_handles(cube), made_up_motion(cube, frames=3))
+    with pytest.raises(FormatError, match=r"animations are written to \.glb, .*\.bvh, \.vrma, .*\.mp4"):
+        animation.save(tmp_path / "dance.xyz")
+    with pytest.raises(FormatError, match=r"motions are written to .*\.npz, \.bvh, \.vrma"):
+        animation.motion.save(tmp_path / "dance.glb")
+    with pytest.raises(OptionError, match="have no option 'unit'"):
+        animation.save(tmp_path / "dance.glb", unit="cm")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_character_travels_between_processes(tmp_path):

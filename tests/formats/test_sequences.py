@@ -7,7 +7,7 @@ from gltf_files import CUBE, CUBE_FACES, made_up_handles, made_up_motion
 
 from bunraku.animation import Animation
 from bunraku.character import Character
-from bunraku.errors import FormatError
+from bunraku.errors import FormatError, OptionError
 
 
 @pytest.fixture
@@ -37,3 +37,13 @@ def test_another_frame_rate_and_an_earlier_sequence(animation, tmp_path):
     with pytest.raises(FormatError, match="holds other files"):
         animation.save(tmp_path / "dance.ply")
     assert (tmp_path / "dance" / "thesis.txt").exists() and [entry.name for entry in tmp_path.iterdir()] == ["dance"]
+
+
+def test_axis_and_unit(animation, tmp_path):
+    folder = animation.save(tmp_path / "dance.obj", up="+z", unit="cm")
+    mesh = trimesh.load(folder / "dance_0007.obj", process=False)
+    x, y, z = animation.vertices()[7].T
+    assert np.allclose(mesh.vertices, 100 * np.stack([x, -z, y], axis=1), atol=1e-4)
+    for options in ({"up": "+x"}, {"unit": "league"}):
+        with pytest.raises(OptionError):
+            animation.save(tmp_path / "dance.ply", **options)

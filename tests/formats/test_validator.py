@@ -4,15 +4,22 @@ import json
 import os
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from gltf_files import CUBE, CUBE_FACES, Maker, made_up_handles, made_up_motion, textured_glb
+from motion_files import walk_about
 
 from bunraku.animation import Animation
+from bunraku.bodies.reference import reference_body
 from bunraku.character import Character
 from bunraku.formats import load_character, save_character
+from bunraku.formats.turning import turned
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.point_animation import PointAnimation
+from bunraku.rig_animation import RigAnimation
 
 HERE = Path(__file__).parent
 MODULES = Path(os.environ.get("BUNRAKU_GLTF_VALIDATOR", HERE / "validator")) / "node_modules"
@@ -70,6 +77,22 @@ def test_what_is_written_is_valid(tmp_path):
         written.append(Animation(character, handles, made_up_motion(character)).save(tmp_path / f"animated{number}.glb", fps=30))
         written.append(Animation(character, handles, made_up_motion(character, frames=1)).save(tmp_path / f"one_frame{number}.glb"))
         written += [save_character(character, tmp_path / f"rigged{number}.glb", handles), save_character(character, tmp_path / f"plain{number}.glb")]
+        offsets = 0.1 * np.sin(np.arange(24))[:, None, None] * character.vertices * (np.arange(len(character.vertices)) % 3 > 0)[:, None]
+        moved = PointAnimation(Animation(character, handles, made_up_motion(character)), offsets)
+        written += [moved.save(tmp_path / f"{shapes}{number}.glb", shapes=shapes) for shapes in ("mixed", "keys")]
+    written.append(walk_about(frames=5).save(tmp_path / "walk.vrma").rename(tmp_path / "walk.glb"))  # its extension is unknown, which is no fault
+    assert errors(written) == {}
+
+
+@needs_validator
+def test_rigs_that_are_written_are_valid(tmp_path):
+    (tmp_path / "textured.glb").write_bytes(textured_glb())
+    textured = load_character(tmp_path / "textured.glb")
+    written = []
+    for number, character in enumerate((textured, turned(textured, "+z", "-y"), replace(textured, source=None), reference_body().character())):
+        bones = len(character.rig.names)
+        turns = matrix_from_axis_angle(np.random.default_rng(0).normal(size=(4, bones, 3)))
+        written.append(RigAnimation(character, turns, np.zeros((4, bones, 3))).save(tmp_path / f"rig{number}.glb", fps=30))
     assert errors(written) == {}
 
 

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.datasets.characters import reference_characters
 from bunraku.errors import FormatError
 from bunraku.handles.bank import write_mesh_bank
 from bunraku.handles.graph import mesh_graph
@@ -117,6 +118,17 @@ def test_train_handles_writes_a_checkpoint_and_a_log(tmp_path):
 def test_plain_mesh_is_the_character():
     character = worm()
     assert plain_mesh(character, np.random.default_rng(0)).vertices is character.vertices
+
+
+def test_mesh_bank_says_who_is_held_out_and_who_is_a_person(tmp_path):
+    torch.manual_seed(0)
+    model, person = HandlePredictor(SMALL).eval(), reference_characters(300)[0]
+    characters = [worm("pack/worm~posed"), worm("pack/other"), person]
+    path = write_mesh_bank(model, characters, tmp_path / "bank.npz", variants=1, held_out={"pack/worm"})
+    with np.load(path) as bank:
+        assert bank["names"].tolist() == ["pack/worm~posed", *["pack/other"] * 2, *[person.name] * 2]
+        assert bank["split"].tolist() == ["test", *["train"] * 4]
+        assert bank["humanoid"].tolist() == [False, False, False, True, True]
 
 
 def test_mesh_bank_holds_each_character_and_its_variants(tmp_path):

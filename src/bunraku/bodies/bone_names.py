@@ -1,9 +1,8 @@
 """What a rig's bone names say: the handle of each joint, or none.
 
-Names come in many tongues (`mixamorig:LeftForeArm`, `LowerArm.L`, `J_Bip_L_LowerArm`, 左ひじ, `FrontLowLeg.R`). A name is
-first read on its own: its side, and its kind of part. Kinds that depend on company (how many spine bones there are, whether
-`Body` is a pelvis or a belly, whether a leg has two segments or three) are settled by the hierarchy. Where joint positions
-are given, the side is a matter of geometry, because some files name a left thumb `Thumb.R`.
+A name is first read on its own (`bone_words`): its side, and its kind of part. Kinds that depend on company (how many spine bones
+there are, whether `Body` is a pelvis or a belly, whether a leg has two segments or three) are settled by the hierarchy. Where joint
+positions are given, the side is a matter of geometry, because some files name a left thumb `Thumb.R`.
 """
 
 from __future__ import annotations
@@ -13,130 +12,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bunraku.bodies.bone_words import left_axis, part_of_name
 from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 
-__all__ = ["NO_HANDLE", "handle_of_joints", "left_axis", "limb_parents", "part_of_name"]
+__all__ = ["NO_HANDLE", "handle_of_joints", "limb_parents"]
 
 NO_HANDLE = -1
 _H = {name: index for index, name in enumerate(HANDLE_NAMES)}
-
-# Kinds that name a handle outright; "left" stands for the side that the joint has.
-_KINDS: tuple[tuple[str, str], ...] = (
-    ("none", r"(pole)?target|^pt$|^control|camera|^light|nub$|heelroll|toeroll|twistend"),
-    ("head_top", r"^(outer|inner|upper|lower)?ears?(tip|end)?$|hair|^hat|hood|horn|antenna|antler|helmet|headtop|headend|headnub"
-     r"|ahoge|ponytail|crest|bangs?$|crown"),
-    ("face", r"eye|brow|jaw|mouth|nose|snout|tongue|^lips?|cheek|teeth|tooth|beak|chin$|muzzle|whisker"),
-    ("face_bone", r"^face$"),
-    ("fingers", r"thumb|finger|^(hand)?index|^(hand)?middle(proximal|intermediate|distal|metacarpal)?$|^(hand)?ring|pinky|^(hand)?little|claw$"),
-    ("held", r"weapon|gun$|handslot|^prop$|^item$|sword|shield"),
-    ("wrist", r"^(wrist|hand|palm[pritm]?|fist|middlehand|carpus)$"),
-    ("elbow", r"forearm|lowerarm|lowarm|elbow|ulna|radius"),
-    ("shoulder", r"upperarm|uparm|^arm$|humerus|armtwist"),
-    ("collar", r"^shoulder$|clavicle|collar|scapula|frontshoulder"),
-    ("chest_bone", r"^shoulders$"),
-    ("wing", r"wing"),
-    ("flipper", r"flipper|^fins?$|pectoral"),
-    ("toe", r"toe|^ball$|football"),
-    ("front_foot", r"^(ik)?front(foot|feet|paw|hoof)$|^ff$|^ikfrontleg$"),
-    ("hind_paw", r"^ffb$|^ikbackleg$"),
-    ("foot", r"foot|feet|ankle|heel|hoof|paw$"),
-    ("hip_bone", r"backshoulder|backhip|legroot|legconnector"),
-    ("arm_leg", r"^(mid)?frontleg$|^frontup(per)?leg$|^frontlow(er)?leg$|^topleg$"),
-    ("leg", r"leg$|thigh|^shin$|calf|^knee$|femur|tibia|hock"),
-    ("tail", r"tail"),
-    ("sting", r"^sting(er)?$"),
-    ("hips", r"^hips?$|pelvis"),
-    ("abdomen", r"^abdomen$"),
-    ("back", r"^back$"),
-    ("body", r"^body(root)?$"),
-    ("spine", r"spine|torso|chest|thorax|belly|rib(s|cage)|waist|trunk|lumbar"),
-    ("neck", r"neck"),
-    ("head", r"^head$|skull"),
-    ("main", r"^main$"),
-    ("root", r"^(root|bone|center|origin|armature|cog|reference)$"),
-)  # fmt: skip
-_COMPILED = tuple((kind, re.compile(pattern)) for kind, pattern in _KINDS)
-
-# The standard bones of MikuMikuDance; a leading 左 or 右 is the side.
-_MMD = {
-    "センター": "none", "グルーブ": "none", "全ての親": "none", "操作中心": "none", "腰": "hips", "下半身": "hips", "上半身": "spine",
-    "上半身2": "spine", "上半身3": "spine", "首": "neck", "頭": "head", "肩": "collar", "肩P": "none", "肩C": "none", "腕": "shoulder",
-    "腕捩": "shoulder", "ひじ": "elbow", "手捩": "elbow", "手首": "wrist", "足": "leg", "ひざ": "leg", "足首": "foot", "つま先": "toe",
-    "足先EX": "toe", "目": "face", "両目": "face", "あご": "face", "舌": "face", "耳": "head_top", "髪": "head_top", "前髪": "head_top",
-    "後髪": "head_top", "横髪": "head_top", "尻尾": "tail", "しっぽ": "tail", "羽": "wing", "翼": "wing", "ダミー": "none",
-}  # fmt: skip
-_MMD_FINGERS = ("親指", "人指", "人差指", "中指", "薬指", "小指")
-_WIDE = str.maketrans("０１２３４５６７８９ＡＢＣＤＥＦＧＨＩＪＫＬＭＮＯＰＱＲＳＴＵＶＷＸＹＺ", "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ")
-_DROP = {"j", "bip", "bip01", "bip001", "sec", "c", "def", "org", "mch", "jnt", "joint", "bn", "b", "end", "mixamorig", "cc", "base", "valvebiped"}
-
-
-def part_of_name(name: str) -> tuple[str, int, int, bool]:
-    """What one name says on its own.
-
-    Returns:
-        The kind of part ("" when unknown), the side (+1 left, -1 right, 0 none), the first number in the name (0 when there
-        is none), and whether the name is that of an inverse-kinematics target.
-    """
-    plain = name.translate(_WIDE).split(":")[-1].split("|")[-1]
-    if re.search(r"[\u3040-\u30ff\u4e00-\u9fff]", plain):
-        side = 1 if plain.startswith("左") else -1 if plain.startswith("右") else 0
-        rest = plain[1:] if side else plain
-        if any(rest.startswith(finger) for finger in _MMD_FINGERS):
-            return "fingers", side, 0, False
-        if "IK" in rest:
-            return "none", side, 0, True
-        stem = rest if rest in _MMD else rest.rstrip("0123456789D先親")
-        return _MMD.get(stem, ""), side, 0, False
-    plain = re.sub(r"\.\d+$", "", plain)  # Blender's copies
-    words = [w.lower() for w in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", plain)]
-    side, number, target, kept = 0, 0, False, []
-    for word in words:
-        if word in ("l", "left"):
-            side = 1
-        elif word in ("r", "right"):
-            side = -1
-        elif word.isdigit():
-            number = number or int(word)
-        elif word == "ik":
-            target = True
-        elif word not in _DROP:
-            kept.append(word)
-    joined = "".join(kept)
-    match = re.match(r"^(left|right)(.+)$", joined)
-    if not side and match:
-        side, joined = (1 if match[1] == "left" else -1), match[2]
-    if joined == "head" and number >= 2:
-        return "head_top", side, number, target
-    if target and joined in ("frontleg", "backleg"):
-        joined = "ik" + joined
-    for kind, pattern in _COMPILED:
-        if pattern.search(joined):
-            if kind == "fingers" and joined.startswith("middlehand"):
-                kind = "wrist"
-            if kind == "leg" and number == 0 and joined in ("frontleg", "midfrontleg"):
-                kind = "arm_leg"
-            return kind, side, number, target
-    return "", side, number, target
-
-
-def left_axis(names: Sequence[str], positions: np.ndarray) -> np.ndarray | None:
-    """The horizontal direction from joints named right to joints named left, shape (3,); None without such names.
-
-    In glTF's frame a character that faces +Z has its left at +X. Only pairs of the same kind count.
-    """
-    sums: dict[tuple[str, int, int], list[np.ndarray]] = {}
-    for name, position in zip(names, positions, strict=True):
-        kind, side, number, target = part_of_name(name)
-        if side and kind and kind != "none" and not target:
-            sums.setdefault((kind, number, side), []).append(np.asarray(position, float))
-    axis = np.zeros(3)
-    for (kind, number, side), left in sums.items():
-        right = sums.get((kind, number, -1))
-        if side == 1 and right:
-            axis += np.mean(left, axis=0) - np.mean(right, axis=0)
-    axis[1] = 0
-    length = float(np.linalg.norm(axis))
-    return axis / length if length > 1e-9 else None
 
 
 class _Tree:

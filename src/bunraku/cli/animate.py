@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_different, check_input, check_output, check_prompt, check_range, check_seconds, make_folder, slug
+from bunraku.cli.checks import check_different, check_input, check_output, check_range, check_sequence, make_folder, slug
 from bunraku.cli.orientation import AxisOption, check_axes, stand_up
-from bunraku.cli.progress import stages
+from bunraku.cli.progress import Report, stages
 from bunraku.cli.report import wrote
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
+    from bunraku.animation import Animation
+    from bunraku.character import Character, Handles
+    from bunraku.motion import HandleMotion
     from bunraku.retarget.fit import Stages
 
-__all__ = ["Animate"]
+__all__ = ["OUTPUTS", "PREVIEWS", "Animate", "fitting_stages", "save_all"]
 
-OUTPUTS = (".glb", ".npz", ".obj", ".ply")
 PREVIEWS = (".mp4", ".webp", ".gif", ".png")
+OUTPUTS = (".glb", ".npz", ".bvh", ".vrma", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".obj", ".ply", *PREVIEWS)
 
 
 @dataclass(frozen=True)
@@ -30,20 +34,32 @@ class Animate:
     The character is a .glb, .gltf, .vrm, .fbx, .obj, .ply or .stl file; it needs no rig. The animation is written as a GLB that
     keeps the mesh, materials and textures of the input, as an NPZ of the handle motion, or as a sequence of meshes.
 
+    Several prompts in a row, parted by semicolons, blend into each other: "walks:4; jumps:2; waves:3". The numbers are seconds.
+
     Example: bunraku animate dragon.glb "walks forward, then waves with the left hand" --seconds 6 -o wave.glb --preview wave.mp4
     """
 
     character: tyro.conf.Positional[Path]
     """The mesh to animate."""
-    prompt: tyro.conf.Positional[str]
-    """What it does, in English."""
+    prompt: tyro.conf.Positional[str] = ""
+    """What it does, in English; or several prompts in a row with their seconds."""
+    prompts: Path | None = None
+    """A text file with one prompt a line, in place of PROMPT: each line gives a GLB in the folder that -o names. What is there already is
+    left as it is, so a run that was stopped goes on."""
     output: Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction] = ()
-    """File to write: .glb, .npz (the handle motion), .obj or .ply (a folder with one mesh a frame). May be given more than once.
+    """File to write: .glb, .usd, .usdc, .usdz, .fbx (with Blender), .npz (the handle motion), .bvh or .vrma (what the humanoid skeleton
+    does), .obj or .ply (a folder with one mesh a frame), .mp4, .webp, .gif or .png. May be given more than once.
     Default: CHARACTER-PROMPT.glb in this folder."""
     preview: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
     seconds: float = 6.0
-    """Length of the clip, 0.5 to 120."""
+    """Length of the clip, 0.5 to 120; prompts in a row without seconds of their own share it."""
+    loop: bool = False
+    """Make a loop: the clip ends in the pose that it starts in, at the same speed."""
+    in_place: bool = False
+    """Take the way over the ground out: the character walks on the spot."""
+    after: Path | None = None
+    """A .glb or .npz clip of Bunraku: start in its last pose."""
     seed: int = 0
     """The same seed and version give the same animation."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
@@ -59,62 +75,101 @@ class Animate:
     front: AxisOption = "auto"
     """The axis that the character faces in the file."""
     without: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction] = ()
-    """Leave out a stage that fits the motion to the character: rest-pose, attach or ground. May be given more than once."""
+    """Leave out a stage that fits the motion to the character: rest-pose, attach, ground, feet, smooth or floor. May be given more than once."""
 
     def run(self) -> None:
-        check_prompt(self.prompt)
-        check_seconds(self.seconds)
+        prompts = self._prompts()
         check_range("--seed", self.seed, 0, 2**63 - 1)
         check_range("--steps", self.steps, 1, 1000)
         check_range("--guidance", self.guidance, 0, 20)
         check_range("--fps", self.fps, 1, 120)
         check_axes(self.up, self.front)
         check_input(self.character)
+        if self.after is not None:
+            check_input(self.after)
+            if self.loop:
+                raise OptionError("a loop ends where it starts, so --loop and --after do not go together; leave one out")
+        fitting = fitting_stages(self.without)
+        if self.prompts is not None:
+            from bunraku.cli.batch import animate_lines
+
+            animate_lines(self, prompts, fitting)
+            return
         outputs = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
+        inputs = [self.character] + ([self.after] if self.after else [])
         for path in outputs:
-            check_output(path, OUTPUTS, [self.character])
+            check_output(path, OUTPUTS, inputs)
         for path in self.preview:
-            check_output(path, PREVIEWS, [self.character])
+            check_output(path, PREVIEWS, inputs)
         check_different((*outputs, *self.preview))
-        fitting = _stages(self.without)
 
         from bunraku.formats import load_character
 
-        written: list[Path] = []
-        try:
-            with stages() as report:
-                report("load", 0.0)
-                character = stand_up(load_character(self.character), self.character, self.up, self.front)
-                report("load", 1.0)
+        with stages() as report:
+            report("load", 0.0)
+            character = stand_up(load_character(self.character), self.character, self.up, self.front)
+            report("load", 1.0)
 
-                from bunraku.pipeline import animate
+            from bunraku.pipeline import animate, rig
 
-                animation = animate(
-                    character,
-                    self.prompt,
-                    seconds=self.seconds,
-                    seed=self.seed,
-                    steps=self.steps,
-                    guidance=self.guidance,
-                    handles=self.handles,
-                    stages=fitting,
-                    progress=report,
-                )
-                for number, path in enumerate(outputs):
-                    report("write", number / len(outputs))
-                    written.append(animation.save(path, **({} if path.suffix.lower() == ".npz" else {"fps": self.fps})))
-                report("write", 1.0)
-                for path in self.preview:
-                    from bunraku.render import save_preview
+            handles = rig(character, handles=self.handles, progress=report)
+            animation = animate(
+                character,
+                self.prompt,
+                seconds=self.seconds,
+                seed=self.seed,
+                steps=self.steps,
+                guidance=self.guidance,
+                handles=handles,
+                loop=self.loop,
+                in_place=self.in_place,
+                after=None if self.after is None else _before(self.after, character, handles),
+                stages=fitting,
+                progress=report,
+            )
+            save_all(animation, outputs, self.preview, self.fps, report)
 
-                    make_folder(path)
-                    written.append(save_preview(animation, path, fps=self.fps, progress=lambda done, total: report("preview", done / total)))
-        finally:  # what is whole stays, so it is named, whatever became of the rest
-            for path in written:
-                wrote(path)
+    def _prompts(self) -> list[str]:
+        """All prompts, checked."""
+        if self.prompts is None:
+            check_sequence(self.prompt, self.seconds)
+            return [self.prompt]
+        if self.prompt:
+            raise OptionError("a prompt and --prompts are both given; leave one out")
+        if self.preview or self.after or len(self.output) > 1:
+            raise OptionError("--prompts makes one GLB a line in one folder (-o), without --preview and --after")
+        from bunraku.cli.batch import read_lines
+
+        return read_lines(self.prompts, self.seconds)
 
 
-def _stages(without: tuple[str, ...]) -> Stages | None:
+def save_all(animation: Animation, outputs: Sequence[Path], previews: Sequence[Path], fps: float, report: Report) -> None:
+    """Write an animation and its previews, and name what was written, whatever became of the rest."""
+    written: list[Path] = []
+    try:
+        for number, path in enumerate(outputs):
+            report("write", number / len(outputs))
+            written.append(animation.save(path, **({} if path.suffix.lower() == ".npz" else {"fps": fps})))
+        report("write", 1.0)
+        for path in previews:
+            from bunraku.render import save_preview
+
+            make_folder(path)
+            written.append(save_preview(animation, path, fps=fps, progress=lambda done, total: report("preview", done / total)))
+    finally:  # what is whole stays
+        for path in written:
+            wrote(path)
+
+
+def _before(path: Path, character: Character, handles: Handles) -> HandleMotion | Animation:
+    """The clip to start from: of this character if it was made for it, of the reference body otherwise."""
+    from bunraku.formats.clips import load_clip
+
+    clip = load_clip(path)
+    return clip.on(character, handles) or clip.of_the_reference_body()
+
+
+def fitting_stages(without: tuple[str, ...]) -> Stages | None:
     """All stages of fitting but those named, or None for the default."""
     if not without:
         return None

@@ -19,6 +19,8 @@ __all__ = ["VERBS", "main"]
 # Words -> module in bunraku.cli, its attribute that is the verb, one line of help.
 VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("animate",): ("animate", "Animate", "make a character do what a sentence says"),
+    ("transfer",): ("transfer", "Transfer", "put a motion that exists already on a character, or many on many"),
+    ("edit",): ("edit", "Edit", "keep a part of a clip and generate the rest"),
     ("rig",): ("rig", "Rig", "give a character its 30 handles as a skin, without motion"),
     ("inspect",): ("inspect", "Inspect", "tell what a file holds"),
     ("render",): ("render", "Render", "make a video or a picture of an animated file, a character or a motion"),
@@ -26,10 +28,16 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("doctor",): ("doctor", "Doctor", "tell what this installation has, what is missing, and what that costs"),
     ("data", "motions"): ("data", "Motions", "turn a motion archive into handle motions to train on"),
     ("data", "characters"): ("data", "Characters", "turn rigged characters into samples to train on"),
+    ("data", "mesh-bank"): ("data", "MeshBank", "write the mesh features of characters to train with"),
+    ("data", "character-bank"): ("bank", "CharacterBank", "pack rigged characters for the losses of mesh-specific motion learning"),
     ("train", "handles"): ("train", "handles", "train the Mesh Handle Predictor"),
     ("train", "orientation"): ("train", "orientation", "train the network that knows how a character stands"),
     ("train", "diffusion"): ("train", "diffusion", "train the Shape-aware Motion Diffusion"),
+    ("train", "extractor"): ("train", "extractor", "train the feature extractor that generated motion is measured with"),
+    ("train", "adaptation"): ("train", "adaptation", "fine-tune the adaptation of motions to meshes"),
     ("evaluate", "handles"): ("evaluate_handles", "EvaluateHandles", "measure the handles on rigged characters"),
+    ("evaluate", "motion"): ("evaluate_motion", "EvaluateMotion", "measure generated motion on held-out clips"),
+    ("evaluate", "transfer"): ("evaluate_transfer", "EvaluateTransfer", "measure motion transfer on rigged characters"),
     ("evaluate", "retrieval"): ("evaluate", "Retrieval", "test how well sentences are found back from motions"),
 }
 

@@ -9,14 +9,20 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
+from bunraku.diffusion.sequence import LONGEST, SHORTEST, parse_sequence, timed_sequence
 from bunraku.errors import FormatError, OptionError
 
-__all__ = ["check_different", "check_folder", "check_input", "check_output", "check_prompt", "check_range", "check_seconds", "make_folder", "slug"]
+__all__ = [
+    "check_different", "check_folder", "check_input", "check_output", "check_prompt", "check_range", "check_seconds", "check_sequence",
+    "make_folder", "slug",
+]  # fmt: skip
 
-SECONDS = (0.5, 120.0)
+SECONDS = (SHORTEST, LONGEST)
 PROMPT_LENGTH = 1000
 SEQUENCES = (".obj", ".ply")
 """Outputs that are folders with one mesh a frame."""
+NEEDY = (".usd", ".usda", ".usdc", ".usdz", ".fbx")
+"""Outputs that need an optional library or program."""
 
 
 def check_range(option: str, value: float | None, low: float, high: float) -> None:
@@ -38,6 +44,15 @@ def check_prompt(prompt: str) -> None:
         raise OptionError(f"the prompt has {len(prompt):,} characters; say it in {PROMPT_LENGTH:,} or fewer (about 30 words are read)")
     if not any(letter.isalnum() for letter in prompt):
         raise OptionError('the prompt has no words; say what the character does, for example "walks forward"')
+
+
+def check_sequence(prompt: str, seconds: float) -> None:
+    """Raise OptionError unless this is a prompt, or several in a row, for a clip of a length that can be made."""
+    check_seconds(seconds)
+    if not prompt.strip() or ";" not in prompt:
+        check_prompt(prompt)
+    for part, _ in timed_sequence(parse_sequence(prompt), seconds):
+        check_prompt(part)
 
 
 def check_input(path: Path) -> None:
@@ -65,10 +80,14 @@ def check_output(path: Path, suffixes: Iterable[str], inputs: Iterable[Path] = (
     if any(path.exists() and other.exists() and path.samefile(other) for other in inputs):
         raise FormatError(path, "this would overwrite the input; choose another name")
     if path.suffix.lower() in SEQUENCES:
-        from bunraku.formats.sequences import check_sequence
+        from bunraku.formats import sequences
 
-        check_sequence(path)
+        sequences.check_sequence(path)
     check_folder(path.parent)
+    if path.suffix.lower() in NEEDY:
+        from bunraku.formats import registry
+
+        registry.check_writer(path)
 
 
 def check_different(paths: Iterable[Path]) -> None:

@@ -13,7 +13,7 @@ from bunraku.cli.checks import check_folder, check_range
 from bunraku.cli.progress import stages
 from bunraku.errors import FormatError, OptionError
 
-__all__ = ["Characters", "Motions"]
+__all__ = ["Characters", "MeshBank", "Motions"]
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,18 @@ class Motions:
     """Processes. Default: one for each core."""
     characters: Path | None = None
     """Folder of the unpacked character archive, whose labelled clips of waving, clapping and the like are added."""
+    creatures: Path | None = None
+    """Folder of the unpacked character archive, whose clips of animals, fish, monsters and robots are added, each with its species and character."""
+    humanml3d: Path | None = None
+    """Folder of HumanML3D, for those who have it: its motions and captions are added."""
+    amass: Path | None = None
+    """Folder of unpacked AMASS sets, for those who have them: their takes are added, with the captions of --humanml3d where it has an index.csv."""
 
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
-        if self.characters is not None and not self.characters.is_dir():
-            raise FormatError(self.characters, "there is no such folder; name the one of the unpacked character archive")
+        for folder in (self.characters, self.creatures):
+            if folder is not None and not folder.is_dir():
+                raise FormatError(folder, "there is no such folder; name the one of the unpacked character archive")
         from bunraku.datasets.motions import build_motions
         from bunraku.datasets.turns import add_turns
 
@@ -49,6 +56,14 @@ class Motions:
                 from bunraku.datasets.game_clips import add_game_clips
 
                 failed = add_game_clips(self.characters, self.output, report)[1]
+            if self.creatures is not None:
+                from bunraku.datasets.creatures import add_creatures
+
+                failed |= add_creatures(self.creatures, self.output, report)[1]
+            if self.humanml3d is not None or self.amass is not None:
+                from bunraku.datasets.humanml3d import add_takes, licensed_takes
+
+                failed |= add_takes(licensed_takes(self.humanml3d, self.amass), self.output, self.jobs, report)[1]
         for reason in failed.values():
             print(f"left out {reason}", file=sys.stderr)
         print(f"wrote {index}")
@@ -113,6 +128,40 @@ class Characters:
                     progress=lambda done, total, name: report("dressed people", done / total),
                 )
         print(f"wrote {len(files)} files to {self.output}, left out {len(failed)}")
+
+
+@dataclass(frozen=True)
+class MeshBank:
+    """Write the mesh features of characters, which the diffusion model trains with, by the handle predictor that ships.
+
+    Characters that no training sees get rows of the split "test".
+
+    Example: bunraku data mesh-bank --cache data/characters -o data/mesh_bank.npz
+    """
+
+    cache: Path
+    """What `bunraku data characters` wrote."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """File to write, an NPZ."""
+    variants: int = 1
+    """Changed forms of each character beside its own, 0 to 100."""
+    checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Weights of a handle predictor. Default: those that ship."""
+
+    def run(self) -> None:
+        check_range("--variants", self.variants, 0, 100)
+        check_folder(self.output.parent)
+        from bunraku.datasets.characters import HELD_OUT, load_characters, reference_characters
+        from bunraku.handles.bank import write_mesh_bank
+        from bunraku.handles.predictor import load_predictor
+        from bunraku.nn.checkpoints import shipped_checkpoint
+
+        model = load_predictor(self.checkpoint or shipped_checkpoint("handles"))
+        train, held = load_characters(self.cache)
+        characters = [*train, *held, *reference_characters()]
+        with stages() as report:
+            write_mesh_bank(model, characters, self.output, self.variants, 0, HELD_OUT, lambda done: report("mesh features", done / len(characters)))
+        print(f"wrote {self.output}")
 
 
 def _check(source: Path, output: Path, jobs: int | None = None) -> None:

@@ -25,6 +25,7 @@ WEIGHTS = {
 }
 EXTRAS = {
     "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
+    "pxr": ("usd", "USD is not written"),
 }
 
 
@@ -171,11 +172,11 @@ def _body() -> Iterator[Finding]:
 def _extras() -> Iterator[Finding]:
     for name, (extra, cost) in EXTRAS.items():
         if importlib.util.find_spec(name) is not None:
-            yield Finding(name, "ok", _version(name))
+            yield Finding(name, "ok", _version({"pxr": "usd-core"}.get(name, name)))
         else:
             yield Finding(name, "optional", "not installed", f"{cost}; pip install 'bunraku[{extra}]'")
-    blender = shutil.which("blender")
-    cost = "" if blender else "FBX and DAE are not read by this version; export them to GLB in Blender or another program first"
+    blender = shutil.which(os.environ.get("BUNRAKU_BLENDER") or "blender") or shutil.which(os.environ.get("BUNRAKU_BLENDER_PYTHON") or "")
+    cost = "" if blender else "FBX is not written; install Blender from blender.org, or name it with BUNRAKU_BLENDER"
     yield Finding("blender", "ok" if blender else "optional", blender or "not found", cost)
 
 

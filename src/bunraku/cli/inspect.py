@@ -15,6 +15,7 @@ from bunraku.errors import WeightsError
 if TYPE_CHECKING:
     from bunraku.character import Character
     from bunraku.formats.gltf_document import Document
+    from bunraku.motion import Skeleton
 
 __all__ = ["Inspect", "describe"]
 
@@ -24,7 +25,7 @@ GLTF = (".glb", ".gltf", ".vrm")
 
 @dataclass(frozen=True)
 class Inspect:
-    """Tell what a file holds: its meshes, how they stand, rig, materials and animations, or the motion of an .npz or .bvh file.
+    """Tell what a file holds: its meshes, how they stand, rig, materials and animations, or the frames and joints of a motion.
 
     Example: bunraku inspect dragon.glb --json
     """
@@ -53,10 +54,13 @@ def describe(path: Path) -> dict[str, Any]:
         CharacterError: It holds no mesh that can be animated.
     """
     facts: dict[str, Any] = {"file": str(path), "bytes": path.stat().st_size}
-    if path.suffix.lower() in (".npz", ".bvh"):
+    if path.suffix.lower() in (".npz", ".npy", ".bvh", ".vrma"):
         return facts | _motion(path)
+    from bunraku.cli.inspect_mmd import mmd_facts, vmd_facts, vrm_facts
     from bunraku.formats import load_character
 
+    if path.suffix.lower() == ".vmd":
+        return facts | vmd_facts(path)
     fbx = _fbx(path) if path.suffix.lower() == ".fbx" else {}
     if fbx and not fbx["meshes"]:  # clips without a character
         return facts | _motion(path) | fbx
@@ -67,7 +71,7 @@ def describe(path: Path) -> dict[str, Any]:
         facts |= _document(character.source.document)
     if suffix not in GLTF:
         facts.pop("generator", None)  # the document stands for a file of another format
-    return facts | fbx
+    return facts | fbx | mmd_facts(character) | vrm_facts(character)
 
 
 def _fbx(path: Path) -> dict[str, Any]:
@@ -88,8 +92,23 @@ def _motion(path: Path) -> dict[str, Any]:
         facts["handles"] = motion.translations.shape[1]
     else:
         facts["joints"] = len(motion.skeleton.names)
+        facts |= _mapping(motion.skeleton)
     travel = motion.root_translation[-1] - motion.root_translation[0]
     return facts | {"root_travel": [round(float(x), 3) for x in travel]}
+
+
+def _mapping(skeleton: Skeleton) -> dict[str, Any]:
+    """Which joints play the parts of a person, as far as that is found."""
+    from bunraku.bodies.layout import JOINT_NAMES
+    from bunraku.bodies.skeleton_map import map_skeleton
+    from bunraku.errors import MotionError
+
+    try:
+        found = map_skeleton(skeleton)
+    except MotionError:
+        return {"convention": "unknown", "mapping": {}}
+    named = {name: skeleton.names[joint] for name, joint in zip(JOINT_NAMES, found.joints, strict=True) if joint >= 0}
+    return {"convention": found.convention or "unknown", "mapping": named, "missing": list(found.missing)}
 
 
 def _character(character: Character) -> dict[str, Any]:
@@ -208,8 +227,12 @@ def _say(key: str, value: Any) -> str:
         return value["note"] or value["name"]
     if key == "rig":
         return "none" if value is None else f"{value['joints']} joints, up to {value['influences']} influences a vertex: {_short(value['names'])}"
+    if key == "mapping":
+        return ", ".join(f"{name} = {own}" for name, own in value.items()) or "none found; a person has a pelvis and two legs"
     if key == "animations":
         return _short([f"{clip['name']} ({clip['seconds']:g} s)" for clip in value]) if value else "none"
+    if key == "deforms":
+        return ", ".join(f"{kind} {count:,}" for kind, count in value.items())
     if isinstance(value, list):
         return f"{len(value)}: {_short(value)}" if value else "none"
     return f"{value:,}" if isinstance(value, int) else str(value)

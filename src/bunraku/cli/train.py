@@ -8,7 +8,7 @@ from typing import Any
 
 from bunraku.cli.progress import stages
 
-__all__ = ["diffusion", "handles", "orientation"]
+__all__ = ["adaptation", "diffusion", "extractor", "handles", "orientation"]
 
 
 def handles() -> tuple[type, Callable[[Any], None]]:
@@ -52,10 +52,53 @@ def orientation() -> tuple[type, Callable[[Any], None]]:
 def diffusion() -> tuple[type, Callable[[Any], None]]:
     """Train the Shape-aware Motion Diffusion (section 3.2 of TapMo).
 
-    The same command goes on where a run stopped. The preset "small" trains on a processor in hours.
+    The same command goes on where a run stopped. The preset "small" trains on a processor in hours. Several GPUs or processes train
+    together under `accelerate launch -m bunraku train diffusion ...`.
 
     Example: bunraku train diffusion --data data/motions --out runs/diffusion --minutes 240
     """
     from bunraku.diffusion.train import TrainingConfig, train_diffusion
 
     return TrainingConfig, lambda config: print(f"wrote {train_diffusion(config)}")
+
+
+def adaptation() -> tuple[type, Callable[[Any], None]]:
+    """Fine-tune the adaptation of motions to meshes on ARAP pseudo-labels (Eq. 10 and 11 of TapMo).
+
+    Only the linear layer of the adaptation learns. The same command goes on where a run stopped.
+
+    Example: bunraku train adaptation --diffusion runs/diffusion/diffusion.safetensors --cache data/characters.npz --out runs/adaptation
+    """
+    from bunraku.diffusion.adaptation_train import AdaptationConfig, train_adaptation
+
+    def run(config: AdaptationConfig) -> None:
+        with stages() as report:
+
+            def tell(row: dict[str, float]) -> None:
+                print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
+
+            path = train_adaptation(config, tell, report)
+        print(f"wrote {path}")
+
+    return AdaptationConfig, run
+
+
+def extractor() -> tuple[type, Callable[[Any], None]]:
+    """Train the feature extractor that `bunraku evaluate motion` measures with (section A.2 of TapMo).
+
+    The same command goes on where a run stopped. A processor takes half an hour.
+
+    Example: bunraku train extractor --data data/motions --out runs/extractor
+    """
+    from bunraku.evaluation.extractor_train import ExtractorTrainConfig, train_extractor
+
+    def run(config: ExtractorTrainConfig) -> None:
+        with stages() as report:
+
+            def tell(row: dict[str, float]) -> None:
+                print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
+
+            path = train_extractor(config, tell, report=report)
+        print(f"wrote {path}")
+
+    return ExtractorTrainConfig, run

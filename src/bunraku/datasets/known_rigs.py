@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.bodies.bone_names import left_axis
+from bunraku.bodies.bone_words import left_axis
 from bunraku.bodies.layout import HANDLE_NAMES
 from bunraku.geometry.rotations import matrix_y
 

@@ -21,6 +21,7 @@ import numpy as np
 from bunraku.bodies.layout import JOINT_NAMES
 from bunraku.bodies.reference import ReferenceBody, handle_positions, reference_body
 from bunraku.datasets.feet import level_feet, standing_foot_pitch, subject_pitches
+from bunraku.datasets.hinges import unrolled
 from bunraku.diffusion.clips import write_clip, write_index
 from bunraku.errors import FormatError
 from bunraku.geometry.areas import vertex_areas
@@ -154,7 +155,7 @@ def split_of(name: str) -> str:
 def _convert(archive: MotionArchive, indices: list[int], out: Path, slopes: dict[str, float]) -> int:
     for index in indices:
         name = archive.names[index]
-        write_clip(out / f"{name}.npz", handle_motion_of_body(level_feet(archive.motion(index), name, slopes)))
+        write_clip(out / f"{name}.npz", handle_motion_of_body(level_feet(unrolled(archive.motion(index)), name, slopes)))
     return sum(int(archive.bounds[index + 1] - archive.bounds[index]) for index in indices)
 
 
@@ -216,7 +217,7 @@ def build_motions(source: str | Path, out: str | Path, jobs: int | None = None, 
     if todo:
         pitches = []
         for index, name in enumerate(archive.names):
-            pitches.append((name, standing_foot_pitch(archive.motion(index))))
+            pitches.append((name, standing_foot_pitch(unrolled(archive.motion(index)))))
             report("measuring feet", (index + 1) / len(archive.names))
         slopes = subject_pitches(pitches)
     report("converting motions", done / total)

@@ -1,8 +1,8 @@
-"""Captions: short motion-capture labels as sentences that people type.
+"""Captions: short motion labels as sentences that people type.
 
 `captions.json` groups the labels of the motion archive that mean the same and gives each group phrases with their verbs in
-braces, such as "{walk} forward and {turn}". Rules put a phrase into the third person, the progressive, the imperative or
-the gerund, with several subjects.
+braces, such as "{walk} forward and {turn}"; `creature_captions.json` does the same for what creatures do, with verbs of their
+own: a bird flaps, a snake slithers. `grammar` makes sentences of the phrases.
 """
 
 from __future__ import annotations
@@ -11,21 +11,21 @@ import functools
 import json
 import random
 import re
+import zlib
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
-__all__ = ["CaptionGroup", "caption", "caption_group", "caption_variants", "mirror_words", "normalise_label"]
+from bunraku.diffusion.grammar import conjugate, fill, is_stative, sentence_forms
 
-_VERB = re.compile(r"\{(\w+)\}")
-_SUBJECTS = ("a person", "someone", "the character", "a human")
-_DOUBLED = {
-    "run", "jog", "hop", "swim", "spin", "sit", "stop", "step", "put", "get", "slip", "mop", "grab", "squat", "flip", "nod",
-    "hit", "stab", "skip", "trip", "strut",
-}  # fmt: skip
-_GERUNDS = {"lie": "lying", "die": "dying", "be": "being", "tiptoe": "tiptoeing", "dribble": "dribbling"}
-_THIRD = {"be": "is", "do": "does", "go": "goes"}
+__all__ = [
+    "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants", "creature_actions", "creature_clauses", "creature_names",
+    "creature_variants", "mirror_words", "normalise_label", "person_phrases",
+]  # fmt: skip
+
 _MIRRORED = {
     "left": "right",
+    "lefthand": "righthand",
     "leftward": "rightward",
     "leftwards": "rightwards",
     "clockwise": "counterclockwise",
@@ -57,10 +57,15 @@ def normalise_label(label: str) -> str:
 
 
 @functools.cache
+def _table(name: str) -> dict[str, Any]:
+    table: dict[str, Any] = json.loads(resources.files("bunraku.diffusion").joinpath(name).read_text(encoding="utf-8"))
+    return table
+
+
+@functools.cache
 def _groups() -> dict[str, CaptionGroup]:
-    data = json.loads(resources.files("bunraku.diffusion").joinpath("captions.json").read_text(encoding="utf-8"))
     found: dict[str, CaptionGroup] = {}
-    for entry in data["groups"]:
+    for entry in _table("captions.json")["groups"]:
         group = CaptionGroup(entry["labels"][0], tuple(entry["phrases"]), float(entry["weight"]))
         found.update(dict.fromkeys(entry["labels"], group))
     return found
@@ -83,37 +88,8 @@ def mirror_words(sentence: str) -> str:
     return _SIDE.sub(swap, sentence)
 
 
-def _gerund(verb: str) -> str:
-    if verb in _GERUNDS:
-        return _GERUNDS[verb]
-    if verb in _DOUBLED:
-        return verb + verb[-1] + "ing"
-    if verb.endswith("e") and not verb.endswith(("ee", "oe", "ye")):
-        return verb[:-1] + "ing"
-    return verb + "ing"
-
-
-def _third(verb: str) -> str:
-    if verb in _THIRD:
-        return _THIRD[verb]
-    if verb.endswith(("s", "x", "z", "ch", "sh")):
-        return verb + "es"
-    if verb.endswith("y") and verb[-2] not in "aeiou":
-        return verb[:-1] + "ies"
-    return verb + "s"
-
-
-def _forms(phrase: str) -> list[str]:
-    plain = _VERB.sub(lambda match: match.group(1), phrase)
-    third = _VERB.sub(lambda match: _third(match.group(1)), phrase)
-    gerund = _VERB.sub(lambda match: _gerund(match.group(1)), phrase)
-    return [
-        *(f"{subject} {third}" for subject in _SUBJECTS),
-        *(f"{subject} is {gerund}" for subject in _SUBJECTS[:3]),
-        plain,
-        third,
-        gerund,
-    ]
+def _distinct(sentences: list[str], mirrored: bool) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(map(mirror_words, sentences) if mirrored else sentences))
 
 
 @functools.lru_cache(maxsize=4096)
@@ -126,14 +102,97 @@ def caption_variants(label: str, mirrored: bool = False) -> tuple[str, ...]:
     """
     group = caption_group(label)
     if group.phrases:
-        found = [sentence for phrase in group.phrases for sentence in _forms(phrase)]
+        found = [sentence for phrase in group.phrases for sentence in sentence_forms(phrase)]
     else:
         found = [group.name] if _HUMAN.match(group.name) else [group.name, f"a person: {group.name}"]
-    if mirrored:
-        found = [mirror_words(sentence) for sentence in found]
-    return tuple(dict.fromkeys(found))
+    return _distinct(found, mirrored)
+
+
+@functools.lru_cache(maxsize=8192)
+def caption_clauses(label: str, mirrored: bool = False, form: str = "third") -> tuple[str, ...]:
+    """What a label says without its subject, to be joined with others; nothing for a label that the file does not know.
+
+    Args:
+        label: A caption as the archive has it.
+        mirrored: For the mirror image of the clip.
+        form: "plain", "third" or "gerund", as `grammar.conjugate` has them, or "braces" for the phrase itself.
+    """
+    return _clauses(caption_group(label).phrases, mirrored, form)
+
+
+def _clauses(phrases: tuple[str, ...], mirrored: bool, form: str) -> tuple[str, ...]:
+    return _distinct([phrase if form == "braces" else conjugate(phrase, form) for phrase in phrases], mirrored)
 
 
 def caption(label: str, seed: int, mirrored: bool = False) -> str:
     """One sentence for a label, the same for the same seed."""
     return random.Random(seed).choice(caption_variants(label, mirrored))
+
+
+def creature_actions() -> tuple[str, ...]:
+    """The canonical actions of creatures that have words: "walk", "gallop", "attack", "death", ..."""
+    return tuple(_table("creature_captions.json")["actions"])
+
+
+def _creature_phrases(species: str, action: str) -> tuple[str, ...]:
+    """Phrases of the species' own kind first, then those of any creature."""
+    table = _table("creature_captions.json")
+    action = table["aliases"].get(action, action)
+    own = [kind["phrases"].get(action, []) for kind in table["kinds"] if species in kind["species"]]
+    only = any(action in kind.get("only", []) for kind in table["kinds"] if species in kind["species"])
+    general = [] if only else table["actions"].get(action, [])
+    found = [*(phrase for phrases in own for phrase in phrases), *general]
+    first, _, rest = action.partition(" ")
+    return tuple(found) or (f"{{{first}}} {rest}".strip() if first.isalpha() else f"{{do}} {action}",)
+
+
+def person_phrases(species: str, action: str) -> tuple[str, ...]:
+    """What a person would be doing whose part a creature takes by this: a fish that swims walks. With verbs in braces, often none."""
+    table, species, action = _table("creature_captions.json"), normalise_label(species), normalise_label(action)
+    action = table["aliases"].get(action, action)
+    return tuple(phrase for kind in table["kinds"] if species in kind["species"] for phrase in kind.get("person", {}).get(action, []))
+
+
+@functools.lru_cache(maxsize=8192)
+def creature_clauses(species: str, action: str, mirrored: bool = False, form: str = "third") -> tuple[str, ...]:
+    """What a creature does without its name, to be joined with others; arguments as for `creature_variants` and `caption_clauses`."""
+    return _clauses(_creature_phrases(normalise_label(species), normalise_label(action)), mirrored, form)
+
+
+@functools.lru_cache(maxsize=4096)
+def creature_names(species: str) -> tuple[str, ...]:
+    """What a creature may be called, its species first: "husky", "dog"."""
+    species = normalise_label(species)
+    table = _table("creature_captions.json")
+    kinds = [kind["name"] for kind in table["kinds"] if species in kind["species"] and "name" in kind]
+    return tuple(dict.fromkeys([species, *table["called"].get(species, kinds)]))
+
+
+def _article(name: str) -> str:
+    return ("an " if name[0] in "aeiou" else "a ") + name
+
+
+@functools.lru_cache(maxsize=4096)
+def creature_variants(species: str, action: str, mirrored: bool = False) -> tuple[str, ...]:
+    """All sentences for what a creature does: by its name, as "it", and as a person or character would be told.
+
+    Args:
+        species: What it is: "horse", "shiba inu".
+        action: What it does in one or two canonical words: "walk", "hit reaction". Words that the file does not know are
+            taken for a verb.
+        mirrored: For the mirror image of the clip.
+    """
+    species = normalise_label(species)
+    phrases = _creature_phrases(species, normalise_label(action))
+    names = creature_names(species)
+    named = [f"the {names[0]} {{third}}", f"{_article(names[0])} is {{gerund}}", f"the {names[0]} is {{gerund}}"]
+    named += [frame for name in names[1:] for frame in (f"{_article(name)} {{third}}", f"{_article(name)} is {{gerund}}")]
+    found = []
+    for phrase in phrases:
+        # two sentences name the species: all of them for every phrase and species would be tens of thousands to encode
+        drawn = named[zlib.crc32(f"{species} {phrase}".encode()) % len(named)]
+        frames = [f"{_article(names[0])} {{third}}", drawn, "it {third}", "it is {gerund}", "the creature {third}", "{plain}", "{third}", "{gerund}"]
+        found += [fill(frame, phrase) for frame in frames if not (is_stative(phrase) and "{gerund}" in frame)]
+    human = [*phrases[:3], *person_phrases(species, action)]
+    found += [fill(frame, phrase) for phrase in dict.fromkeys(human) for frame in ("a person {third}", "the character {third}")]
+    return _distinct(found, mirrored)

@@ -1,4 +1,4 @@
-"""Training clips: loading, drawing, mirroring, lengthening and joining them.
+"""Training rows: clips loaded, drawn, mirrored and joined, each with a sentence and a mesh.
 
 Every batch is a pure function of the seed and its number, so a run that was killed goes on with the very batches it would
 have seen.
@@ -9,41 +9,32 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bunraku.diffusion.captions import caption_group, caption_variants
+from bunraku.diffusion.captions import caption_group, mirror_words
 from bunraku.diffusion.clips import load_clip, load_index
-from bunraku.diffusion.features import FeatureStatistics, encode, feature_weights, mirror
+from bunraku.diffusion.features import FeatureStatistics, decode, encode, feature_weights, mirror
+from bunraku.diffusion.joining import join_point, link, splice
+from bunraku.diffusion.motion_track import Phrase
+from bunraku.diffusion.motion_words import describe, inside
+from bunraku.diffusion.training_clip import TrainingClip
+from bunraku.diffusion.wording import all_variants, borrowed_sentence, can_do, clauses, computed_sentence, creature_subjects, verbs
 from bunraku.errors import FormatError
 
-__all__ = ["ClipSet", "MotionBatch", "join_point", "load_clips", "splice"]
+__all__ = ["ClipSet", "MotionBatch", "Row", "load_clips"]
 
 MIN_FRAMES = 8
-FARTHEST = 8.0  # standard deviations; beyond are faults of capture that would outweigh all else in a squared error
-_BLEND = 6
+_BLEND = 8
 
 
-@dataclass(frozen=True)
-class Clip:
-    """One clip in network units.
+class Row(NamedTuple):
+    """A motion (N, D) in network units, its sentence, and the character in the mesh bank that it is of; None for any humanoid."""
 
-    Args:
-        name: Its name in the index.
-        values: Normalised features, shape (N, D), float32.
-        texts: Its captions as the archive has them.
-        weight: The index's own weight.
-        loop: Frames (i, j) such that playing on from j after i is smooth; None where there are none.
-        rests: The clip ends at rest, so its last pose can be held.
-    """
-
-    name: str
     values: np.ndarray
-    texts: tuple[str, ...]
-    weight: float = 1.0
-    loop: tuple[int, int] | None = None
-    rests: bool = False
+    sentence: str
+    mesh: str | None
 
 
 @dataclass(frozen=True)
@@ -54,11 +45,13 @@ class MotionBatch:
         values: Normalised features, zero where padded, shape (B, N, D), float32.
         lengths: Real frames, shape (B,).
         sentences: One a row.
+        meshes: One a row: the character's name in the mesh bank, None for any humanoid.
     """
 
     values: np.ndarray
     lengths: np.ndarray
     sentences: list[str]
+    meshes: list[str | None]
 
 
 def _features(path: Path) -> np.ndarray:
@@ -83,7 +76,7 @@ def load_clips(folder: str | Path, progress: Any = None, splits: Collection[str]
     index = load_index(folder)
     found = {}
     for done, (name, entry) in enumerate(sorted(index.items())):
-        if entry.get("texts") and (splits is None or entry.get("split", "train") in splits):
+        if (entry.get("texts") or entry.get("species")) and (splits is None or entry.get("split", "train") in splits):
             features = _features(folder / f"{name}.npz")
             if len(features) >= MIN_FRAMES:
                 found[name] = {**entry, "features": features}
@@ -94,37 +87,6 @@ def load_clips(folder: str | Path, progress: Any = None, splits: Collection[str]
     return found
 
 
-def join_point(tail: np.ndarray, head: np.ndarray, weights: np.ndarray, blend: int = _BLEND) -> tuple[int, int, float]:
-    """Where to leave one motion and enter another so that pose and velocity agree best.
-
-    Args:
-        tail: Motion to leave in its last quarter, shape (N, D), network units.
-        head: Motion to enter in its first quarter, shape (M, D).
-        weights: Share of each feature, shape (D,).
-        blend: Frames that both must still have after that.
-
-    Returns:
-        Frame i of the tail, frame j of the head, and the mean squared difference there.
-    """
-    last = max(len(tail) - blend + 1, 1)
-    first = min(3 * len(tail) // 4, last - 1)
-    stop = max(1, min(len(head) // 4, len(head) - blend))
-    scale = np.sqrt(weights / weights.sum())
-    a, b = tail[first:last] * scale, head[:stop] * scale
-    distance = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * a @ b.T
-    i, j = np.unravel_index(int(distance.argmin()), distance.shape)
-    return first + int(i), int(j), float(max(distance[i, j], 0))
-
-
-def splice(tail: np.ndarray, head: np.ndarray, i: int, j: int, blend: int = _BLEND) -> np.ndarray:
-    """`tail` up to frame i, then `head` from frame j, cross-faded over the next `blend` frames of both."""
-    blend = min(blend, len(tail) - i, len(head) - j)
-    share = np.linspace(0, 1, blend + 2, dtype=np.float32)[1:-1, None]
-    share = share * share * (3 - 2 * share)
-    mixed = tail[i : i + blend] * (1 - share) + head[j : j + blend] * share
-    return np.concatenate([tail[:i], mixed, head[j + blend :]])
-
-
 class ClipSet:
     """Clips ready to be drawn.
 
@@ -133,118 +95,158 @@ class ClipSet:
         statistics: Units of the network.
         split: "train", "val" or "test".
         frames: Longest crop.
+        creatures: Share of draws that are creatures' clips, where there are any; within them every action of every species
+            counts the same, unless the index weighs it less.
+        computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
+        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that creature
+            shows, so that a person's words move a creature too.
     """
 
-    def __init__(self, clips: dict[str, dict[str, Any]], statistics: FeatureStatistics, split: str = "train", frames: int = 196):
+    def __init__(
+        self, clips: dict[str, dict[str, Any]], statistics: FeatureStatistics, split: str = "train", frames: int = 196,
+        *, creatures: float = 0.25, computed: float = 0.3, borrowed: float = 0.1,
+    ):  # fmt: skip
         self.frames = frames
         self.statistics = statistics
+        self.computed, self.borrowed = computed, borrowed
         self._share = feature_weights()
-        still = -statistics.mean[:3] / statistics.std[:3]
-        self._still = still.astype(np.float32)
-        self._bucket: tuple[tuple[Any, ...], list[tuple[np.ndarray, str]], np.ndarray] | None = None
+        self._still = (-statistics.mean[:3] / statistics.std[:3]).astype(np.float32)  # a root at rest, in network units
+        self._bucket: tuple[tuple[Any, ...], list[Row], np.ndarray] | None = None
+        self._phrases: dict[str, list[Phrase]] = {}
         self.clips = [
-            self._prepare(name, entry)
+            TrainingClip.prepare(name, entry, statistics, frames)
             for name, entry in clips.items()
             if entry.get("split", "train") == split and len(entry["features"]) >= MIN_FRAMES
         ]
-        self.probability = self._probability() if self.clips else np.zeros(0)
+        self.probability = self._probability(creatures) if self.clips else np.zeros(0)
+        self._of_character: dict[str | None, np.ndarray] = {}
+        for character in {clip.character for clip in self.clips if clip.species} | {None}:
+            members = [index for index, clip in enumerate(self.clips) if (clip.character if clip.species else None) == character]
+            self._of_character[character] = np.array(members, int)
+        actions: dict[str, set[str]] = {}
+        for clip in self.clips:
+            if clip.species and clip.action and clip.character:
+                actions.setdefault(clip.species, set()).update(can_do(clip.species, clip.action))
+        self._can = actions
 
-    def _prepare(self, name: str, entry: dict[str, Any]) -> Clip:
-        values = np.clip(self.statistics.normalise(entry["features"]).astype(np.float32), -FARTHEST, FARTHEST)
-        loop, rests = None, False
-        if len(values) < self.frames:
-            i, j, distance = join_point(values, values, self._share)
-            if distance < (0.8 if len(values) < 60 else 0.3) and i - j >= 6:
-                loop = (i, j)
-            speed = np.abs(entry["features"][-4:, :3]).max()
-            change = float((np.diff(values[-4:], axis=0)[:, 4:] ** 2).mean())
-            rests = bool(speed < 0.5 and change < 0.02)
-        return Clip(name, values, tuple(entry["texts"]), float(entry.get("weight", 1.0)), loop, rests)
-
-    def _probability(self) -> np.ndarray:
-        """Square roots all through: of a group's seconds (at most two minutes count), and of a clip's share in its group."""
+    def _probability(self, creatures: float) -> np.ndarray:
+        """People: square roots all through, of a group's seconds (at most two minutes count) and of a clip's share in its group."""
         groups: dict[str, list[int]] = {}
         for index, clip in enumerate(self.clips):
-            groups.setdefault(caption_group(clip.texts[0]).name, []).append(index)
+            groups.setdefault(clip.label, []).append(index)
         weights = np.zeros(len(self.clips))
+        animal = np.array([clip.species is not None for clip in self.clips])
         for members in groups.values():
             seconds = np.array([len(self.clips[index].values) for index in members]) / 20
+            own = np.array([self.clips[index].weight for index in members])
+            if animal[members[0]]:
+                weights[members] = own / max(own.sum(), 1.0)
+                continue
             worth = caption_group(self.clips[members[0]].texts[0]).weight
-            share = np.sqrt(seconds) * [self.clips[index].weight for index in members]
+            share = np.sqrt(seconds) * own
             weights[members] = worth * np.sqrt(np.clip(seconds.sum(), 4, 120)) * share / max(share.sum(), 1e-9)
+        if animal.any() and not animal.all():
+            weights[animal] *= creatures / weights[animal].sum()
+            weights[~animal] *= (1 - creatures) / weights[~animal].sum()
         return weights / weights.sum()
 
-    def _lengthen(self, clip: Clip, target: int, random: np.random.Generator) -> np.ndarray:
-        """The clip played again from its loop point, or with its last pose held, until it has `target` frames or can have no more."""
-        values = clip.values
-        if clip.loop is not None:
-            i, j = clip.loop
-            while len(values) < target:
-                values = splice(values, clip.values, len(values) - len(clip.values) + i, j)
-        elif clip.rests and len(values) < target:
-            hold = np.repeat(values[-1:], min(target - len(values), int(random.integers(5, 40))), axis=0)
-            fade = 0.5 ** np.arange(1, len(hold) + 1, dtype=np.float32)[:, None]
-            hold[:, :3] = self._still + (hold[:, :3] - self._still) * fade
-            values = np.concatenate([values, hold])
-        return values
+    def draw(self, random: np.random.Generator, compose: float = 0.0) -> Row:
+        """One motion of at most `frames` frames with its sentence and mesh.
 
-    def _crop(self, values: np.ndarray, random: np.random.Generator, length: int) -> np.ndarray:
-        start = int(random.integers(0, max(len(values) - length, 0) + 1))
-        return values[start : start + length]
-
-    def draw(self, random: np.random.Generator, compose: float = 0.0) -> tuple[np.ndarray, str]:
-        """One motion (N, D) in network units with N <= `frames`, and its sentence."""
+        Args:
+            random: Draws everything.
+            compose: Share of rows that join two or three clips.
+        """
         clip = self.clips[int(random.choice(len(self.clips), p=self.probability))]
         mirrored = bool(random.random() < 0.5)
         text = clip.texts[int(random.integers(len(clip.texts)))]
-        if random.random() < compose:
-            pair = self._compose(clip, text, random, mirrored)
-            if pair is not None:
-                return pair
-        target = int(random.integers(40, self.frames + 1)) if random.random() < 0.6 else self.frames
-        values = clip.values
-        if len(values) < target and random.random() < 0.7:
-            values = self._lengthen(clip, target, random)
-        values = self._crop(values, random, target)
-        variants = caption_variants(text, mirrored)
-        return (self._mirror(values) if mirrored else values), variants[int(random.integers(len(variants)))]
-
-    def _mirror(self, values: np.ndarray) -> np.ndarray:
+        labels = [clauses(text, clip.species, clip.action)]
+        pair = self._compose(clip, text, random) if random.random() < compose else None
+        mesh = clip.character
+        start: int | None = None
+        if pair is not None:
+            values, sentence, labels = pair
+        else:
+            target = int(random.integers(40, self.frames + 1)) if random.random() < 0.6 else self.frames
+            values = clip.values
+            if len(values) < target and random.random() < 0.7:
+                values = clip.lengthened(target, self._still, random)
+            start = int(random.integers(0, max(len(values) - target, 0) + 1))
+            if values is not clip.values:
+                values, start = values[start : start + target], None
+            else:
+                values = values[start : start + target]
+            variants = all_variants(text, clip.species, clip.action)
+            own = clip.species is not None and random.random() < 0.3  # the index's own words of a creature, which know its clip
+            sentence = text if own else variants[int(random.integers(len(variants)))]
+            if clip.species is None and random.random() < self.borrowed:
+                mesh, sentence = self._borrow(text, sentence, random)
+        if mesh == clip.character and random.random() < self.computed:
+            found = self._true_in(clip, values, start)
+            sentence = computed_sentence(found, labels, len(values), random, clip.species) or sentence
         # the statistics are mirror-symmetric, so mirroring commutes with them
-        return mirror(values)
+        return Row(mirror(values), mirror_words(sentence), mesh) if mirrored else Row(values, sentence, mesh)
 
-    def _compose(self, clip: Clip, text: str, random: np.random.Generator, mirrored: bool) -> tuple[np.ndarray, str] | None:
-        """The clip, then another that goes well with its end: "a person walks forward and then waves"."""
-        if not caption_group(text).phrases:
-            return None
-        first = self._crop(clip.values, random, int(random.integers(40, 110)))
-        best: tuple[float, int, int, np.ndarray, Clip] | None = None
-        for index in random.choice(len(self.clips), size=6, p=self.probability):
-            other = self.clips[int(index)]
-            if other.name == clip.name or not caption_group(other.texts[0]).phrases or len(other.values) < 2 * _BLEND or len(first) < 2 * _BLEND:
-                continue
-            second = other.values[: self.frames]
-            i, j, distance = join_point(first, second, self._share)
-            if best is None or distance < best[0]:
-                best = (distance, i, j, second, other)
-        if best is None or best[0] > 0.5:
-            return None
-        _, i, j, second, other = best
-        values = splice(first, second, i, j, 8)[: self.frames]
-        words = [self._bare(one, random, mirrored) for one in (text, other.texts[0])]
-        link = (" and then ", ", then ", " and ")[int(random.integers(3))]
-        subject = ("a person ", "someone ", "the character ", "")[int(random.integers(4))]
-        return (self._mirror(values) if mirrored else values), subject + link.join(words)
+    def _true_in(self, clip: TrainingClip, values: np.ndarray, start: int | None) -> list[Phrase]:
+        """What can be said of a row: from the clip's own phrases where it is a plain crop of it, else from the row itself."""
+        human = clip.species is None
+        if start is None:
+            return inside(describe(decode(self.statistics.restore(values)), human), 0, len(values))
+        if clip.name not in self._phrases:
+            self._phrases[clip.name] = describe(decode(self.statistics.restore(clip.values)), human)
+        return inside(self._phrases[clip.name], start, start + len(values))
 
-    @staticmethod
-    def _bare(text: str, random: np.random.Generator, mirrored: bool) -> str:
-        """A sentence of the label in the third person without its subject."""
-        bare = [
-            sentence[9:]
-            for sentence in caption_variants(text, mirrored)
-            if sentence.startswith("a person ") and not sentence.startswith("a person is ")
-        ]
-        return bare[int(random.integers(len(bare)))] if bare else caption_variants(text, mirrored)[-1]
+    def _borrow(self, text: str, sentence: str, random: np.random.Generator) -> tuple[str | None, str]:
+        """A creature that cannot do this by itself, with words for it; nothing where every creature can."""
+        wanted = verbs(clauses(text, None, None))
+        able = sorted(species for species, own in self._can.items() if wanted and not wanted & own)
+        if not able:
+            return None, sentence
+        species = able[int(random.integers(len(able)))]
+        characters = sorted({clip.character for clip in self.clips if clip.species == species and clip.character})
+        return characters[int(random.integers(len(characters)))], borrowed_sentence(text, species, random)
+
+    def _compose(self, clip: TrainingClip, text: str, random: np.random.Generator) -> tuple[np.ndarray, str, list[tuple[str, ...]]] | None:
+        """The clip, then one or two others that go well with its end: "a person walks forward and then waves".
+
+        People follow people, and a creature's clips those of the same character.
+        """
+        told = [clauses(text, clip.species, clip.action)]
+        if not told[0]:
+            return None
+        partners = self._of_character.get(clip.character if clip.species else None, np.zeros(0, int))
+        chance = self.probability[partners]
+        if not chance.sum() > 0:
+            return None
+        count = 3 if random.random() < 0.3 else 2
+        least, most = (0.2, 0.56) if count == 2 else (0.15, 0.36)
+        span = [int(random.integers(int(least * self.frames), int(most * self.frames) + 1)) for _ in range(count)]
+        values = clip.lengthened(span[0], self._still, random)
+        begin = int(random.integers(0, max(len(values) - span[0], 0) + 1))
+        values, last, labels = values[begin : begin + span[0]], 0, [clip.label]
+        for place in range(1, count):
+            best: tuple[float, int, int, np.ndarray, TrainingClip] | None = None
+            for index in random.choice(partners, size=6, p=chance / chance.sum()):
+                other = self.clips[int(index)]
+                phrases = clauses(other.texts[0], other.species, other.action)
+                if other.label in labels or not phrases or len(other.values) < 12 or len(values) - last < 12:
+                    continue
+                rest = span[place] if place + 1 < count else self.frames
+                head = other.lengthened(span[place], self._still, random)[:rest]
+                i, j, distance = join_point(values[last:], head, self._share)
+                if best is None or distance < best[0]:
+                    best = (distance, last + i, j, head, other)
+            if best is None or best[0] > 0.5:
+                break
+            _, i, j, head, other = best
+            values, last = splice(values, head, i, j, _BLEND), i
+            labels.append(other.label)
+            told.append(clauses(other.texts[0], other.species, other.action))
+        if len(told) < 2:
+            return None
+        words = [phrases[int(random.integers(len(phrases)))] for phrases in told]
+        sentence = link(words, random, *([creature_subjects(clip.species)] if clip.species else []))
+        return values[: self.frames], sentence, told
 
     def batch(self, seed: int, number: int, size: int, compose: float = 0.0, bucket: int = 4) -> MotionBatch:
         """Batch `number` of the endless series of a seed. `bucket` neighbours share their draws, sorted by length, to pad little."""
@@ -252,7 +254,7 @@ class ClipSet:
         if self._bucket is None or self._bucket[0] != key:
             random = np.random.default_rng([seed, number // bucket, 7])
             items = [self.draw(random, compose) for _ in range(size * bucket)]
-            items.sort(key=lambda item: len(item[0]))
+            items.sort(key=lambda item: len(item.values))
             self._bucket = (key, items, random.permutation(bucket))
         _, items, order = self._bucket
         place = int(order[number % bucket])
@@ -261,14 +263,24 @@ class ClipSet:
     def fixed(self, size: int, seed: int = 0) -> MotionBatch:
         """The same unmirrored crops every time, for validation: each clip from its start, with a fixed sentence."""
         random = np.random.default_rng(seed)
-        order = random.permutation(len(self.clips))[:size]
-        return pad([(self.clips[i].values[: self.frames], caption_variants(self.clips[i].texts[0])[0]) for i in order])
+        rows = []
+        for index in random.permutation(len(self.clips))[:size]:
+            clip = self.clips[index]
+            rows.append(Row(clip.values[: self.frames], all_variants(clip.texts[0], clip.species, clip.action)[0], clip.character))
+        return pad(rows)
+
+    def sentences(self) -> list[str]:
+        """All sentences that labels give, sorted, to encode before training; computed, joined and borrowed ones are without end."""
+        labels = {(text, clip.species, clip.action) for clip in self.clips for text in (clip.texts if not clip.species else ("",))}
+        found = {sentence for label in labels for mirrored in (False, True) for sentence in all_variants(*label, mirrored)}
+        own = {text for clip in self.clips if clip.species for text in clip.texts}
+        return sorted(found | own | set(map(mirror_words, own)))
 
 
-def pad(items: list[tuple[np.ndarray, str]]) -> MotionBatch:
+def pad(rows: list[Row]) -> MotionBatch:
     """Rows of one length, the longest, zero behind their end."""
-    lengths = np.array([len(values) for values, _ in items])
-    values = np.zeros((len(items), int(lengths.max()), items[0][0].shape[1]), np.float32)
-    for row, (item, _) in zip(values, items, strict=True):
-        row[: len(item)] = item
-    return MotionBatch(values, lengths, [sentence for _, sentence in items])
+    lengths = np.array([len(row.values) for row in rows])
+    values = np.zeros((len(rows), int(lengths.max()), rows[0].values.shape[1]), np.float32)
+    for place, row in zip(values, rows, strict=True):
+        place[: len(row.values)] = row.values
+    return MotionBatch(values, lengths, [row.sentence for row in rows], [row.mesh for row in rows])

@@ -10,7 +10,7 @@ the same. A token holds `frames_per_token` frames, which lets the small preset t
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,55 +18,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from bunraku.bodies.layout import HANDLE_COUNT
-from bunraku.diffusion.features import FEATURE_SIZE
+from bunraku.bodies.layout import HANDLE_PARENTS
+from bunraku.diffusion.denoiser_config import ARCHITECTURES, DenoiserConfig
+from bunraku.diffusion.features import ROOT_SIZE
+from bunraku.diffusion.handle_fit import capped
 from bunraku.errors import WeightsError
+from bunraku.geometry.rotations import matrix_from_6d
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 
-__all__ = ["PRESETS", "Denoiser", "DenoiserConfig", "load_denoiser", "save_denoiser"]
+__all__ = ["Denoiser", "build_denoiser", "joint_offsets", "load_denoiser", "save_denoiser"]
 
 KIND = "diffusion"
-
-
-@dataclass(frozen=True)
-class DenoiserConfig:
-    """All that builds a denoiser; a checkpoint carries it.
-
-    Args:
-        width: Size of a token, d.
-        layers: Decoder layers.
-        heads: Attention heads.
-        feedforward: Inner size of the feed-forward blocks.
-        frames: Longest motion in one pass.
-        frames_per_token: Frames that share a token.
-        features: Numbers a frame, D.
-        handles: Mesh handles, K.
-        mesh_features: Size of f_phi.
-        text_encoder: Name of the text encoder that it was trained with.
-        text_size: Size of its tokens.
-        pooled_size: Size of its sentence vector.
-        fps: Frames a second [1/s].
-    """
-
-    width: int = 256
-    layers: int = 8
-    heads: int = 4
-    feedforward: int = 1024
-    frames: int = 196
-    frames_per_token: int = 4
-    features: int = FEATURE_SIZE
-    handles: int = HANDLE_COUNT
-    mesh_features: int = 448
-    text_encoder: str = "all-MiniLM-L6-v2"
-    text_size: int = 384
-    pooled_size: int = 384
-    fps: float = 20.0
-
-
-PRESETS: dict[str, DenoiserConfig] = {
-    "small": DenoiserConfig(),
-    "paper": DenoiserConfig(width=512, feedforward=1024, frames_per_token=1),
-}
 
 
 def _rotary(length: int, size: int, device: torch.device) -> tuple[Tensor, Tensor]:
@@ -125,6 +87,27 @@ class _Layer(nn.Module):
         return x + parts[8] * self.narrow(F.gelu(self.wide(norm(6))))
 
 
+def joint_offsets(moves: Tensor, features: Tensor) -> Tensor:
+    """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B, N, K, 3).
+
+    It is what `attached` does to the translations when the joint of k is held d_k farther off. It turns with the body and fades where
+    nothing bends, so one d_k serves all poses.
+
+    Args:
+        moves: d, how far each joint is moved [m], shape (B, N, K, 3).
+        features: Motion features, whose local rotations count, shape (B, N, 271).
+    """
+    local = features[..., ROOT_SIZE:].unflatten(-1, (moves.shape[2] - 1, 9))
+    still = torch.eye(3, device=moves.device).expand(*moves.shape[:2], 1, 3, 3)
+    rotations = torch.cat([still, matrix_from_6d(local[..., 3:])], dim=2)
+    parents = list(HANDLE_PARENTS[1:])
+    own = ((rotations[:, :, parents] - rotations[:, :, 1:]) @ moves[:, :, 1:, :, None].to(rotations.dtype)).squeeze(-1)
+    offsets = [torch.zeros_like(own[:, :, 0])]
+    for handle, parent in enumerate(parents, start=1):
+        offsets.append(offsets[parent] + own[:, :, handle - 1])
+    return torch.stack(offsets, dim=2)
+
+
 class Denoiser(nn.Module):
     """Predicts x0 and the adaptation from a noisy motion, the step, a sentence and a mesh feature (Eq. 2).
 
@@ -151,7 +134,7 @@ class Denoiser(nn.Module):
         self.layers = nn.ModuleList(_Layer(width, config.heads, config.feedforward) for _ in range(config.layers))
         self.final = nn.Linear(width, 2 * width)
         self.motion_out = nn.Linear(width, config.features * patch)
-        self.adaptation_out = nn.Linear(width, config.handles * 3 * patch)
+        self.adaptation_out = nn.Linear(width * (2 if config.adaptation_mesh else 1), config.handles * 3 * patch)
         self.register_buffer("mean", torch.zeros(config.features))
         self.register_buffer("std", torch.ones(config.features))
         for layer in self.layers:
@@ -217,6 +200,22 @@ class Denoiser(nn.Module):
             x0 (B, N, D) in network units and the adaptation of local translations (B, N, K, 3) [m].
         """
         batch, frames, _ = x.shape
+        h = self.hidden(x, step, lengths, condition)
+        motion = self.motion_out(h).reshape(batch, -1, self.config.features)[:, :frames]
+        said = self.adaptation_out(self.adaptation_input(h, condition)).reshape(batch, -1, self.config.handles, 3)[:, :frames]
+        if self.config.adaptation_frame == "joints":
+            said = capped(joint_offsets(said, motion.detach().float() * self.std + self.mean))
+        return motion, said
+
+    def adaptation_input(self, hidden: Tensor, condition: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """What the adaptation's linear layer sees: last hidden states (B, T, d), with the mesh token where the config says so."""
+        if not self.config.adaptation_mesh:
+            return hidden
+        return torch.cat([hidden, condition[0][:, :1].to(hidden.dtype).expand(-1, hidden.shape[1], -1)], dim=-1)
+
+    def hidden(self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as in `forward`."""
+        batch, frames, _ = x.shape
         patch = self.config.frames_per_token
         tokens = -(-frames // patch)
         real = torch.arange(tokens * patch, device=x.device) < lengths[:, None]
@@ -234,10 +233,23 @@ class Denoiser(nn.Module):
         for layer in self.layers:
             h = layer(h, memory, steer, rotary, mask, memory_mask)
         scale, shift = self.final(vector)[:, None].chunk(2, dim=-1)
-        h = F.layer_norm(h, h.shape[-1:]) * (1 + scale) + shift
-        motion = self.motion_out(h).reshape(batch, tokens * patch, -1)[:, :frames]
-        adaptation = self.adaptation_out(h).reshape(batch, tokens * patch, self.config.handles, 3)[:, :frames]
-        return motion, adaptation
+        return F.layer_norm(h, h.shape[-1:]) * (1 + scale) + shift
+
+
+def build_denoiser(config: DenoiserConfig) -> Denoiser:
+    """The denoiser that a config describes; both kinds are called alike.
+
+    Raises:
+        WeightsError: The architecture is unknown.
+    """
+    if config.architecture == "decoder":
+        return Denoiser(config)
+    if config.architecture == "encoder":
+        from bunraku.diffusion.encoder_denoiser import EncoderDenoiser
+
+        model: Denoiser = EncoderDenoiser(config)
+        return model
+    raise WeightsError(f"the architecture '{config.architecture}' is unknown; there are {' and '.join(ARCHITECTURES)}")
 
 
 def save_denoiser(path: str | Path, model: Denoiser, notes: dict[str, Any] | None = None, half: bool = True) -> Path:
@@ -256,7 +268,7 @@ def load_denoiser(path: str | Path, device: str | torch.device = "cpu") -> Denoi
     try:
         built = DenoiserConfig(**config)
         with torch.device("meta"):
-            model = Denoiser(built)
+            model = build_denoiser(built)
         model.load_state_dict(state, assign=True)
         model.notes = dict(notes or {})
     except Exception as error:

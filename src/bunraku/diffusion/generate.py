@@ -1,13 +1,14 @@
-"""From a sentence to a handle motion: what `bunraku.generate` and `bunraku.animate` call."""
+"""From sentences to handle motions: what `bunraku.generate` and `bunraku.animate` call."""
 
 from __future__ import annotations
 
 import functools
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,31 +18,21 @@ from bunraku.errors import OptionError
 from bunraku.motion import HandleMotion
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from bunraku.diffusion.denoiser import Denoiser
 
-__all__ = ["GUIDANCE", "STEPS", "generate_motion", "load_generator"]
+__all__ = ["GUIDANCE", "STEPS", "Sampling", "adapt", "generate_motion", "generate_motions", "load_generator"]
 
 STEPS = 20
 GUIDANCE = 2.5
 
 
-def generate_motion(
-    prompt: str,
-    seconds: float,
-    *,
-    seed: int = 0,
-    steps: int | None = None,
-    guidance: float | None = None,
-    mesh_feature: object | None = None,
-    progress: Callable[[str, float], None] | None = None,
-    checkpoint: str | Path | None = None,
-) -> HandleMotion:
-    """A handle motion of the reference body from a sentence (Eq. 2 of TapMo), at the model's 20 frames a second.
+@dataclass(frozen=True)
+class Sampling:
+    """How a motion is drawn.
 
     Args:
-        prompt: What the character does, in English, at most 1,000 characters, of which some 30 words are read.
-        seconds: Length [s].
-        seed: The same seed and version give the same motion.
         steps: Sampling steps, 1 to 1,000; None takes 20.
         guidance: Classifier-free guidance scale, 0 to 20; None takes 2.5.
         mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters, generate for
@@ -50,45 +41,123 @@ def generate_motion(
         checkpoint: Weights in place of the shipped ones.
 
     Raises:
+        OptionError: A setting is outside what can be done.
+    """
+
+    steps: int | None = None
+    guidance: float | None = None
+    mesh_feature: object | None = None
+    progress: Callable[[str, float], None] | None = None
+    checkpoint: str | Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.steps is not None and not 1 <= self.steps <= 1000:
+            raise OptionError(f"sampling takes 1 to 1,000 steps, not {self.steps}")
+        if self.guidance is not None and not (math.isfinite(self.guidance) and 0 <= self.guidance <= 20):
+            raise OptionError(f"the guidance scale must be from 0 to 20, not {self.guidance:g}")
+
+    def options(self, model: Denoiser, rows: int) -> dict[str, Any]:
+        """Options of `sample_windows` for this many sentences."""
+        import torch
+
+        mesh, progress = None, self.progress
+        if self.mesh_feature is not None and model.knows_meshes:
+            mesh = torch.as_tensor(np.asarray(self.mesh_feature, np.float32))
+            if mesh.shape != (model.config.mesh_features,) or not bool(torch.isfinite(mesh).all()):
+                raise OptionError(f"the mesh feature must be {model.config.mesh_features} finite numbers")
+            mesh = mesh.expand(rows, -1)
+        return {
+            "steps": STEPS if self.steps is None else self.steps,
+            "guidance": GUIDANCE if self.guidance is None else self.guidance,
+            "mesh_features": mesh,
+            "progress": (lambda done, total: progress("generate", done / total)) if progress else None,
+        }
+
+
+def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: Any) -> HandleMotion:
+    """A handle motion of the reference body from a sentence (Eq. 2 of TapMo), at the model's 20 frames a second.
+
+    Args:
+        prompt: What the character does, in English, at most 1,000 characters, of which some 30 words are read.
+        seconds: Length [s].
+        seed: The same seed and version give the same motion.
+        sampling: See `Sampling`.
+
+    Raises:
         OptionError: The prompt or a setting is outside what can be done.
         WeightsError: The weights are missing or broken.
     """
-    prompt = check_prompt(prompt)
-    steps, guidance = STEPS if steps is None else steps, GUIDANCE if guidance is None else guidance
-    if not 1 <= steps <= 1000:
-        raise OptionError(f"sampling takes 1 to 1,000 steps, not {steps}")
-    if not (math.isfinite(guidance) and 0 <= guidance <= 20):
-        raise OptionError(f"the guidance scale must be from 0 to 20, not {guidance:g}")
-    if not (math.isfinite(seconds) and seconds > 0):
-        raise OptionError(f"a motion needs a length of more than 0 seconds, not {seconds:g}")
+    return generate_motions([[(prompt, seconds)]], seeds=seed, **sampling)[0]
+
+
+def generate_motions(
+    scripts: Sequence[Sequence[tuple[str, float]]], *, seeds: int | Sequence[int] = 0, loop: bool = False, **sampling: Any
+) -> list[HandleMotion]:
+    """Handle motions of the reference body, all in one batch, each from one sentence or several in a row.
+
+    Args:
+        scripts: For each motion its sentences with the seconds that each lasts.
+        seeds: One for each motion; a single number gives each motion noise of its own, the first as when it is alone.
+        loop: Make loops: each motion's last frame is its first again, at another place where it travels.
+        sampling: See `Sampling`.
+
+    Raises:
+        OptionError: A prompt or a setting is outside what can be done.
+        WeightsError: The weights are missing or broken.
+    """
+    scripts = [[(check_prompt(prompt), seconds) for prompt, seconds in script] for script in scripts]
+    how = Sampling(**sampling)
+    for _, seconds in (part for script in scripts for part in script):
+        if not (math.isfinite(seconds) and seconds > 0):
+            raise OptionError(f"a motion needs a length of more than 0 seconds, not {seconds:g}")
+    if not isinstance(seeds, int) and len(seeds) != len(scripts):
+        raise OptionError(f"{len(scripts)} motions need as many seeds, not {len(seeds)}")
+    if not scripts:
+        return []
 
     import torch
 
-    from bunraku.diffusion.windows import sample_long
+    from bunraku.diffusion.windows import plan_windows, sample_plans
     from bunraku.nn.threads import fitting_threads
 
-    if progress:
-        progress("generate", 0.0)
-    model, encoder = load_generator(checkpoint)
-    mesh = None
-    if mesh_feature is not None and model.knows_meshes:
-        mesh = torch.as_tensor(np.asarray(mesh_feature, np.float32))[None]
-        if mesh.shape != (1, model.config.mesh_features) or not bool(torch.isfinite(mesh).all()):
-            raise OptionError(f"the mesh feature must be {model.config.mesh_features} finite numbers")
-    with fitting_threads(model):
-        result = sample_long(
-            model,
-            encoder.encode([prompt]),
-            max(1, round(seconds * model.config.fps)),
-            mesh_features=mesh,
-            steps=steps,
-            guidance=guidance,
-            seed=seed,
-            progress=(lambda done, total: progress("generate", done / total)) if progress else None,
-        )
+    if how.progress:
+        how.progress("generate", 0.0)
+    model, encoder = load_generator(how.checkpoint)
+    lengths = [frames_of([seconds for _, seconds in script], model.config.fps) for script in scripts]
+    plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
+    text = encoder.encode([prompt for script in scripts for prompt, _ in script])
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
-    motion = decode(statistics.restore(result.values[0].cpu().numpy()), model.config.fps)
-    return adapt(motion, result.adaptation[0].cpu().numpy())
+    sizes = [plan.frames for plan in plans]
+
+    def close(values: Tensor) -> Tensor:
+        return torch.cat([closed(part, model) for part in values.split(sizes)])
+
+    with fitting_threads(model):
+        found = sample_plans(model, text, plans, seeds=seeds, refine=close if loop else None, **how.options(model, len(text.mask)))
+    motions = []
+    for part, length in zip(found, lengths, strict=True):
+        frames = np.arange(sum(length) + loop) % len(part.values)
+        features = statistics.restore(part.values.cpu().numpy()[frames])
+        motions.append(adapt(decode(features, model.config.fps), part.adaptation.cpu().numpy()[frames]))
+    return motions
+
+
+def frames_of(seconds: Sequence[float], fps: float) -> list[int]:
+    """Frames of each part, at least one, so that the parts end where the sum of their seconds says, whatever the rounding."""
+    ends = [round(float(end) * fps) for end in np.cumsum(seconds)]
+    out = [max(1, after - before) for before, after in zip([0, *ends], ends, strict=False)]
+    return out
+
+
+def closed(values: Tensor, model: Denoiser) -> Tensor:
+    """Values of a loop, shape (N, D) in network units, whose root ends facing as it starts, and where it starts if it hardly travels."""
+    import torch
+
+    from bunraku.diffusion.paths import arrive
+
+    mean, std = model.mean[:3], model.std[:3]
+    root = arrive(values[:, :3] * std + mean, model.config.fps, None, None)
+    return torch.cat([(root - mean) / std, values[:, 3:]], -1)
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:

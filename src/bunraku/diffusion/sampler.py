@@ -1,40 +1,58 @@
-"""Sampling: from noise and a sentence to a motion, with classifier-free guidance and frames that are known beforehand.
-
-The default is DPM-Solver++ (2M) for networks that predict x0 (Lu et al. 2022, algorithm 2), which needs 10 to 30 steps; the
-ancestral sampler of DDPM (Ho et al. 2020) is the reference beside it. The solver is written out here because importing
-diffusers' takes twice as long as torch itself; a test holds the two together.
-"""
+"""Sampling: from noise and sentences to motions, with classifier-free guidance and values that are known beforehand."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.schedule import alphas_cumprod, sampling_steps
+from bunraku.diffusion.schedule import sampling_steps
+from bunraku.diffusion.solvers import ancestral, dpm_solver
 from bunraku.diffusion.text import TextBatch
 
-__all__ = ["Known", "Sample", "ancestral", "dpm_solver", "guided", "sample", "starting_noise", "token_share"]
+__all__ = [
+    "Known", "Sample", "Window", "guided", "row_noise", "sample", "sample_windows", "starting_noise", "token_share",
+]  # fmt: skip
 
-Predict = Callable[[Tensor, int], Tensor]
+GROUP = 16  # windows that go through the denoiser at once; more gain nothing on a CPU and take memory
+
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class Known:
-    """Frames that the motion must keep.
+    """What the motion must keep.
 
     Args:
         values: Clean frames in network units, shape (B, N, D); anything where `share` is 0.
-        share: How far each frame is held, 1 for fully, shape (N,).
+        share: How far each frame, or each feature of each frame, is held, 1 for fully, shape (N,), (N, D) or (B, N, D).
     """
 
     values: Tensor
     share: Tensor
+
+    def spread(self) -> tuple[Tensor, Tensor]:
+        """Values and share on one time line, shapes (B N, D) and (B N, D or 1)."""
+        share = self.share[:, None] if self.share.ndim == 1 else self.share
+        return self.values.flatten(0, 1), share.expand(len(self.values), -1, -1).flatten(0, 1)
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of the time line that the denoiser sees at once.
+
+    Args:
+        frames: Which frames of the time line, shape (L,); a loop's run on from its end to its start, and may come twice.
+        share: What the window's prediction of each frame counts among those of all windows, shape (L,).
+        row: The sentence, and mesh feature, that it is given.
+    """
+
+    frames: Tensor
+    share: Tensor
+    row: int
 
 
 @dataclass(frozen=True)
@@ -50,77 +68,31 @@ class Sample:
     adaptation: Tensor
 
 
-def _moments(step: int, curve: Tensor) -> tuple[float, float, float]:
-    """alpha, sigma and half the log of their ratio's square after `step`; step -1 is the clean motion."""
-    share = float(curve[step]) if step >= 0 else 1.0
-    alpha, sigma = math.sqrt(share), math.sqrt(1 - share)
-    return alpha, sigma, math.log(alpha / sigma) if sigma > 0 else math.inf
-
-
-def dpm_solver(predict: Predict, noise: Tensor, steps: list[int], progress: Progress | None = None) -> Tensor:
-    """DPM-Solver++ (2M): from x_T to x_0 with one prediction of x0 a step.
-
-    Args:
-        predict: (x_t, t) -> x0.
-        noise: x_T, shape (B, N, D).
-        steps: Training steps to visit, falling.
-        progress: Called with (done, total).
-    """
-    curve, x = alphas_cumprod(), noise
-    before: tuple[Tensor, float] | None = None  # the last prediction and its lambda
-    for index, step in enumerate(steps):
-        _, sigma, here = _moments(step, curve)
-        alpha_next, sigma_next, there = _moments(steps[index + 1] if index + 1 < len(steps) else -1, curve)
-        clean = predict(x, step)
-        direction = clean
-        if before is not None and math.isfinite(there):  # second order: extrapolate in lambda
-            ratio = (there - here) / (here - before[1])
-            direction = clean + 0.5 * ratio * (clean - before[0])
-        x = (sigma_next / sigma) * x - alpha_next * math.expm1(here - there) * direction
-        before = (clean, here)
-        if progress is not None:
-            progress(index + 1, len(steps))
-    return x
-
-
-def ancestral(predict: Predict, noise: Tensor, steps: list[int], generator: torch.Generator, progress: Progress | None = None) -> Tensor:
-    """The sampler of DDPM: draws each x_{t-1} from the posterior q(x_{t-1} | x_t, x0); with all 1,000 steps, the reference.
-
-    Args:
-        predict: (x_t, t) -> x0.
-        noise: x_T, shape (B, N, D).
-        steps: Training steps to visit, falling.
-        generator: Draws the noise of each step.
-        progress: Called with (done, total).
-    """
-    curve, x = alphas_cumprod(), noise
-    for index, step in enumerate(steps):
-        share = float(curve[step])
-        share_next = float(curve[steps[index + 1]]) if index + 1 < len(steps) else 1.0
-        kept = share / share_next
-        clean = predict(x, step)
-        mean = math.sqrt(share_next) * (1 - kept) / (1 - share) * clean + math.sqrt(kept) * (1 - share_next) / (1 - share) * x
-        variance = (1 - kept) * (1 - share_next) / (1 - share)
-        x = mean + math.sqrt(variance) * torch.randn(x.shape, generator=generator).to(x) if variance > 0 else mean
-        if progress is not None:
-            progress(index + 1, len(steps))
-    return x
-
-
-def guided(conditional: Tensor, unconditional: Tensor, guidance: float, rescale: float = 0.0) -> Tensor:
+def guided(conditional: Tensor, unconditional: Tensor, guidance: float, rescale: float = 0.0, real: Tensor | None = None) -> Tensor:
     """Classifier-free guidance on x0 (Ho & Salimans 2022), brought back towards the conditional's deviation by the share
-    `rescale` (Lin et al. 2023), shape (B, N, D)."""
+    `rescale` (Lin et al. 2023), shape (B, N, D); `real` (B, N) is False in padding, which does not count in the deviation."""
     x0 = unconditional + guidance * (conditional - unconditional)
     if rescale > 0:
-        factor = conditional.std((1, 2), keepdim=True) / x0.std((1, 2), keepdim=True).clamp(min=1e-8)
+        factor = _deviation(conditional, real) / _deviation(x0, real).clamp(min=1e-8)
         x0 = x0 * (rescale * factor + 1 - rescale)
     return x0
 
 
+def _deviation(x: Tensor, real: Tensor | None) -> Tensor:
+    if real is None:
+        return x.std((1, 2), keepdim=True)
+    return torch.stack([row[keep].std() for row, keep in zip(x, real, strict=True)]).view(-1, 1, 1)
+
+
 def starting_noise(rows: int, frames: int, features: int, seed: int) -> Tensor:
-    """x_T, shape (rows, frames, features). Row b draws from its own generator of (seed, b), on the CPU on every machine, so the
-    first row is the same in a batch as alone."""
-    return torch.stack([torch.randn(frames, features, generator=_generator(seed, row)) for row in range(rows)])
+    """x_T, shape (rows, frames, features): one `row_noise` for each row."""
+    return torch.stack([row_noise(frames, features, seed, row) for row in range(rows)])
+
+
+def row_noise(frames: int, features: int, seed: int, row: int = 0) -> Tensor:
+    """x_T of one row of a batch, shape (frames, features). It is drawn from a generator of (seed, row) of its own, on the CPU on
+    every machine, so a row is the same in any batch."""
+    return torch.randn(frames, features, generator=_generator(seed, row))
 
 
 def _generator(seed: int, row: int) -> torch.Generator:
@@ -136,7 +108,7 @@ def token_share(frames: int, patch: int) -> Tensor:
 def sample(
     model: Denoiser,
     text: TextBatch,
-    frames: int,
+    frames: int | Sequence[int],
     *,
     mesh_features: Tensor | None = None,
     steps: int = 20,
@@ -153,54 +125,147 @@ def sample(
     Args:
         model: The denoiser.
         text: B encoded sentences.
-        frames: Length N of the motions, at most the model's `frames`.
+        frames: Length N of the motions, at most the model's `frames`; or that of each, and all are padded with zeros to the longest.
         mesh_features: f_phi of each row's character, shape (B, 448); None for no mesh in particular.
         steps: Predictions of x0 that are made, one after the other.
         guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
         rescale: Share of guidance rescaling, 0 to 1.
         seed: Of the starting noise.
-        known: Frames to keep: they overwrite the predicted x0 at each step (inpainting, as in MDM).
+        known: What to keep: it overwrites the predicted x0 at each step (section A.3).
         method: "dpm", or "ddpm" for the ancestral reference.
         bf16: Let matrix products run in bfloat16.
         progress: Called with (done, total) steps.
     """
-    device = model.mean.device
-    rows, patch = len(text.mask), model.config.frames_per_token
-    text = text.to(device)
-    twice = 1 if guidance == 1 else 2
-    mesh = None if mesh_features is None else mesh_features.to(device).float().repeat(twice, 1)
-    keep_text = torch.arange(twice * rows, device=device) < rows
-    keep_mesh = torch.full_like(keep_text, mesh is not None)
-    held = None if known is None else (known.values.to(device), known.share.to(device)[:, None])
-    visited = sampling_steps(steps)
-    last: dict[str, Tensor] = {}
-    with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
-        tokens, mask, pooled = (part.repeat(twice, *[1] * (part.ndim - 1)) for part in (text.tokens, text.mask, text.pooled))
-        condition = model.condition(tokens, mask, pooled, mesh, keep_text, keep_mesh)
+    rows = len(text.mask)
+    lengths = [frames] * rows if isinstance(frames, int) else list(frames)
+    longest = max(lengths)
+    windows = [Window(torch.arange(row * longest, row * longest + length), torch.ones(length), row) for row, length in enumerate(lengths)]
+    noise = starting_noise(rows, longest, model.config.features, seed).flatten(0, 1)
+    found = sample_windows(
+        model, text, windows, noise, mesh_features=mesh_features, steps=steps, guidance=guidance, rescale=rescale, seed=seed,
+        known=None if known is None else known.spread(), method=method, bf16=bf16, progress=progress,
+    )  # fmt: skip
+    return Sample(found.values.unflatten(0, (rows, longest)), found.adaptation.unflatten(0, (rows, longest)))
 
-    def run(x: Tensor, step: int) -> tuple[Tensor, Tensor]:
-        whole = torch.full((twice * rows,), x.shape[1], device=device)
-        with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
-            motion, adaptation = model(x.repeat(twice, 1, 1), torch.full_like(whole, step), whole, condition)
-        motion = motion.float()
-        return motion if twice == 1 else guided(motion[:rows], motion[rows:], guidance, rescale), adaptation[:rows].float()
+
+@torch.inference_mode()
+def sample_windows(
+    model: Denoiser,
+    text: TextBatch,
+    windows: Sequence[Window],
+    noise: Tensor,
+    *,
+    mesh_features: Tensor | None = None,
+    steps: int = 20,
+    guidance: float = 2.5,
+    rescale: float = 0.0,
+    seed: int = 0,
+    known: tuple[Tensor, Tensor] | None = None,
+    refine: Callable[[Tensor], Tensor] | None = None,
+    method: str = "dpm",
+    bf16: bool = False,
+    progress: Progress | None = None,
+) -> Sample:
+    """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they predict.
+
+    Neighbours thus agree while the motion takes shape, and not only afterwards (as in DiffCollage, Zhang et al. 2023, and the first
+    take of DoubleTake, Shafir et al. 2023). Motions of a batch lie one after the other on the time line, no window reaching from one
+    into another.
+
+    Args:
+        model: The denoiser.
+        text: Encoded sentences, which the windows name by their rows.
+        windows: What the denoiser sees at once.
+        noise: x_T on the time line, shape (F, D).
+        mesh_features: f_phi of each sentence's character, shape (B, 448).
+        steps: As in `sample`.
+        guidance: As in `sample`.
+        rescale: As in `sample`.
+        seed: Of the noise that the ancestral sampler adds.
+        known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
+        refine: Changes the predicted x0 (F, D) at each step, before what is known overwrites it.
+        method: As in `sample`.
+        bf16: As in `sample`.
+        progress: As in `sample`.
+
+    Returns:
+        Values (F, D) and adaptation (F, K, 3); zero in frames that no window counts in.
+    """
+    device, config = model.mean.device, model.config
+    text, noise = text.to(device), noise.to(device)
+    order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
+    with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
+        groups = [_Group(model, text, order[start : start + GROUP], mesh_features, guidance, rescale) for start in range(0, len(order), GROUP)]
+    total = torch.zeros(len(noise), 1, device=device)
+    for group in groups:
+        total.index_add_(0, group.frames[group.real], group.share[group.real][:, None])
+    total = total.clamp(min=1e-8)
+    held = None if known is None else (known[0].to(device), known[1].to(device))
+    visited = sampling_steps(steps)
+    last = torch.zeros(len(noise), config.handles, 3, device=device)
 
     def predict(x: Tensor, step: int) -> Tensor:
-        x0, adaptation = run(x, step)
-        if step == visited[-1] and patch > 1:
-            # Frames of one token agree better than neighbours across two: a second grid, moved by half a token, heals the seams.
-            ahead = patch // 2
-            other, other_adaptation = (part[:, ahead:] for part in run(torch.cat([x[:, :ahead].flip(1), x], 1), step))
-            share = token_share(frames, patch).to(device)[:, None]
-            x0, adaptation = torch.lerp(other, x0, share), torch.lerp(other_adaptation, adaptation, share[..., None])
-        last["adaptation"] = adaptation
-        return x0 if held is None else torch.lerp(x0, held[0], held[1])
+        x0, adaptation = torch.zeros_like(x), torch.zeros_like(last)
+        for group in groups:
+            with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
+                values, offsets = group.predict(model, x, step, final=step == visited[-1])
+            weight = group.share[group.real][:, None]
+            x0.index_add_(0, group.frames[group.real], values[group.real] * weight)
+            if step == visited[-1]:
+                adaptation.index_add_(0, group.frames[group.real], offsets[group.real] * weight[..., None])
+        x0 /= total
+        if step == visited[-1]:
+            last.copy_(adaptation / total[..., None])
+        if refine is not None:
+            x0 = refine(x0)
+        return x0 if held is None else torch.lerp(x0, *held)
 
-    noise = starting_noise(rows, frames, model.config.features, seed).to(device)
     if method == "dpm":
         values = dpm_solver(predict, noise, visited, progress)
     elif method == "ddpm":
         values = ancestral(predict, noise, visited, _generator(seed, -1), progress)
     else:
         raise ValueError(f"there is no sampler '{method}'; take 'dpm' or 'ddpm'")
-    return Sample(values, last["adaptation"])
+    return Sample(values, last)
+
+
+class _Group:
+    """Windows that go through the denoiser together, with what does not depend on the step."""
+
+    def __init__(self, model: Denoiser, text: TextBatch, windows: Sequence[Window], mesh_features: Tensor | None, guidance: float, rescale: float):
+        device = model.mean.device
+        count, longest = len(windows), max(len(window.frames) for window in windows)
+        self.guidance, self.rescale, self.twice = guidance, rescale, 1 if guidance == 1 else 2
+        self.lengths = torch.tensor([len(window.frames) for window in windows], device=device)
+        self.real = torch.arange(longest, device=device) < self.lengths[:, None]
+        self.frames = torch.zeros(count, longest, dtype=torch.long, device=device)
+        self.share = torch.zeros(count, longest, device=device)
+        for row, window in enumerate(windows):
+            self.frames[row, : len(window.frames)], self.share[row, : len(window.frames)] = window.frames.to(device), window.share.to(device)
+        rows = torch.tensor([window.row for window in windows], device=device)
+        tokens, mask, pooled = (part[rows].repeat(self.twice, *[1] * (part.ndim - 1)) for part in (text.tokens, text.mask, text.pooled))
+        mesh = None if mesh_features is None else mesh_features.to(device).float()[rows].repeat(self.twice, 1)
+        keep_text = torch.arange(self.twice * count, device=device) < count
+        self.condition = model.condition(tokens, mask, pooled, mesh, keep_text, torch.full_like(keep_text, mesh is not None))
+
+    def predict(self, model: Denoiser, x: Tensor, step: int, final: bool) -> tuple[Tensor, Tensor]:
+        """x0 (G, L, D) and adaptation (G, L, K, 3) of each window, from x_t on the time line (F, D)."""
+        seen, patch = x[self.frames], model.config.frames_per_token
+        x0, adaptation = self._run(model, seen, step, self.lengths)
+        if final and patch > 1:
+            # Frames of one token agree better than neighbours across two: a second grid, moved by half a token, heals the seams.
+            ahead = patch // 2
+            moved = torch.cat([seen[:, :ahead].flip(1), seen], 1)
+            other, other_adaptation = (part[:, ahead:] for part in self._run(model, moved, step, self.lengths + ahead))
+            share = token_share(seen.shape[1], patch).to(x.device)[:, None]
+            x0, adaptation = torch.lerp(other, x0, share), torch.lerp(other_adaptation, adaptation, share[..., None])
+        return x0, adaptation
+
+    def _run(self, model: Denoiser, x: Tensor, step: int, lengths: Tensor) -> tuple[Tensor, Tensor]:
+        lengths, count = lengths.repeat(self.twice), len(x)
+        motion, adaptation = model(x.repeat(self.twice, 1, 1), torch.full_like(lengths, step), lengths, self.condition)
+        motion = motion.float()
+        if self.twice == 2:
+            real = torch.arange(x.shape[1], device=x.device) < lengths[:count, None]
+            motion = guided(motion[:count], motion[count:], self.guidance, self.rescale, real)
+        return motion, adaptation[:count].float()

@@ -1,60 +1,39 @@
-"""Training of the denoiser (Eq. 6 and 9 of TapMo; the adaptation's own losses come with the mesh-specific learning).
+"""Training of the denoiser (Eq. 6 to 9 of TapMo).
 
 A run folder holds `state.safetensors` (all that is needed to go on), `diffusion.safetensors` (the averaged weights, ready to
-use), `log.csv` and the encoded captions. The same command goes on where a run stopped.
+use), `log.csv`, `events` (TensorBoard) and the encoded captions. The same command goes on where a run stopped. Under `accelerate
+launch` several processes train together: each draws batches of its own, and the first one writes.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 import queue
-import signal
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
 import torch
 
-from bunraku.diffusion.captions import caption_variants
+from bunraku.diffusion.character_bank import load_character_bank
 from bunraku.diffusion.dataset import ClipSet, load_clips
-from bunraku.diffusion.denoiser import PRESETS, DenoiserConfig
+from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
 from bunraku.diffusion.features import FeatureStatistics
+from bunraku.diffusion.mesh_bank import load_mesh_bank
 from bunraku.diffusion.text import TextEncoder, text_encoder
 from bunraku.diffusion.textbank import TextBank
 from bunraku.diffusion.trainer import Example, Trainer, TrainingConfig
-from bunraku.errors import FormatError, OptionError
+from bunraku.diffusion.warm_start import start_from
+from bunraku.errors import OptionError
 from bunraku.nn.checkpoints import load_training_state
+from bunraku.nn.events import EventLog
+from bunraku.nn.processes import Processes, open_processes
+from bunraku.nn.runs import Stop, append_row, logged_columns
 
 __all__ = ["TrainingConfig", "train_diffusion"]
-
-
-class _Stop:
-    """Set by SIGTERM or Ctrl-C: finish the step, save, leave."""
-
-    def __init__(self) -> None:
-        self.asked = False
-
-    @contextmanager
-    def listening(self) -> Iterator[None]:
-        def ask(number: int, frame: FrameType | None) -> None:
-            self.asked = True
-
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        before = {number: signal.signal(number, ask) for number in (signal.SIGTERM, signal.SIGINT)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 def _statistics(path: Path) -> FeatureStatistics | None:
@@ -65,25 +44,12 @@ def _statistics(path: Path) -> FeatureStatistics | None:
     return FeatureStatistics(model["mean"].numpy(), model["std"].numpy())
 
 
-def _mesh_bank(path: Path | None, size: int) -> np.ndarray | None:
-    if path is None:
-        return None
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            bank = np.asarray(file["features"], np.float32)
-    except Exception as error:
-        raise FormatError(path, f"the mesh features cannot be read ({error}); write them with 'bunraku train handles'") from error
-    if bank.ndim != 2 or bank.shape[1] != size or not len(bank) or not np.isfinite(bank).all():
-        raise FormatError(path, f"the mesh features must be finite numbers of shape (characters, {size}), not {bank.shape}")
-    return bank
-
-
-def _prefetch(clips: ClipSet, bank: TextBank, config: TrainingConfig, first: int, stop: threading.Event) -> queue.Queue[Any]:
-    """Batches from `first` on, made one ahead by a thread."""
+def _prefetch(clips: ClipSet, bank: TextBank, config: TrainingConfig, processes: Processes, first: int, stop: threading.Event) -> queue.Queue[Any]:
+    """Batches from step `first` on, made ahead by a thread. Of P processes, number i takes batch P * step + i."""
     ready: queue.Queue[Any] = queue.Queue(maxsize=3)
 
     def work() -> None:
-        number = first
+        number = processes.count * first + processes.index
         try:
             while not stop.is_set():
                 batch = clips.batch(config.seed, number, config.batch, config.compose)
@@ -94,7 +60,7 @@ def _prefetch(clips: ClipSet, bank: TextBank, config: TrainingConfig, first: int
                         break
                     except queue.Full:
                         continue
-                number += 1
+                number += processes.count
         except Exception as error:  # handed to the training loop
             ready.put(error)
 
@@ -103,8 +69,7 @@ def _prefetch(clips: ClipSet, bank: TextBank, config: TrainingConfig, first: int
 
 
 def _sentences(clips: list[ClipSet]) -> list[str]:
-    texts = {text for part in clips for clip in part.clips for text in clip.texts}
-    return sorted({sentence for text in texts for mirrored in (False, True) for sentence in caption_variants(text, mirrored)})
+    return sorted({sentence for part in clips for sentence in part.sentences()})
 
 
 def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = None, encoder: TextEncoder | None = None) -> Path:
@@ -133,39 +98,56 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
         raise OptionError("batch, threads, minutes and steps must be positive")
     torch.set_num_threads(config.threads)
     config.out.mkdir(parents=True, exist_ok=True)
-    console = Console()
+    processes = open_processes(config.device)
+    console = Console(quiet=not processes.main)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("clips", total=None)
         clips = load_clips(config.data, lambda done, total: bar.update(task, completed=done, total=total))
-        training = [entry["features"] for entry in clips.values() if entry.get("split", "train") == "train"]
-        statistics = _statistics(config.out / "state.safetensors") or FeatureStatistics.measure(training)
+        training = [entry for entry in clips.values() if entry.get("split", "train") == "train"]
+        measured = _statistics(config.out / "state.safetensors")
+        statistics = measured or FeatureStatistics.measure([entry["features"] for entry in training])
+        notes = {"creatures": True} if any(entry.get("species") for entry in training) else {}
         frames = (network or PRESETS[config.preset]).frames
         train, val = (ClipSet(clips, statistics, split, frames) for split in ("train", "val"))
         del clips, training
         if encoder is None:
             encoder = text_encoder("clip" if config.text_folder else "all-MiniLM-L6-v2", config.text_folder)
         task = bar.add_task("captions", total=None)
-        bank = TextBank(
-            encoder, _sentences([train, val]), config.out / "captions.safetensors", lambda done, total: bar.update(task, completed=done, total=total)
-        )
+        with processes.main_first():  # the others read what it has encoded
+            bank = TextBank(
+                encoder,
+                _sentences([train, val]),
+                config.out / "captions.safetensors",
+                lambda done, total: bar.update(task, completed=done, total=total),
+            )
     if network is None:
-        sizes = {"text_encoder": encoder.name, "text_size": encoder.token_size, "pooled_size": encoder.pooled_size}
-        network = DenoiserConfig(**{**asdict(PRESETS[config.preset]), **sizes})
-    trainer = Trainer(config, network, statistics, _mesh_bank(config.mesh_bank, network.mesh_features))
+        sizes: dict[str, Any] = {"text_encoder": encoder.name, "text_size": encoder.token_size, "pooled_size": encoder.pooled_size}
+        network = replace(PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh)
+    meshes = None if config.mesh_bank is None else load_mesh_bank(config.mesh_bank, network.mesh_features)
+    characters = None if config.character_bank is None else load_character_bank(config.character_bank)
+    if characters is not None and characters.features.shape[1] != network.mesh_features:
+        sizes_differ = f"its f_phi has {characters.features.shape[1]} numbers, not {network.mesh_features}"
+        raise OptionError(f"{config.character_bank}: {sizes_differ}; write the bank again with 'bunraku data character-bank'")
+    trainer = Trainer(config, network, statistics, meshes, characters, processes, notes)
     state = config.out / "state.safetensors"
     if state.is_file():
         trainer.restore(state, network)
-    examples = _validation(trainer, val, bank)
+    elif config.start is not None:
+        start_from(config.start, trainer.model)
+        trainer.average.load_state_dict(trainer.model.state_dict())
+    examples = _validation(trainer, val, bank) if processes.main else []
     console.print(
         f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "
-        f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, from step {trainer.step}"
+        f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, "
+        f"{processes.count} process{'es' if processes.count > 1 else ''}, from step {trainer.step}"
     )
     torch.set_flush_denormal(True)  # tiny moments of the optimiser cost ten times their worth
     try:
         _loop(trainer, network, train, bank, examples, console)
     finally:
         torch.set_flush_denormal(False)
+    processes.close()
     return config.out / "diffusion.safetensors"
 
 
@@ -183,45 +165,59 @@ def _validation(trainer: Trainer, clips: ClipSet, bank: TextBank) -> list[Exampl
 
 
 def _loop(trainer: Trainer, network: DenoiserConfig, clips: ClipSet, bank: TextBank, examples: list[Example], console: Any) -> None:
-    config, stop, ended = trainer.config, _Stop(), threading.Event()
+    config, main, stop, ended = trainer.config, trainer.processes.main, Stop(), threading.Event()
     log = config.out / "log.csv"
-    fresh = not log.is_file()
-    ready = _prefetch(clips, bank, config, trainer.step, ended)
+    if main and not log.is_file():
+        log.write_text(",".join(_COLUMNS) + "\n", encoding="utf-8")
+    events = EventLog(config.out / "events" if main else None, console.print)
+    ready = _prefetch(clips, bank, config, trainer.processes, trainer.step, ended)
     saved = last = time.monotonic()
-    motions: list[float] = []
-    velocities: list[float] = []
     begun, first = last, trainer.step
-    with stop.listening(), log.open("a", newline="") as file:
-        writer = csv.writer(file)
-        if fresh:
-            writer.writerow(["step", "seconds", "rate", "motion", "velocity", "validation", "validation_wrong_text", "steps_per_second"])
+    told: dict[str, list[float]] = {}
+    with stop.listening(), events:
         try:
-            while not stop.asked and trainer.progress() < 1:
+            alone = trainer.processes.count == 1
+            while not (trainer.stopped or (alone and stop.asked)) and trainer.progress() < 1:
                 item = ready.get()
                 if isinstance(item, Exception):
                     raise item
                 number, batch, text = item
-                motion, velocity = trainer.update(trainer.example(batch, text, [config.seed, number]))
-                motions.append(motion)
-                velocities.append(velocity)
+                trainer.asked = stop.asked
+                for name, value in trainer.update(trainer.example(batch, text, [config.seed, number])).items():
+                    told.setdefault(name, []).append(value)
                 now = time.monotonic()
                 trainer.seconds += now - last
                 last = now
-                if trainer.step % config.validate_every == 0 or trainer.step == first + 20:
-                    right, wrong = trainer.validate(examples) if trainer.step % config.validate_every == 0 else (math.nan, math.nan)
-                    speed = (trainer.step - first) / (now - begun)
-                    row = [trainer.step, round(trainer.seconds), trainer.learning_rate(), np.mean(motions), np.mean(velocities), right, wrong, speed]
-                    writer.writerow([f"{value:.6g}" if isinstance(value, float) else value for value in row])
-                    file.flush()
-                    console.print(
-                        f"step {trainer.step:6d}  {trainer.seconds / 60:6.1f} min  loss {row[3]:.4f} velocity {row[4]:.4f}  "
-                        f"validation {right:.4f}, with wrong text {wrong:.4f}  {speed:.2f} steps/s"
-                    )
-                    motions, velocities = [], []
-                if now - saved > 60 * config.save_every:
+                due = trainer.step % config.validate_every == 0
+                if main and (due or trainer.step == first + 20):
+                    row = {name: float(np.mean(values)) for name, values in told.items()}
+                    row["validation"], row["validation_wrong_text"] = trainer.validate(examples) if due else (math.nan, math.nan)
+                    _tell(trainer, row, (trainer.step - first) / (now - begun), events, console)
+                    told = {}
+                if main and now - saved > 60 * config.save_every:
                     trainer.save(config.out, network)
                     saved = time.monotonic()
         finally:
             ended.set()
-        trainer.save(config.out, network)
+        if main:
+            trainer.save(config.out, network)
     console.print(f"saved {config.out} at step {trainer.step}" + ("; the same command goes on" if trainer.progress() < 1 else ""))
+
+
+_COLUMNS = (
+    "step", "seconds", "rate", "motion", "velocity", "validation", "validation_wrong_text", "steps_per_second", "spring", "adversarial",
+    "discriminator", "score",
+)  # fmt: skip
+
+
+def _tell(trainer: Trainer, row: dict[str, float], speed: float, events: EventLog, console: Any) -> None:
+    """One row of figures to the log, to TensorBoard and to the terminal."""
+    row = {"step": trainer.step, "seconds": round(trainer.seconds), "rate": trainer.learning_rate(), **row, "steps_per_second": speed}
+    log = trainer.config.out / "log.csv"
+    append_row(log, row, logged_columns(log))
+    events.write(trainer.step, {name: value for name, value in row.items() if name not in ("step", "seconds")})
+    extra = "  ".join(f"{name} {row[name]:.4f}" for name in ("spring", "adversarial", "discriminator", "score") if name in row)
+    console.print(
+        f"step {trainer.step:6d}  {trainer.seconds / 60:6.1f} min  loss {row['motion']:.4f} velocity {row['velocity']:.4f}  "
+        f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  {extra}{'  ' if extra else ''}{speed:.2f} steps/s"
+    )

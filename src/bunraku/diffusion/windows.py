@@ -1,44 +1,122 @@
-"""Motions longer than the denoiser's window: windows that overlap, each keeping the end of the one before."""
+"""Motions longer than the denoiser's window, and sentences in a row: windows that overlap and are denoised together.
+
+A motion is cut into pieces, each within one sentence and short enough for the denoiser. The window of a piece reaches over both
+its ends into its neighbours, and at every step of sampling the predictions of two windows fade into each other there (see
+`sample_windows`). A loop is the same on a circle.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.sampler import Known, Sample, sample
+from bunraku.diffusion.sampler import Sample, Window, row_noise, sample_windows
 from bunraku.diffusion.text import TextBatch
 
-__all__ = ["plan_windows", "sample_long"]
+__all__ = ["Plan", "plan_windows", "sample_long", "sample_plans"]
 
-OVERLAP = 28  # frames that a window keeps of the one before
-FADE = 12  # of these, the last ones, over which the hold lets go
+OVERLAP = 28  # frames that two windows share
 SHORTEST = 40  # frames; training saw hardly anything shorter
 
 
-def plan_windows(frames: int, longest: int, overlap: int = OVERLAP) -> list[tuple[int, int]]:
-    """First and last-but-one frame of each window: equal lengths of at most `longest`, neighbours sharing `overlap` frames.
+@dataclass(frozen=True)
+class Plan:
+    """How one motion is made.
 
-    The last window may reach beyond `frames` by the rounding; what it makes there is cut off.
+    Args:
+        frames: Frames on the time line; more than wanted where the motion is very short, and the rest is cut off.
+        windows: What the denoiser sees, frames counted from the motion's first and rows from its first sentence.
+        seams: Frames where one window hands over to the next, falling between this one and the one before.
     """
-    if frames <= longest:
-        return [(0, frames)]
-    count = -(-(frames - overlap) // (longest - overlap))
-    length = -(-(frames + (count - 1) * overlap) // count)
-    return [(index * (length - overlap), index * (length - overlap) + length) for index in range(count)]
+
+    frames: int
+    windows: tuple[Window, ...]
+    seams: tuple[int, ...]
 
 
-def hold(overlap: int, frames: int, fade: int) -> Tensor:
-    """Share of each frame of a window that its predecessor decides, shape (frames,): 1, then a smooth fall to 0 that ends with the overlap."""
-    fade = min(fade, overlap)
-    ramp = torch.linspace(1, 0, fade + 2)[1:-1]
-    share = torch.zeros(frames)
-    share[: overlap - fade] = 1
-    share[overlap - fade : overlap] = ramp * ramp * (3 - 2 * ramp)
-    return share
+def plan_windows(lengths: Sequence[int], longest: int, *, loop: bool = False, overlap: int = OVERLAP) -> Plan:
+    """Plan one motion.
+
+    Args:
+        lengths: Frames of each sentence, in a row.
+        longest: Frames that the denoiser sees at most.
+        loop: Whether the last frame runs on into the first.
+        overlap: Frames that neighbouring windows share, where both are as long.
+    """
+    overlap = min(overlap, longest // 3)
+    shortest = min(SHORTEST, longest)
+    lengths = list(lengths)
+    if not loop:
+        lengths[-1] += max(shortest - sum(lengths), 0)
+    total = sum(lengths)
+    pieces: list[tuple[int, int, int]] = []  # first frame, frame after the last, sentence
+    start = 0
+    for row, length in enumerate(lengths):
+        ends = 2 if loop else (row > 0) + (row < len(lengths) - 1)  # where it meets another sentence
+        whole = length + ends * (overlap // 2) <= longest
+        count = 1 if whole else -(-length // (longest - overlap))
+        if loop and len(lengths) == 1:
+            count = max(count, 2)  # the seam of one window is in the middle of the other
+        bounds = [start + round(length * part / count) for part in range(count + 1)]
+        pieces += [(first, after, row) for first, after in zip(bounds, bounds[1:], strict=False)]
+        start += length
+    count = len(pieces)
+    fades = [  # half of what piece i shares with the next one
+        min(overlap // 2, (pieces[i][1] - pieces[i][0]) // 2, (pieces[(i + 1) % count][1] - pieces[(i + 1) % count][0]) // 2) for i in range(count)
+    ]
+    if not loop:
+        fades[-1] = 0
+    windows = []
+    for i, (first, after, row) in enumerate(pieces):
+        before, behind = (fades[i - 1] if loop or i else 0), fades[i]
+        missing = max(shortest - (after - first + before + behind), 0)
+        low, high = first - before - missing // 2, after + behind + missing - missing // 2
+        if not loop:
+            low, high = max(low - max(high - total, 0), 0), min(high + max(-low, 0), total)
+        frames = torch.arange(low, high)
+        share = _rise(frames - (first - before), 2 * before) * (1 - _rise(frames - (after - behind), 2 * behind))
+        windows.append(Window(frames % total, share, row))
+    seams = tuple(first for first, _, _ in pieces[0 if loop else 1 :])
+    return Plan(total, tuple(windows), seams)
+
+
+def _rise(frames: Tensor, length: int) -> Tensor:
+    """0 before frame 0, 1 from frame `length` on, and a smooth rise between."""
+    share = ((frames + 0.5) / max(length, 1)).clamp(0, 1) if length else (frames >= 0).float()
+    return share * share * (3 - 2 * share)
+
+
+def sample_plans(
+    model: Denoiser, text: TextBatch, plans: Sequence[Plan], *, seeds: int | Sequence[int] = 0, mesh_features: Tensor | None = None, **options: Any
+) -> list[Sample]:
+    """Make several motions in one batch.
+
+    Args:
+        model: The denoiser.
+        text: The sentences of the first plan, then those of the second, and so on.
+        plans: One for each motion.
+        seeds: Of the starting noise; one number gives each motion noise of its own, the first as when it is alone.
+        mesh_features: f_phi for each sentence, shape (B, 448).
+        options: Others of `sample_windows`.
+
+    Returns:
+        One sample for each plan, values (N, D) and adaptation (N, K, 3).
+    """
+    windows: list[Window] = []
+    frame = row = 0
+    for plan in plans:
+        windows += [Window(window.frames + frame, window.share, window.row + row) for window in plan.windows]
+        frame, row = frame + plan.frames, row + 1 + max(window.row for window in plan.windows)
+    lengths, size = [plan.frames for plan in plans], model.config.features
+    drawn = [(seeds, index) for index in range(len(plans))] if isinstance(seeds, int) else [(seed, 0) for seed in seeds]
+    noise = [row_noise(length, size, *pair) for length, pair in zip(lengths, drawn, strict=True)]
+    found = sample_windows(model, text, windows, torch.cat(noise), mesh_features=mesh_features, seed=drawn[0][0], **options)
+    return [Sample(*parts) for parts in zip(found.values.split(lengths), found.adaptation.split(lengths), strict=True)]
 
 
 def sample_long(
@@ -52,33 +130,10 @@ def sample_long(
         model: The denoiser.
         text: B encoded sentences.
         frames: Length of the motions.
-        seed: Of the starting noise; window w uses its own.
-        progress: Called with (done, total) steps of all windows.
-        options: Others of `sample`.
+        seed: Of the starting noise.
+        progress: Called with (done, total) steps.
+        options: Others of `sample_windows`.
     """
-    longest = model.config.frames
-    overlap, fade = min(OVERLAP, longest // 3), min(FADE, longest // 6)
-    windows = plan_windows(max(frames, min(SHORTEST, longest)), longest, overlap)
-    values: list[Tensor] = []
-    adaptations: list[Tensor] = []
-    for index, (start, stop) in enumerate(windows):
-        known = None
-        if values:
-            held = torch.zeros_like(values[-1][:, :1]).repeat(1, stop - start, 1)
-            held[:, :overlap] = values[-1][:, -overlap:]
-            known = Known(held, hold(overlap, stop - start, fade))
-
-        def tell(done: int, total: int, index: int = index) -> None:
-            if progress is not None:
-                progress(index * total + done, len(windows) * total)
-
-        part = sample(model, text, stop - start, seed=seed + 7919 * index, known=known, progress=tell, **options)
-        if known is None:
-            adaptations.append(part.adaptation)
-        else:  # the motion was blended while it was sampled; the adaptation is blended here
-            share = known.share[:overlap, None, None].to(part.adaptation)
-            mixed = torch.lerp(part.adaptation[:, :overlap], adaptations[-1][:, -overlap:], share)
-            values[-1], adaptations[-1] = values[-1][:, :-overlap], adaptations[-1][:, :-overlap]
-            adaptations.append(torch.cat([mixed, part.adaptation[:, overlap:]], 1))
-        values.append(part.values)
-    return Sample(torch.cat(values, 1)[:, :frames], torch.cat(adaptations, 1)[:, :frames])
+    plan = plan_windows([frames], model.config.frames)
+    found = sample_plans(model, text, [plan] * len(text.mask), seeds=seed, progress=progress, **options)
+    return Sample(torch.stack([part.values[:frames] for part in found]), torch.stack([part.adaptation[:frames] for part in found]))

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from bunraku.formats.registry import load_character, load_motion, save_animation, save_character
+from bunraku.formats.registry import load_character, load_motion, save_animation, save_character, save_motion
 
-__all__ = ["load_character", "load_motion", "save_animation", "save_character"]
+__all__ = ["load_character", "load_motion", "save_animation", "save_character", "save_motion"]

@@ -14,13 +14,13 @@ from urllib.parse import unquote
 
 from bunraku.errors import FormatError
 
-__all__ = ["MAX_BYTES", "atomic_write", "check_input", "check_output_folder", "check_text", "inside", "read_bounded"]
+__all__ = ["MAX_BYTES", "MAX_TEXT_BYTES", "atomic_write", "check_input", "check_output_folder", "check_text", "inside", "read_bounded"]
 
 MAX_BYTES = 2 << 30
 """Largest file that is read [bytes]."""
 
 MAX_TEXT_BYTES = 400 << 20
-"""Largest mesh that is read as text [bytes]: words take some ten times their file's memory."""
+"""Largest mesh or motion that is read as text [bytes]: words take some ten times their file's memory."""
 
 
 def check_input(path: Path) -> int:

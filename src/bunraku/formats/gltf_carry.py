@@ -136,6 +136,15 @@ class MeshCarrier:
             mesh["weights"] = copy.deepcopy(weights)
         return mesh
 
+    def primitive(self, old: dict[str, Any], count: int) -> dict[str, Any]:
+        """A primitive as it is, without joints and weights.
+
+        Args:
+            old: Its entry in the source.
+            count: How many vertices it has.
+        """
+        return self._primitive(old, self._vertex_data(old, count, None), None)
+
     def _primitive(self, old: dict[str, Any], data: dict[str, Any], triangles: np.ndarray | None) -> dict[str, Any]:
         primitive = {**data}
         primitive.update((key, copy.deepcopy(old[key])) for key in ("material", "mode", "extras") if key in old)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,7 @@ class Source:
         index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats have
             fewer vertices than their document where a seam splits one in two.
         suffix: The format of the file.
+        model: What else the file holds that glTF has no place for, such as the `MmdModel` of a PMX file.
     """
 
     document: Document
@@ -42,6 +44,7 @@ class Source:
     parts: tuple[MeshPart, ...]
     index: np.ndarray
     suffix: str = ".glb"
+    model: Any = None
 
 
 def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:

@@ -13,6 +13,7 @@ from bunraku.errors import CharacterError, FormatError
 from bunraku.formats.files import atomic_write
 from bunraku.formats.gltf_builder import ARRAY_BUFFER, GltfBuilder, mesh_document
 from bunraku.formats.gltf_carry import MeshCarrier, carry_images, carry_tree, used_extensions
+from bunraku.formats.gltf_clip import add_clip, drop_clip
 from bunraku.formats.gltf_colors import linear_from_srgb
 from bunraku.formats.gltf_mesh import MeshPart, PrimitiveData
 from bunraku.formats.gltf_motion import add_joints, add_motion, checked_fps, resample
@@ -21,7 +22,7 @@ from bunraku.formats.gltf_read import Source, character_from_document
 if TYPE_CHECKING:
     from bunraku.animation import Animation
 
-__all__ = ["joint_attributes", "write_animation", "write_character"]
+__all__ = ["build_document", "document_of", "finish_document", "joint_attributes", "keeps_positions", "write_animation", "write_character"]
 
 
 def write_animation(animation: Animation, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
@@ -38,9 +39,10 @@ def write_animation(animation: Animation, path: Path, *, fps: float | None = Non
         OptionError: `fps` is no number from 1 to 1000.
     """
     motion = resample(animation.motion, checked_fps(fps, animation.motion.fps))
-    builder, joints = _build(animation.character, animation.handles, path)
+    builder, joints = build_document(animation.character, animation.handles, path)
     add_motion(builder, joints, animation.handles.positions, motion, str(name) if name else path.stem)
-    return _finish(builder, path)
+    add_clip(builder, animation)
+    return finish_document(builder, path)
 
 
 def write_character(character: Character, handles: Handles | None, path: Path) -> Path:
@@ -52,7 +54,7 @@ def write_character(character: Character, handles: Handles | None, path: Path) -
     """
     if handles is not None and len(handles.weights) != len(character.vertices):
         raise CharacterError(f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}")
-    return _finish(_build(character, handles, path)[0], path)
+    return finish_document(build_document(character, handles, path)[0], path)
 
 
 def joint_attributes(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +72,7 @@ def joint_attributes(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return joints, stored
 
 
-def _source(character: Character) -> Source:
+def document_of(character: Character) -> Source:
     """The character's document, or one made of its arrays where it has none that fits."""
     source = character.source
     if isinstance(source, Source) and len(source.index) and int(source.index.max()) + 1 == len(character.vertices):
@@ -83,10 +85,14 @@ def _source(character: Character) -> Source:
     return made
 
 
-def _build(character: Character, handles: Handles | None, path: Path) -> tuple[GltfBuilder, list[int]]:
-    source = _source(character)
+def build_document(character: Character, handles: Handles | None, path: Path) -> tuple[GltfBuilder, list[int]]:
+    """The character's meshes and materials, skinned to handles where there are some, and the nodes of the handles.
+
+    The scene's nodes are that of handle 0, where there are handles, and then one for each of the source's parts that has vertices.
+    """
+    source = document_of(character)
     try:
-        builder = GltfBuilder(carry_tree(source.document))
+        builder = GltfBuilder(drop_clip(carry_tree(source.document)))
         carry_images(source.document, builder)
         joints = add_joints(builder, handles) if handles is not None else []
         carrier, start, roots = MeshCarrier(source, builder), 0, joints[:1]
@@ -115,7 +121,7 @@ def _add_part(
 ) -> int:
     """Add a mesh with its node, and its skin where there are handles; return the node."""
     rest = character.vertices[index]
-    kept = _kept(part, rest, character)
+    kept = keeps_positions(part, rest, character)
     mesh = carrier.mesh(part, None if kept else rest)
     transform = part.transform if kept and part.transform is not None else np.eye(4)
     old = carrier.document.items("nodes")[part.node]
@@ -149,7 +155,7 @@ def _add_influences(builder: GltfBuilder, mesh: dict[str, Any], group: Primitive
         mesh["primitives"][member]["attributes"].update(added)
 
 
-def _kept(part: MeshPart, rest: np.ndarray, character: Character) -> bool:
+def keeps_positions(part: MeshPart, rest: np.ndarray, character: Character) -> bool:
     """Whether the raw positions of a mesh can stay: one matrix takes them to the character's vertices, without mirroring."""
     if part.transform is None or part.mirrored or np.linalg.det(part.transform[:3, :3]) <= 0:
         return False
@@ -157,7 +163,8 @@ def _kept(part: MeshPart, rest: np.ndarray, character: Character) -> bool:
     return bool(np.abs(vertices - rest).max() <= 1e-5 * np.ptp(character.vertices, axis=0).max() + 1e-6 * np.abs(vertices).max())
 
 
-def _finish(builder: GltfBuilder, path: Path) -> Path:
+def finish_document(builder: GltfBuilder, path: Path) -> Path:
+    """Write a document as GLB and return the path."""
     used_extensions(builder.tree)
     with atomic_write(path) as file:
         try:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,63 +11,88 @@ import numpy as np
 from bunraku.errors import FormatError
 from bunraku.formats.files import atomic_write
 from bunraku.formats.gltf_motion import handle_names
-from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d
-from bunraku.motion import HandleMotion
+from bunraku.formats.npy import npz_names, open_npz, read_member
+from bunraku.geometry.rotations import matrix_from_6d
+from bunraku.motion import HandleMotion, SkeletalMotion
 
 if TYPE_CHECKING:
     from bunraku.animation import Animation
+    from bunraku.character import Handles
 
-__all__ = ["read_motion", "write_animation"]
+__all__ = ["REFERENCE", "pack_animation", "pack_motion", "read_any_motion", "read_motion", "read_positions", "read_reference", "write_animation"]
 
-MAX_ARRAY_BYTES = 1 << 30
+REFERENCE = "reference_"
+
 _NEEDED = ("translations", "rotations", "root_translation", "root_rotation", "fps")
 
 
 def write_animation(animation: Animation, path: Path) -> Path:
-    """Write the handle motion of an animation.
-
-    The arrays, all float32: `translations` (N, K, 3) [m], `rotations` (N, K, 6) in 6D, `root_translation` (N, 3) [m],
-    `root_rotation` (N, 6), `fps` () [1/s], `handle_positions` (K, 3) [m]; and `handle_names` (K,) text.
+    """Write the handle motion of an animation; see `pack_animation` for the arrays.
 
     Raises:
         FormatError: The file cannot be written.
     """
-    motion, positions = animation.motion, animation.handles.positions
-    arrays: dict[str, Any] = {
-        "translations": motion.translations,
-        "rotations": matrix_to_6d(motion.rotations),
-        "root_translation": motion.root_translation,
-        "root_rotation": matrix_to_6d(motion.root_rotation),
-        "fps": np.float32(motion.fps),
-        "handle_positions": positions,
-        "handle_names": np.array(handle_names(animation.handles)),
-    }
-    packed = io.BytesIO()
-    np.savez_compressed(packed, **arrays)
     with atomic_write(path) as file:
-        file.write(packed.getbuffer())
+        file.write(pack_animation(animation))
     return path
 
 
-def read_motion(path: Path, data: bytes) -> HandleMotion:
+def pack_animation(animation: Animation) -> bytes:
+    """The NPZ of an animation's handle motion.
+
+    The arrays, all float32: `translations` (N, K, 3) [m], `rotations` (N, K, 3, 3), `root_translation` (N, 3) [m],
+    `root_rotation` (N, 3, 3), `fps` () [1/s], `handle_positions` (K, 3) [m]; and `handle_names` (K,) text. Where it is known, the
+    motion of the reference body that it was fitted from, under the same names with `reference_` before them.
+    """
+    return pack_motion(animation.motion, animation.handles, animation.reference)
+
+
+def pack_motion(motion: HandleMotion, handles: Handles, reference: HandleMotion | None = None) -> bytes:
+    """The NPZ of a motion of some handles, as `pack_animation` describes it."""
+    arrays: dict[str, Any] = _arrays(motion)
+    arrays |= {"handle_positions": handles.positions, "handle_names": np.array(handle_names(handles))}
+    if reference is not None:
+        arrays |= {f"{REFERENCE}{name}": array for name, array in _arrays(reference).items()}
+    packed = io.BytesIO()
+    np.savez_compressed(packed, **arrays)
+    return packed.getvalue()
+
+
+def _arrays(motion: HandleMotion) -> dict[str, np.ndarray]:
+    return {name: np.asarray(getattr(motion, name), np.float32) for name in _NEEDED}
+
+
+def read_any_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
+    """Read what an NPZ holds: a motion of AMASS if it has that set's arrays, a handle motion otherwise.
+
+    Raises:
+        FormatError: The file is broken, or is neither.
+        MotionError: What it holds breaks the rules of a motion.
+    """
+    from bunraku.formats.amass import AMASS_ARRAYS, read_amass
+
+    with open_npz(path, data) as archive:
+        names = npz_names(archive)
+    return read_amass(path, data) if AMASS_ARRAYS & names else read_motion(path, data)
+
+
+def read_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
     """Read a handle motion; rotations may be 6D or matrices.
 
     Args:
         path: The file.
         data: Its bytes.
+        prefix: What stands before the names of the arrays: nothing, or `REFERENCE` for the motion of the reference body.
 
     Raises:
         FormatError: The file is broken, or is not a handle motion.
         MotionError: What it holds breaks the rules of a motion.
     """
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            missing = [name for name in _NEEDED if f"{name}.npy" not in archive.namelist()]
-            if missing:
-                raise FormatError(path, f"this NPZ lacks {', '.join(missing)}, so it is no handle motion; save one with Animation.save")
-            arrays = {name: _array(path, archive, name) for name in _NEEDED}
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, OSError, RuntimeError, ValueError, zlib.error):
-        raise FormatError(path, "the NPZ is truncated or broken; save it again") from None
+    with open_npz(path, data) as archive:
+        missing = [name for name in _NEEDED if prefix + name not in npz_names(archive)]
+        if missing:
+            raise FormatError(path, f"this NPZ lacks {', '.join(missing)}, so it is no handle motion; save one with Animation.save")
+        arrays = {name: read_member(path, archive, prefix + name, len(data)) for name in _NEEDED}
     if arrays["fps"].size != 1:
         raise FormatError(path, "its 'fps' must be one number; save it again")
     fps = float(arrays["fps"].reshape(()))
@@ -84,6 +107,33 @@ def read_motion(path: Path, data: bytes) -> HandleMotion:
     )
 
 
+def read_reference(path: Path, data: bytes) -> HandleMotion | None:
+    """The motion of the reference body that a handle motion was fitted from, or None where the file does not hold it.
+
+    Raises:
+        FormatError: The file is broken.
+        MotionError: What it holds breaks the rules of a motion.
+    """
+    with open_npz(path, data) as archive:
+        known = f"{REFERENCE}translations" in npz_names(archive)
+    return read_motion(path, data, prefix=REFERENCE) if known else None
+
+
+def read_positions(path: Path, data: bytes) -> np.ndarray | None:
+    """Rest positions of the handles that a motion was made for [m], shape (K, 3), or None where the file does not hold them.
+
+    Raises:
+        FormatError: The file is broken.
+    """
+    with open_npz(path, data) as archive:
+        if "handle_positions" not in npz_names(archive):
+            return None
+        positions = read_member(path, archive, "handle_positions", len(data))
+    if positions.ndim != 2 or positions.shape[1] != 3 or not np.isfinite(positions).all():
+        raise FormatError(path, "its 'handle_positions' must be points; save it again")
+    return positions
+
+
 def _matrices(path: Path, values: np.ndarray, dimensions: int) -> np.ndarray:
     if values.ndim == dimensions - 1 and values.shape[-1] == 6:
         matrices: np.ndarray = matrix_from_6d(values)
@@ -91,22 +141,3 @@ def _matrices(path: Path, values: np.ndarray, dimensions: int) -> np.ndarray:
     if values.ndim == dimensions and values.shape[-2:] == (3, 3):
         return values
     raise FormatError(path, f"rotations must be 6D or 3 x 3 matrices, not of shape {values.shape}; save it again")
-
-
-def _array(path: Path, archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    entry = archive.getinfo(f"{name}.npy")
-    if entry.file_size > MAX_ARRAY_BYTES:
-        raise FormatError(path, f"its array '{name}' unpacks to more than {MAX_ARRAY_BYTES >> 30} GiB; cut the motion")
-    with archive.open(entry) as file:
-        content = io.BytesIO(file.read(entry.file_size))
-    version = np.lib.format.read_magic(content)
-    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = header(content)
-    size = dtype.itemsize
-    for length in shape:
-        size *= int(length)
-    if dtype.kind not in "fiu" or size != entry.file_size - content.tell():
-        raise FormatError(path, f"its array '{name}' is not plain numbers, or is cut short; save it again")
-    content.seek(0)
-    array: np.ndarray = np.lib.format.read_array(content, allow_pickle=False)
-    return array.astype(np.float32)

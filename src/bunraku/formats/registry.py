@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,61 +12,35 @@ import numpy as np
 
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError
 from bunraku.formats.files import check_input, check_output_folder, read_bounded
+from bunraku.formats.format_table import FORMATS, Format
 from bunraku.geometry.axes import axis_name, default_orientation
 
 if TYPE_CHECKING:
     from bunraku.animation import Animation
     from bunraku.character import Character, Handles
     from bunraku.motion import HandleMotion, SkeletalMotion
+    from bunraku.point_animation import PointAnimation
 
-__all__ = ["FORMATS", "Format", "detect", "load_character", "load_motion", "load_with_clips", "save_animation", "save_character"]
-
-
-@dataclass(frozen=True)
-class Format:
-    """A file format.
-
-    Args:
-        title: Its name in messages.
-        suffixes: Suffixes that name it, lower case.
-        magic: First bytes that name it whatever the suffix says.
-        character: "module:function" that makes a character of a path and its bytes.
-        motion: "module:function" that makes a motion of a path and its bytes.
-        animation: "module:function" that writes an animation to a path.
-        rigged: "module:function" that writes a character with or without handles to a path.
-    """
-
-    title: str
-    suffixes: tuple[str, ...]
-    magic: tuple[bytes, ...] = ()
-    character: str = ""
-    motion: str = ""
-    animation: str = ""
-    rigged: str = ""
+__all__ = [
+    "check_writer",
+    "detect",
+    "load_character",
+    "load_motion",
+    "load_with_clips",
+    "save_animation",
+    "save_character",
+    "save_motion",
+    "save_points",
+]
 
 
-FORMATS: tuple[Format, ...] = (
-    Format(
-        "GLB",
-        (".glb",),
-        (b"glTF",),
-        character="gltf_read:read_gltf",
-        animation="gltf_write:write_animation",
-        rigged="gltf_write:write_character",
-    ),
-    Format("VRM", (".vrm",), (b"glTF",), character="gltf_read:read_gltf"),
-    Format("glTF", (".gltf",), character="gltf_read:read_gltf"),
-    Format("PLY", (".ply",), (b"ply\n", b"ply\r"), character="ply:read_ply", animation="sequences:write_ply_sequence"),
-    Format("OBJ", (".obj",), character="rignet:read_obj_with_rig", animation="sequences:write_obj_sequence"),
-    Format("STL", (".stl",), character="stl:read_stl"),
-    Format("handle motion", (".npz",), (b"PK\x03\x04",), motion="npz:read_motion", animation="npz:write_animation"),
-    Format("FBX", (".fbx",), (b"Kaydara FBX Binary", b"; FBX"), character="fbx:read_fbx", motion="fbx_motion:read_motion"),
-    Format("RigNet", (".txt",), character="rignet:read_rignet"),
-)
+_CHECKED = ("usd", "fbx_export")
 _ABILITIES = {
     "character": "characters are read from",
     "motion": "motions are read from",
     "animation": "animations are written to",
+    "moved": "motions are written to",
+    "points": "vertices that move on their own are written to",
     "rigged": "characters are written to",
 }
 
@@ -100,19 +73,22 @@ def detect(path: Path, start: bytes, ability: str) -> Format:
 
 def _resolve(target: str) -> Callable[..., Any]:
     module, name = target.split(":")
-    function: Callable[..., Any] = getattr(import_module(f"bunraku.formats.{module}"), name)
+    function: Callable[..., Any] = getattr(import_module(module if module.startswith("bunraku.") else f"bunraku.formats.{module}"), name)
     return function
 
 
 def _read(path: str | Path, ability: str, **options: Any) -> Any:
     path = Path(path)
-    check_input(path)
+    size = check_input(path)
     try:
         with path.open("rb") as file:
             start = file.read(64)
     except OSError as error:
         raise FormatError(path, f"the file cannot be read ({(error.strerror or str(error)).lower()}); check its permissions") from None
-    function = _resolve(getattr(detect(path, start, ability), ability))
+    found = detect(path, start, ability)
+    if size > found.largest:
+        raise FormatError(path, f"{size >> 20} MiB are too many for a {found.title} file, at most {found.largest >> 20} are read; cut it into parts")
+    function = _resolve(getattr(found, ability))
     try:
         with np.errstate(all="ignore"):  # broken numbers are found by what they lead to
             known = _parameters(function)
@@ -176,7 +152,10 @@ def load_with_clips(path: str | Path, fps: float) -> Character:
 
 
 def load_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
-    """Read a motion: a handle motion that `Animation.save` wrote to NPZ, or the first clip of an FBX file as a skeletal one.
+    """Read a motion: a handle motion that `Animation.save` wrote to NPZ, or a skeletal one of BVH, VRMA, AMASS (.npz), HumanML3D (.npy),
+    or the first clip of FBX.
+
+    Skeletal motions keep their own joints; `bunraku.bodies.to_smpl` turns them into ones of SMPL's 22.
 
     Args:
         path: The file.
@@ -190,12 +169,16 @@ def load_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
 
 
 def save_animation(animation: Animation, path: str | Path, **options: Any) -> Path:
-    """Write an animation in the format that the suffix names: .glb, .npz, or a sequence of .obj or .ply files.
+    """Write an animation in the format that the suffix names.
+
+    .glb, .usd, .usda, .usdc, .usdz and .fbx hold the character with its skin and motion, .obj and .ply a sequence of meshes, .bvh and
+    .vrma what the humanoid skeleton does, .npz the handle motion, .mp4, .webp and .gif a video, .png a contact sheet.
 
     Args:
         animation: The animation.
         path: The file. `walk.obj` becomes a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on.
-        **options: `fps`, frames a second of the output [1/s], for all but .npz; `name`, the clip's name, for .glb.
+        **options: `fps`, frames a second of the output [1/s], for all but .npz; `up` ("+y" or "+z") and `unit` ("m", "cm", ...) for
+            USD, .obj, .ply and .bvh; and what the writers of single formats have besides (docs/formats.md).
 
     Returns:
         The file or folder that was written.
@@ -205,6 +188,39 @@ def save_animation(animation: Animation, path: str | Path, **options: Any) -> Pa
         OptionError: The format has no such option, or its value makes no sense.
     """
     return _write("animation", path, options, animation)
+
+
+def save_motion(motion: HandleMotion | SkeletalMotion, path: str | Path, **options: Any) -> Path:
+    """Write a motion without a character: .bvh, .vrma, or .npz for a handle motion.
+
+    Args:
+        motion: A skeletal motion, or a handle motion of the reference body, which is written as that of its 22 joints.
+        path: The file.
+        **options: `fps`, frames a second of the output [1/s], for all but .npz; `unit`, `up` and `order` for .bvh, see
+            `bunraku.formats.bvh_write.write_bvh`; `name`, the clip's name, for .vrma.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: The suffix is unknown, or the file cannot be written.
+        MotionError: A handle motion of fewer handles than the reference body has, or a skeleton that is no humanoid, for .vrma.
+        OptionError: The format has no such option, its value makes no sense, or the motion has no frame.
+    """
+    return _write("moved", path, options, motion)
+
+
+def check_writer(path: str | Path) -> None:
+    """Make sure that what writes animations to files of this suffix is installed, before anything is made that is to be written.
+
+    Raises:
+        BunrakuError: An optional library or program is missing; the message says which.
+        FormatError: The suffix is unknown.
+    """
+    path = Path(path)
+    target = detect(path, b"", "animation").animation.partition(":")[0]
+    if target in _CHECKED:
+        _resolve(f"{target}:check_available")()
 
 
 def save_character(character: Character, path: str | Path, handles: Handles | None = None) -> Path:
@@ -223,6 +239,24 @@ def save_character(character: Character, path: str | Path, handles: Handles | No
         CharacterError: The handles weigh another number of vertices.
     """
     return _write("rigged", path, {}, character, handles)
+
+
+def save_points(animation: PointAnimation, path: str | Path, **options: Any) -> Path:
+    """Write an animation whose vertices also move on their own: .glb, USD, or a sequence of .obj or .ply files.
+
+    Args:
+        animation: The animation.
+        path: The file.
+        **options: `fps`, frames a second of the output [1/s]; and those of the format.
+
+    Returns:
+        The file or folder that was written.
+
+    Raises:
+        FormatError: The suffix is unknown, or the file cannot be written.
+        OptionError: The format has no such option, or its value makes no sense.
+    """
+    return _write("points", path, options, animation)
 
 
 def _write(ability: str, path: str | Path, options: dict[str, Any], *things: Any) -> Path:

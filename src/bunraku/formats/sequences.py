@@ -15,38 +15,42 @@ import numpy as np
 
 from bunraku.errors import FormatError
 from bunraku.formats.files import check_output_folder
-from bunraku.formats.gltf_motion import checked_fps, resample
+from bunraku.formats.frames import FileFrame
+from bunraku.formats.gltf_motion import checked_fps
 
 if TYPE_CHECKING:
     from bunraku.animation import Animation
     from bunraku.character import Character
+    from bunraku.point_animation import PointAnimation
 
 __all__ = ["check_sequence", "write_obj_sequence", "write_ply_sequence"]
 
 Frame = Callable[[np.ndarray], bytes]
 
 
-def write_obj_sequence(animation: Animation, path: Path, *, fps: float | None = None) -> Path:
+def write_obj_sequence(animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m") -> Path:
     """Write `walk.obj` as a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on: positions and triangles.
 
     Args:
         animation: The animation.
         path: Where; its suffix names the format, its stem the folder and the files.
         fps: Frames a second [1/s]; those of the motion by default.
+        up: The axis that is up in the files, "+y" or "+z".
+        unit: Unit of lengths, one of `bunraku.formats.frames.UNITS`.
 
     Returns:
         The folder.
 
     Raises:
         FormatError: The folder cannot be written, or holds other files.
-        OptionError: `fps` is no number from 1 to 1000.
+        OptionError: `fps` is no number from 1 to 1000, or there is no such axis or unit.
     """
-    return _write(animation, path, fps, _obj_frame(animation.character))
+    return _write(animation, path, fps, FileFrame.of(up, unit), _obj_frame(animation.character))
 
 
-def write_ply_sequence(animation: Animation, path: Path, *, fps: float | None = None) -> Path:
+def write_ply_sequence(animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m") -> Path:
     """Write `walk.ply` as a folder `walk` of binary PLY files, with vertex colours; see `write_obj_sequence`."""
-    return _write(animation, path, fps, _ply_frame(animation.character))
+    return _write(animation, path, fps, FileFrame.of(up, unit), _ply_frame(animation.character))
 
 
 def _obj_frame(character: Character) -> Frame:
@@ -79,20 +83,20 @@ def _ply_frame(character: Character) -> Frame:
     return frame
 
 
-def _write(animation: Animation, path: Path, fps: float | None, frame: Frame) -> Path:
-    from bunraku.animation import Animation
-
-    motion = resample(animation.motion, checked_fps(fps, animation.motion.fps))
-    moved = Animation(animation.character, animation.handles, motion)
+def _write(animation: Animation | PointAnimation, path: Path, fps: float | None, axes: FileFrame, frame: Frame) -> Path:
+    moved = animation.at(checked_fps(fps, animation.motion.fps))
+    frames = len(moved.motion)
     check_output_folder(path)
     folder = check_sequence(path)
     temporary = ""
     try:
         temporary = tempfile.mkdtemp(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent)
-        digits = max(4, len(str(len(motion) - 1)))
-        for start in range(0, len(motion), 16):
+        digits = max(4, len(str(frames - 1)))
+        for start in range(0, frames, 16):
             for offset, vertices in enumerate(moved.vertices(slice(start, start + 16))):
-                Path(temporary, f"{path.stem}_{start + offset:0{digits}d}{path.suffix}").write_bytes(frame(np.ascontiguousarray(vertices)))
+                Path(temporary, f"{path.stem}_{start + offset:0{digits}d}{path.suffix}").write_bytes(
+                    frame(np.ascontiguousarray(axes.points(vertices)))
+                )
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(temporary, 0o777 & ~mask)

@@ -143,6 +143,13 @@ def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return matrix_from_quaternion(quaternion)
 
 
+def nearest_rotation(linear: np.ndarray) -> np.ndarray:
+    """The rotations nearest to linear maps, shape (..., 3, 3)."""
+    u, _, v = np.linalg.svd(linear)
+    u[..., :, 2] *= np.linalg.det(u @ v)[..., None]
+    return np.asarray(u @ v)
+
+
 def quaternion_slerp(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Shortest-way interpolation between xyzw quaternions, shapes [..., 4], [..., 4], [...] -> [..., 4]."""
     dot = (start * end).sum(-1, keepdims=True)

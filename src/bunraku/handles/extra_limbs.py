@@ -49,7 +49,9 @@ class _Split:
         parts: What each of the handles weighs, shape (M, P).
         members: How much each vertex is of each limb, shape (M, L).
         stands: Which limbs stand on the ground.
-        first: Slot of the first part of the first further limb; slots are counted through families, limbs, parts and sides.
+        side: 0 for left, 1 for right.
+        before: Further limbs of that side in families before this one. What the predictor calls the first leg of a crab, or its
+            last arm, is the same limb and should get the same handles.
     """
 
     columns: list[int]
@@ -57,11 +59,12 @@ class _Split:
     parts: np.ndarray
     members: np.ndarray
     stands: list[bool]
-    first: int
+    side: int
+    before: int
 
     def slot(self, limb: int, part: int) -> int:
         """The place of a part of a further limb among all that may need a handle."""
-        return self.first + len(SIDES) * ((limb - 1) * len(self.columns) + part)
+        return self.side + len(SIDES) * ((self.before + limb - 1) * len(self.columns) + part)
 
     def roles(self, limb: int) -> list[int]:
         """The handles whose parts a limb's handles play: a leg's where it stands on the ground."""
@@ -107,7 +110,7 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
     spare = [handle for handle in map(HANDLE_NAMES.index, _SPARE_FIRST) if areas @ weights[:, handle] < SPARE]
     out, graph = _without(weights, spare), edge_lengths(mesh)
     splits: list[list[_Split]] = []
-    slots = 0
+    before = [0] * len(SIDES)
     for family in FAMILIES:
         splits.append([])
         for number, side in enumerate(SIDES):
@@ -122,16 +125,18 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
                 out[:, _body_handle(mesh, out, stub)] += held.sum(axis=1)
             members = members[:, : len(limbs)] / members[:, : len(limbs)].sum(axis=1, keepdims=True)
             legs = limb_handles(side, FAMILIES[0])
-            splits[-1].append(_Split(columns, legs, out[:, columns], members, [stands(mesh, limb) for limb in limbs], slots + number))
-        slots += len(SIDES) * len(family) * max(len(found[family, side][0]) - 1 for side in SIDES) if splits[-1] else 0
+            splits[-1].append(_Split(columns, legs, out[:, columns], members, [stands(mesh, limb) for limb in limbs], number, before[number]))
+            before[number] += len(limbs) - 1
     roles = np.arange(HANDLE_COUNT)
     dealt = _fitted(splits, areas, len(spare))
     for split, _ in dealt:
         out[:, split.columns] = split.parts * split.members[:, :1]
     asked = [(split, limb, part, owner) for split, owners in dealt for limb, owner in enumerate(owners, 1) for part in sorted(set(owner))]
-    fresh = _places([split.slot(limb, part) for split, limb, part, _ in asked], spare)
+    fresh = _places(
+        [split.slot(limb, _part_played(part, owner)) for split, limb, part, owner in asked], len(SIDES) * max(before) * len(FAMILIES[0]), spare
+    )
     for (split, limb, part, owner), handle in zip(asked, fresh, strict=True):
-        roles[handle] = split.roles(limb)[0 if part == owner[0] else part]
+        roles[handle] = split.roles(limb)[_part_played(part, owner)]
         moved = [number for number, own in enumerate(owner) if own == part]
         out[:, handle] += split.parts[:, moved].sum(axis=1) * split.members[:, limb]
     if (roles == np.arange(HANDLE_COUNT)).all():
@@ -162,12 +167,22 @@ def _fitted(splits: list[list[_Split]], areas: np.ndarray, room: int) -> list[tu
                 split.members = np.column_stack([split.members[:, :-2], split.members[:, -2:].sum(axis=1)])
 
 
-def _places(slots: list[int], spare: list[int]) -> list[int]:
-    """A spare handle for each slot: its own in `_SPARE_FIRST`, so that a part more or less does not move the others; where that is
-    taken by the character itself, the first that is left."""
-    own = [HANDLE_NAMES.index(_SPARE_FIRST[slot]) if slot < len(_SPARE_FIRST) else -1 for slot in slots]
-    left = [handle for handle in spare if handle not in own]
-    return [handle if handle in spare else left.pop(0) for handle in own]
+def _part_played(part: int, owner: list[int]) -> int:
+    """The part that the handle of a part plays: the one nearest to the body plays the first, where that has no handle of its own."""
+    return 0 if part == owner[0] else part
+
+
+def _places(asked: list[int], slots: int, spare: list[int]) -> list[int]:
+    """A spare handle for each slot that is asked for, so that a part more or less does not move the others.
+
+    A slot has its own place in `_SPARE_FIRST`. Where the character uses that one itself, the slot has the next that no slot owns, and
+    keeps it whether it is asked for or not, as long as there are enough.
+    """
+    own = [HANDLE_NAMES.index(_SPARE_FIRST[slot]) if slot < len(_SPARE_FIRST) else -1 for slot in range(slots)]
+    free = [handle for handle in spare if handle not in own]
+    place = [handle if handle in spare else free.pop(0) if free else -1 for handle in own]
+    left = [handle for handle in spare if handle not in [place[slot] for slot in asked]]
+    return [place[slot] if place[slot] >= 0 else left.pop(0) for slot in asked]
 
 
 def _without(weights: np.ndarray, spare: list[int]) -> np.ndarray:

@@ -82,7 +82,7 @@ def find_limbs(mesh: NetworkMesh, weights: np.ndarray, columns: list[int]) -> tu
     regions = [weights[:, some].sum(axis=1) > 0.5 for some in (columns, columns[1:])]
     whole, lower = (_limbs(mesh, region, distance, before) if region.any() else ([], []) for region in regions)
     limbs, stubs = max(whole, lower, key=lambda found: (len(found[0]), len(found[1])))
-    return sorted(limbs, key=lambda limb: (stands(mesh, limb), -float(mesh.vertices[limb.members, 2].mean()))), stubs
+    return sorted(limbs, key=lambda limb: (stands(mesh, limb), float(mesh.vertices[limb.members, 2].mean()))), stubs
 
 
 def _limbs(mesh: NetworkMesh, region: np.ndarray, distance: np.ndarray, before: np.ndarray) -> tuple[list[Limb], list[Limb]]:

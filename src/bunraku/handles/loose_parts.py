@@ -12,10 +12,11 @@ from bunraku.geometry.simplify import NetworkMesh
 __all__ = ["LooseParts", "find_loose_parts", "seat_parts"]
 
 SMALL = 0.13  # largest extent of a part that can sit on another, as a share of the character's
+PIECE = 0.03  # share of the surface from which a part is no longer small, however short: the shoulder plates of a robot
 REACH = 0.025  # a point nearer than this to a larger part lies on it, as a share of the character's extent
 COVER = 0.8  # share of its surface with which a part must lie on the larger one to sit there
 STIFF = 0.35  # largest extent of a part that sits nowhere and yet moves as a whole
-CLEAR = 0.7  # share that one handle must hold of such a part; others reach over a joint, as a sleeve does
+CLEAR = (0.6, 0.8)  # share of such a part that one handle must hold, from which and from which on wholly; others reach over a joint, as a sleeve does
 SHARP = 3  # power of a part's row: blends of handles that turn apart would shear the part, and rigs mostly bind it to one bone
 _NEAR = 0.01  # how sharply the nearest points of the larger part are preferred
 
@@ -46,13 +47,13 @@ def find_loose_parts(mesh: NetworkMesh) -> LooseParts:
     order = np.argsort(label, kind="stable")
     starts = np.searchsorted(label[order], np.arange(count))
     extent = (np.maximum.reduceat(points[order], starts) - np.minimum.reduceat(points[order], starts)).max(axis=1)
-    small = extent < SMALL
+    areas = mesh.surface.areas
+    small = (extent < SMALL) & (np.bincount(label, areas, count) < PIECE * areas.sum())
     gap, host = np.full(len(points), np.inf), np.full(len(points), -1)
     if small.any() and not small.all():
         inside, outside = np.flatnonzero(small[label]), np.flatnonzero(~small[label])
         gap[inside], near = cKDTree(points[outside]).query(points[inside])
         host[inside] = outside[near]
-    areas = mesh.surface.areas
     cover = np.bincount(label, areas * (gap < REACH), count) / np.bincount(label, areas, count)
     return LooseParts(label, extent, cover, gap, host)
 
@@ -94,12 +95,12 @@ def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> np
     single = ~sits & (parts.extent < STIFF) & stiff
     alone = np.flatnonzero(single[label])
     own = means(alone, areas[alone], mesh.push_surface(weights, alone))
-    clear = single & (own.max(axis=1) >= CLEAR)
-    rows[clear] = own[clear]
-
-    one = sits | clear
-    rows[one] **= SHARP
-    rows[one] /= rows[one].sum(axis=1, keepdims=True)
+    rows[single] = own[single]
+    rows **= SHARP
+    rows /= np.maximum(rows.sum(axis=1, keepdims=True), 1e-30)
+    share_of_row = np.where(sits, 1.0, 0.0)
+    share_of_row[single] = np.clip((own[single].max(axis=1) - CLEAR[0]) / (CLEAR[1] - CLEAR[0]), 0, 1)
     member = label[mesh.surface.start]
-    full[one[member]] = rows[member[one[member]]]
+    amount = share_of_row[member, None].astype(np.float32)
+    full += amount * (rows[member] - full)
     return full

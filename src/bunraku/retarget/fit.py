@@ -1,8 +1,9 @@
 """From the reference body to any character: the analytic adaptation of a handle motion.
 
-The diffusion model speaks of the reference body: its proportions and its T-pose. Three named stages, each of which can be
-switched off, turn its motion into one of another character.
+The diffusion model speaks of the reference body: its proportions and its T-pose. Named stages, each of which can be
+switched off, clean its motion and turn it into one of another character. They run in this order:
 
+- `smooth`: the generator's noise is taken out and fast moves stay (`retarget/smoothing.py`).
 - `rest_pose`: a limb that rests in another direction than the reference body's (arms down, A-pose, sitting, the front legs of a
   dog) is first turned into the reference's direction, so the motion means the same. Bodies that lie along their spine take a
   third of the pelvis' tilt.
@@ -10,6 +11,9 @@ switched off, turn its motion into one of another character.
   takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than the reference's.
 - `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of the reference body, and
   a reference body that drifts off the ground for longer than a jump lasts is set back on it.
+- `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/foot_lock.py`).
+- `hands`: hands that touch the body stay near it (`retarget/hands.py`); off unless asked for, as motion transfer does.
+- `floor`: nothing sinks into the ground, and feet that stand are on it (`retarget/floor.py`).
 """
 
 from __future__ import annotations
@@ -24,13 +28,21 @@ from bunraku.diffusion.features import heading
 from bunraku.errors import CharacterError
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.motion import HandleMotion
+from bunraku.retarget.floor import on_the_floor
+from bunraku.retarget.foot_lock import locked
 from bunraku.retarget.ground import grounded, standing, stride_scale
-from bunraku.retarget.joints import attached, find_joints, reference_joints, refined_joints
+from bunraku.retarget.hands import hands_kept
+from bunraku.retarget.joints import Joints, attached, find_joints, reference_joints, refined_joints
+from bunraku.retarget.legs import find_legs
+from bunraku.retarget.lighter import lighter
 from bunraku.retarget.limbs import by_limb
 from bunraku.retarget.neutral import neutral_pose, rest_turns
 from bunraku.retarget.rest_pose import upright
+from bunraku.retarget.smoothing import smoothed
 
 __all__ = ["Stages", "fit_motion"]
+
+RESIDUAL, NATIVE_RESIDUAL = 0.05, 0.5  # how far parts may leave their joints [m of the reference body]
 
 
 @dataclass(frozen=True)
@@ -41,26 +53,42 @@ class Stages:
         rest_pose: Turn limbs from the character's rest direction into the reference body's.
         attach: Keep handles joined to their parents.
         ground: Keep the character as high above the ground as the reference body.
+        feet: Hold feet in place while they stand.
+        smooth: Take the generator's noise out.
+        floor: Let nothing sink into the ground.
+        hands: Keep hands near the body where the reference body's are.
     """
 
     rest_pose: bool = True
     attach: bool = True
     ground: bool = True
+    feet: bool = True
+    smooth: bool = True
+    floor: bool = True
+    hands: bool = False
 
 
-def _residual(motion: HandleMotion) -> np.ndarray:
+def _residual(motion: HandleMotion, longest: float) -> np.ndarray:
     """What the motion's local translations hold beyond stiff joints: soft bending and shrugs, in the reference's metres (N, K, 3).
 
-    Long residuals are cut to 5 cm: they are errors of the generator, not motion.
+    Those longer than `longest` [m] are cut to it: on people, 5 cm, they are errors of the generator, not motion; soft bodies and
+    loose parts go farther.
     """
     body = reference_body()
     stiff = attached(motion.rotations.astype(np.float64), body.handles, reference_joints())[1]
     residual = motion.translations - stiff
     length = np.linalg.norm(residual, axis=-1, keepdims=True)
-    return residual * np.minimum(1, 0.05 / np.maximum(length, 1e-9))
+    return residual * np.minimum(1, longest / np.maximum(length, 1e-9))
 
 
-def fit_motion(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None = None) -> HandleMotion:
+def fit_motion(
+    motion: HandleMotion,
+    character: Character,
+    handles: Handles,
+    stages: Stages | None = None,
+    native: bool = False,
+    rest: tuple[np.ndarray, Joints] | None = None,
+) -> HandleMotion:
     """A handle motion of the reference body, fitted to a character.
 
     Args:
@@ -69,6 +97,9 @@ def fit_motion(motion: HandleMotion, character: Character, handles: Handles, sta
         handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose parts they play,
             about their own joints.
         stages: Which stages run; all when None.
+        native: The motion was generated for this very body, by weights that know creatures: lying bodies keep the pelvis' tilt, soft
+            ones bend farther, and the stage `ground` is left out, as the motion brings its own height over the floor.
+        rest: What a rig tells of the rest pose: its turns into the reference body's, shape (K, 3, 3), and its joints. None measures them.
 
     Returns:
         The motion for the character, its root path scaled by the height of the root handle above the floor.
@@ -81,19 +112,25 @@ def fit_motion(motion: HandleMotion, character: Character, handles: Handles, sta
     if len(handles.positions) != len(body.handles.positions):
         want = len(body.handles.positions)
         raise CharacterError(f"a motion is fitted to {want} handles, not {len(handles.positions)}; take those of `bunraku.rig`")
+    if stages.smooth:
+        motion = smoothed(motion)
+    character, handles = lighter(character, handles)
     rotations = motion.rotations[:, handles.played].astype(np.float64)
     if stages.rest_pose:
-        turns, joints = rest_turns(character, handles)
+        turns, joints = rest or rest_turns(character, handles)
         rotations = rotations @ turns
     else:
         still = np.tile(np.eye(3), (len(handles.positions), 1, 1))
-        turns, joints = by_limb(handles, lambda some: (still, refined_joints(character, some, find_joints(character, some), still)))
+        if rest is None:
+            turns, joints = by_limb(handles, lambda some: (still, refined_joints(character, some, find_joints(character, some), still)))
+        else:
+            turns, joints = still, rest[1]
     stance = neutral_pose(character, handles, joints, turns)
     stands = standing(*stance)
     scale = stride_scale(*stance, stands)
     if stages.attach:
         rotations, translations = attached(rotations, handles, joints)
-        translations += _residual(motion)[:, handles.played] * scale * joints.present[:, None]
+        translations += _residual(motion, NATIVE_RESIDUAL if native else RESIDUAL)[:, handles.played] * scale * joints.present[:, None]
     else:
         translations = motion.translations[:, handles.played] * scale
     floors = [float(some.vertices[stands, 1].min()) for some in (character, stance[0])]
@@ -101,10 +138,18 @@ def fit_motion(motion: HandleMotion, character: Character, handles: Handles, sta
     lever = handles.positions[0] - stance[1].positions[0]  # the root turns about its place in the stance, not in the rest pose
     path += (motion.root_rotation - np.eye(3)) @ lever
     fitted = replace(motion, rotations=rotations, translations=translations, root_translation=path)
-    if stages.rest_pose and not upright(handles):
+    if stages.rest_pose and not native and not upright(handles):
         fitted = replace(fitted, root_rotation=_levelled(motion.root_rotation, motion.fps))
-    if stages.ground:
+    if stages.ground and not native:  # native motion brings its own height: a bird stays in the air
         fitted = grounded(motion, fitted, character, handles, scale, stands)
+    if stages.feet or stages.floor or stages.hands:
+        legs, contacts = find_legs(character, handles, joints), None
+        if stages.feet:
+            fitted, contacts = locked(fitted, character, handles, joints, legs, floors[0])
+        if stages.hands:
+            fitted = hands_kept(motion, fitted, character, handles, joints, turns, legs, scale)
+        if stages.floor:
+            fitted = on_the_floor(fitted, character, handles, joints, legs, contacts, stands, floors[0])
     return fitted
 
 

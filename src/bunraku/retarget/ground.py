@@ -10,14 +10,14 @@ from scipy.ndimage import gaussian_filter1d, minimum_filter1d, uniform_filter1d
 from bunraku.bodies.layout import HANDLE_NAMES
 from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
+from bunraku.geometry.extremes import part_extremes
 from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
 from bunraku.retarget.rest_pose import upright
 
 __all__ = ["grounded", "standing", "stride_scale"]
 
-SAMPLE = 30000  # vertices looked at to find the lowest point
-CHUNK = 200  # frames posed at once for it: bounds memory at about 70 MB
+CHUNK = 500  # frames posed at once to find the lowest point: bounds memory
 _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
 _HANGING = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("shoulder", "elbow", "wrist", "fingers", "wing", "tail", "tail_tip"))]
 
@@ -50,8 +50,8 @@ def stride_scale(character: Character, handles: Handles, stands: np.ndarray) -> 
 
 
 def _lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
-    """Height of the lowest vertex in each frame [m], shape (N,), from an even sample of the vertices."""
-    pick = slice(None, None, max(1, len(vertices) // SAMPLE))
+    """Height of the lowest vertex in each frame [m], shape (N,), from the extreme points of every part."""
+    pick = part_extremes(vertices, weights)
     transforms = motion.transforms(positions)
     parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
     return np.concatenate([skin(vertices[pick], weights[pick], part)[..., 1].min(axis=1) for part in parts])

@@ -2,43 +2,121 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
 from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
 from bunraku.retarget.ground import standing, stride_scale
 from bunraku.retarget.joints import Joints, attached, reference_joints
+from bunraku.retarget.lighter import lighter
 from bunraku.retarget.limbs import reference_parts
 from bunraku.retarget.neutral import neutral_pose, rest_turns
 
-__all__ = ["motion_to_reference"]
+__all__ = ["WayBack", "motion_to_reference"]
+
+LONGEST_RESIDUAL, LONGEST_ON_PEOPLE = 0.5, 0.05  # how far parts may leave their joints [m of the reference body], as in `fit_motion`
+_TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
 
-def motion_to_reference(motion: HandleMotion, character: Character, handles: Handles) -> HandleMotion:
-    """A handle motion of a character as one of the reference body, standing on y = 0.
+@dataclass(frozen=True, eq=False)
+class WayBack:
+    """What the way from one character to the reference body needs to know of the character; the same for all its motions.
+
+    Args:
+        handles: The character's handles.
+        turns: From its rest pose into the reference body's, shape (K, 3, 3).
+        joints: Where its handles meet in its rest pose.
+        scale: Length of its strides over the reference body's.
+        rise: How much higher its floor is in the rest pose than in the reference body's stance [m].
+        lever: From the root's place in that stance to the one in the rest pose [m], shape (3,).
+    """
+
+    handles: Handles
+    turns: np.ndarray
+    joints: Joints
+    scale: float
+    rise: float
+    lever: np.ndarray
+
+    @classmethod
+    def of(cls, character: Character, handles: Handles) -> WayBack:
+        """Measure a character as `fit_motion` does.
+
+        Args:
+            character: Facing +Z, in the pose that its motions are relative to.
+            handles: Its handles, K = 30 with the reference body's meaning.
+        """
+        character, handles = lighter(character, handles)
+        turns, joints = rest_turns(character, handles)
+        stance, there = neutral_pose(character, handles, joints, turns)
+        stands = standing(stance, there)
+        rise = float(character.vertices[stands, 1].min()) - float(stance.vertices[stands, 1].min())
+        lever = handles.positions[0].astype(np.float64) - there.positions[0]
+        return cls(handles, turns, joints, stride_scale(stance, there, stands), rise, lever)
+
+    def motion(self, motion: HandleMotion, native: bool = True) -> HandleMotion:
+        """A handle motion of the character as the one of the reference body that `fit_motion(native=True)` without its ground
+        stages takes back to the character's.
+
+        Limbs turn back from the character's rest directions, parts that the character lacks move with their parents, and what its
+        parts do beyond stiff joints is carried over in the reference's scale. Of several limbs that play one part, the first
+        speaks for all. The root's path keeps its height over the floor that the character's rest pose stands on.
+
+        Args:
+            motion: Of the character's handles.
+            native: It stays one of this very body. Otherwise it becomes a person's: parts stay closer to their joints, there is no tail,
+                and the reference body stands on y = 0.
+        """
+        known = reference_joints()
+        parents, present = reference_parts(self.handles, self.joints)
+        rotations = motion.rotations.astype(np.float64) @ self.turns.transpose(0, 2, 1)
+        stiff = attached(motion.rotations.astype(np.float64), self.handles, self.joints)[1]
+        residual = (motion.translations - stiff) / self.scale * present[:, None]
+        residual[:, 0] = 0
+        length = np.linalg.norm(residual, axis=-1, keepdims=True)
+        residual *= np.minimum(1, (LONGEST_RESIDUAL if native else LONGEST_ON_PEOPLE) / np.maximum(length, 1e-9))
+        for handle in np.argsort(_depths(), kind="stable"):
+            if not present[handle] and handle:
+                rotations[:, handle] = rotations[:, max(int(parents[handle]), 0)]
+        translations = attached(rotations, reference_body().handles, known)[1] + residual
+        path = motion.root_translation - np.array([0, self.rise, 0]) - (motion.root_rotation - np.eye(3)) @ self.lever
+        result = replace(motion, rotations=rotations, translations=translations, root_translation=path / self.scale)
+        return result if native else _as_person(result)
+
+
+def _depths() -> list[int]:
+    depths = [0]
+    for parent in HANDLE_PARENTS[1:]:
+        depths.append(depths[parent] + 1)
+    return depths
+
+
+def motion_to_reference(motion: HandleMotion, character: Character, handles: Handles, native: bool = False) -> HandleMotion:
+    """A handle motion of a character as one of the reference body.
 
     Args:
         motion: Motion of the character's handles.
         character: The character, facing +Z, in the pose that the motion is relative to.
         handles: Its handles, K = 30 with the reference body's meaning.
+        native: The motion stays one of this very body; otherwise it becomes a person's (see `WayBack.motion`).
 
     Returns:
-        The motion of the reference body's handles: limbs turned back from the character's rest directions, handles that the
-        character lacks moving with their parents, and the root's path in the reference's scale.
+        The motion of the reference body's handles.
     """
-    body, known = reference_body(), reference_joints()
-    turns, own = rest_turns(character, handles)
-    stance = neutral_pose(character, handles, own, turns)
-    rotations = motion.rotations.astype(np.float64) @ turns.transpose(0, 2, 1)
-    rotations, translations = attached(rotations, body.handles, Joints(known.positions, *reference_parts(handles, own)))
-    tail = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]  # a person has none
-    rotations[:, tail], translations[:, tail] = np.eye(3), 0
-    path = motion.root_translation / stride_scale(*stance, standing(*stance))
-    result = replace(motion, rotations=rotations, translations=translations, root_translation=path)
+    return WayBack.of(character, handles).motion(motion, native)
+
+
+def _as_person(motion: HandleMotion) -> HandleMotion:
+    """The motion without a tail, and moved along Y so that the reference body stands on y = 0."""
+    body = reference_body()
+    changed: dict[str, Any] = {"rotations": motion.rotations.copy(), "translations": motion.translations.copy()}
+    changed["rotations"][:, _TAIL], changed["translations"][:, _TAIL] = np.eye(3), 0
+    result = replace(motion, **changed)
     lowest = skin(body.vertices, body.handle_weights, result.transforms(body.handles.positions))[..., 1].min(axis=1)
-    return replace(result, root_translation=path - np.array([0, np.quantile(lowest, 0.05), 0], np.float32))
+    return replace(result, root_translation=motion.root_translation - np.array([0, np.quantile(lowest, 0.05), 0], np.float32))

@@ -11,6 +11,8 @@ from bunraku.samples.surfaces import cylinder_mesh, ring_mesh
 
 __all__ = ["build_head", "ears_and_horns", "eyes"]
 
+EARS = ("cat", "long", "round", "horn", "antenna")
+
 
 def build_head(m: Model, h: Human) -> None:
     """The head of a person on the bone Head."""
@@ -48,8 +50,8 @@ def build_head(m: Model, h: Human) -> None:
     if shape != "beast" and m.chance(0.5):
         for _, s in SIDES:
             m.lump(centre + [s * size[0] * 0.98, 0, 0], half * np.array([0.1, 0.22, 0.14]), "Head", "head")
-    if shape == "beast" or m.chance(0.3):
-        ears_and_horns(m, centre, size, "Head")
+    if shape == "beast" or m.chance(0.55 if h.kind == "chibi" else 0.3):
+        ears_and_horns(m, centre, size, "Head", ("cat", "long", "long", "long", "round", "horn", "antenna") if h.kind == "chibi" else EARS)
     worn = str(
         m.pick("hair", "hat", "helmet", "hood", "bald", weights=(0.5, 0.16, 0.1, 0.07, 0.17) if shape != "beast" else (0.1, 0.15, 0.1, 0.05, 0.6))
     )
@@ -114,12 +116,11 @@ def eyes(m: Model, centre: np.ndarray, size: np.ndarray, share: str) -> None:
         m.lump(at, radius * np.array([1, m.u(1, 1.4) if s > 0 else 1.1, 0.6]), share, f"eye {s}", loose=True)
 
 
-def ears_and_horns(
-    m: Model, centre: np.ndarray, size: np.ndarray, share: str, kinds: tuple[str, ...] = ("cat", "long", "round", "horn", "antenna")
-) -> None:
+def ears_and_horns(m: Model, centre: np.ndarray, size: np.ndarray, share: str, kinds: tuple[str, ...] = EARS) -> None:
     """Two of a kind on top of a head."""
     kind = m.pick(*kinds)
-    tall, tilt, out, fat = m.u(0.35, 0.9), m.u(-0.3, 0.3), m.u(0.35, 0.75), m.u(0.6, 1.7)
+    tall, tilt, out, fat, flat, tip = m.u(0.35, 0.9), m.u(-0.3, 0.3), m.u(0.35, 0.75), m.u(0.6, 1.7), m.u(0.4, 1.0), m.u(0.1, 0.25)
+    loose = m.chance(0.5)
     for _, s in SIDES:
         root = centre + size * [s * out, 0.7, -0.05]
         way = unit(np.array([s * m.u(0.2, 0.7) if s > 0 else -out, 1.0, tilt]))
@@ -128,11 +129,11 @@ def ears_and_horns(
         elif kind == "long":
             m.limb(
                 [root, root + way * size[1] * tall, root + way * size[1] * 2.2 * tall],
-                np.array([0.16, 0.26, 0.1 * fat]) * fat * size[0],  # up to the girth of an arm, which it must not be taken for
+                np.array([0.16, 0.26, tip]) * fat * size[0],  # up to the girth of an arm, which it must not be taken for
                 share,
-                f"ear {s}",
-                stretch=(1, 1, 0.45),
-                loose=True,
+                f"ear {s}" if loose else "head",
+                stretch=(1, 1, flat),
+                loose=loose,
             )
         elif kind == "round":
             m.lump(root, size[0] * np.array([0.38, 0.38, 0.18]), share, f"ear {s}", loose=m.chance(0.5))

@@ -13,7 +13,7 @@ __all__ = ["humanoid"]
 
 def humanoid(m: Model) -> None:
     """A person, a robot or an animal that stands as a person does."""
-    kind = m.pick("realistic", "stylised", "chibi", "robot", "brute", weights=(0.31, 0.29, 0.19, 0.14, 0.07))
+    kind = m.pick("realistic", "stylised", "chibi", "robot", "brute", weights=(0.29, 0.26, 0.25, 0.13, 0.07))
     if kind == "robot":
         if m.chance(0.75):
             m.restyle(mode="pieces", exponent=m.pick(2.0, 4.0, 8.0, 20.0), cap=m.u(0.25, 0.9), faces=None)

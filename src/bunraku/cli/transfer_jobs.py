@@ -1,0 +1,274 @@
+"""The work of `bunraku transfer`: which file is what, one pair after the other or on several processes, and what is done already."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bunraku.errors import BunrakuError, FormatError, MissingExtraError
+
+if TYPE_CHECKING:
+    from bunraku.motion import HandleMotion
+    from bunraku.retarget.fit import Stages
+
+__all__ = [
+    "Pair", "Settings", "animation_of", "done_already", "holds_character", "pairs_of", "run_pairs", "transfer_pair",
+]  # fmt: skip
+
+LEDGER = ".bunraku-transfer.json"
+"""Beside the results of a batch: what each was made of."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is the same for all pairs of a batch; the fields are options of `bunraku transfer`."""
+
+    onto: str = "auto"
+    handles: str = "predict"
+    fps: float = 30.0
+    clip: str = "0"
+    names: tuple[tuple[str, str], ...] = ()
+    without: tuple[str, ...] = ()
+    up: str = "auto"
+    front: str = "auto"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A character, a motion and the file to write."""
+
+    character: Path
+    motion: Path
+    output: Path
+
+
+def holds_character(path: Path) -> bool:
+    """Whether a file holds a character, with or without clips, and not only a motion. Folders hold frames of a moving mesh.
+
+    Raises:
+        FormatError: The file is missing, or its kind is unknown.
+    """
+    from bunraku.formats.files import check_input, read_bounded
+    from bunraku.formats.registry import detect
+
+    if path.is_dir():
+        return False
+    check_input(path)
+    with path.open("rb") as file:
+        start = file.read(64)
+    try:
+        detect(path, start, "character")
+    except FormatError:
+        if path.suffix.lower() != ".vmd":
+            detect(path, start, "motion")
+        return False
+    if start.startswith(b"glTF") or path.suffix.lower() == ".gltf":
+        from bunraku.formats.gltf_document import open_document
+
+        return bool(open_document(path, read_bounded(path)).items("meshes"))
+    if path.suffix.lower() == ".fbx":
+        from bunraku.formats.fbx import fbx_facts
+
+        return bool(fbx_facts(path, read_bounded(path))["meshes"])
+    return True
+
+
+def pairs_of(characters: Iterable[Path], motions: Iterable[Path], folder: Path, suffix: str = ".glb") -> list[Pair]:
+    """Every character with every motion, each with a file of its own in a folder; files of one name get numbers."""
+    out, names = [], set[str]()
+    for character in characters:
+        for motion in motions:
+            name = plain = f"{character.stem}-{motion.stem}"
+            number = 1
+            while name.lower() in names:
+                number += 1
+                name = f"{plain}-{number}"
+            names.add(name.lower())
+            out.append(Pair(character, motion, folder / f"{name}{suffix}"))
+    return out
+
+
+def animation_of(pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None = None) -> Any:
+    """The motion of a pair on its character: an `Animation` or a `RigAnimation`.
+
+    Raises:
+        BunrakuError: A file cannot be read, or the two do not go together.
+    """
+    from bunraku.motion_transfer import perform_transfer, played_by_mmd, same_skeleton
+
+    character, handles = character_of(pair.character, settings)
+    if settings.onto != "handles":
+        played = played_by_mmd(character, pair.motion, settings.fps) or same_skeleton(character, motion_of(pair.motion, settings))
+        if played is not None:
+            return played
+    reference, stages = reference_of(pair.motion, settings), stages_of(settings)
+    how: dict[str, Any] = {"onto": settings.onto, "handles": handles or settings.handles, "stages": stages, "progress": progress}
+    return perform_transfer(character, reference, **how)
+
+
+def transfer_pair(pair: Pair, settings: Settings) -> str:
+    """Do one pair.
+
+    Returns:
+        "" when it is written, otherwise what went wrong.
+    """
+    try:
+        animation_of(pair, settings).save(pair.output)
+    except BunrakuError as error:
+        return str(error)
+    except MemoryError:
+        return f"{pair.character.name} with {pair.motion.name}: the memory is not enough for this; simplify the mesh or cut the motion"
+    except Exception as error:  # one bad file must not stop the others
+        return f"{pair.character.name} with {pair.motion.name}: this is a fault of Bunraku, not yours: {type(error).__name__}: {error}"
+    return ""
+
+
+@lru_cache(maxsize=2)
+def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
+    """A character standing upright, and its handles where its rig is not moved."""
+    from bunraku.cli.orientation import stand_up
+    from bunraku.formats import load_character
+    from bunraku.pipeline import rig
+    from bunraku.retarget.rig_parts import is_humanoid_rig
+
+    character = stand_up(load_character(path), path, settings.up, settings.front)
+    bones = settings.onto == "rig" or (settings.onto == "auto" and is_humanoid_rig(character))
+    return character, None if bones else rig(character, handles=settings.handles)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=4)
+def motion_of(path: Path, settings: Settings) -> Any:
+    """A motion as its file has it."""
+    from bunraku.motion_transfer import load_any_motion
+
+    return load_any_motion(path, fps=settings.fps, clip=int(settings.clip) if settings.clip.isdecimal() else settings.clip)
+
+
+@lru_cache(maxsize=16)
+def reference_of(path: Path, settings: Settings) -> HandleMotion:
+    """A motion as one of the reference body."""
+    from bunraku.motion_transfer import reference_motion
+
+    return reference_motion(motion_of(path, settings), fps=settings.fps, names=dict(settings.names) or None)
+
+
+def stages_of(settings: Settings) -> Stages:
+    from bunraku.motion_transfer import TRANSFER_STAGES
+
+    return replace(TRANSFER_STAGES, **{name.replace("-", "_"): False for name in settings.without})
+
+
+def done_already(pairs: list[Pair], settings: Settings) -> tuple[list[Pair], Callable[[Pair], None]]:
+    """The pairs that are still to be done, and what notes that one is.
+
+    A pair is done when its file is there and was made of files of the same size and time with the same settings by the same version.
+    """
+    if not pairs:
+        return [], lambda pair: None
+    ledger = pairs[0].output.parent / LEDGER
+    try:
+        known: dict[str, str] = json.loads(ledger.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        known = {}
+    if not isinstance(known, dict):
+        known = {}
+    marks = {pair: _fingerprint(pair, settings) for pair in pairs}
+    todo = [pair for pair in pairs if known.get(pair.output.name) != marks[pair] or not pair.output.is_file()]
+
+    def note(pair: Pair) -> None:
+        from bunraku.formats.files import atomic_write
+
+        known[pair.output.name] = marks[pair]
+        with atomic_write(ledger) as file:
+            file.write(json.dumps(known, indent=0, sort_keys=True).encode())
+
+    return todo, note
+
+
+def _fingerprint(pair: Pair, settings: Settings) -> str:
+    from bunraku import __version__
+
+    facts: list[Any] = [__version__, repr(settings)]
+    for path in (pair.character, pair.motion):
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        facts += [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.exists()]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]
+
+
+def run_pairs(pairs: list[Pair], settings: Settings, jobs: int | str) -> Iterator[tuple[Pair, str]]:
+    """Do all pairs; give each with what went wrong, "" for nothing, as it is done.
+
+    Args:
+        pairs: What to do; pairs of one character follow each other.
+        settings: For all.
+        jobs: How many processes, or "ray" for a cluster of the package ray, whose machines must see the same files.
+
+    Raises:
+        MissingExtraError: ray is not installed.
+    """
+    if not pairs:
+        return
+    if jobs == "ray":
+        yield from _on_ray(pairs, settings)
+    elif jobs == 1 or len(pairs) == 1:
+        for pair in pairs:
+            yield pair, transfer_pair(pair, settings)
+    else:
+        with ProcessPoolExecutor(min(int(jobs), len(pairs)), mp_context=get_context("spawn"), initializer=_one_thread) as pool:
+            waiting = {pool.submit(_run_batch, batch, settings): batch for batch in _batches(pairs, int(jobs))}
+            for future in as_completed(waiting):
+                try:
+                    yield from future.result()
+                except Exception as error:  # a process that died
+                    reason = f"its process ended ({type(error).__name__}); run again with --jobs 1"
+                    yield from ((pair, f"{pair.output.name}: {reason}") for pair in waiting[future])
+
+
+def _batches(pairs: list[Pair], jobs: int) -> list[list[Pair]]:
+    """Pairs of one character together, as far as that leaves enough batches for all processes; a few at once, so that progress is seen."""
+    size = max(1, min(4, len(pairs) // (2 * jobs)))
+    out: list[list[Pair]] = []
+    for pair in pairs:
+        if out and len(out[-1]) < size and out[-1][0].character == pair.character:
+            out[-1].append(pair)
+        else:
+            out.append([pair])
+    return out
+
+
+def _run_batch(batch: list[Pair], settings: Settings) -> list[tuple[Pair, str]]:
+    return [(pair, transfer_pair(pair, settings)) for pair in batch]
+
+
+def _one_thread() -> None:
+    """Processes share the cores; threads in each would only get into each other's way."""
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[variable] = "1"
+
+
+def _on_ray(pairs: list[Pair], settings: Settings) -> Iterator[tuple[Pair, str]]:
+    try:
+        ray: Any = import_module("ray")
+    except ImportError as error:
+        raise MissingExtraError("ray", "ray", "--jobs ray") from error
+    ray.init(ignore_reinit_error=True, log_to_driver=False)
+    work = ray.remote(_run_batch)
+    here = [Pair(*(path.resolve() for path in (pair.character, pair.motion, pair.output))) for pair in pairs]
+    own = dict(zip(here, pairs, strict=True))
+    waiting = {work.remote(batch, settings): batch for batch in _batches(here, max(1, int(ray.available_resources().get("CPU", 1))))}
+    while waiting:
+        (ready,), _ = ray.wait(list(waiting), num_returns=1)
+        batch = waiting.pop(ready)
+        try:
+            yield from ((own[pair], reason) for pair, reason in ray.get(ready))
+        except ray.exceptions.RayError as error:
+            yield from ((own[pair], f"{pair.output.name}: its task ended ({type(error).__name__}); run again with --jobs 1") for pair in batch)

@@ -1,0 +1,245 @@
+"""Editing: keep chosen handles, or all but a span of frames, and generate the rest (section A.3 of TapMo, Figure 8).
+
+What is kept overwrites the predicted x0 at every step, so the rest is made to fit it, and its own arrays are put back at the end,
+so it comes back bit for bit. Where a span meets what is kept, the model's own idea of the last kept frame tells how far off it is
+there; the difference is added to the frames of the span, fading out, before the next step. A span's root is led to where the kept
+frames after it go on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bunraku.bodies.layout import HANDLE_COUNT
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode
+from bunraku.diffusion.generate import Sampling, adapt, frames_of, load_generator
+from bunraku.diffusion.parts import feature_mask, kept_handles
+from bunraku.diffusion.paths import arrive, placed_at
+from bunraku.diffusion.text import check_prompt
+from bunraku.errors import MotionError, OptionError
+from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.motion import HandleMotion
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from bunraku.diffusion.denoiser import Denoiser
+
+__all__ = ["continue_motion", "edit_motion", "follow", "put_back", "span_frames"]
+
+FADE = 8  # frames over which a difference at the edge of a span fades out
+AROUND = 60  # kept frames on either side of a span that the model sees
+HISTORY = 20  # frames of another clip that its continuation is made to follow
+
+
+def span_frames(span: tuple[float, float], frames: int, fps: float) -> tuple[int, int]:
+    """The first frame of a span of seconds and the one after its last.
+
+    Raises:
+        OptionError: The span is empty, or outside the motion.
+    """
+    start, end = span
+    seconds = frames / fps
+    if not (math.isfinite(start) and math.isfinite(end) and 0 <= start < end and start < seconds):
+        raise OptionError(f"a span goes from one second of the motion to a later one, such as 1.0:3.0; it has {seconds:g} s, not {start:g}:{end:g}")
+    first, after = round(start * fps), min(round(end * fps), frames)
+    if after <= first:
+        raise OptionError(f"the span {start:g}:{end:g} holds no frame; there are {fps:g} a second")
+    return first, after
+
+
+def edit_motion(
+    motion: HandleMotion,
+    prompt: str,
+    *,
+    keep: str | Sequence[str] = (),
+    span: tuple[float, float] | None = None,
+    seed: int = 0,
+    **sampling: Any,
+) -> HandleMotion:
+    """The motion with all but what is kept generated anew from a sentence.
+
+    Args:
+        motion: Motion of the reference body at the model's 20 frames a second.
+        prompt: What it does instead, in English.
+        keep: Parts or handles that stay as they are.
+        span: Seconds from and to which is generated; all of the motion by default. The frames outside stay as they are.
+        seed: The same seed and version give the same motion.
+        sampling: See `Sampling`.
+
+    Returns:
+        As many frames; those outside the span, and the handles that are kept, hold the arrays of `motion` bit for bit.
+
+    Raises:
+        OptionError: Nothing is kept, or everything; or the prompt or a setting is outside what can be done.
+        MotionError: The motion has another number of handles or frames a second than the model.
+        WeightsError: The weights are missing or broken.
+    """
+    prompt, how = check_prompt(prompt), Sampling(**sampling)
+    handles = kept_handles(keep) if keep else np.zeros(HANDLE_COUNT, bool)
+    first, after = (0, len(motion)) if span is None else span_frames(span, len(motion), motion.fps)
+    if not handles.any() and after - first == len(motion):
+        raise OptionError("nothing is kept of the motion; name what stays with keep (such as 'legs'), or the span of seconds that changes")
+    model, _ = load_generator(how.checkpoint)
+    _check(motion, model)
+    low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
+    part = motion.take(slice(low, high))
+    made = _generate(part, first - low, after - low, handles, prompt, [high - low], seed, how)
+    anchor = high - low - 1 if first == low and after < high else 0  # a kept frame where there is one
+    made = placed_at(made, anchor, part, anchor)
+    names = ("translations", "rotations", "root_translation", "root_rotation")
+    arrays = {name: np.concatenate([getattr(motion, name)[:low], getattr(made, name), getattr(motion, name)[high:]]) for name in names}
+    whole = HandleMotion(**arrays, fps=motion.fps)
+    return put_back(whole, motion, handles, first, after, fade=0)
+
+
+def continue_motion(motion: HandleMotion, script: Sequence[tuple[str, float]], *, seed: int = 0, **sampling: Any) -> HandleMotion:
+    """A motion that starts in the last pose of another, at its place and speed.
+
+    Args:
+        motion: Motion of the reference body at the model's 20 frames a second.
+        script: Sentences with the seconds that each lasts.
+        seed: The same seed and version give the same motion.
+        sampling: See `Sampling`.
+
+    Returns:
+        The new motion alone; its first frame is the last one of `motion`, bit for bit.
+
+    Raises:
+        OptionError: A prompt or a setting is outside what can be done.
+        MotionError: The motion has another number of handles or frames a second than the model.
+        WeightsError: The weights are missing or broken.
+    """
+    how = Sampling(**sampling)
+    prompts = [check_prompt(prompt) for prompt, _ in script]
+    model, _ = load_generator(how.checkpoint)
+    _check(motion, model)
+    lengths = frames_of([seconds for _, seconds in script], model.config.fps)
+    past = min(len(motion), HISTORY)
+    history = motion.take(slice(len(motion) - past, len(motion)))
+    frames = np.minimum(np.arange(past - 1 + sum(lengths)), past - 1)
+    still = history.take(frames)
+    lengths[0] += past - 1
+    made = _generate(still, past, len(frames), np.zeros(HANDLE_COUNT, bool), prompts, lengths, seed, how)
+    made = placed_at(made, past - 1, history, past - 1).take(slice(past - 1, len(made)))
+    return put_back(made, still.take(slice(past - 1, len(still))), np.zeros(HANDLE_COUNT, bool), 1, len(made), fade=0)
+
+
+def follow(motion: HandleMotion, before: HandleMotion) -> HandleMotion:
+    """A motion that goes on from another nearly, moved and bent so that its first frame is the other's last, bit for bit."""
+    still = before.take(np.full(len(motion), len(before) - 1))
+    none = np.zeros(motion.translations.shape[1], bool)
+    return put_back(placed_at(motion, 0, before, len(before) - 1), still, none, 1, len(motion))
+
+
+def put_back(made: HandleMotion, original: HandleMotion, handles: np.ndarray, first: int, after: int, fade: int = FADE) -> HandleMotion:
+    """The made motion with what is kept of the original, bit for bit.
+
+    Args:
+        made: N frames.
+        original: N frames.
+        handles: Handles that are kept in all frames, shape (K,), bool; handle 0 stands for the root's path.
+        first: First frame that was made; all before it are kept.
+        after: The frame after the last that was made.
+        fade: Frames at the edges of the span over which a difference between the two at the next kept frame fades out; one in the
+            root's place on the ground fades over the whole span, so that no foot slides for it. 0 leaves differences as they are.
+    """
+    count = len(original)
+    arrays = {name: np.array(getattr(made, name)) for name in ("translations", "rotations", "root_translation", "root_rotation")}
+    edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < count)
+    for edge, way in edges if fade else ():
+        frames = edge + way * np.arange(1, min(fade, after - first) + 1)
+        share = _fade(len(frames))
+        for name, array in arrays.items():
+            there = getattr(original, name)[edge].astype(float)
+            if name.endswith(("translation", "translations")):
+                off = there - array[edge]
+                if name.startswith("root"):
+                    wide = _fade(after - first) if len(edges) == 2 else np.ones(after - first)
+                    array[edge + way * np.arange(1, after - first + 1)] += (wide[:, None] * off * [1, 0, 1]).astype(np.float32)
+                    off = off * [0, 1, 0]
+                array[frames] += (share.reshape(-1, *[1] * there.ndim) * off).astype(np.float32)
+            else:
+                off = axis_angle_from_matrix(there @ np.swapaxes(array[edge], -1, -2).astype(float))
+                array[frames] = matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ array[frames].astype(float)
+    kept = np.ones(count, bool)
+    kept[first:after] = False
+    for name, array in arrays.items():
+        array[kept] = getattr(original, name)[kept]
+        if not name.startswith("root"):
+            array[:, handles] = getattr(original, name)[:, handles]
+        elif handles[0]:
+            array[:] = getattr(original, name)
+    return HandleMotion(**arrays, fps=original.fps)
+
+
+def _fade(length: int) -> np.ndarray:
+    """From nearly 1 smoothly to nearly 0, shape (length,)."""
+    share = 1 - np.arange(1, length + 1) / (length + 1)
+    return share * share * (3 - 2 * share)
+
+
+def _check(motion: HandleMotion, model: Denoiser) -> None:
+    if motion.translations.shape[1] != HANDLE_COUNT or model.config.features != FEATURE_SIZE:
+        raise MotionError(f"a motion that is edited has {HANDLE_COUNT} handles, not {motion.translations.shape[1]}")
+    if abs(motion.fps - model.config.fps) > 1e-3:
+        raise MotionError(f"a motion that is edited has {model.config.fps:g} frames a second, not {motion.fps:g}; save it at that rate")
+
+
+def _generate(
+    original: HandleMotion, first: int, after: int, handles: np.ndarray, prompts: str | list[str], lengths: list[int], seed: int, how: Sampling
+) -> HandleMotion:
+    """All frames of the original with frames first..after-1 made anew, but for the kept handles; the root's path from x = z = 0 facing +Z."""
+    import torch
+
+    from bunraku.diffusion.windows import plan_windows, sample_plans
+    from bunraku.nn.threads import fitting_threads
+
+    if how.progress:
+        how.progress("generate", 0.0)
+    model, encoder = load_generator(how.checkpoint)
+    text = encoder.encode([prompts] if isinstance(prompts, str) else prompts)
+    plan = plan_windows(lengths, model.config.frames)
+    frames = len(original)
+    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
+    features = encode(original)
+    mask = np.zeros((plan.frames, FEATURE_SIZE), bool)
+    mask[:first] = mask[after:frames] = True
+    mask[:frames, feature_mask(handles)] = True
+    values = np.zeros((plan.frames, FEATURE_SIZE), np.float32)
+    values[:frames] = statistics.normalise(features)
+    held, share = (torch.as_tensor(array.astype(np.float32), device=model.mean.device) for array in (values, mask))
+    edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < frames)
+    goal = _goal(features, first, after, model.config.fps) if len(edges) == 2 and not handles[0] else None
+
+    def refine(x0: Tensor) -> Tensor:
+        x0 = x0.clone()
+        for edge, way in edges:
+            reach = edge + way * torch.arange(1, min(FADE, after - first) + 1, device=x0.device)
+            x0[reach] += torch.as_tensor(_fade(len(reach)), device=x0.device).to(x0)[:, None] * (held[edge] - x0[edge])
+        if goal is not None:
+            mean, std = model.mean[:3], model.std[:3]
+            x0[first:after, :3] = (arrive(x0[first:after, :3] * std + mean, model.config.fps, *goal) - mean) / std
+        return x0
+
+    with fitting_threads(model):
+        found = sample_plans(model, text, [plan], seeds=seed, known=(held, share), refine=refine, **how.options(model, len(text.mask)))[0]
+    made = statistics.restore(found.values[:frames].cpu().numpy())
+    made[mask[:frames]] = features[mask[:frames]]
+    adaptation = found.adaptation[:frames].cpu().numpy()
+    adaptation[:first] = adaptation[after:] = 0
+    for edge, way in edges:  # the adaptation sets in as smoothly as what it is added to
+        reach = edge + way * np.arange(1, min(FADE, after - first) + 1)
+        adaptation[reach] *= (1 - _fade(len(reach)))[:, None, None]
+    adaptation[:, handles] = 0
+    return adapt(decode(made, model.config.fps), adaptation)
+
+
+def _goal(features: np.ndarray, first: int, after: int, fps: float) -> tuple[float, tuple[float, float]]:
+    """Turn [rad] and way [m] of the original over the frames of a span, seen from the heading before it."""
+    path = decode(np.concatenate([features[first - 1 : first], features[first:after]]), fps)
+    return float(features[first:after, 0].sum() / fps), (float(path.root_translation[-1, 0]), float(path.root_translation[-1, 2]))

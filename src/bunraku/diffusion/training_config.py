@@ -1,0 +1,81 @@
+"""The settings of a training run of the denoiser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["TrainingConfig"]
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Settings of a training run.
+
+    Args:
+        data: Folder that `bunraku data motions` wrote.
+        out: Run folder; the same folder goes on with the same run.
+        start: Weights to start a new run from, for example the shipped ones, to go on with them on other data.
+        preset: "small" trains on a CPU, "paper" is TapMo's size, "mdm" is the encoder-only denoiser to compare with.
+        minutes: Stop after so many minutes of training, earlier sessions of the run included; None for no limit.
+        steps: Stop after so many optimiser steps; None for no limit.
+        batch: Clips a step, in each process.
+        learning_rate: Peak, after the warm-up.
+        warmup: Steps of warm-up.
+        decay: Share of the budget, at its end, over which the rate falls to a fiftieth.
+        weight_decay: AdamW's.
+        velocity_weight: Weight of the frame-difference term.
+        drop_text: Share of rows without their sentence, for classifier-free guidance.
+        drop_mesh: Share of rows without their mesh feature.
+        compose: Share of rows that join two clips, "a person walks and then waves".
+        ema: Decay of the averaged weights.
+        mesh_bank: NPZ with `features` (C, 448), f_phi of many characters; None trains with the null mesh only.
+        cross: Share of the people's motions that are given to any character of the banks, creatures too.
+        character_bank: NPZ that `bunraku data character-bank` wrote, for the spring and the adversarial loss; None trains without them.
+        characters: Rows a step that those losses look at.
+        character_frames: Frames of each that they look at.
+        spring_weight: nu_h of Eq. 9.
+        adversarial_weight: nu_a of Eq. 9.
+        sigma: Of the spring loss (Eq. 7).
+        adaptation_mesh: Let the adaptation's linear layer see the mesh token beside the hidden state.
+        text_folder: Folder with CLIP, in place of the built-in text encoder.
+        device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
+        threads: CPU threads of torch.
+        bf16: Compute in bfloat16 where torch says it is safe.
+        save_every: Minutes between saved states.
+        validate_every: Steps between validations.
+        seed: Of everything random.
+    """
+
+    data: Path = Path("runs/data/motions")
+    out: Path = Path("runs/diffusion")
+    start: Path | None = None
+    preset: str = "small"
+    minutes: float | None = 60.0
+    steps: int | None = None
+    batch: int = 64
+    learning_rate: float = 3e-4
+    warmup: int = 300
+    decay: float = 0.3
+    weight_decay: float = 0.02
+    velocity_weight: float = 2.0
+    drop_text: float = 0.1
+    drop_mesh: float = 0.2
+    compose: float = 0.12
+    ema: float = 0.999
+    mesh_bank: Path | None = None
+    cross: float = 0.1
+    character_bank: Path | None = None
+    characters: int = 8
+    character_frames: int = 32
+    spring_weight: float = 0.001
+    adversarial_weight: float = 0.1
+    sigma: float = 0.0
+    adaptation_mesh: bool = False
+    text_folder: Path | None = None
+    device: str | None = None
+    threads: int = 1
+    bf16: bool = True
+    save_every: float = 5.0
+    validate_every: int = 250
+    seed: int = 0

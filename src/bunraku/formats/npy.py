@@ -1,0 +1,109 @@
+"""NumPy's arrays from files that nobody vouches for: no pickle, no array that is larger than it may be."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.errors import FormatError
+
+__all__ = ["MAX_ARRAY_BYTES", "npz_names", "open_npz", "read_member", "read_npy", "refuse_objects"]
+
+MAX_ARRAY_BYTES = 1 << 30
+MAX_GROWTH = 200
+"""An array may unpack to this many times the size of its file; motion packs to a half or a third."""
+FREE_BYTES = 16 << 20
+"""What any file may unpack to: a long clip of zeros packs well."""
+
+
+def read_npy(path: Path, data: bytes) -> np.ndarray:
+    """The array of a .npy file as float32.
+
+    Raises:
+        FormatError: The file is broken, or does not hold plain numbers.
+    """
+    try:
+        return _plain(path, data, "")
+    except (EOFError, OSError, TypeError, ValueError, SyntaxError):
+        raise FormatError(path, "the NPY is truncated or broken; save it again") from None
+
+
+@contextmanager
+def open_npz(path: Path, data: bytes) -> Iterator[zipfile.ZipFile]:
+    """The archive of an .npz file.
+
+    Raises:
+        FormatError: It is broken, or what is done with it in the block finds it so.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            yield archive
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, OSError, RuntimeError, SyntaxError, TypeError, ValueError, zlib.error):
+        raise FormatError(path, "the NPZ is truncated or broken; save it again") from None
+
+
+def npz_names(archive: zipfile.ZipFile) -> frozenset[str]:
+    """Names of the arrays of an .npz file."""
+    return frozenset(name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy"))
+
+
+def refuse_objects(path: Path, archive: zipfile.ZipFile) -> None:
+    """Make sure that no array of an .npz file holds objects, whether it is used or not.
+
+    Raises:
+        FormatError: One holds pickled objects.
+    """
+    for name in sorted(npz_names(archive)):
+        with archive.open(f"{name}.npy") as file:
+            header = io.BytesIO(file.read(65536))
+        if _header(header)[1].hasobject:
+            raise FormatError(path, f"its array '{name}' holds pickled objects, which can run code when loaded, and is refused; save plain numbers")
+
+
+def read_member(path: Path, archive: zipfile.ZipFile, name: str, data_size: int) -> np.ndarray:
+    """One array of an .npz file as float32.
+
+    Args:
+        path: The file.
+        archive: It, opened.
+        name: The array's name.
+        data_size: Size of the whole file [bytes]; the array may be larger by a fixed factor.
+
+    Raises:
+        FormatError: The array is too large, or does not hold plain numbers.
+    """
+    entry = archive.getinfo(f"{name}.npy")
+    if entry.file_size > MAX_ARRAY_BYTES:
+        raise FormatError(path, f"its array '{name}' unpacks to more than {MAX_ARRAY_BYTES >> 30} GiB; cut the motion")
+    if entry.file_size > FREE_BYTES + MAX_GROWTH * data_size:
+        raise FormatError(path, f"its array '{name}' unpacks to {entry.file_size // data_size} times the size of the file; save it again")
+    with archive.open(entry) as file:
+        return _plain(path, file.read(entry.file_size), f" '{name}'")
+
+
+def _header(file: io.BytesIO) -> tuple[tuple[int, ...], np.dtype]:
+    version = np.lib.format.read_magic(file)
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = header(file)
+    return shape, dtype
+
+
+def _plain(path: Path, data: bytes, name: str) -> np.ndarray:
+    content = io.BytesIO(data)
+    shape, dtype = _header(content)
+    size = dtype.itemsize
+    for length in shape:
+        size *= int(length)
+    if dtype.hasobject:
+        raise FormatError(path, f"its array{name} holds pickled objects, not plain numbers, and is refused; save plain numbers")
+    if dtype.kind not in "fiu" or size != len(data) - content.tell():
+        raise FormatError(path, f"its array{name} is not plain numbers, or is cut short; save it again")
+    content.seek(0)
+    array: np.ndarray = np.lib.format.read_array(content, allow_pickle=False)
+    return array.astype(np.float32)

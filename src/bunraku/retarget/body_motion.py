@@ -1,0 +1,56 @@
+"""Motion of SMPL's 22 joints as handle motion of the reference body, joint by joint.
+
+`datasets.motions.handle_motion_of_body` registers the skinned mesh, which is what networks are trained on; there, rotations blur where
+weights do. Here handles take the rotations of their joints as they are, so limbs point where the source's point.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
+from bunraku.bodies.reference import leg_length, reference_body
+from bunraku.errors import MotionError
+from bunraku.geometry.extremes import part_extremes
+from bunraku.geometry.skinning import skin
+from bunraku.motion import HandleMotion, SkeletalMotion
+from bunraku.retarget.joints import attached, reference_joints
+
+__all__ = ["body_handle_motion", "stiff"]
+
+STANDS = 0.05  # share of frames whose lowest point may be under the ground
+
+
+def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
+    """Handle motion of the reference body, which stands on y = 0.
+
+    Args:
+        motion: Of SMPL's 22 joints, relative to the reference body's T-pose (`bodies.to_smpl`).
+
+    Raises:
+        MotionError: It has other joints.
+    """
+    if motion.skeleton.names != JOINT_NAMES:
+        raise MotionError("the reference body takes motions of SMPL's 22 joints only; map the skeleton first")
+    body, joints = reference_body(), reference_joints()
+    world = motion.world()[0].astype(np.float64)
+    root = world[:, 0]
+    rotations = np.tile(np.eye(3), (len(motion), HANDLE_COUNT, 1, 1))
+    rotations[:, 1:JOINT_COUNT] = np.swapaxes(root, -1, -2)[:, None] @ world[:, 1:]
+    for handle in range(JOINT_COUNT, HANDLE_COUNT):
+        rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
+    rotations, translations = attached(rotations, body.handles, joints)
+    scale = leg_length(body.joints) / max(leg_length(motion.skeleton.positions), 1e-9)
+    pelvis, place = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
+    path = motion.root_translation * scale + np.einsum("nij,j->ni", root, place - pelvis) - place
+    out = HandleMotion(translations, rotations, path, root, motion.fps)
+    pick = part_extremes(body.vertices, body.handle_weights)
+    lowest = skin(body.vertices[pick], body.handle_weights[pick], out.transforms(body.handles.positions))[..., 1].min(axis=1)
+    path[:, 1] -= np.quantile(lowest, STANDS)
+    return HandleMotion(translations, rotations, path, root, motion.fps)
+
+
+def stiff(motion: HandleMotion) -> HandleMotion:
+    """A motion of the reference body with all joints held, as bones hold them."""
+    rotations, translations = attached(motion.rotations.astype(np.float64), reference_body().handles, reference_joints())
+    return HandleMotion(translations, rotations, motion.root_translation, motion.root_rotation, motion.fps)

@@ -1,0 +1,75 @@
+"""From a character's own rig to the reference body: the way back of `fit_rig`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bunraku.animation import Animation
+from bunraku.motion import HandleMotion
+from bunraku.retarget.ground import standing, stride_scale
+from bunraku.retarget.lighter import lighter
+from bunraku.retarget.neutral import neutral_pose
+from bunraku.retarget.reference import WayBack
+from bunraku.retarget.rig_parts import RigParts
+from bunraku.rig_animation import RigAnimation
+
+__all__ = ["bones_to_handles", "handle_animation", "rig_to_reference"]
+
+
+def bones_to_handles(parts: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
+    """Motion of the rig's 30 handles; each moves as its first bone.
+
+    Args:
+        parts: The rig.
+        turns: World turn of each bone from its rest pose, shape (N, J, 3, 3).
+        positions: Where its head is [m], shape (N, J, 3).
+        fps: Frames a second [1/s].
+    """
+    assert parts.character.rig is not None
+    rest, h = parts.character.rig.positions, parts.handles.positions.astype(np.float64)
+    pelvis = int(parts.leads[0])
+    root = turns[:, pelvis]
+    back = np.swapaxes(root, -1, -2)
+    rotations, translations = np.tile(np.eye(3), (len(turns), len(h), 1, 1)), np.zeros((len(turns), len(h), 3))
+    centre = positions[:, pelvis] + np.einsum("nij,j->ni", root, h[0] - rest[pelvis])
+    for handle in range(1, len(h)):
+        bone = int(parts.leads[handle])
+        if bone < 0:
+            continue
+        place = positions[:, bone] + np.einsum("nij,j->ni", turns[:, bone], h[handle] - rest[bone])
+        rotations[:, handle] = back @ turns[:, bone]
+        translations[:, handle] = np.einsum("nij,nj->ni", back, place - centre) + h[0] - h[handle]
+    return HandleMotion(translations, rotations, centre - h[0], root, fps)
+
+
+def handle_animation(animation: RigAnimation) -> Animation:
+    """The same animation on 30 handles, those of the rig; bones of one part become one.
+
+    Raises:
+        CharacterError: The names of its bones do not tell which parts they move.
+    """
+    parts = RigParts.of(animation.character)
+    motion = bones_to_handles(parts, *animation.world(), animation.fps)
+    return Animation(animation.character, parts.handles, motion, animation.reference)
+
+
+def rig_to_reference(parts: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float, native: bool = False) -> HandleMotion:
+    """Motion of a rig's bones as handle motion of the reference body.
+
+    Args:
+        parts: The rig, facing +Z.
+        turns: World turn of each bone from its rest pose, shape (N, J, 3, 3).
+        positions: Where its head is [m], shape (N, J, 3).
+        fps: Frames a second [1/s].
+        native: See `motion_to_reference`.
+    """
+    return _way(parts).motion(bones_to_handles(parts, turns, positions, fps), native)
+
+
+def _way(parts: RigParts) -> WayBack:
+    character, handles = lighter(parts.character, parts.handles)
+    stance, there = neutral_pose(character, handles, parts.joints, parts.turns)
+    stands = standing(stance, there)
+    rise = float(character.vertices[stands, 1].min()) - float(stance.vertices[stands, 1].min())
+    lever = handles.positions[0].astype(np.float64) - there.positions[0]
+    return WayBack(handles, parts.turns, parts.joints, stride_scale(stance, there, stands), rise, lever)

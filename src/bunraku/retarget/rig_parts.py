@@ -1,0 +1,198 @@
+"""What the bones of a rig are: which of the 30 handles each one moves, and where the rig's own joints are.
+
+A rig tells joints exactly where skinning weights only imply them, so limbs are turned all the way from where they rest to where the
+reference body's rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.bodies.bone_names import NO_HANDLE, handle_of_joints, limb_parents
+from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.bodies.reference import handle_positions, reference_body
+from bunraku.character import Character, Handles
+from bunraku.errors import CharacterError
+from bunraku.formats.gltf_read import Source
+from bunraku.formats.vrm import vrm_model
+from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.rotations import rotation_between
+from bunraku.handles.from_rig import rig_handles, settle_joints
+from bunraku.retarget.joints import PRESENT, Joints, reference_joints
+from bunraku.retarget.neutral import flat_feet
+from bunraku.retarget.rest_pose import rest_rotations, upright
+from bunraku.rig_animation import bone_order
+
+__all__ = ["HUMANOID", "RigParts", "is_humanoid_rig"]
+
+HUMANOID = tuple(
+    HANDLE_NAMES.index(name)
+    for name in ("pelvis", *(f"{side}_{part}" for part in ("hip", "knee", "shoulder", "elbow") for side in ("left", "right")))
+)
+"""Parts that a rig must have to take a person's motion bone by bone."""
+_VRM = {
+    "hips": "pelvis", "spine": "spine1", "chest": "spine2", "upperChest": "spine3", "neck": "neck", "head": "head", "jaw": "face",
+    "Shoulder": "collar", "UpperArm": "shoulder", "LowerArm": "elbow", "Hand": "wrist", "UpperLeg": "hip", "LowerLeg": "knee", "Foot": "ankle",
+    "Toes": "foot",
+}  # fmt: skip
+_FEET = tuple(HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot") for side in ("left", "right"))
+
+
+@dataclass(frozen=True, eq=False)
+class RigParts:
+    """The bones of a character's rig as parts of the reference body.
+
+    Args:
+        character: The character, facing +Z.
+        handles: 30 handles whose weights are those of their bones.
+        joints: Where handles meet: heads of bones, and parents as the rig has them.
+        turns: From the rest pose into the reference body's, shape (30, 3, 3).
+        parts: Handle of each bone, -1 where it goes along with its parent, shape (J,).
+        leads: First bone of each handle, -1 for none, shape (30,).
+        parents: Parent of each bone for posing, shape (J,): feet that hang on the root hang on their legs.
+        still: Bones over the pelvis that hold nothing and stay where they are, shape (J,), bool.
+    """
+
+    character: Character
+    handles: Handles
+    joints: Joints
+    turns: np.ndarray
+    parts: np.ndarray
+    leads: np.ndarray
+    parents: np.ndarray
+    still: np.ndarray
+
+    @classmethod
+    def of(cls, character: Character) -> RigParts:
+        """Read a rig.
+
+        Raises:
+            CharacterError: There is none, or the names of its bones do not tell which is the pelvis.
+        """
+        rig = character.rig
+        if rig is None:
+            raise CharacterError(f"{character.name}: there is no rig in this file to put a motion on; put it on its handles instead")
+        areas = vertex_areas(character.vertices, character.faces)
+        mass = np.bincount(rig.indices.ravel(), (rig.weights * areas[:, None]).ravel(), minlength=len(rig.names))
+        parts = _avatar_parts(character)
+        if parts is None:
+            handles, parts = rig_handles(character), handle_of_joints(rig.names, rig.parents, rig.positions, mass)
+        else:
+            weights = rig.dense_weights() @ np.eye(HANDLE_COUNT, dtype=np.float32)[settle_joints(parts, rig.parents)]
+            weights[:, 0] += 1 - weights.sum(axis=1)
+            handles = Handles(handle_positions(character.vertices, weights, areas), weights)
+        parents = limb_parents(parts, rig.parents, rig.positions)
+        order = bone_order(parents)
+        leads = np.full(HANDLE_COUNT, -1)
+        for bone in order:
+            if parts[bone] != NO_HANDLE and leads[parts[bone]] < 0:
+                leads[parts[bone]] = bone
+        if leads[0] < 0:
+            raise CharacterError(f"{character.name}: no bone of its rig is known to be the pelvis; put the motion on its handles instead")
+        joints = _joints(handles, rig.positions, parts, parents, leads, mass / max(float(areas.sum()), 1e-30))
+        still = np.zeros(len(parts), bool)
+        for bone in order:
+            above = int(parents[bone])
+            still[bone] = parts[bone] == NO_HANDLE and (above < 0 or still[above]) and mass[bone] <= 0
+        return cls(character, handles, joints, _turns(character, handles, joints), parts, leads, parents, still)
+
+    @property
+    def humanoid(self) -> bool:
+        """Whether it stands upright and has a pelvis, two legs and two arms."""
+        return bool((self.leads[list(HUMANOID)] >= 0).all()) and upright(self.handles)
+
+    def world(self, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World turns (N, J, 3, 3) and heads [m] (N, J, 3) of the bones for transforms of the handles; bones keep their lengths.
+
+        Args:
+            transforms: Of each handle, shape (N, 30, 3, 4).
+        """
+        assert self.character.rig is not None
+        rest = self.character.rig.positions
+        frames = len(transforms)
+        turns, positions = np.tile(np.eye(3), (frames, len(rest), 1, 1)), np.tile(rest, (frames, 1, 1))
+        for bone in bone_order(self.parents):
+            parent, part = int(self.parents[bone]), int(self.parts[bone])
+            if self.still[bone]:
+                continue
+            if parent >= 0 and not self.still[parent]:
+                positions[:, bone] = positions[:, parent] + np.einsum("nij,j->ni", turns[:, parent], rest[bone] - rest[parent])
+                turns[:, bone] = turns[:, parent] if part == NO_HANDLE else transforms[:, part, :, :3]
+            else:
+                own = transforms[:, max(part, 0)]
+                turns[:, bone], positions[:, bone] = own[..., :3], own[..., :3] @ rest[bone] + own[..., 3]
+        return turns, positions
+
+
+def is_humanoid_rig(character: Character) -> bool:
+    """Whether a character has a rig that takes a person's motion bone by bone."""
+    try:
+        return RigParts.of(character).humanoid
+    except CharacterError:
+        return False
+
+
+def _avatar_parts(character: Character) -> np.ndarray | None:
+    """Handle of each bone of a VRM avatar, whose file names its humanoid bones, shape (J,); -1 for others. None for other characters."""
+    source = character.source
+    model = vrm_model(character) if isinstance(source, Source) else None
+    if model is None or not model.humanoid or character.rig is None or len(source.skins.nodes) != len(character.rig.names):
+        return None
+    bones = {node: bone for bone, node in enumerate(source.skins.nodes)}
+    out = np.full(len(bones), NO_HANDLE)
+    for name, node in model.humanoid.items():
+        side, part = ("left", name[4:]) if name.startswith("left") else ("right", name[5:]) if name.startswith("right") else ("", name)
+        known = _VRM.get(part) or ("fingers" if part.startswith(("Thumb", "Index", "Middle", "Ring", "Little")) else "")
+        label = f"{side}_{known}" if side else known
+        if label in HANDLE_NAMES and node in bones:
+            out[bones[node]] = HANDLE_NAMES.index(label)
+    if "upperChest" not in model.humanoid:
+        out[out == HANDLE_NAMES.index("spine2")] = HANDLE_NAMES.index("spine3")
+    return out if (out == 0).any() else None
+
+
+def _joints(handles: Handles, rest: np.ndarray, parts: np.ndarray, parents: np.ndarray, leads: np.ndarray, share: np.ndarray) -> Joints:
+    positions = handles.positions.astype(np.float64)
+    present = leads >= 0
+    for foot in _FEET:  # a foot that moves nothing has no sole to stand on
+        present[foot] &= share[parts == foot].sum() > PRESENT
+    above = np.full(HANDLE_COUNT, -1)
+    for handle in range(1, HANDLE_COUNT):
+        known = HANDLE_PARENTS[handle]
+        while known > 0 and not present[known]:
+            known = HANDLE_PARENTS[known]
+        above[handle] = known
+        if not present[handle]:
+            continue
+        positions[handle] = rest[leads[handle]]
+        bone = int(parents[leads[handle]])
+        while bone >= 0 and (parts[bone] in (NO_HANDLE, handle) or not present[parts[bone]]):
+            bone = int(parents[bone])
+        above[handle] = parts[bone] if bone >= 0 else known
+    positions[0] = handles.positions[0]
+    for handle in range(1, HANDLE_COUNT):  # rigs whose bones of one part are in several places could go round in a circle
+        seen, place = [handle], int(above[handle])
+        while place > 0 and place not in seen:
+            seen.append(place)
+            place = int(above[place])
+        if place > 0:
+            above[handle] = 0
+    return Joints(positions, above, present)
+
+
+def _turns(character: Character, handles: Handles, joints: Joints) -> np.ndarray:
+    reference = reference_body()
+    out = rest_rotations(handles, joints, reference.handles, reference_joints(), character.height)
+    if not upright(handles):
+        return out
+    known = reference_joints().positions
+    for side in ("left", "right"):
+        above = np.eye(3)
+        for part, end in (("hip", "knee"), ("knee", "ankle")):
+            handle, child = HANDLE_NAMES.index(f"{side}_{part}"), HANDLE_NAMES.index(f"{side}_{end}")
+            if joints.present[[handle, child]].all():
+                above = rotation_between(above @ (joints.positions[child] - joints.positions[handle]), known[child] - known[handle]) @ above
+                out[handle] = above
+    return flat_feet(character, handles, out)

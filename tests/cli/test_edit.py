@@ -1,0 +1,126 @@
+"""Sequences, loops, batches and edits on the command line, with the shipped weights."""
+
+import numpy as np
+import pytest
+
+from bunraku.cli import main
+from bunraku.cli.edit import parse_span
+from bunraku.diffusion.parts import kept_handles
+from bunraku.errors import OptionError
+from bunraku.formats.clips import load_clip
+from bunraku.nn.checkpoints import shipped_checkpoint
+
+needs_weights = pytest.mark.skipif(
+    not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()), reason="the shipped weights are not there"
+)
+QUICK = ["--steps", "2"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    from bunraku.formats import save_character
+    from bunraku.samples import sample_character
+
+    folder = tmp_path_factory.mktemp("edit")
+    save_character(sample_character("person", 0.3), folder / "person.glb")
+    if shipped_checkpoint("diffusion").is_file():
+        words = ["animate", str(folder / "person.glb"), "walks:1.5; waves:1.5", *QUICK]
+        assert main([*words, "-o", str(folder / "clip.glb"), "-o", str(folder / "clip.npz")]) == 0
+    return folder
+
+
+@needs_weights
+def test_a_sequence_lasts_as_long_as_its_parts(folder):
+    clip = load_clip(folder / "clip.glb")
+    assert len(clip.motion) == 60 and np.array_equal(clip.motion.rotations, load_clip(folder / "clip.npz").motion.rotations)
+
+
+@needs_weights
+def test_kept_handles_are_the_same_in_the_new_file(folder):
+    before = load_clip(folder / "clip.glb")
+    assert main(["edit", str(folder / "clip.glb"), "jumps", "--keep", "legs", "-o", str(folder / "edit.glb"), *QUICK]) == 0
+    after, legs = load_clip(folder / "edit.glb"), kept_handles("legs")
+    for one, other in ((before.motion, after.motion), (before.reference, after.reference)):
+        assert np.array_equal(one.rotations[:, legs], other.rotations[:, legs]) and np.array_equal(
+            one.translations[:, legs], other.translations[:, legs]
+        )
+        assert np.array_equal(one.root_translation, other.root_translation) and not np.array_equal(one.rotations, other.rotations)
+
+
+@needs_weights
+@pytest.mark.parametrize("character", [False, True])
+def test_a_span_of_an_npz(folder, character, capsys):
+    out = folder / f"span-{character}.npz"
+    with_character = ["--character", str(folder / "person.glb")] if character else []
+    assert main(["edit", str(folder / "clip.npz"), "jumps", "--span", "0.5:2", "-o", str(out), *with_character, *QUICK]) == 0
+    assert ("--character" in capsys.readouterr().err) == (not character)
+    before, after = load_clip(folder / "clip.npz"), load_clip(out)
+    outside = np.r_[0:10, 40:60]
+    assert np.array_equal(after.reference.rotations[outside], before.reference.rotations[outside])
+    ours = before.motion if character else before.reference
+    assert np.array_equal(after.motion.rotations[outside], ours.rotations[outside]) and not np.array_equal(after.motion.rotations, ours.rotations)
+
+
+@needs_weights
+def test_after_another_clip_and_loops(folder):
+    person, clip = str(folder / "person.glb"), load_clip(folder / "clip.glb")
+    assert main(["animate", person, "jumps", "--seconds", "1", "--after", str(folder / "clip.glb"), "-o", str(folder / "next.npz"), *QUICK]) == 0
+    found = load_clip(folder / "next.npz").motion
+    assert np.array_equal(found.rotations[0], clip.motion.rotations[-1]) and np.array_equal(
+        found.root_translation[0], clip.motion.root_translation[-1]
+    )
+    assert main(["animate", person, "walks", "--seconds", "1.5", "--loop", "--in-place", "-o", str(folder / "loop.npz"), *QUICK]) == 0
+    found = load_clip(folder / "loop.npz").motion
+    assert len(found) == 31 and np.array_equal(found.rotations[0], found.rotations[-1])
+    np.testing.assert_allclose(found.root_translation[0], found.root_translation[-1], atol=1e-4)
+
+
+@needs_weights
+def test_a_file_of_prompts_goes_on_where_it_stopped(folder, capsys):
+    (folder / "prompts.txt").write_text("walks\n\njumps; waves\nruns:1\n", encoding="utf-8")
+    words = ["animate", str(folder / "person.glb"), "--prompts", str(folder / "prompts.txt"), "-o", str(folder / "clips"), "--seconds", "1", *QUICK]
+    assert main(words) == 0
+    files = sorted((folder / "clips").iterdir())
+    assert [path.name for path in files] == ["001-walks.glb", "002-jumps-waves.glb", "003-runs-1.glb"]
+    one = load_clip(files[1]).motion
+    files[1].unlink()
+    stamp = files[0].stat().st_mtime_ns
+    capsys.readouterr()
+    assert main(words) == 0
+    assert "2 of 3 clips are there already" in capsys.readouterr().out and files[0].stat().st_mtime_ns == stamp
+    np.testing.assert_allclose(load_clip(files[1]).motion.rotations, one.rotations, atol=2e-3)  # alone as among others
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["animate", "{}", "walks:100; runs:100"], "200 seconds in all"),
+        (["animate", "{}", "walks;;runs"], "part 2"),
+        (["animate", "{}", ""], "prompt is empty"),
+        (["animate", "{}", "walks", "--loop", "--after", "{}"], "do not go together"),
+        (["animate", "{}", "walks", "--prompts", "{}"], "both given"),
+        (["animate", "{}", "walks", "--after", "none.glb"], "no such file"),
+        (["edit", "{}", "walks"], "nothing is kept"),
+        (["edit", "{}", "walks", "--keep", "legz"], "no part 'legz'"),
+        (["edit", "{}", "walks", "--span", "3"], "--span is two seconds"),
+        (["edit", "{}", "walks", "--keep", "legs"], "no handle motion of Bunraku"),
+        (["edit", "{}", "walks", "--keep", "legs", "-o", "{}"], "overwrite the input"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(words, said, folder, capsys):
+    assert main([word.format(folder / "person.glb") for word in words]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+def test_prompts_name_their_line(folder, capsys):
+    (folder / "bad.txt").write_text("walks\n...\n")
+    assert main(["animate", str(folder / "person.glb"), "--prompts", str(folder / "bad.txt")]) == 2
+    assert "bad.txt, line 2: " in capsys.readouterr().err
+
+
+def test_spans():
+    assert parse_span("1.0:3.0") == (1, 3) and parse_span("0:.5") == (0, 0.5)
+    for text in ("1", "3:1", "a:b", "-1:2", "1:2:3", "nan:2", ":"):
+        with pytest.raises(OptionError, match="--span"):
+            parse_span(text)

@@ -1,0 +1,124 @@
+"""`bunraku transfer`: one pair, many pairs, what is done already and what is wrong."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bunraku.bodies.layout import JOINT_NAMES
+from bunraku.bodies.reference import reference_body
+from bunraku.cli import main
+from bunraku.cli.transfer_jobs import Settings, holds_character, pairs_of
+from bunraku.formats import load_character
+from bunraku.formats.bvh_write import write_bvh
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.motion import SkeletalMotion, Skeleton
+from bunraku.rig_animation import RigAnimation
+
+
+def waving(skeleton=None, frames=8):
+    body = reference_body()
+    turns = np.zeros((frames, 22, 3))
+    turns[:, JOINT_NAMES.index("left_shoulder"), 2] = np.linspace(-1.2, 0.5, frames)
+    return SkeletalMotion(skeleton or body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (frames, 1)), 20.0)
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A rigged person, two waves and a file that is no motion."""
+    character = reference_body().character()
+    still = RigAnimation(character, np.tile(np.eye(3), (2, 22, 1, 1)), np.zeros((2, 22, 3)))
+    still.save(tmp_path / "person.glb")
+    write_bvh(waving(), tmp_path / "wave.bvh")
+    write_bvh(waving(frames=12), tmp_path / "again.bvh")
+    (tmp_path / "bad.bvh").write_text("this is none\n")
+    return tmp_path
+
+
+def run(*words):
+    return main(["transfer", *map(str, words)])
+
+
+def test_one_pair(files, capsys):
+    out = files / "out.glb"
+    assert run(files / "wave.bvh", files / "person.glb", "-o", out, "--fps", 20, "--preview", files / "out.webp") == 0
+    said = capsys.readouterr().out.splitlines()
+    assert [line.split()[1] for line in said] == [str(out), str(files / "out.webp")]
+    assert load_character(out).rig.names == JOINT_NAMES
+
+
+def test_other_formats(files):
+    assert run(files / "person.glb", files / "wave.bvh", "-o", files / "out.npz") == 0
+    assert run(files / "person.glb", files / "wave.bvh", "-o", files / "out.bvh") == 0
+
+
+def test_many_pairs(files, capsys):
+    out = files / "out"
+    words = (files / "person.glb", files / "wave.bvh", files / "again.bvh", files / "bad.bvh", "-o", out)
+    assert run(*words) == 1
+    said = capsys.readouterr()
+    assert sorted(path.name for path in out.glob("*.glb")) == ["person-again.glb", "person-wave.glb"]
+    failures = [line for line in said.err.splitlines() if line.startswith("bunraku: failed: ")]
+    assert len(failures) == 1 and "bad.bvh" in failures[0] and "BVH" in failures[0]
+    before = (out / "person-wave.glb").stat().st_mtime_ns
+    assert run(*words[:3], "-o", out) == 0
+    assert "2 of 2 files are there already" in capsys.readouterr().out
+    assert (out / "person-wave.glb").stat().st_mtime_ns == before
+    assert run(*words[:3], "-o", out, "--without", "hands") == 0  # other settings, so all is made again
+    assert (out / "person-wave.glb").stat().st_mtime_ns != before
+
+
+def test_same_work_same_result(files):
+    for jobs in ("1", "2"):
+        assert run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / jobs, "--jobs", jobs) == 0
+    assert (files / "1" / "person-wave.glb").read_bytes() == (files / "2" / "person-wave.glb").read_bytes()
+
+
+def test_files_that_hold_both(files):
+    assert holds_character(files / "person.glb") and not holds_character(files / "wave.bvh")
+    assert run(files / "person.glb", "--motions", files / "person.glb", "-o", files / "out.glb") == 0
+
+
+def test_a_map_of_names(files, capsys):
+    skeleton = reference_body().skeleton
+    names = tuple(f"j{number:02d}" for number in range(22))
+    write_bvh(waving(Skeleton(names, skeleton.parents, skeleton.offsets)), files / "nameless.bvh")
+    (files / "names.json").write_text(json.dumps(dict(zip(JOINT_NAMES, names, strict=True))))
+    assert run(files / "person.glb", files / "nameless.bvh", "--map", files / "names.json", "-o", files / "out.glb") == 0
+
+
+def test_what_is_wrong_is_one_sentence(fails, files):
+    person, wave = files / "person.glb", files / "wave.bvh"
+    assert "no such file" in fails("transfer", person, files / "none.bvh")
+    assert "HIERARCHY" in fails("transfer", person, files / "bad.bvh", "-o", files / "out.glb")
+    assert "none of these files is a character" in fails("transfer", wave, files / "again.bvh")
+    assert "after --motions" in fails("transfer", person, person)
+    assert "name a folder" in fails("transfer", person, wave, files / "again.bvh", "-o", files / "out.glb")
+    assert "--jobs" in fails("transfer", person, wave, "--jobs", "many")
+    assert "--without names no stage" in fails("transfer", person, wave, "--without", "arms")
+    assert "--fps" in fails("transfer", person, wave, "--fps", 0)
+    assert "overwrite the input" in fails("transfer", person, wave, "-o", person)
+    (files / "list.json").write_text("[1]")
+    assert "object of texts" in fails("transfer", person, wave, "--map", files / "list.json")
+    (files / "wrong.json").write_text('{"tail": "x"}')
+    assert "none of SMPL's joints" in fails("transfer", person, wave, "--map", files / "wrong.json")
+
+
+def test_names_of_pairs(tmp_path):
+    pairs = pairs_of([tmp_path / "a" / "x.glb", tmp_path / "b" / "x.glb"], [tmp_path / "walk.bvh"], tmp_path)
+    assert [pair.output.name for pair in pairs] == ["x-walk.glb", "x-walk-2.glb"]
+
+
+def test_ray(files, fails):
+    try:
+        import ray  # noqa: F401
+    except ImportError:
+        from bunraku.cli.transfer_jobs import run_pairs
+        from bunraku.errors import MissingExtraError
+
+        with pytest.raises(MissingExtraError, match=r"bunraku\[ray\]"):
+            list(run_pairs(pairs_of([files / "person.glb"], [files / "wave.bvh"], files), Settings(), "ray"))
+        pytest.skip("ray is not installed; only its absence is tested")
+    assert run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / "out", "--jobs", "ray") == 0
+    assert run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / "plain") == 0
+    assert (files / "out" / "person-wave.glb").read_bytes() == (files / "plain" / "person-wave.glb").read_bytes()

@@ -1,0 +1,116 @@
+import pytest
+import torch
+
+from bunraku.diffusion.schedule import alphas_cumprod
+from bunraku.diffusion.windows import plan_windows, sample_long, sample_plans
+
+FEATURES = 6
+
+
+@pytest.fixture
+def model(denoiser):
+    return denoiser(features=FEATURES, handles=3)
+
+
+PLANS = [
+    ([1], False), ([196], False), ([197], False), ([2400], False), ([80, 40, 60], False), ([5, 300, 10, 10], False), ([240] * 5, False),
+    ([10], True), ([120], True), ([1000], True), ([40, 30, 250], True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("lengths", "loop"), PLANS)
+def test_windows_share_all_frames_out(lengths, loop):
+    plan = plan_windows(lengths, 196, loop=loop)
+    total = torch.zeros(plan.frames)
+    for window in plan.windows:
+        assert 0 < len(window.frames) <= 196 and int(window.frames.min()) >= 0 and int(window.frames.max()) < plan.frames
+        assert loop or bool((window.frames.diff() == 1).all())
+        total.index_add_(0, window.frames, window.share)
+    torch.testing.assert_close(total, torch.ones(plan.frames))
+    assert plan.frames == sum(lengths) or (not loop and plan.frames == 40 > sum(lengths))
+    start = 0
+    for row, length in enumerate(lengths):  # the middle of a part is its own sentence's alone
+        middle = start + length // 2
+        share = sum(float(window.share[window.frames == middle].sum()) for window in plan.windows if window.row == row)
+        assert share > 0.98 or length < 4
+        start += length
+
+
+def test_neighbouring_windows_fade_into_each_other():
+    plan = plan_windows([80, 100], 196)
+    first, second = plan.windows
+    assert plan.seams == (80,) and first.frames[-1] == 93 and second.frames[0] == 66
+    fall = first.share[66:94]
+    torch.testing.assert_close(fall, 1 - second.share[:28])
+    assert bool((fall.diff() < 0).all()) and fall.diff().abs().max() < 0.06 and bool((first.share[:66] == 1).all())
+
+
+def test_short_parts_are_seen_with_some_of_their_neighbours():
+    plan = plan_windows([100, 10, 100], 196)
+    assert len(plan.windows[1].frames) == 40 and len(plan_windows([3], 196).windows[0].frames) == 40
+
+
+@pytest.mark.parametrize("frames", [1, 10, 59, 60, 61, 200])
+def test_any_length_can_be_made(model, encoder, frames):
+    found = sample_long(model, encoder.encode(["walks", "runs"]), frames, steps=2)
+    assert found.values.shape == (2, frames, FEATURES) and found.adaptation.shape == (2, frames, 3, 3)
+    assert bool(torch.isfinite(found.values).all())
+
+
+def test_a_batch_of_plans_is_what_each_is_alone(model, encoder):
+    plans, texts = [plan_windows([50, 30], 60), plan_windows([20], 60), plan_windows([130], 60, loop=True)], ["a b", "c", "d e f", "g"]
+    found = sample_plans(model, encoder.encode(texts), plans, seeds=[3, 4, 5], steps=3)
+    rows = [texts[:2], texts[2:3], texts[3:]]
+    for part, plan, some, seed in zip(found, plans, rows, (3, 4, 5), strict=True):
+        alone = sample_plans(model, encoder.encode(some), [plan], seeds=seed, steps=3)[0]
+        torch.testing.assert_close(part.values, alone.values, atol=2e-4, rtol=1e-4)
+        torch.testing.assert_close(part.adaptation, alone.adaptation, atol=2e-4, rtol=1e-4)
+
+
+def test_progress_counts_every_step(model, encoder):
+    calls = []
+    sample_long(model, encoder.encode(["walks"]), 100, steps=3, progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(1, 3), (2, 3), (3, 3)]
+
+
+class Waves(torch.nn.Module):
+    """The best denoiser there is for smooth Gaussian processes: x0 = sqrt(a) S (a S + (1 - a) I)^-1 x_t, with S their covariance."""
+
+    def __init__(self, config):
+        super().__init__()
+        self.config = config
+        self.curve = alphas_cumprod().float()
+        self.register_buffer("mean", torch.zeros(config.features))
+
+    def condition(self, text, mask, pooled, mesh, keep_text, keep_mesh):
+        return text, mask, pooled
+
+    def forward(self, x, step, lengths, condition):
+        frames, share = x.shape[1], self.curve[step[0]]
+        apart = torch.arange(frames)[:, None] - torch.arange(frames)
+        covariance = torch.exp(-0.5 * (apart / 8.0) ** 2) + 1e-4 * torch.eye(frames)
+        gain = share.sqrt() * torch.linalg.solve(share * covariance + (1 - share) * torch.eye(frames), covariance)
+        return gain.T @ x, torch.zeros(*x.shape[:2], 3, 3)
+
+
+@pytest.mark.parametrize(("lengths", "loop"), [([700], False), ([150, 40, 200, 30, 160], False), ([300], True), ([120], True)])
+def test_long_motions_have_no_jump_where_windows_meet(config, encoder, lengths, loop):
+    model = Waves(config(features=FEATURES, frames=196, handles=3))
+    plan = plan_windows(lengths, 196, loop=loop)
+    text = encoder.encode(["walks"] * len(lengths))
+    values = sample_plans(model, text, [plan], seeds=2, steps=20, guidance=1.0)[0].values
+    frames = len(values)
+    if loop:
+        values = torch.cat([values, values[:2]])
+    seams = torch.zeros(frames + 2 * loop, dtype=torch.bool)
+    for seam in plan.seams:
+        seams[max(seam - 16, 0) : seam + 16] = True
+    if loop:
+        seams[-16:] = True
+    for order in (1, 2):
+        change = values.diff(n=order, dim=0).abs().amax(-1)
+        inside = seams[:-order]
+        assert float(change[inside].max()) <= 1.25 * float(change[~inside].max())
+    assert float(values.std()) == pytest.approx(1, abs=0.3)
+    if frames > 250:
+        assert float((values[100:] - values[:-100]).std()) > 0.7  # windows are not copies of one another

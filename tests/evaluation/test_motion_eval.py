@@ -1,0 +1,200 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.bodies.reference import reference_body
+from bunraku.cli import main
+from bunraku.diffusion import generate
+from bunraku.diffusion.clips import write_clip, write_index
+from bunraku.diffusion.denoiser import Denoiser, build_denoiser, save_denoiser
+from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.diffusion.features import encode
+from bunraku.diffusion.text import TextBatch
+from bunraku.errors import OptionError
+from bunraku.evaluation import motion_samples
+from bunraku.evaluation.handle_fid import body_handles, handle_fid, handle_samples
+from bunraku.evaluation.motion_blocks import BARS
+from bunraku.evaluation.motion_eval import MotionEvalConfig, Row, evaluate_motion, measure_rows
+from bunraku.evaluation.motion_extractor import Extractor, ExtractorConfig, save_extractor
+from bunraku.evaluation.motion_samples import Request, SamplerSettings, make_motions
+from bunraku.evaluation.motion_windows import Window
+from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.motion import HandleMotion
+
+PARTS = {"left_elbow": "waves", "right_knee": "kicks", "spine1": "bows", "head": "nods", "left_hip": "steps", "right_elbow": "points"}
+
+
+class WordEncoder:
+    name, token_size, pooled_size = "words", 8, 8
+
+    def encode(self, sentences):
+        rows = [
+            torch.stack([torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]) for text in sentences
+        ]
+        tokens = torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
+        mask = torch.arange(tokens.shape[1]) < torch.tensor([[len(row)] for row in rows])
+        return TextBatch(tokens, mask, torch.nn.functional.normalize(tokens.sum(1), dim=-1))
+
+
+def swing(part, frames=60, height=0.9):
+    vectors = np.zeros((frames, HANDLE_COUNT, 3))
+    vectors[:, HANDLE_NAMES.index(part), 2] = height * np.sin(np.arange(frames) / 3)
+    still = np.zeros((frames, 3))
+    return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(vectors), still, matrix_from_axis_angle(still))
+
+
+def network(**changes):
+    sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 32, "frames": 60, "mesh_features": 448, "text_size": 8, "pooled_size": 8}
+    return DenoiserConfig(**{**sizes, "text_encoder": "words", **changes})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Held-out clips, two denoisers and an extractor, all with random weights."""
+    home = tmp_path_factory.mktemp("evaluation")
+    (home / "motions").mkdir()
+    index = {}
+    for part, verb in PARTS.items():
+        for number, split in enumerate(("train", "test", "test")):
+            write_clip(home / "motions" / f"{verb}{number}.npz", swing(part, 60, 0.8 + 0.1 * number))
+            index[f"{verb}{number}"] = {"texts": [f"the figure {verb}"], "split": split, "frames": 60}
+    write_index(home / "motions", index)
+    torch.manual_seed(0)
+    for name, config in (("tapmo", network()), ("mdm", network(architecture="encoder"))):
+        save_denoiser(home / f"{name}.safetensors", build_denoiser(config), {"steps": 1})
+    sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 32, "embedding": 4, "text_size": 8, "pooled_size": 8, "text_encoder": "words"}
+    save_extractor(home / "extractor.safetensors", Extractor(ExtractorConfig(**sizes)))
+    return home
+
+
+@pytest.fixture(autouse=True)
+def words(monkeypatch):
+    generate._load.cache_clear()
+    monkeypatch.setattr(generate, "text_encoder", lambda name, folder=None: WordEncoder())
+    yield
+    generate._load.cache_clear()
+
+
+def settings(folder, work, **changes):
+    small = {"pool": 24, "clips": 16, "references": 30, "runs": 3, "candidates": 4, "prompts": 3, "repeats": 2, "steps": 2}
+    return MotionEvalConfig(
+        data=folder / "motions", checkpoint=folder / "tapmo.safetensors", mdm=folder / "mdm.safetensors",
+        extractor=folder / "extractor.safetensors", work=work, **{**small, **changes},
+    )  # fmt: skip
+
+
+def test_all_rows_and_keys(folder, tmp_path):
+    result = evaluate_motion(settings(folder, tmp_path, reference_steps=5, reference_clips=6))
+    assert set(result["rows"]) == {"real", "tapmo", "tapmo_mdm"}
+    for name, row in result["rows"].items():
+        assert {"r_precision_1", "r_precision_2", "r_precision_3", "fid", "mm_dist", "diversity"} <= set(row)
+        assert ("multimodality" in row) == (name != "real")
+        assert row["r_precision_1"]["mean"] <= row["r_precision_2"]["mean"] <= row["r_precision_3"]["mean"] <= 1
+    rows = result["rows"]
+    assert result["fid_over_tapmo_mdm"] == pytest.approx(rows["tapmo"]["fid"]["mean"] / rows["tapmo_mdm"]["fid"]["mean"])
+    assert result["fid_steps_ratio"] == pytest.approx(result["fid_default_steps"] / result["fid_reference_steps"])
+    assert result["fid_real"] < result["fid"]  # random weights are worse than the real data
+    assert 10 <= result["counts"]["clips"] <= 12 and result["counts"]["drawn"] == 16
+    json.dumps(result)
+
+
+def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path, monkeypatch):
+    first = evaluate_motion(settings(folder, tmp_path))
+
+    def refuse(*words, **options):
+        raise AssertionError("the motions were made before")
+
+    monkeypatch.setattr("bunraku.diffusion.sampler.sample", refuse)
+    again = evaluate_motion(settings(folder, tmp_path))
+    assert again["rows"] == first["rows"]
+
+
+def test_a_broken_batch_is_made_again(tmp_path):
+    torch.manual_seed(0)
+    model = Denoiser(network()).eval().requires_grad_(False)
+    requests = [Request("walk", 40), Request("jump", 30), Request("run", 40)]
+    how = {"folder": tmp_path, "digest": "a", "bf16": False}
+    first = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5), **how)
+    assert [len(motion) for motion in first] == [40, 30, 40]
+    files = sorted(tmp_path.rglob("*.npz"))
+    assert len(files) == 2
+    files[0].write_bytes(b"not an archive")
+    again = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5), **how)
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    make_motions(model, WordEncoder(), requests, SamplerSettings(3, 2.5), **how)
+    assert len(list(tmp_path.iterdir())) == 2  # other settings, another folder
+    assert motion_samples.BATCH > 1
+    with pytest.raises(OptionError, match="longer than the 60"):
+        make_motions(model, WordEncoder(), [Request("walk", 61)], SamplerSettings(2, 2.5))
+
+
+def test_a_perfect_and_a_blind_generator(tmp_path):
+    """Vectors made by hand: a copy of the real data scores as it, one motion for all sentences scores as chance."""
+    random = np.random.default_rng(0)
+    meanings = [f"meaning {index}" for index in range(8)]
+    centres = random.normal(size=(8, 5)) * 5
+    clips = {name: {"features": np.zeros((60, 271)), "texts": [name]} for name in meanings}
+    which = np.arange(400) % 8
+    windows = [Window(meanings[i], 0, 60, False, meanings[i], meanings[i], meanings[i]) for i in which]
+    sentences = dict(zip(meanings, centres, strict=True))
+    real = centres[which] + 0.1 * random.normal(size=(400, 5))
+    rows = {"real": Row(real), "same": Row(real.copy()), "blind": Row(np.tile(centres.mean(0), (400, 1)) + 0.1 * random.normal(size=(400, 5)))}
+    references = centres[random.integers(8, size=400)] + 0.1 * random.normal(size=(400, 5))
+    config = MotionEvalConfig(pool=400, clips=300, runs=4, candidates=8, work=tmp_path)
+    measure_rows(rows, references, windows, clips, sentences, config, lambda stage, done: None)
+    assert rows["same"].values == rows["real"].values
+    assert np.mean(rows["real"].values["r_precision_1"]) == 1
+    assert np.mean(rows["blind"].values["r_precision_1"]) == pytest.approx(1 / 8, abs=0.05)
+    assert min(rows["blind"].values["fid"]) > 20 * max(rows["real"].values["fid"])
+
+
+def test_handle_samples_forget_place_and_heading():
+    body = reference_body()
+    motion = swing("left_elbow")
+    turn = matrix_y(np.full(len(motion), 0.8))
+    moved = replace(motion, root_rotation=turn @ motion.root_rotation, root_translation=motion.root_translation + np.array([3, 0, -2], np.float32))
+    h = body.handles.positions
+    first, second = handle_samples(motion, h, 1.8), handle_samples(moved, h, 1.8)
+    assert first.shape == (15, 90) and np.allclose(first, second, atol=1e-3)
+    lifted = replace(motion, root_translation=motion.root_translation + np.array([0, 0.18, 0], np.float32))
+    assert np.allclose((handle_samples(lifted, h, 1.8) - first).reshape(15, 30, 3), [0, 0.1, 0], atol=1e-5)
+
+
+def test_handle_fid_is_the_squared_lift_of_a_lifted_motion():
+    values = [encode(swing(part)) for part in ("left_elbow", "right_knee")]
+    real = {"toddler": body_handles(values, "toddler")}
+    assert handle_fid(real, real) == pytest.approx(0, abs=1e-6)
+    assert handle_fid({"toddler": real["toddler"] + 0.01}, real) == pytest.approx(90 * 1e-4, rel=1e-3)
+
+
+def test_bad_settings_are_one_sentence(folder, tmp_path):
+    with pytest.raises(OptionError, match="drawn a run"):
+        evaluate_motion(settings(folder, tmp_path, clips=25))
+    with pytest.raises(OptionError, match="comparison"):
+        evaluate_motion(settings(folder, tmp_path, reference_steps=2000))
+    with pytest.raises(OptionError, match="fewer than the 32 candidates"):
+        evaluate_motion(settings(folder, tmp_path, candidates=32))
+
+
+def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
+    words = ["evaluate", "motion", "--data", str(folder / "motions"), "--checkpoint", str(folder / "tapmo.safetensors"), "--steps", "2"]
+    words += ["--mdm", str(folder / "mdm.safetensors"), "--extractor", str(folder / "extractor.safetensors"), "--work", str(tmp_path)]
+    words += ["--pool", "40", "--clips", "32", "--quick", "--only-table", "--candidates", "4"]
+    assert main([*words, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["counts"]["runs"] == 3 and result["r_precision_1_over_real"] > 0
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "TapMo (MDM)" in text and "TapMo (ours)" in text and "Real" in text
+    assert all(bar.title in text for bar in BARS)
+
+
+def test_bad_options_are_one_sentence(tmp_path, capsys):
+    assert main(["evaluate", "motion", "--data", str(tmp_path / "none")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    assert main(["evaluate", "motion", "--data", str(tmp_path), "--runs", "0"]) == 2
+    assert "--runs" in capsys.readouterr().err

@@ -1,0 +1,295 @@
+"""MMD bones: what they take over, inverse kinematics, and the way to SMPL's joints and back."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bunraku.bodies.layout import JOINT_NAMES
+from bunraku.errors import MotionError
+from bunraku.formats import load_character
+from bunraku.formats.mmd_model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
+from bunraku.formats.vmd import VmdMotion, VmdTrack, load_vmd, read_vmd
+from bunraku.formats.vmd_write import pack_vmd
+from bunraku.motion import SkeletalMotion
+from bunraku.retarget.mmd import mmd_animation, mmd_poses_to_smpl, mmd_vertices, play_vmd
+from bunraku.retarget.mmd_pose import pose_mmd
+from bunraku.retarget.mmd_standard import standard_model, vmd_motion
+from bunraku.retarget.to_mmd import mmd_clip, mmd_motion, settle_mmd
+
+DATA = Path("/work/data/apparel/mmd")
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="needs the unpacked MMD characters")
+
+
+def about(x=0.0, y=0.0, z=0.0):
+    return Rotation.from_rotvec([x, y, z]).as_matrix()
+
+
+def degrees(a, b):
+    return np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(np.asarray(a, float) - b, axis=(-1, -2)) / np.sqrt(8), 0, 1)))
+
+
+def track(rotation=None, position=(0, 0, 0), frames=1):
+    turns = np.broadcast_to(np.eye(3) if rotation is None else rotation, (frames, 3, 3))
+    return np.broadcast_to(np.asarray(position, float), (frames, 3)), turns
+
+
+def model_of(*bones):
+    return replace(standard_model(), bones=bones)
+
+
+def bone(name, position, parent=-1, **more):
+    return MmdBone(name, "", np.array(position, float), parent, **more)
+
+
+def test_bones_carry_those_below_whatever_their_order():
+    model = model_of(bone("hand", (2, 0, 0), 2), bone("root", (0, 0, 0)), bone("arm", (1, 0, 0), 1))
+    poses = pose_mmd(model, {"root": track(about(z=np.pi / 2), (0, 0, 1)), "arm": track(about(z=np.pi / 2))})
+    assert np.allclose(poses.positions[0], [[-1, 1, 1], [0, 0, 1], [0, 1, 1]], atol=1e-6)
+    assert np.allclose(poses.rotations[0, 0], about(z=np.pi), atol=1e-6)
+
+
+def test_what_bones_take_over():
+    given = about(0.4, -0.6, 0.2)
+    model = model_of(
+        bone("a", (0, 0, 0)),
+        bone("half", (1, 0, 0), append=MmdAppend(0, 0.5, True, True)),
+        bone("half of half", (2, 0, 0), append=MmdAppend(1, 0.5, True, False)),
+        bone("against", (3, 0, 0), 0, append=MmdAppend(0, -1.0, True, False)),
+        bone("below", (1, 1, 0), 1),
+    )
+    poses = pose_mmd(model, {"a": track(given, (0.3, 0, 0)), "half": track(about(y=0.1))})
+    half = Rotation.from_rotvec(0.5 * Rotation.from_matrix(given).as_rotvec()).as_matrix()
+    quarter = Rotation.from_rotvec(0.25 * Rotation.from_matrix(given).as_rotvec()).as_matrix()
+    assert np.allclose(poses.rotations[0, 1], about(y=0.1) @ half, atol=1e-6) and np.allclose(poses.positions[0, 1], [1.15, 0, 0])
+    assert np.allclose(poses.rotations[0, 2], quarter, atol=1e-6)  # of what is taken over, not of the bone's own keys
+    assert np.allclose(poses.rotations[0, 3], np.eye(3), atol=1e-6)  # its parent's turn is taken back
+    assert np.allclose(poses.positions[0, 4], poses.positions[0, 1] + poses.rotations[0, 1] @ [0, 1, 0], atol=1e-6)
+
+
+def test_what_is_deformed_later_sees_what_was_deformed_before():
+    early = bone("late source", (0, 0, 0), layer=2, append=MmdAppend(2, 1.0, True, False))
+    model = model_of(early, bone("follower", (1, 0, 0), layer=1, append=MmdAppend(0, 1.0, True, False)), bone("keyed", (2, 0, 0)))
+    poses = pose_mmd(model, {"keyed": track(about(x=0.5))})
+    assert np.allclose(poses.rotations[0, 0], about(x=0.5), atol=1e-6)
+    assert np.allclose(poses.rotations[0, 1], np.eye(3))  # it came before
+    later = model_of(early, replace(model.bones[1], after_physics=True), model.bones[2])
+    assert np.allclose(pose_mmd(later, {"keyed": track(about(x=0.5))}).rotations[0, 1], about(x=0.5), atol=1e-6)
+
+
+def legs(frames=40, seed=0):
+    """Feet that move about within reach, on a body that turns."""
+    rng, time = np.random.default_rng(seed), np.linspace(0, 6, frames)[:, None]
+    feet = {mark: np.array([0.1, 0.15, 0.3]) * np.sin(time * rng.uniform(0.5, 2, 3) + rng.uniform(0, 6, 3)) + [0, 0.3, 0] for mark in "左右"}
+    turns = Rotation.from_rotvec(0.3 * np.sin(time * [1.0, 0.7, 0.4])).as_matrix()
+    tracks = {f"{mark}足ＩＫ": (places, np.broadcast_to(np.eye(3), (frames, 3, 3))) for mark, places in feet.items()}
+    return tracks | {"下半身": (np.zeros((frames, 3)), turns)}
+
+
+def test_feet_reach_their_goals_and_knees_bend_backward_about_x_only():
+    model, tracks = standard_model(), legs()
+    poses = pose_mmd(model, tracks)
+    for mark in "左右":
+        hip, knee, ankle, goal = (model.bone(mark + name) for name in ("足", "ひざ", "足首", "足ＩＫ"))
+        assert np.linalg.norm(poses.positions[:, ankle] - poses.positions[:, goal], axis=-1).max() < 1e-5
+        bend = np.swapaxes(poses.rotations[:, hip], -1, -2) @ poses.rotations[:, knee]
+        angles = Rotation.from_matrix(bend).as_rotvec()
+        assert np.abs(angles[:, 1:]).max() < 1e-5 and np.radians(0.4) < angles[:, 0].min() and angles[:, 0].max() < np.pi
+    for name in ("頭", "左腕", "センター"):
+        assert np.allclose(poses.rotations[:, model.bone(name)], np.eye(3))
+
+
+def test_inverse_kinematics_switched_off_in_some_frames():
+    model, tracks = standard_model(), legs()
+    on = np.arange(40) < 15
+    poses, solved = pose_mmd(model, tracks, {"左足ＩＫ": on}), pose_mmd(model, tracks)
+    knee = model.bone("左ひざ")
+    assert np.allclose(poses.rotations[on], solved.rotations[on], atol=1e-6)
+    assert np.allclose(poses.rotations[~on, knee], poses.rotations[~on, model.bone("下半身")], atol=1e-6)
+    assert np.allclose(poses.positions[:, model.bone("右足首")], solved.positions[:, model.bone("右足首")])
+
+
+def test_goals_out_of_reach_stretch_the_leg_towards_them():
+    model = standard_model()
+    poses = pose_mmd(model, {"左足ＩＫ": track(position=(0, -1.0, 2.0))})
+    hip, knee, ankle, goal = (poses.positions[0, model.bone("左" + name)] for name in ("足", "ひざ", "足首", "足ＩＫ"))
+    way, leg = goal - hip, ankle - hip
+    assert way @ leg > 0.999 * np.linalg.norm(way) * np.linalg.norm(leg)
+    assert np.linalg.norm(leg) > 0.999 * (np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
+
+
+def test_bones_that_follow_legs_take_what_inverse_kinematics_did():
+    plain = standard_model()
+    hip = plain.bone("左足")
+    double = bone("左足D", plain.positions[hip], plain.bone("下半身"), layer=2, append=MmdAppend(hip, 1.0, True, False))
+    model = replace(plain, bones=(*plain.bones, double))
+    poses = pose_mmd(model, legs())
+    assert np.allclose(poses.rotations[:, -1], poses.rotations[:, hip], atol=1e-5)
+
+
+def test_chains_of_free_and_of_limited_links():
+    chain = [bone("0", (0, 0, 0)), *(bone(str(place), (0, place, 0), place - 1) for place in (1, 2, 3)), bone("end", (0, 4, 0), 3)]
+    goal = MmdIk(4, 60, 1.0, tuple(MmdIkLink(place) for place in (3, 2, 1, 0)))
+    free = model_of(*chain, bone("goal", (0, 4, 0), ik=goal, layer=1))
+    poses = pose_mmd(free, {"goal": track(position=(1.5, -2.0, 1.0))})
+    assert np.linalg.norm(poses.positions[0, 4] - [1.5, 2, 1]) < 1e-3
+    limits = (np.radians([-20.0, -15, -10]), np.radians([20.0, 15, 10]))
+    tight = replace(goal, links=tuple(MmdIkLink(place, *limits) for place in (3, 2, 1, 0)))
+    poses = pose_mmd(model_of(*chain, bone("goal", (0, 4, 0), ik=tight, layer=1)), {"goal": track(position=(3.0, -4.0, 1.0))})
+    for place, parent in ((3, 2), (2, 1), (1, 0)):
+        y, x, z = Rotation.from_matrix(poses.rotations[0, parent].T @ poses.rotations[0, place]).as_euler("YXZ", degrees=True)
+        assert abs(x) <= 20.01 and abs(y) <= 15.01 and abs(z) <= 10.01
+
+
+def test_a_link_that_is_not_above_the_target_is_passed_over():
+    model = model_of(bone("a", (0, 0, 0)), bone("b", (0, 1, 0)), bone("goal", (1, 0, 0), ik=MmdIk(0, 5, 1.0, (MmdIkLink(1),))))
+    assert np.allclose(pose_mmd(model, {}, frames=2).rotations, np.eye(3))
+
+
+def vmd_of(tracks, switches=()):
+    bones = {}
+    for name, (positions, rotations) in tracks.items():
+        frames = np.arange(len(positions))
+        quaternions = Rotation.from_matrix(rotations).as_quat()
+        bones[name] = VmdTrack(frames, np.array(positions), quaternions, np.tile([20, 20, 107, 107], (len(positions), 4, 1)) / 127)
+    return VmdMotion("", bones, {}, tuple(switches))
+
+
+def test_a_vmd_with_switches_on_a_model_and_onto_smpl():
+    vmd = vmd_of(legs(31), [(0, {"左足ＩＫ": True}), (10, {"左足ＩＫ": False})])
+    model = standard_model()
+    poses = play_vmd(model, vmd, 60.0)
+    assert len(poses) == 61 and poses.fps == 60
+    gap = np.linalg.norm(poses.positions[:, model.bone("左足首")] - poses.positions[:, model.bone("左足ＩＫ")], axis=-1)
+    assert gap[:20].max() < 1e-5 < 1e-2 < gap[20:].max() and play_vmd(model, vmd, ik=True).positions.shape[0] == 31
+    motion = mmd_poses_to_smpl(poses)
+    assert motion.skeleton.names == JOINT_NAMES and motion.fps == 60
+    _, joints = motion.world()
+    for name, own in (("left_ankle", "左足首"), ("right_knee", "右ひざ"), ("head", "頭"), ("left_wrist", "左手首")):
+        assert np.allclose(joints[:, JOINT_NAMES.index(name)], poses.positions[:, model.bone(own)], atol=2e-3)
+    assert np.abs(motion.skeleton.offsets[[18, 20], 1]).max() < 0.03  # arms are level: the A-pose is reconciled
+
+
+def test_a_vmd_file_is_a_motion_for_any_character(tmp_path):
+    from bunraku.formats.vmd_write import MmdClip, write_vmd
+    from bunraku.motion_transfer import load_any_motion
+
+    path = write_vmd(MmdClip(legs(31)), tmp_path / "feet.vmd")
+    motion = load_any_motion(path, fps=20.0)
+    assert len(motion) == 21 and motion.skeleton.names == JOINT_NAMES and np.allclose(motion.rotations, vmd_motion(path, fps=20.0).rotations)
+
+
+def test_motions_and_models_that_do_not_fit():
+    with pytest.raises(MotionError, match="moves none of the"):
+        play_vmd(standard_model(), vmd_of({"尻尾": track()}))
+    strange = model_of(bone("Bone", (0, 0, 0)))
+    with pytest.raises(MotionError, match="standard names"):
+        mmd_poses_to_smpl(pose_mmd(strange, {}, frames=1))
+    motion = vmd_motion(vmd_of(legs(3)))
+    with pytest.raises(MotionError, match="standard names"):
+        mmd_motion(strange, motion)
+    from bunraku.bodies.reference import reference_body
+
+    with pytest.raises(MotionError, match="no MMD model"):
+        mmd_motion(reference_body().character(), motion)
+
+
+def dance(frames=20):
+    """A motion of SMPL's joints on the standard model's bones that no MMD motion would make, with the spine in one piece."""
+    from bunraku.bodies.reference import reference_body
+
+    rng, time = np.random.default_rng(1), np.linspace(0, 3, frames)[:, None, None]
+    angles = 0.5 * np.sin(time * rng.uniform(0.5, 2, (1, 22, 1)) + rng.uniform(0, 6, (1, 22, 1))) * rng.normal(0, 1, (1, 22, 3))
+    rotations = Rotation.from_rotvec(angles.reshape(-1, 3)).as_matrix().reshape(frames, 22, 3, 3)
+    rotations[:, JOINT_NAMES.index("spine2")] = np.eye(3)  # the standard model has two bones for three
+    root = np.stack([np.sin(time), 1 + 0.1 * np.cos(time), time], -1)[:, 0, 0]
+    return SkeletalMotion(reference_body().skeleton, rotations, root, 30.0)
+
+
+def test_smpl_onto_mmd_bones_and_back():
+    motion, model = dance(), standard_model()
+    clip = mmd_motion(model, motion)
+    assert set(clip.ik_off) == {"左足ＩＫ", "左つま先ＩＫ", "右足ＩＫ", "右つま先ＩＫ"} and len(clip) == 20
+    back = vmd_motion(read_vmd(Path("dance.vmd"), pack_vmd(clip)), model)
+    assert degrees(motion.world()[0], back.world()[0]).max() < 0.05
+    from bunraku.bodies.reference import leg_length
+
+    scale = leg_length(back.skeleton.positions) / leg_length(motion.skeleton.positions)
+    travel, wanted = np.ptp(back.root_translation, axis=0), np.ptp(motion.root_translation, axis=0) * scale
+    assert np.abs(travel - wanted).max() < 0.12  # the pelvis of MMD is at the waist, and the hips are what is carried over
+
+
+def rigged(tmp_path, model):
+    """A character with the bones of a model and a mesh between them, by way of a file."""
+    import sys
+
+    sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
+    from mmd_bytes import Bone, plank, pmx
+
+    bones = [
+        Bone(some.name, tuple(some.position * [1, 1, -1] / 0.08), some.parent, some.layer,
+             append=(some.append.bone, some.append.ratio, 0x100) if some.append else None)
+        for some in model.bones
+    ]  # fmt: skip
+    (tmp_path / "doll.pmx").write_bytes(pmx(plank(bones=bones, bodies=[], joints=[], textures=[])))
+    return load_character(tmp_path / "doll.pmx")
+
+
+def test_vertices_follow_the_bones(tmp_path):
+    character = rigged(tmp_path, standard_model())
+    vmd = vmd_of(legs(4))
+    animation = mmd_animation(character, vmd)
+    posed = np.stack(list(mmd_vertices(character, play_vmd(character, vmd))))
+    assert np.abs(animation.vertices() - posed).max() < 1e-5
+    assert np.array_equal(next(mmd_vertices(character, play_vmd(character, vmd), [2])), posed[2])
+
+
+def test_an_animation_of_the_rig_as_keys_and_played_again(tmp_path):
+    plain = standard_model()
+    hip = plain.bone("左足")
+    double = bone("左足D", plain.positions[hip], plain.bone("下半身"), layer=2, append=MmdAppend(hip, 1.0, True, False))
+    character = rigged(tmp_path, replace(plain, bones=(*(replace(some, ik=None) for some in plain.bones), double)))
+    solved = pose_mmd(plain, legs())
+    tracks = {name: (np.zeros((40, 3)), np.swapaxes(solved.rotations[:, parent], -1, -2) @ solved.rotations[:, place])
+              for place, (name, parent) in enumerate(zip(plain.names, plain.parents, strict=True)) if parent >= 0}  # fmt: skip
+    from bunraku.rig_animation import RigAnimation
+
+    poses = pose_mmd(mmd_model(character), tracks)
+    clip = mmd_clip(RigAnimation.of_world(character, poses.rotations, poses.positions, 30.0))
+    assert "左足" in clip.bones and "左足D" not in clip.bones  # MMD itself makes it follow
+    again = play_vmd(character, read_vmd(Path("x.vmd"), pack_vmd(clip)))
+    assert np.abs(again.positions - poses.positions).max() < 1e-4 and degrees(again.rotations, poses.rotations).max() < 0.02
+
+
+def test_helper_bones_follow_a_retargeted_motion(tmp_path):
+    plain = standard_model()
+    elbow = plain.bone("左ひじ")
+    helper = bone("ひじ補助", plain.positions[elbow], plain.bone("左腕"), layer=1, append=MmdAppend(elbow, 0.5, True, False))
+    character = rigged(tmp_path, replace(plain, bones=(*(replace(some, ik=None) for some in plain.bones), helper)))
+    from bunraku.rig_animation import RigAnimation
+
+    rotations = np.tile(np.eye(3), (6, len(plain.bones) + 1, 1, 1))
+    rotations[:, elbow] = Rotation.from_rotvec(np.linspace(0, 1, 6)[:, None] * [0, 1.0, 0]).as_matrix()
+    settled = settle_mmd(RigAnimation(character, rotations, np.zeros((6, len(plain.bones) + 1, 3)), 20.0))
+    assert settled.fps == 20 and np.allclose(settled.rotations[:, elbow], rotations[:, elbow], atol=1e-5)
+    assert np.allclose(settled.rotations[-1, -1], about(y=0.5), atol=1e-5)
+    assert set(mmd_clip(settled).bones) == {"左ひじ"} and len(mmd_clip(settled)) == 8  # at 30 frames a second
+
+
+@needs_data
+@pytest.mark.parametrize("file", ["uka/MS_Uka.pmx", "gene/Gene.pmx"])
+def test_soles_of_real_characters(file):
+    character = load_character(DATA / file)
+    model, vmd = mmd_model(character), load_vmd(DATA / "motion" / "walk.vmd")
+    poses = play_vmd(character, vmd)
+    for mark in "左右":
+        hip, knee, ankle, goal = (model.bone(mark + name) for name in ("足", "ひざ", "足首", "足ＩＫ"))
+        length = np.linalg.norm(model.positions[hip] - model.positions[knee]) + np.linalg.norm(model.positions[knee] - model.positions[ankle])
+        reachable = np.linalg.norm(poses.positions[:, goal] - poses.positions[:, hip], axis=-1) < length - 1e-3
+        gap = np.linalg.norm(poses.positions[:, goal] - poses.positions[:, ankle], axis=-1)
+        assert reachable.sum() > 20 and gap[reachable].max() < 1e-4
+    motion = mmd_poses_to_smpl(poses)
+    back = play_vmd(character, read_vmd(Path("walk.vmd"), pack_vmd(mmd_motion(character, motion))))
+    assert degrees(mmd_poses_to_smpl(back).world()[0], motion.world()[0]).max() < 0.01

@@ -1,0 +1,84 @@
+"""The way back from a character to the reference body, against the way there."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bunraku.animation import Animation
+from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.bodies.reference import reference_body
+from bunraku.handles.from_rig import rig_handles
+from bunraku.motion import HandleMotion
+from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.joints import reference_joints
+from bunraku.retarget.reference import WayBack, motion_to_reference
+from bunraku.samples import sample_character
+
+BARE = Stages(feet=False, smooth=False, floor=False)
+
+
+def beast(name):
+    character = sample_character(name, 0.3, rigged=True)
+    return character, rig_handles(character)
+
+
+def wild(height, frames=12, seed=0):
+    """Every handle turns and leaves its joint a little; the body rises, tilts and turns round."""
+    random = np.random.default_rng(seed)
+    phase = np.linspace(0, 2 * np.pi, frames)[:, None, None]
+    turns = 0.6 * np.sin(phase + random.uniform(0, 6, (1, 30, 1))) * random.normal(size=(1, 30, 3))
+    rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(frames, 30, 3, 3)
+    translations = 0.02 * height * np.cos(phase) * random.normal(size=(1, 30, 3))
+    rotations[:, 0], translations[:, 0] = np.eye(3), 0
+    path = height * np.stack([np.sin(phase[:, 0, 0]), 2 + np.cos(phase[:, 0, 0]), phase[:, 0, 0]], axis=1)
+    root = Rotation.from_euler("YXZ", np.stack([phase[:, 0, 0], 0.5 * np.sin(phase[:, 0, 0]), phase[:, 0, 0] / 3], axis=1)).as_matrix()
+    return HandleMotion(translations, rotations, path, root)
+
+
+@pytest.mark.parametrize("name", ["dog", "dragon", "mushroom", "person"])
+def test_there_and_back_is_the_same_clip(name):
+    character, handles = beast(name)
+    here = wild(character.height)
+    # what hangs on joints: the wild translations on top of those that keep parts together
+    way = WayBack.of(character, handles)
+    there = way.motion(here)
+    again = way.motion(fit_motion(there, character, handles, BARE, native=True))
+    first, second = (Animation(character, handles, fit_motion(m, character, handles, BARE, native=True)).vertices() for m in (there, again))
+    assert np.linalg.norm(first - second, axis=-1).max() < 1e-3 * character.height
+
+
+@pytest.mark.parametrize("name", ["dog", "dragon"])
+def test_a_clip_whose_parts_hold_together_comes_back(name):
+    character, handles = beast(name)
+    clip = fit_motion(WayBack.of(character, handles).motion(wild(character.height)), character, handles, BARE, native=True)
+    back = fit_motion(motion_to_reference(clip, character, handles, native=True), character, handles, BARE, native=True)
+    want, got = (Animation(character, handles, motion).vertices() for motion in (clip, back))
+    assert np.linalg.norm(got - want, axis=-1).max() < 1e-3 * character.height
+
+
+def test_tail_and_height_stay_the_creatures():
+    character, handles = beast("dog")
+    still = np.broadcast_to(np.eye(3), (5, 30, 3, 3)).copy()
+    tail = HANDLE_NAMES.index("tail")
+    still[:, tail] = Rotation.from_euler("y", 40, degrees=True).as_matrix()
+    path = np.tile([0, 0.5 * character.height, 0], (5, 1))
+    clip = HandleMotion(np.zeros((5, 30, 3)), still, path, np.broadcast_to(np.eye(3), (5, 3, 3)))
+    native = motion_to_reference(clip, character, handles, native=True)
+    person = motion_to_reference(clip, character, handles)
+    assert Rotation.from_matrix(native.rotations[0, tail]).magnitude() == pytest.approx(np.radians(40), abs=1e-3)
+    assert native.root_translation[:, 1].min() > 0.2
+    np.testing.assert_allclose(person.rotations[:, tail], np.eye(3)[None].repeat(5, 0), atol=1e-6)
+    body = reference_body()
+    assert abs(Animation(body.character(), body.handles, person).vertices()[..., 1].min()) < 0.02
+
+
+def test_parts_that_a_creature_lacks_move_with_their_parents():
+    character, handles = beast("mushroom")
+    way = WayBack.of(character, handles)
+    there = way.motion(wild(character.height))
+    absent = [k for k in range(1, 30) if not way.joints.present[k]]
+    assert absent
+    for handle in absent:
+        np.testing.assert_allclose(there.rotations[:, handle], there.rotations[:, max(int(way.joints.parents[handle]), 0)], atol=1e-5)
+    assert np.abs(there.translations).max() < 3 and np.isfinite(there.translations).all()
+    assert reference_joints().present.sum() > 20
