@@ -16,11 +16,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from bunraku.bodies.layout import HANDLE_MIRROR
 from bunraku.datasets.characters import load_characters, reference_characters
 from bunraku.handles.damage import DamageConfig
+from bunraku.handles.graph import mesh_graph
 from bunraku.handles.losses import LossConfig
+from bunraku.handles.predictor import load_predictor
 from bunraku.handles.train import HandleTrainConfig, HandleTrainer, validate_handles
-from bunraku.handles.training_data import AugmentConfig
+from bunraku.handles.training_data import AugmentConfig, TrainingCharacter
 
 LOSS, NONE = LossConfig(), DamageConfig(slide_rate=0, coarse_rate=0, hole_rate=0, split_rate=0, noise=0, normal_noise=0)
 VARIANTS: dict[str, dict[str, object]] = {
@@ -35,12 +38,32 @@ VARIANTS: dict[str, dict[str, object]] = {
     "without other rest poses": {"augment": AugmentConfig(rest_rate=0.0)},
     "without damage": {"damage": NONE},
 }
-COLUMNS = ("held_accuracy", "held_purity", "held_root", "held_pose", "held_outside", "varied_accuracy", "varied_pose")
+COLUMNS = ("held_accuracy", "held_purity", "held_root", "held_pose", "held_outside", "varied_accuracy", "varied_pose", "sides", "rough")
+
+
+@torch.no_grad()
+def consistency(path: Path, held_out: list[TrainingCharacter]) -> dict[str, float]:
+    """What the mirror and the smoothness loss are for: L1 difference between the weights of a mesh and those of its mirror image, and
+    between those of neighbouring vertices, means over the held-out characters."""
+    model = load_predictor(path).eval()
+    sides, rough = [], []
+    for character in held_out:
+        graph = mesh_graph(character.vertices, character.normals, character.edges, character.areas, model.config.anchors)
+        plain, mirrored = model(graph).weights, model(graph.mirrored()).weights[:, list(HANDLE_MIRROR)]
+        first, second = torch.from_numpy(character.edges).T
+        sides.append(float((plain - mirrored).abs().sum(1).mean()))
+        rough.append(float((plain[first] - plain[second]).abs().sum(1).mean()))
+    return {"sides": float(np.mean(sides)), "rough": float(np.mean(rough))}
+
+
+def folder(name: str, args: argparse.Namespace) -> Path:
+    """Where a variant is trained."""
+    return Path(args.out) / name.replace(" ", "-").replace("'", "").replace("(", "").replace(")", "")
 
 
 def run(name: str, args: argparse.Namespace) -> dict[str, float]:
     """Train one variant and validate it."""
-    out = Path(args.out) / name.replace(" ", "-").replace("'", "").replace("(", "").replace(")", "")
+    out = folder(name, args)
     config = HandleTrainConfig(cache=args.cache, out=out, minutes=0, epochs=args.epochs, bf16=args.bf16, **VARIANTS[name])
     characters, held_out = load_characters(args.cache)
     characters = characters[:: args.every]
@@ -70,6 +93,8 @@ def main() -> None:
     for name in args.only or VARIANTS:
         if name not in rows:
             rows[name] = run(name, args)
+        if "sides" not in rows[name]:
+            rows[name] |= consistency(folder(name, args) / "handles.safetensors", load_characters(args.cache)[1])
             path.write_text(json.dumps(rows, indent=1))
             print(name, {key: float(np.round(value, 4)) for key, value in rows[name].items()}, flush=True)
     print(f"| {args.epochs} epochs | " + " | ".join(COLUMNS) + " |\n" + "| --- " * (len(COLUMNS) + 1) + "|")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import bunraku
+from bunraku.any_motion import load_any_motion, reference_motion
 from bunraku.bodies.layout import JOINT_NAMES
 from bunraku.bodies.reference import reference_body
 from bunraku.formats.bvh_write import write_bvh
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.mesh_motion import MeshMotion, load_mesh_motion
 from bunraku.motion import SkeletalMotion, Skeleton
-from bunraku.motion_transfer import load_any_motion, reference_motion
 from bunraku.retarget.fit import Stages
 
 _J = {name: joint for joint, name in enumerate(JOINT_NAMES)}

@@ -161,3 +161,12 @@ def test_lists_of_prompts_and_what_is_refused(walk):
         bunraku.generate(PROMPT, loop=True, after=walk.reference)
     with pytest.raises(bunraku.OptionError, match="no words"):
         bunraku.generate([PROMPT, "..."])
+
+
+def test_what_does_not_fit_together_is_refused(walk):
+    reference = walk.reference
+    with pytest.raises(bunraku.OptionError, match="need as many seeds, not 1"):
+        bunraku.generate(["walks", "runs"], after=reference, seed=[1])
+    cut = dataclasses.replace(walk, reference=reference.take(slice(0, len(reference) - 1)))
+    with pytest.raises(bunraku.MotionError, match="save it again"):
+        bunraku.edit(cut, "waves", keep="legs", steps=1)

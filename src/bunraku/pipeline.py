@@ -10,11 +10,12 @@ import numpy as np
 
 from bunraku.animation import Animation
 from bunraku.character import Character, Handles
-from bunraku.errors import OptionError
+from bunraku.errors import MotionError, OptionError
 from bunraku.motion import HandleMotion
-from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.fit import Stages
+from bunraku.retarget.perform import fit_performed, perform, reference_of
 
-__all__ = ["animate", "edit", "generate", "perform", "reference_of", "rig"]
+__all__ = ["animate", "edit", "generate", "rig"]
 
 Progress = Callable[[str, float], None]
 
@@ -134,6 +135,8 @@ def generate(
         from bunraku.diffusion.editing import continue_motion
 
         seeds = [seed + index for index in range(len(scripts))] if isinstance(seed, int) else list(seed)
+        if len(seeds) != len(scripts):
+            raise OptionError(f"{len(scripts)} motions need as many seeds, not {len(seeds)}")
         motions = [continue_motion(after, script, seed=one, **how) for script, one in zip(scripts, seeds, strict=True)]
     return motions[0] if isinstance(prompt, str) else motions
 
@@ -187,68 +190,6 @@ def animate(
     return perform(motion, character, handles, loop=loop, in_place=in_place, after=after, stages=stages, progress=progress)
 
 
-def perform(
-    motion: HandleMotion,
-    character: Character,
-    handles: Handles,
-    *,
-    loop: bool = False,
-    in_place: bool = False,
-    after: HandleMotion | Animation | None = None,
-    stages: Stages | None = None,
-    progress: Progress | None = None,
-) -> Animation:
-    """A motion of the reference body, as `generate` makes them, on a character.
-
-    Args:
-        motion: N frames.
-        character: +Y up and facing +Z.
-        handles: Its handles.
-        loop: Whether the motion is a loop.
-        in_place: As in `animate`.
-        after: As in `animate`.
-        stages: As in `animate`.
-        progress: As in `animate`.
-    """
-    if progress:
-        progress("fit", 0.0)
-    fitted = _fit(motion, character, handles, stages, loop)
-    if isinstance(after, Animation):
-        from bunraku.diffusion.editing import follow
-
-        fitted = follow(fitted, after.motion)
-    if in_place:
-        from bunraku.diffusion.paths import in_place as on_the_spot
-
-        fitted = on_the_spot(fitted, loop)
-    if progress:
-        progress("fit", 1.0)
-    return Animation(character, handles, fitted, motion)
-
-
-def _fit(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False) -> HandleMotion:
-    """`fit_motion`, with the rounds before and after a loop in sight, so that no stage treats its ends as ends."""
-    from bunraku.diffusion.generate import load_generator
-
-    native = handles.features is not None and bool(load_generator()[0].notes.get("creatures"))
-    if not loop or len(motion) < 3:
-        return fit_motion(motion, character, handles, stages, native=native)
-    from bunraku.diffusion.paths import closed_loop, repeated
-
-    margin = round(2 * motion.fps)
-    fitted = fit_motion(repeated(motion, margin, margin), character, handles, stages, native=native)
-    return closed_loop(fitted.take(slice(margin, margin + len(motion))), motion)
-
-
-def reference_of(animation: Animation) -> HandleMotion:
-    """The motion of the reference body that an animation plays: the one that it was fitted from, or the way back from its own."""
-    if animation.reference is not None:
-        return animation.reference
-    from bunraku.retarget.reference import motion_to_reference
-
-    return motion_to_reference(animation.motion, animation.character, animation.handles)
-
-
 Clip = TypeVar("Clip", bound=HandleMotion | Animation)
 
 
@@ -298,14 +239,17 @@ def edit(
         from bunraku.handles.predict import mesh_feature
 
         handles = replace(handles, features=mesh_feature(clip.character))
-    made = edit_motion(reference_of(clip), prompt, mesh_feature=handles.features, **how)
+    reference = reference_of(clip)
+    if len(reference) != len(clip.motion):
+        raise MotionError(f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it again")
+    made = edit_motion(reference, prompt, mesh_feature=handles.features, **how)
     if progress:
         progress("fit", 0.0)
     kept = np.zeros(len(handles.positions), bool)
     if keep:
         kept = kept_handles(keep)[handles.played]  # a spare handle that plays a kept part is kept with it
     first, after = (0, len(made)) if span is None else span_frames(span, len(made), made.fps)
-    fitted = put_back(_fit(made, clip.character, handles, stages), clip.motion, kept, first, after)
+    fitted = put_back(fit_performed(made, clip.character, handles, stages), clip.motion, kept, first, after)
     if progress:
         progress("fit", 1.0)
     return cast(Clip, Animation(clip.character, clip.handles, fitted, made))

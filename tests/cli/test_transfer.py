@@ -1,6 +1,7 @@
 """`bunraku transfer`: one pair, many pairs, what is done already and what is wrong."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from bunraku.bodies.layout import JOINT_NAMES
 from bunraku.bodies.reference import reference_body
 from bunraku.cli import main
-from bunraku.cli.transfer_jobs import Settings, holds_character, pairs_of
+from bunraku.cli.transfer_jobs import Settings, done_already, holds_character, pairs_of
 from bunraku.formats import load_character
 from bunraku.formats.bvh_write import write_bvh
 from bunraku.geometry.rotations import matrix_from_axis_angle
@@ -95,6 +96,7 @@ def test_what_is_wrong_is_one_sentence(fails, files):
     assert "after --motions" in fails("transfer", person, person)
     assert "name a folder" in fails("transfer", person, wave, files / "again.bvh", "-o", files / "out.glb")
     assert "--jobs" in fails("transfer", person, wave, "--jobs", "many")
+    assert "--jobs" in fails("transfer", person, wave, "--jobs", "9" * 5000)
     assert "--without names no stage" in fails("transfer", person, wave, "--without", "arms")
     assert "--fps" in fails("transfer", person, wave, "--fps", 0)
     assert "overwrite the input" in fails("transfer", person, wave, "-o", person)
@@ -122,3 +124,27 @@ def test_ray(files, fails):
     assert run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / "out", "--jobs", "ray") == 0
     assert run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / "plain") == 0
     assert (files / "out" / "person-wave.glb").read_bytes() == (files / "plain" / "person-wave.glb").read_bytes()
+
+
+def test_inputs_are_never_written_over(fails, files):
+    taken = files / "person-wave.glb"
+    taken.write_bytes((files / "person.glb").read_bytes())
+    before = taken.read_bytes()
+    assert "overwrite the input" in fails("transfer", files / "person.glb", taken, files / "wave.bvh", "-o", files)
+    assert taken.read_bytes() == before
+
+
+def test_a_bad_input_is_named_where_a_file_was_meant(fails, files):
+    assert "none.bvh: there is no" in fails("transfer", files / "person.glb", files / "wave.bvh", files / "none.bvh", "-o", files / "out.glb")
+
+
+def test_another_file_of_the_same_name_size_and_time_is_another(files):
+    other = files / "other" / "wave.bvh"
+    other.parent.mkdir()
+    shutil.copy2(files / "wave.bvh", other)
+    folder, person = files / "out", files / "person.glb"
+    first, second = (pairs_of([person], [path], folder) for path in (files / "wave.bvh", other))
+    folder.mkdir()
+    first[0].output.write_bytes(b"done")
+    done_already(first, Settings())[1](first[0])
+    assert done_already(first, Settings())[0] == [] and done_already(second, Settings())[0] == second

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from swings import PARTS, WordEncoder, swing
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.bodies.reference import reference_body
 from bunraku.cli import main
 from bunraku.diffusion import generate
@@ -13,7 +13,6 @@ from bunraku.diffusion.clips import write_clip, write_index
 from bunraku.diffusion.denoiser import Denoiser, build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import encode
-from bunraku.diffusion.text import TextBatch
 from bunraku.errors import OptionError
 from bunraku.evaluation import motion_samples
 from bunraku.evaluation.handle_fid import body_handles, handle_fid, handle_samples
@@ -22,29 +21,7 @@ from bunraku.evaluation.motion_eval import MotionEvalConfig, Row, evaluate_motio
 from bunraku.evaluation.motion_extractor import Extractor, ExtractorConfig, save_extractor
 from bunraku.evaluation.motion_samples import Request, SamplerSettings, make_motions
 from bunraku.evaluation.motion_windows import Window
-from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
-from bunraku.motion import HandleMotion
-
-PARTS = {"left_elbow": "waves", "right_knee": "kicks", "spine1": "bows", "head": "nods", "left_hip": "steps", "right_elbow": "points"}
-
-
-class WordEncoder:
-    name, token_size, pooled_size = "words", 8, 8
-
-    def encode(self, sentences):
-        rows = [
-            torch.stack([torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]) for text in sentences
-        ]
-        tokens = torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
-        mask = torch.arange(tokens.shape[1]) < torch.tensor([[len(row)] for row in rows])
-        return TextBatch(tokens, mask, torch.nn.functional.normalize(tokens.sum(1), dim=-1))
-
-
-def swing(part, frames=60, height=0.9):
-    vectors = np.zeros((frames, HANDLE_COUNT, 3))
-    vectors[:, HANDLE_NAMES.index(part), 2] = height * np.sin(np.arange(frames) / 3)
-    still = np.zeros((frames, 3))
-    return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(vectors), still, matrix_from_axis_angle(still))
+from bunraku.geometry.rotations import matrix_y
 
 
 def network(**changes):

@@ -2,30 +2,16 @@ import json
 
 import numpy as np
 import pytest
-import torch
+from swings import PARTS, WordEncoder
 
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.diffusion import generate
 from bunraku.diffusion.denoiser import load_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.diffusion.text import TextBatch
 from bunraku.diffusion.train import TrainingConfig, train_diffusion
 from bunraku.errors import FormatError, OptionError
 from bunraku.evaluation.retrieval import draw_candidates, retrieval, wilson_interval
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
-
-PARTS = {"left_elbow": "waves", "right_knee": "kicks", "spine1": "bows", "head": "nods", "left_hip": "steps", "right_elbow": "points"}
-
-
-class WordEncoder:
-    name, token_size, pooled_size = "words", 8, 8
-
-    def encode(self, sentences):
-        rows = [
-            torch.stack([torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]) for text in sentences
-        ]
-        tokens = torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
-        return TextBatch(tokens, tokens.abs().sum(-1) > 0, torch.nn.functional.normalize(tokens.sum(1), dim=-1))
 
 
 @pytest.fixture(scope="module")

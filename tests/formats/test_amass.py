@@ -118,6 +118,12 @@ def test_files_that_are_broken_or_mean_harm(tmp_path):
             load_motion(path)
 
 
+def test_days_of_frames_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("bunraku.formats.amass.MOST_FRAMES", 7)
+    with pytest.raises(FormatError, match="its 8 frames are too many"):
+        load_motion(save(tmp_path / "long.npz"))
+
+
 def test_a_zip_bomb_is_refused_unpacked(tmp_path):
     path = tmp_path / "bomb.npz"
     arrays = amass()

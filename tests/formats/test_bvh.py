@@ -316,3 +316,20 @@ def test_files_of_the_archive_give_its_positions(tmp_path, monkeypatch):
     for path in sorted(tmp_path.glob("*.bvh"))[:4]:
         want = archive.motion(archive.names.index(path.stem)).world()[1]
         assert np.abs(to_smpl(load_motion(path)).world()[1] - want).max() < 1e-3
+
+
+def test_files_that_mean_harm_get_one_sentence(tmp_path):
+    header = "HIERARCHY\nROOT r\n{\nOFFSET 0 0 0\nCHANNELS 1 Xrotation\n%s}\nMOTION\nFrames: %d\nFrame Time: 0.1\n"
+    with pytest.raises(FormatError, match="CHANNELS"):
+        read(tmp_path, (header % ("", 1)).replace("CHANNELS 1", "CHANNELS " + "9" * 5000) + "0")
+    start = time.perf_counter()
+    with pytest.raises(FormatError, match="no number"):
+        read(tmp_path, header % ("", 1) + "1" * 100_000 + "x")
+    assert time.perf_counter() - start < 5  # and not the square of the length
+    with pytest.raises(FormatError, match="cut off"):
+        read(tmp_path, header % ("", 1) + " \n \n")  # blanks are no number
+    twice = "".join(f"JOINT a{'_2' * depth}\n{{\nOFFSET 0 1 0\n}}\n" for depth in range(1100)) + "JOINT a\n{\nOFFSET 0 1 0\n}\n"
+    assert len(set(read(tmp_path, header % (twice, 1) + "0").skeleton.names)) == 1102
+    still = "".join(f"JOINT j{joint}\n{{\nOFFSET 0 1 0\n}}\n" for joint in range(4000))  # 29 GB of rotations, were they made
+    with pytest.raises(FormatError, match="200,000 frames of 4,001 joints are too many"):
+        read(tmp_path, header % (still, 200_000) + "0\n" * 200_000)

@@ -246,3 +246,10 @@ def test_real_characters(file, numbers):
     handles = handle_of_joints(character.rig.names, character.rig.parents, character.rig.positions)
     named = {name: HANDLE_NAMES[handle] for name, handle in zip(character.rig.names, handles, strict=True) if handle >= 0}
     assert named["左腕"] == "left_shoulder" and named["右ひざ"] == "right_knee" and named["下半身"] == "pelvis" and named["頭"] == "head"
+
+
+def test_limits_that_are_no_numbers_take_the_inverse_kinematics_away(tmp_path):
+    model = plank()
+    model.bones.append(Bone("足ＩＫ", (0.0, 16.0, 0.0), 0, ik=(2, 3, 0.5, [(1, ((np.nan, 0.0, 0.0), (1.0, 1.0, 0.0)))])))
+    found = load(tmp_path, pmx(model))[1]
+    assert found.bones[3].ik is None and any("足ＩＫ" in warning for warning in found.warnings)

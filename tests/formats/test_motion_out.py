@@ -170,3 +170,24 @@ def test_flipped_and_missing_bytes_give_a_motion_or_one_sentence(motion, tmp_pat
         path.write_bytes(broken if trial % 4 else data[: int(rng.integers(1, len(data)))])
         with suppress(BunrakuError):
             load_motion(path)
+
+
+def test_a_vrma_that_means_harm_gets_one_sentence(tmp_path, monkeypatch):
+    def refused(match, maker, nodes, hips, channels, samplers):
+        humanoid = {"humanBones": {"hips": {"node": hips}}}
+        clip = {"channels": channels, "samplers": samplers}
+        (tmp_path / "bad.vrma").write_bytes(maker.glb(nodes=nodes, animations=[clip], extensions={"VRMC_vrm_animation": {"humanoid": humanoid}}))
+        with pytest.raises(FormatError, match=match):
+            load_motion(tmp_path / "bad.vrma")
+
+    maker, deep = Maker(), 3000  # of 18,001 frames, 7 GB
+    keys, values = maker.add(np.array([0, 1, 5, 600], np.float32), bounds=True), maker.add(np.zeros((4, 3), np.float32))
+    sampler, move = {"input": keys, "output": values}, {"sampler": 0, "target": {"node": 0, "path": "translation"}}
+    refused("nodes in 18001 frames", maker, [{"children": [node + 1]} for node in range(deep)] + [{}], deep, [move], [sampler])
+    monkeypatch.setattr("bunraku.formats.gltf_curves.MAX_KEYS", 100_000)
+    maker, count = Maker(), 1000  # the same keys for 101 nodes
+    sampler = {"input": maker.add(np.arange(count, dtype=np.float32) / 100, bounds=True), "output": maker.add(np.zeros((count, 3), np.float32))}
+    moves = [{"sampler": 0, "target": {"node": node, "path": "translation"}} for node in range(101)]
+    refused("more than 100,000 keys", maker, [{} for _ in range(101)], 0, moves, [sampler])
+    strange = {"sampler": 0, "target": {"node": 0, "path": []}}
+    refused("does not exist", Maker(), [{}], 0, [strange, move], [{}])

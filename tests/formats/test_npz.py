@@ -1,6 +1,7 @@
 """Handle motion as NPZ, there and back, and files that mean harm."""
 
 import io
+import struct
 import zipfile
 
 import numpy as np
@@ -93,3 +94,27 @@ def test_numbers_that_make_no_motion_name_the_file(animation, tmp_path, name, va
     np.savez(tmp_path / "odd.npz", **parts)
     with pytest.raises((FormatError, MotionError), match=f"odd.npz.*{match}"):
         load_motion(tmp_path / "odd.npz")
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["{'descr': '<f4', 'fortran_order': False, 'shape': (3,", "{'descr': (), 'fortran_order': False, 'shape': (3,)}", "-" * 9000 + "1", "(" * 300],
+)
+def test_headers_that_are_no_header(tmp_path, header):
+    text = header.encode() + b"\n"
+    array = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + bytes(12)
+    (tmp_path / "bad.npy").write_bytes(array)
+    with zipfile.ZipFile(tmp_path / "bad.npz", "w") as archive:
+        for name in ("translations", "rotations", "root_translation", "root_rotation", "fps"):
+            archive.writestr(f"{name}.npy", array)
+    for name in ("bad.npy", "bad.npz"):
+        with pytest.raises(FormatError, match=name):
+            load_motion(tmp_path / name)
+
+
+def test_only_what_numpy_packs_is_unpacked(animation, tmp_path):
+    with zipfile.ZipFile(animation.save(tmp_path / "good.npz")) as good, zipfile.ZipFile(tmp_path / "bad.npz", "w", zipfile.ZIP_BZIP2) as bad:
+        for name in good.namelist():
+            bad.writestr(name, good.read(name))
+    with pytest.raises(FormatError, match=r"bad\.npz"):
+        load_motion(tmp_path / "bad.npz")

@@ -173,8 +173,8 @@ def test_a_vmd_with_switches_on_a_model_and_onto_smpl():
 
 
 def test_a_vmd_file_is_a_motion_for_any_character(tmp_path):
+    from bunraku.any_motion import load_any_motion
     from bunraku.formats.vmd_write import MmdClip, write_vmd
-    from bunraku.motion_transfer import load_any_motion
 
     path = write_vmd(MmdClip(legs(31)), tmp_path / "feet.vmd")
     motion = load_any_motion(path, fps=20.0)
@@ -293,3 +293,11 @@ def test_soles_of_real_characters(file):
     motion = mmd_poses_to_smpl(poses)
     back = play_vmd(character, read_vmd(Path("walk.vmd"), pack_vmd(mmd_motion(character, motion))))
     assert degrees(mmd_poses_to_smpl(back).world()[0], motion.world()[0]).max() < 0.01
+
+
+def test_hours_of_frames_are_refused_before_they_are_made():
+    still = np.zeros((1, 3))
+    track = VmdTrack(np.array([432_000]), still, np.array([[0.0, 0, 0, 1]]), np.zeros((1, 4, 4)))
+    vmd = VmdMotion("", {"センター": track} | {f"bone {number}": track for number in range(5000)}, {}, ())
+    with pytest.raises(MotionError, match="too many"):
+        play_vmd(standard_model(), vmd, 240)

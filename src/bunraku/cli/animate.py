@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_different, check_input, check_output, check_range, check_sequence, make_folder, slug
+from bunraku.cli.checks import check_input, check_sequence, slug
 from bunraku.cli.orientation import AxisOption, check_axes, stand_up
-from bunraku.cli.progress import Report, stages
-from bunraku.cli.report import wrote
+from bunraku.cli.outputs import (
+    GuidanceOption,
+    OutputOption,
+    PreviewOption,
+    StepsOption,
+    WithoutOption,
+    check_outputs,
+    check_sampling,
+    fitting_stages,
+    save_all,
+)
+from bunraku.cli.progress import stages
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
     from bunraku.animation import Animation
     from bunraku.character import Character, Handles
     from bunraku.motion import HandleMotion
-    from bunraku.retarget.fit import Stages
 
-__all__ = ["OUTPUTS", "PREVIEWS", "Animate", "fitting_stages", "save_all"]
-
-PREVIEWS = (".mp4", ".webp", ".gif", ".png")
-OUTPUTS = (".glb", ".npz", ".bvh", ".vrma", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".obj", ".ply", *PREVIEWS)
+__all__ = ["Animate"]
 
 
 @dataclass(frozen=True)
@@ -46,11 +51,11 @@ class Animate:
     prompts: Path | None = None
     """A text file with one prompt a line, in place of PROMPT: each line gives a GLB in the folder that -o names. What is there already is
     left as it is, so a run that was stopped goes on."""
-    output: Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction] = ()
+    output: OutputOption = ()
     """File to write: .glb, .usd, .usdc, .usdz, .fbx (with Blender), .npz (the handle motion), .bvh or .vrma (what the humanoid skeleton
     does), .obj or .ply (a folder with one mesh a frame), .mp4, .webp, .gif or .png. May be given more than once.
     Default: CHARACTER-PROMPT.glb in this folder."""
-    preview: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
     seconds: float = 6.0
     """Length of the clip, 0.5 to 120; prompts in a row without seconds of their own share it."""
@@ -62,9 +67,9 @@ class Animate:
     """A .glb or .npz clip of Bunraku: start in its last pose."""
     seed: int = 0
     """The same seed and version give the same animation."""
-    steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    steps: StepsOption = None
     """Sampling steps, 1 to 1000; more is slower. Default: 20."""
-    guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
+    guidance: GuidanceOption = None
     """How closely to follow the sentence, 0 to 20. Default: 2.5."""
     fps: float = 30.0
     """Frames a second of the files, 1 to 120."""
@@ -74,15 +79,12 @@ class Animate:
     """The axis that is up in the file. "auto" goes by the rule of the format, and by the shape where it has none."""
     front: AxisOption = "auto"
     """The axis that the character faces in the file."""
-    without: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction] = ()
+    without: WithoutOption = ()
     """Leave out a stage that fits the motion to the character: rest-pose, attach, ground, feet, smooth or floor. May be given more than once."""
 
     def run(self) -> None:
         prompts = self._prompts()
-        check_range("--seed", self.seed, 0, 2**63 - 1)
-        check_range("--steps", self.steps, 1, 1000)
-        check_range("--guidance", self.guidance, 0, 20)
-        check_range("--fps", self.fps, 1, 120)
+        check_sampling(self.seed, self.steps, self.guidance, self.fps)
         check_axes(self.up, self.front)
         check_input(self.character)
         if self.after is not None:
@@ -97,11 +99,7 @@ class Animate:
             return
         outputs = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
         inputs = [self.character] + ([self.after] if self.after else [])
-        for path in outputs:
-            check_output(path, OUTPUTS, inputs)
-        for path in self.preview:
-            check_output(path, PREVIEWS, inputs)
-        check_different((*outputs, *self.preview))
+        check_outputs(outputs, self.preview, inputs)
 
         from bunraku.formats import load_character
 
@@ -143,40 +141,9 @@ class Animate:
         return read_lines(self.prompts, self.seconds)
 
 
-def save_all(animation: Animation, outputs: Sequence[Path], previews: Sequence[Path], fps: float, report: Report) -> None:
-    """Write an animation and its previews, and name what was written, whatever became of the rest."""
-    written: list[Path] = []
-    try:
-        for number, path in enumerate(outputs):
-            report("write", number / len(outputs))
-            written.append(animation.save(path, **({} if path.suffix.lower() == ".npz" else {"fps": fps})))
-        report("write", 1.0)
-        for path in previews:
-            from bunraku.render import save_preview
-
-            make_folder(path)
-            written.append(save_preview(animation, path, fps=fps, progress=lambda done, total: report("preview", done / total)))
-    finally:  # what is whole stays
-        for path in written:
-            wrote(path)
-
-
 def _before(path: Path, character: Character, handles: Handles) -> HandleMotion | Animation:
     """The clip to start from: of this character if it was made for it, of the reference body otherwise."""
     from bunraku.formats.clips import load_clip
 
     clip = load_clip(path)
     return clip.on(character, handles) or clip.of_the_reference_body()
-
-
-def fitting_stages(without: tuple[str, ...]) -> Stages | None:
-    """All stages of fitting but those named, or None for the default."""
-    if not without:
-        return None
-    from bunraku.retarget.fit import Stages
-
-    known = [field.name.replace("_", "-") for field in fields(Stages)]
-    for name in without:
-        if name not in known:
-            raise OptionError(f"--without names no stage '{name}'; there are {', '.join(known)}")
-    return Stages(**{name.replace("-", "_"): False for name in without})

@@ -65,7 +65,8 @@ def animate_lines(options: Animate, prompts: list[str], fitting: Stages | None) 
     if not todo:
         return
     from bunraku.formats import load_character
-    from bunraku.pipeline import generate, perform, rig
+    from bunraku.pipeline import generate, rig
+    from bunraku.retarget.perform import perform
 
     with stages() as report:
         report("load", 0.0)

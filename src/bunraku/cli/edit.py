@@ -10,9 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from bunraku.cli.animate import OUTPUTS, PREVIEWS, fitting_stages, save_all
-from bunraku.cli.checks import check_different, check_input, check_output, check_prompt, check_range, slug
+from bunraku.cli.checks import check_input, check_prompt, slug
 from bunraku.cli.orientation import AxisOption, check_axes, stand_up
+from bunraku.cli.outputs import (
+    GuidanceOption,
+    OutputOption,
+    PreviewOption,
+    StepsOption,
+    WithoutOption,
+    check_outputs,
+    check_sampling,
+    fitting_stages,
+    save_all,
+)
 from bunraku.cli.progress import Report, stages
 from bunraku.errors import OptionError
 
@@ -40,17 +50,17 @@ class Edit:
     single handle such as left_wrist. May be given more than once."""
     span: Annotated[str, tyro.conf.arg(metavar="FROM:TO")] = ""
     """Seconds from and to which is generated, such as 1.0:3.0; all outside stays. Default: the whole clip."""
-    output: Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction] = ()
+    output: OutputOption = ()
     """File to write: .glb, .npz, .obj or .ply. May be given more than once. Default: CLIP-PROMPT in this folder, with the clip's suffix."""
-    preview: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
     character: Path | None = None
     """The character that an .npz clip was made for; without it the clip is edited and given back as one of the reference body."""
     seed: int = 0
     """The same seed and version give the same motion."""
-    steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    steps: StepsOption = None
     """Sampling steps, 1 to 1000; more is slower. Default: 20."""
-    guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
+    guidance: GuidanceOption = None
     """How closely to follow the sentence, 0 to 20. Default: 2.5."""
     fps: float = 30.0
     """Frames a second of the files, 1 to 120."""
@@ -60,7 +70,7 @@ class Edit:
     """The axis that is up in --character."""
     front: AxisOption = "auto"
     """The axis that --character faces."""
-    without: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction] = ()
+    without: WithoutOption = ()
     """Leave out a stage that fits the motion to the character: rest-pose, attach, ground, feet, smooth or floor. May be given more than once."""
 
     def run(self) -> None:
@@ -72,20 +82,13 @@ class Edit:
             kept_handles(self.keep)
         elif span is None:
             raise OptionError("nothing is kept of the clip; name what stays (--keep legs) or the seconds that change (--span 1.0:3.0)")
-        check_range("--seed", self.seed, 0, 2**63 - 1)
-        check_range("--steps", self.steps, 1, 1000)
-        check_range("--guidance", self.guidance, 0, 20)
-        check_range("--fps", self.fps, 1, 120)
+        check_sampling(self.seed, self.steps, self.guidance, self.fps)
         check_axes(self.up, self.front)
         inputs = [self.clip] + ([self.character] if self.character else [])
         for path in inputs:
             check_input(path)
         outputs = self.output or (Path(f"{self.clip.stem}-{slug(self.prompt)}{self.clip.suffix.lower()}"),)
-        for path in outputs:
-            check_output(path, OUTPUTS, inputs)
-        for path in self.preview:
-            check_output(path, PREVIEWS, inputs)
-        check_different((*outputs, *self.preview))
+        check_outputs(outputs, self.preview, inputs)
         fitting = fitting_stages(self.without)
 
         with stages() as report:
@@ -117,7 +120,8 @@ class Edit:
             if not clip.is_of(body.handles):
                 print(f"{self.clip}: edited as a motion of the reference body; name its character with --character to edit that", file=sys.stderr)
             return Animation(body.character(), body.handles, motion, motion)
-        from bunraku.pipeline import perform, rig
+        from bunraku.pipeline import rig
+        from bunraku.retarget.perform import perform
 
         character = stand_up(load_character(self.character), self.character, self.up, self.front)
         handles = rig(character, handles=self.handles, progress=report)

@@ -10,6 +10,7 @@ import tyro
 
 from bunraku.cli.checks import check_input, check_range
 from bunraku.cli.progress import stages
+from bunraku.cli.report import measured
 from bunraku.errors import FormatError
 
 __all__ = ["Retrieval"]
@@ -54,12 +55,7 @@ class Retrieval:
                 seed=self.seed,
                 progress=lambda done, total: report("retrieval", done / total),
             )
-        if self.json:
-            import json
-
-            print(json.dumps(result, indent=2))
-        else:
-            _print(result)
+        measured(result, self.json, _print)
 
 
 def _print(result: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ import tyro
 
 from bunraku.cli.checks import check_input
 from bunraku.cli.progress import stages
+from bunraku.cli.report import measured
 from bunraku.errors import FormatError, OptionError
 
 __all__ = ["EvaluateHandles"]
@@ -55,12 +56,7 @@ class EvaluateHandles:
             result = evaluate_handles(
                 subjects, checkpoint=self.checkpoint, baselines=not self.no_baselines, speed=not self.no_speed, seed=self.seed, progress=report
             )
-        if self.json:
-            import json
-
-            print(json.dumps(result, indent=2))
-        else:
-            _print(result)
+        measured(result, self.json, _print)
 
 
 def _print(result: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ import tyro
 
 from bunraku.cli.checks import check_input, check_range
 from bunraku.cli.progress import stages
+from bunraku.cli.report import measured
 from bunraku.errors import FormatError
 
 __all__ = ["EvaluateMotion"]
@@ -100,12 +101,7 @@ class EvaluateMotion:
             result = evaluate_motion(config, report)
             if not self.only_table:
                 add_blocks(result, config, self.quick, report)
-        if self.json:
-            import json
-
-            print(json.dumps(result, indent=2))
-        else:
-            _print(result)
+        measured(result, self.json, _print)
 
 
 def _print(result: dict[str, Any]) -> None:

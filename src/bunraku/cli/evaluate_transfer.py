@@ -10,6 +10,7 @@ import tyro
 
 from bunraku.cli.checks import check_range
 from bunraku.cli.progress import stages
+from bunraku.cli.report import measured
 from bunraku.errors import FormatError
 
 __all__ = ["EvaluateTransfer"]
@@ -42,12 +43,7 @@ class EvaluateTransfer:
 
         with stages() as report:
             result = evaluate_transfer(self.characters, self.motions, limit=self.limit, speed=not self.no_speed, progress=report)
-        if self.json:
-            import json
-
-            print(json.dumps(result, indent=2))
-        else:
-            _print(result)
+        measured(result, self.json, _print)
 
 
 def _print(result: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ import tyro
 
 from bunraku.cli.checks import check_input, check_output, check_range
 from bunraku.cli.orientation import AxisOption, check_axes, stand_up
+from bunraku.cli.outputs import PREVIEWS
 from bunraku.cli.progress import Report, stages
 from bunraku.cli.report import wrote
 from bunraku.errors import FormatError, OptionError
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from bunraku.animation import Animation
 
 __all__ = ["Render"]
-
-OUTPUTS = (".mp4", ".webp", ".gif", ".png")
 
 
 @dataclass(frozen=True)
@@ -65,14 +64,14 @@ class Render:
                 raise OptionError(f"--character is for .npz motions, and {self.file} is not one; leave it out")
             check_input(self.character)
         if self.output is not None:
-            check_output(self.output, OUTPUTS, [self.file])
+            check_output(self.output, PREVIEWS, [self.file])
 
         with stages() as report:
             report("load", 0.0)
             animation = self._motion(report) if motion else self._clip()
             report("load", 1.0)
             output = self.output or Path(f"{self.file.stem}.{'png' if animation is None else 'mp4'}")
-            check_output(output, OUTPUTS, [self.file])
+            check_output(output, PREVIEWS, [self.file])
             if animation is None:
                 self._still(output)
             else:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-__all__ = ["size_text", "wrote"]
+__all__ = ["measured", "size_text", "wrote"]
 
 
 def wrote(path: Path, note: str = "") -> None:
@@ -23,3 +25,13 @@ def size_text(size: int) -> str:
             return f"{value:.0f} {unit}" if unit == "bytes" else f"{value:.1f} {unit}"
         value /= 1000
     return f"{value:.1f} GB"
+
+
+def measured(result: dict[str, Any], as_json: bool, table: Callable[[dict[str, Any]], None]) -> None:
+    """Print what was measured, as JSON for programs or by `table` for people."""
+    if as_json:
+        import json
+
+        print(json.dumps(result, indent=2))
+    else:
+        table(result)

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_different, check_folder, check_input, check_output, check_range, make_folder
+from bunraku.cli.checks import check_folder, check_input, check_range, make_folder
 from bunraku.cli.orientation import AxisOption, check_axes
+from bunraku.cli.outputs import PreviewOption, WithoutOption, check_outputs, check_stages
 from bunraku.cli.progress import stages
 from bunraku.cli.report import wrote
 from bunraku.cli.transfer_jobs import Pair, Settings, animation_of, done_already, holds_character, pairs_of, run_pairs
 from bunraku.errors import BunrakuError, FormatError, OptionError
 
 __all__ = ["Transfer"]
-
-PREVIEWS = (".mp4", ".webp", ".gif", ".png")
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class Transfer:
     """Number or name of the clip of a motion file with several."""
     fps: float = 30.0
     """Frames a second of the result, 1 to 120."""
-    without: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction] = ()
+    without: WithoutOption = ()
     """Leave out a stage: rest-pose, attach, ground, feet, smooth, floor or hands. May be given more than once."""
     up: AxisOption = "auto"
     """The axis that is up in the characters' files."""
@@ -57,13 +56,15 @@ class Transfer:
     """The axis that the characters face in their files."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the pairs, or "ray" for a Ray cluster."""
-    preview: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png), for a single pair. May be given more than once."""
 
     def run(self) -> int:
         check_range("--fps", self.fps, 1, 120)
         check_axes(self.up, self.front)
-        settings = Settings(self.onto, self.handles, self.fps, self.clip, _names(self.map), _checked_stages(self.without), self.up, self.front)
+        names = _names(self.map)
+        check_stages(self.without)
+        settings = Settings(self.onto, self.handles, self.fps, self.clip, names, tuple(sorted(set(self.without))), self.up, self.front)
         jobs = _jobs(self.jobs)
         characters, motions, bad = self._sorted()
         single = len(characters) == len(motions) == 1 and not bad and not self._folder()
@@ -108,10 +109,7 @@ class Transfer:
     def _one(self, character: Path, motion: Path, settings: Settings) -> None:
         output = self.output or Path(f"{character.stem}-{motion.stem}.glb")
         inputs = [character] if motion.is_dir() else [character, motion]
-        check_output(output, _outputs(), inputs)
-        for path in self.preview:
-            check_output(path, PREVIEWS, inputs)
-        check_different((output, *self.preview))
+        check_outputs([output], self.preview, inputs, _outputs())
         with stages() as report:
             animation = animation_of(Pair(character, motion, output), settings, report)
             written = []
@@ -133,11 +131,18 @@ class Transfer:
     def _many(self, characters: list[Path], motions: list[Path], bad: dict[Path, str], settings: Settings, jobs: int | str) -> int:
         folder = self.output or Path("transfer")
         if folder.suffix and not folder.is_dir():
+            if len(characters) == len(motions) == 1 and bad:  # a file was meant, and one input is no good
+                path, reason = next(iter(bad.items()))
+                raise FormatError(path, reason.removeprefix(f"{path}: "))
             raise OptionError(f"{len(characters)} characters and {len(motions)} motions make several files; name a folder with -o, not {folder}")
         if folder.is_file():
             raise FormatError(folder, "this is a file; name a folder with -o, where each pair gets a file")
         check_folder(folder)
         pairs = pairs_of(characters, motions, folder)
+        inputs = {path.resolve() for path in (*characters, *motions)}
+        for pair in pairs:
+            if pair.output.resolve() in inputs:
+                raise FormatError(pair.output, "this would overwrite the input; name another folder with -o")
         todo, note = done_already(pairs, settings)
         if len(todo) < len(pairs):
             print(f"{len(pairs) - len(todo)} of {len(pairs)} files are there already")
@@ -171,21 +176,9 @@ def _outputs() -> tuple[str, ...]:
 def _jobs(text: str) -> int | str:
     if text == "ray":
         return text
-    if not text.isdecimal() or not 1 <= int(text) <= 256:
+    if not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 256:
         raise OptionError(f"--jobs is a number from 1 to 256, or ray, not {text!r}")
     return int(text)
-
-
-def _checked_stages(without: tuple[str, ...]) -> tuple[str, ...]:
-    if not without:
-        return ()
-    from bunraku.retarget.fit import Stages
-
-    known = [field.name.replace("_", "-") for field in fields(Stages)]
-    for name in without:
-        if name not in known:
-            raise OptionError(f"--without names no stage '{name}'; there are {', '.join(known)}")
-    return tuple(sorted(set(without)))
 
 
 def _names(path: Path | None) -> tuple[tuple[str, str], ...]:

@@ -148,7 +148,7 @@ def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
 @lru_cache(maxsize=4)
 def motion_of(path: Path, settings: Settings) -> Any:
     """A motion as its file has it."""
-    from bunraku.motion_transfer import load_any_motion
+    from bunraku.any_motion import load_any_motion
 
     return load_any_motion(path, fps=settings.fps, clip=int(settings.clip) if settings.clip.isdecimal() else settings.clip)
 
@@ -156,7 +156,7 @@ def motion_of(path: Path, settings: Settings) -> Any:
 @lru_cache(maxsize=16)
 def reference_of(path: Path, settings: Settings) -> HandleMotion:
     """A motion as one of the reference body."""
-    from bunraku.motion_transfer import reference_motion
+    from bunraku.any_motion import reference_motion
 
     return reference_motion(motion_of(path, settings), fps=settings.fps, names=dict(settings.names) or None)
 
@@ -170,14 +170,14 @@ def stages_of(settings: Settings) -> Stages:
 def done_already(pairs: list[Pair], settings: Settings) -> tuple[list[Pair], Callable[[Pair], None]]:
     """The pairs that are still to be done, and what notes that one is.
 
-    A pair is done when its file is there and was made of files of the same size and time with the same settings by the same version.
+    A pair is done when its file is there and was made of the same files, of the same size and time, with the same settings by the same version.
     """
     if not pairs:
         return [], lambda pair: None
     ledger = pairs[0].output.parent / LEDGER
     try:
         known: dict[str, str] = json.loads(ledger.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         known = {}
     if not isinstance(known, dict):
         known = {}
@@ -200,7 +200,7 @@ def _fingerprint(pair: Pair, settings: Settings) -> str:
     facts: list[Any] = [__version__, repr(settings)]
     for path in (pair.character, pair.motion):
         files = sorted(path.iterdir()) if path.is_dir() else [path]
-        facts += [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.exists()]
+        facts += [[str(file.resolve()), file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.exists()]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]
 
 

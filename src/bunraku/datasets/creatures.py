@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 
 from bunraku.character import Character, Handles
+from bunraku.datasets.archive import present_files
 from bunraku.datasets.characters import HELD_OUT
 from bunraku.datasets.known_rigs import facing_turn
 from bunraku.datasets.motions import handle_motion_of_mesh
 from bunraku.datasets.strides import forward_speed, unrolled, with_travel
 from bunraku.diffusion.clips import load_clip, load_index, write_clip, write_index
-from bunraku.errors import BunrakuError, CharacterError, FormatError
+from bunraku.errors import BunrakuError, CharacterError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.motion import HandleMotion
 from bunraku.retarget.reference import WayBack
@@ -248,9 +249,7 @@ def add_creatures(characters: str | Path, out: str | Path, progress: Callable[[s
 
     characters, out = Path(characters), Path(out)
     load_index(out)  # there must be one, before minutes are spent
-    files = [file for file in _table()["characters"] if (characters / f"{file}.glb").is_file()]
-    if not files:
-        raise FormatError(characters, "none of the known characters is here; give the folder of the unpacked character archive")
+    files = present_files(characters, _table()["characters"])
     added: dict[str, dict[str, Any]] = {}
     failed: dict[str, str] = {}
     for number, file in enumerate(files):

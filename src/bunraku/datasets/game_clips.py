@@ -16,9 +16,10 @@ import numpy as np
 
 from bunraku.animation import Animation
 from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.datasets.archive import present_files
 from bunraku.datasets.motions import handle_motion_of_mesh, split_of
 from bunraku.diffusion.clips import load_index, write_clip, write_index
-from bunraku.errors import BunrakuError, FormatError
+from bunraku.errors import BunrakuError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.handles.from_rig import rig_handles
 from bunraku.motion import HandleMotion
@@ -68,9 +69,7 @@ def add_game_clips(characters: str | Path, out: str | Path, progress: Callable[[
     characters, out = Path(characters), Path(out)
     clips = load_index(out)
     table = json.loads(resources.files("bunraku.datasets").joinpath("game_clips.json").read_text(encoding="utf-8"))
-    wanted = [(file, clip, caption) for file, named in table.items() for clip, caption in named.items() if (characters / f"{file}.glb").is_file()]
-    if not wanted:
-        raise FormatError(characters, "none of the known characters is here; give the folder of the unpacked character archive")
+    wanted = [(file, clip, caption) for file in present_files(characters, table) for clip, caption in table[file].items()]
     added, failed = [], {}
     for number, (file, clip, caption) in enumerate(wanted):
         name = "game_" + file.replace("/", "-") + f"_{clip}"

@@ -147,7 +147,7 @@ def evaluate_transfer(
     Raises:
         FormatError: There is no character, or a motion of some kind is missing.
     """
-    from bunraku.motion_transfer import load_any_motion, reference_motion
+    from bunraku.any_motion import load_any_motion, reference_motion
 
     folder = Path(characters)
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".glb", ".gltf", ".vrm", ".fbx"))
@@ -252,8 +252,9 @@ def _measure(
 
 def _there_and_back(path: Path) -> dict[str, float]:
     """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and back; none without clips."""
+    from bunraku.any_motion import reference_motion
     from bunraku.formats.gltf_play import clip_names, load_animation
-    from bunraku.motion_transfer import perform_transfer, reference_motion, same_skeleton
+    from bunraku.motion_transfer import perform_transfer, same_skeleton
 
     try:
         clip = load_animation(path, 0, 20.0)

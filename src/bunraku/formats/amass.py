@@ -23,6 +23,7 @@ AMASS_ARRAYS = frozenset({"poses", "trans", "root_orient", "pose_body"})
 
 _RATES = ("mocap_framerate", "mocap_frame_rate", "mocap_frame_rates")
 _UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)  # +Z up to +Y up
+MOST_FRAMES = 1_000_000  # more than two hours at 120 frames a second; files of zeros pack to next to nothing
 _STRAIGHT = 0.9  # who stands has the pelvis this share of a leg over the lower ankle, at least
 _SIZES = (0.7, 1.3)  # of people, as shares of the reference body; what else is found says that the ground is not at 0
 
@@ -59,6 +60,8 @@ def read_amass(path: Path, data: bytes) -> SkeletalMotion:
         raise FormatError(path, f"its poses {poses.shape} and trans {trans.shape} are not (N, 66 or more) and (N, 3); download it again")
     if fps.size != 1 or not 1 <= float(fps.reshape(())) <= 1000:
         raise FormatError(path, f"its '{rate}' must be one number from 1 to 1000; download it again")
+    if len(poses) > MOST_FRAMES:
+        raise FormatError(path, f"its {len(poses):,} frames are too many, at most {MOST_FRAMES:,} are read; cut it into shorter ones")
     rotations = matrix_from_axis_angle(poses[:, : 3 * JOINT_COUNT].reshape(-1, JOINT_COUNT, 3))
     rotations[:, 0] = _UP @ rotations[:, 0]
     rotations = _in_our_pose(rotations)

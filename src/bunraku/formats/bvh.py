@@ -27,9 +27,10 @@ BVH_UNITS: dict[str, float] = {"mm": 0.001, "cm": 0.01, "in": 0.0254, "cmu": 0.0
 PERSON = 2.2  # from the toes up the trunk and out to a hand [m]
 MOST_HEADER = 4 << 20
 CHUNK = 2000  # frames turned into matrices at once
+MOST_ROTATIONS = 40_000_000  # of all joints in all frames: 1.4 GB
 _MOTION = re.compile(rb"^[ \t]*MOTION\b", re.MULTILINE | re.IGNORECASE)
 _FRAMES = re.compile(rb"\s*MOTION\s+Frames\s*:?[ \t]*(?P<count>[^\s]*)[ \t]*\r?\n?\s*Frame\s*Time\s*:?[ \t]*(?P<time>[^\s]*)", re.IGNORECASE)
-_NO_NUMBER = re.compile(rb"(?<!\S)(?![+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?!\S))\S+")
+_NO_NUMBER = re.compile(rb"(?<!\S)(?![+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?(?!\S))\S+")
 
 
 def load_bvh(path: str | Path, unit: str | None = None, up: str | None = None) -> SkeletalMotion:
@@ -80,6 +81,8 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
     joints, columns = parse_hierarchy(path, data[: start.start()].decode("utf-8", "replace"))
     values, fps = _frames(path, data, start.start(), columns)
     tree = _largest_tree(joints)
+    if len(values) * len(tree) > MOST_ROTATIONS:  # joints without channels take no room in the file
+        raise FormatError(path, f"its {len(values):,} frames of {len(tree):,} joints are too many; cut it into shorter ones")
     rotations = _rotations(values, [joints[joint] for joint in tree])
     motion = _assembled(path, joints, tree, values, rotations, fps)
     scale = BVH_UNITS[unit] if unit else _unit(joints)
@@ -126,16 +129,20 @@ def _numbers(path: Path, text: bytes, need: int, columns: int) -> np.ndarray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", DeprecationWarning)  # how older versions of numpy say it
-            return np.fromstring(text, sep=" ")
+            return _parsed(text)
     except (DeprecationWarning, ValueError):
         pass
     bad = _NO_NUMBER.search(text)
-    before = np.fromstring(text[: bad.start()], sep=" ") if bad else np.zeros(0)
+    before = _parsed(text[: bad.start()]) if bad else np.zeros(0)
     if len(before) >= need:
         return before
     word = bad[0][:20].decode("utf-8", "replace") if bad else ""
     comma = ", decimals need a point" if "," in word else ""
     raise FormatError(path, f"its frame {len(before) // columns + 1} holds '{word}', which is no number{comma}; export it again")
+
+
+def _parsed(text: bytes) -> np.ndarray:
+    return np.zeros(0) if text.isspace() else np.fromstring(text, sep=" ")  # numpy finds a number in mere blanks
 
 
 def _largest_tree(joints: list[BvhJoint]) -> list[int]:

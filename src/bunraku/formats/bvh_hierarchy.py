@@ -15,7 +15,7 @@ MOST_JOINTS = 4096
 MOST_CHANNELS = 9
 _WORDS = re.compile(
     r"(?:ROOT|JOINT)\b[ \t]*(?P<joint>[^\r\n{}]*)|(?P<end>END[ \t]+SITE)\b[^\r\n{}]*|(?P<open>\{)|(?P<close>\})"
-    r"|OFFSETS?\b[ \t]*(?P<offset>[^\r\n{}]*)|CHANNELS\b\s*(?P<channels>\d+(?:\s+[XYZ](?:position|rotation|scale)\b)*)|(?P<other>\S+)",
+    r"|OFFSETS?\b[ \t]*(?P<offset>[^\r\n{}]*)|CHANNELS\b\s*(?P<channels>\d{1,18}\b(?:\s+[XYZ](?:position|rotation|scale)\b)*)|(?P<other>\S+)",
     re.IGNORECASE,
 )
 
@@ -90,8 +90,11 @@ def parse_hierarchy(path: Path, text: str) -> tuple[list[BvhJoint], int]:
 
 def _unique(name: str, names: dict[str, int]) -> str:
     """The name, with a number where another joint has it."""
-    names[name] = names.get(name, 0) + 1
-    return name if names[name] == 1 else _unique(f"{name}_{names[name]}", names)
+    while True:
+        names[name] = names.get(name, 0) + 1
+        if names[name] == 1:
+            return name
+        name = f"{name}_{names[name]}"
 
 
 def _offset(path: Path, words: str, name: str) -> tuple[float, float, float]:

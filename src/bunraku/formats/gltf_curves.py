@@ -15,6 +15,9 @@ __all__ = ["MAX_SECONDS", "Curves", "clip_curves", "node_worlds"]
 MAX_SECONDS = 600.0
 """Longest clip that is played [s]."""
 
+MAX_KEYS = 50_000_000  # of all channels of a clip: channels may share their keys, and take memory each
+MAX_WORLDS = 20_000_000  # transforms of all nodes that joints hang on, in all frames: 2.6 GB
+
 Curves = dict[tuple[int, str], tuple[np.ndarray, np.ndarray, str]]
 
 _DEFAULTS = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1]}
@@ -23,12 +26,12 @@ _DEFAULTS = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1
 def clip_curves(document: Document, animation: dict[str, Any]) -> Curves:
     """Times (M,), values (M, C) or (M, 3, C), and interpolation of each animated (node, property)."""
     samplers = document.objects(animation, "samplers")
-    curves = {}
+    curves, total, last = {}, 0, max(len(document.items("nodes")) - 1, 0)
     for channel in document.objects(animation, "channels"):
         target = channel.get("target")
-        if not isinstance(target, dict) or target.get("path") not in _DEFAULTS or "node" not in target:
+        if not isinstance(target, dict) or target.get("path") not in tuple(_DEFAULTS) or "node" not in target:
             continue  # morph targets and what extensions add
-        node, kind = document.integer(target, "node", high=max(len(document.items("nodes")) - 1, 0)), target["path"]
+        node, kind = document.integer(target, "node", high=last), target["path"]
         index = document.integer(channel, "sampler")
         if index >= len(samplers):
             document.fail("an animation channel names a sampler that does not exist; the file is broken, export it again")
@@ -36,6 +39,9 @@ def clip_curves(document: Document, animation: dict[str, Any]) -> Curves:
         times = document.accessor(samplers[index].get("input"), ("SCALAR",))[:, 0].astype(float)
         values = document.accessor(samplers[index].get("output"), ("VEC4",) if kind == "rotation" else ("VEC3",)).astype(float)
         keys = 3 if how == "CUBICSPLINE" else 1
+        total += len(values)
+        if total > MAX_KEYS:
+            document.fail(f"its clip has more than {MAX_KEYS:,} keys; cut it")
         if (
             not len(times)
             or len(values) != keys * len(times)
@@ -77,6 +83,8 @@ def node_worlds(document: Document, tree: NodeTree, curves: Curves, moments: np.
         while node >= 0 and node not in known:
             chain.append(node)
             node = int(tree.parents[node])
+        if (len(known) + len(chain)) * len(moments) > MAX_WORLDS:
+            document.fail(f"its clip moves {len(known) + len(chain)} nodes in {len(moments)} frames, which are too many; cut it")
         for link in reversed(chain):
             above = int(tree.parents[link])
             if link not in moving:  # its default place, carried along by what is above it

@@ -87,7 +87,8 @@ class Document:
 
     def indices(self, owner: dict[str, Any], key: str, kind: str) -> list[int]:
         """A list of indices into a top-level list, under a key of an object."""
-        value, count = owner.get(key, []), len(self.items(kind))
+        value, listed = owner.get(key, []), self.tree.get(kind, [])  # the list's own entries are not checked, as in `item`
+        count = len(listed) if isinstance(listed, list) else 0
         if not isinstance(value, list) or not all(type(x) is int and 0 <= x < count for x in value):
             self.fail(f"'{key}' points at {kind} that do not exist; the file is broken, export it again")
         return value

@@ -16,7 +16,7 @@ from bunraku.character import Character
 from bunraku.errors import FormatError
 from bunraku.formats.gltf_read import character_from_document
 from bunraku.formats.mmd_document import MmdMaterial, model_document
-from bunraku.formats.mmd_model import MmdBody, MmdBone, MmdJoint, MmdModel, MmdMorph, MmdSdef, mmd_points
+from bunraku.formats.mmd_model import MmdBody, MmdBone, MmdIkLink, MmdJoint, MmdModel, MmdMorph, MmdSdef, mmd_points
 from bunraku.formats.mmd_physics import check_physics
 
 __all__ = ["MAX_BODIES", "MAX_BONES", "MAX_JOINTS", "MmdFile", "MmdMaterial", "mmd_character"]
@@ -145,9 +145,9 @@ def _check_bones(path: Path, file: MmdFile) -> tuple[MmdBone, ...]:
             bone = replace(bone, append=None)
         ik = bone.ik
         if ik is not None:
-            good = 0 <= ik.target < count and all(0 <= link.bone < count for link in ik.links) and np.isfinite(ik.limit)
+            good = 0 <= ik.target < count and all(0 <= link.bone < count and _limits(link) for link in ik.links) and np.isfinite(ik.limit)
             if not good or len(ik.links) > MAX_LINKS:
-                file.note("bones have inverse kinematics of bones that do not exist, which are left out", bone.name)
+                file.note("bones have inverse kinematics of bones or with limits that do not exist, which are left out", bone.name)
                 bone = replace(bone, ik=None)
             else:
                 bone = replace(bone, ik=replace(ik, loops=min(max(ik.loops, 0), MAX_LOOPS)))
@@ -159,6 +159,11 @@ def _check_bones(path: Path, file: MmdFile) -> tuple[MmdBone, ...]:
         file.note("bones take over their own motion, by a loop that is cut there", out[index].name)
         out[index] = replace(out[index], append=None)
     return tuple(out)
+
+
+def _limits(link: MmdIkLink) -> bool:
+    """Whether the limits of a link are numbers, if it has any."""
+    return link.lower is None or link.upper is None or bool(np.isfinite([link.lower, link.upper]).all())
 
 
 def _loops(above: list[int]) -> list[int]:

@@ -43,6 +43,8 @@ def open_npz(path: Path, data: bytes) -> Iterator[zipfile.ZipFile]:
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in archive.infolist()):
+                raise zipfile.BadZipFile  # numpy writes no others, and their errors are of other kinds
             yield archive
     except (zipfile.BadZipFile, EOFError, NotImplementedError, OSError, RuntimeError, SyntaxError, TypeError, ValueError, zlib.error):
         raise FormatError(path, "the NPZ is truncated or broken; save it again") from None
@@ -88,9 +90,13 @@ def read_member(path: Path, archive: zipfile.ZipFile, name: str, data_size: int)
 
 
 def _header(file: io.BytesIO) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type that a header announces; ValueError where it makes no sense."""
     version = np.lib.format.read_magic(file)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = header(file)
+    try:
+        shape, _, dtype = header(file)
+    except Exception as error:  # a header is Python text: its parser fails in many ways, even for memory where brackets are deep
+        raise ValueError(str(error)) from None
     return shape, dtype
 
 

@@ -8,6 +8,7 @@ and shadow skipped.
 from __future__ import annotations
 
 import struct
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,11 +81,14 @@ class VmdMotion:
         """Frame of the last key of a bone, at 30 frames a second."""
         return max((int(track.frames[-1]) for track in self.bones.values()), default=0)
 
-    def sample(self, fps: float = VMD_FPS) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Positions [m] (N, 3) and rotation matrices (N, 3, 3) of each bone from frame 0 to the last key, at a rate [1/s]."""
-        count = int(self.last_frame / VMD_FPS * fps + 1e-6) + 1
-        frames = np.arange(count) * (VMD_FPS / fps)
-        return {name: track.sample(frames) for name, track in self.bones.items()}
+    def frame_count(self, fps: float = VMD_FPS) -> int:
+        """How many frames there are from frame 0 to the last key, at a rate [1/s]."""
+        return int(self.last_frame / VMD_FPS * fps + 1e-6) + 1
+
+    def sample(self, fps: float = VMD_FPS, bones: Collection[str] | None = None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Positions [m] (N, 3) and rotation matrices (N, 3, 3) of each bone, or those named, from frame 0 to the last key, at a rate [1/s]."""
+        frames = np.arange(self.frame_count(fps)) * (VMD_FPS / fps)
+        return {name: track.sample(frames) for name, track in self.bones.items() if bones is None or name in bones}
 
     def ik_enabled(self, bone: str, frame: float) -> bool:
         """Whether the inverse kinematics of a bone are on at a frame; they are where no key says otherwise."""

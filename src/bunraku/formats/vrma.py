@@ -121,13 +121,15 @@ def _bones(document: Document) -> dict[str, int]:
     if not isinstance(listed, dict) or "hips" not in listed:
         document.fail(f"it has no humanoid with hips under {EXTENSION}, so it is no VRMA; export it again as VRM Animation")
     out: dict[str, int] = {}
+    taken, last = set[int](), max(len(document.items("nodes")) - 1, 0)
     for name, bone in listed.items():
         if not isinstance(bone, dict):
             document.fail(f"its bone {name[:40]!r} is no object; the file is broken, export it again")
-        node = document.integer(bone, "node", high=max(len(document.items("nodes")) - 1, 0))
-        if node in out.values():
+        node = document.integer(bone, "node", high=last)
+        if node in taken:
             document.fail(f"two of its bones are node {node}; the file is broken, export it again")
         out[name[:100]] = node
+        taken.add(node)
     return out
 
 

@@ -18,6 +18,7 @@ __all__ = [
     "matrix_from_quaternion",
     "matrix_to_6d",
     "matrix_y",
+    "nearest_rotation",
     "quaternion_from_matrix",
     "quaternion_slerp",
     "rotation_between",

@@ -17,7 +17,7 @@ from bunraku.handles.orientation_measures import FRONTS, OTHERS, UPRIGHT, fitted
 from bunraku.handles.orientation_net import OrientationConfig, OrientationPredictor, save_orientation_predictor
 from bunraku.handles.training_data import AugmentConfig, TrainingCharacter
 from bunraku.nn.checkpoints import TrainingState, save_training_state
-from bunraku.nn.runs import append_row, plain_settings, resumed
+from bunraku.nn.runs import append_row, careful_step, follow_weights, learning_rate, plain_settings, resumed
 
 __all__ = ["OrientationTrainConfig", "OrientationTrainer", "train_orientation"]
 
@@ -115,7 +115,7 @@ class OrientationTrainer:
         """One step; the loss, and how often upright won among what it was compared with."""
         start, config = time.process_time(), self.config
         self.model.train()
-        rate = config.rate * min(1.0, (self.step + 1) / config.warmup) * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * self.progress())))
+        rate = learning_rate(config.rate, self.step, config.warmup, self.progress())
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         tokens = []
@@ -131,14 +131,9 @@ class OrientationTrainer:
         loss, scores = self.loss(torch.from_numpy(np.stack(tokens)).to(config.device), others)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
-        if bool(torch.isfinite(norm)):
-            self.optimizer.step()
+        careful_step(self.model, self.optimizer)
         self.step += 1
-        keep = min(config.decay, self.step / (self.step + 10))
-        with torch.no_grad():
-            for mean, now in zip(self.average.parameters(), self.model.parameters(), strict=True):
-                mean.lerp_(now, 1 - keep)
+        follow_weights(self.average, self.model, min(config.decay, self.step / (self.step + 10)))
         self.seconds += time.process_time() - start
         won = float((scores.argmax(1) == FRONTS.index(UPRIGHT)).float().mean())
         return {"loss": float(loss.detach()), "won": won, "rate": rate}

@@ -20,6 +20,9 @@ from bunraku.rig_animation import RigAnimation
 __all__ = ["mmd_animation", "mmd_poses_to_smpl", "mmd_vertices", "model_of", "play_vmd"]
 
 
+MOST_TRANSFORMS = 20_000_000  # of all bones in all frames: 1 GB
+
+
 def model_of(target: Character | MmdModel) -> MmdModel:
     """The MMD model of a character.
 
@@ -42,16 +45,18 @@ def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS,
         ik: Whether inverse kinematics are solved; None does as the file's switches say.
 
     Raises:
-        MotionError: The character is no MMD model, or none of its bones has keys.
+        MotionError: The character is no MMD model, none of its bones has keys, or there are too many frames.
     """
     model = model_of(target)
     own = {_cut(name, 15): name for name in reversed(model.names)}
-    tracks = {own[name]: track for name, track in vmd.sample(fps).items() if name in own}
-    if not tracks:
+    if not own.keys() & vmd.bones.keys():
         raise MotionError(
             f"the motion moves none of the {len(model.bones)} bones of {model.name or 'this model'}; take one that was made for MMD's standard bones"
         )
-    count = len(next(iter(tracks.values()))[0])
+    count = vmd.frame_count(fps)
+    if count * len(model.bones) > MOST_TRANSFORMS:
+        raise MotionError(f"the motion has {count:,} frames for {len(model.bones):,} bones, too many; cut it or ask for fewer frames a second")
+    tracks = {own[name]: track for name, track in vmd.sample(fps, own).items()}
     frames = np.arange(count) * (VMD_FPS / fps)
     goals = [bone.name for bone in model.bones if bone.ik is not None]
     if ik is None:

@@ -1,0 +1,97 @@
+"""What the verbs that make animations share: options of sampling, of fitting and of the files, and how these are checked and written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from bunraku.cli.checks import check_different, check_output, check_range, make_folder
+from bunraku.cli.progress import Report
+from bunraku.cli.report import wrote
+from bunraku.errors import OptionError
+
+if TYPE_CHECKING:
+    from bunraku.animation import Animation
+    from bunraku.retarget.fit import Stages
+
+__all__ = [
+    "PREVIEWS", "GuidanceOption", "OutputOption", "PreviewOption", "StepsOption", "WithoutOption", "check_outputs", "check_sampling", "check_stages",
+    "fitting_stages", "save_all",
+]  # fmt: skip
+
+PREVIEWS = (".mp4", ".webp", ".gif", ".png")
+OUTPUTS = (".glb", ".npz", ".bvh", ".vrma", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".obj", ".ply", *PREVIEWS)
+
+OutputOption = Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction]
+PreviewOption = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction]
+StepsOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
+GuidanceOption = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")]
+WithoutOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction]
+
+
+def check_sampling(seed: int, steps: int | None, guidance: float | None, fps: float) -> None:
+    """Raise OptionError unless a motion can be generated with these."""
+    check_range("--seed", seed, 0, 2**63 - 1)
+    check_range("--steps", steps, 1, 1000)
+    check_range("--guidance", guidance, 0, 20)
+    check_range("--fps", fps, 1, 120)
+
+
+def check_outputs(outputs: Sequence[Path], previews: Sequence[Path], inputs: Sequence[Path], suffixes: Sequence[str] = OUTPUTS) -> None:
+    """Raise FormatError or OptionError unless all files can be written.
+
+    Args:
+        outputs: The animation's.
+        previews: Videos and contact sheets.
+        inputs: Files that must not be overwritten.
+        suffixes: Those that an output may have.
+    """
+    for path in outputs:
+        check_output(path, suffixes, inputs)
+    for path in previews:
+        check_output(path, PREVIEWS, inputs)
+    check_different((*outputs, *previews))
+
+
+def save_all(animation: Animation, outputs: Sequence[Path], previews: Sequence[Path], fps: float, report: Report) -> None:
+    """Write an animation and its previews, and name what was written, whatever became of the rest."""
+    written: list[Path] = []
+    try:
+        for number, path in enumerate(outputs):
+            report("write", number / len(outputs))
+            written.append(animation.save(path, **({} if path.suffix.lower() == ".npz" else {"fps": fps})))
+        report("write", 1.0)
+        for path in previews:
+            from bunraku.render import save_preview
+
+            make_folder(path)
+            written.append(save_preview(animation, path, fps=fps, progress=lambda done, total: report("preview", done / total)))
+    finally:  # what is whole stays
+        for path in written:
+            wrote(path)
+
+
+def check_stages(without: tuple[str, ...]) -> None:
+    """Raise OptionError unless all these are names of stages."""
+    if not without:
+        return
+    from bunraku.retarget.fit import Stages
+
+    known = [field.name.replace("_", "-") for field in fields(Stages)]
+    for name in without:
+        if name not in known:
+            raise OptionError(f"--without names no stage '{name}'; there are {', '.join(known)}")
+
+
+def fitting_stages(without: tuple[str, ...]) -> Stages | None:
+    """All stages of fitting but those named, or None for the default."""
+    check_stages(without)
+    if not without:
+        return None
+    from bunraku.retarget.fit import Stages
+
+    return Stages(**{name.replace("-", "_"): False for name in without})

@@ -1,0 +1,33 @@
+"""Motions of one handle each, and an encoder of the sentences that name them."""
+
+import numpy as np
+import torch
+
+from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.diffusion.text import TextBatch
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.motion import HandleMotion
+
+PARTS = {"left_elbow": "waves", "right_knee": "kicks", "spine1": "bows", "head": "nods", "left_hip": "steps", "right_elbow": "points"}
+
+
+class WordEncoder:
+    """A small text encoder: each word is a random vector of its own."""
+
+    name, token_size, pooled_size = "words", 8, 8
+
+    def encode(self, sentences):
+        rows = [
+            torch.stack([torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]) for text in sentences
+        ]
+        tokens = torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
+        mask = torch.arange(tokens.shape[1]) < torch.tensor([[len(row)] for row in rows])
+        return TextBatch(tokens, mask, torch.nn.functional.normalize(tokens.sum(1), dim=-1))
+
+
+def swing(part, frames=60, height=0.9):
+    """A handle that turns to and fro about its z axis, the root standing still."""
+    vectors = np.zeros((frames, HANDLE_COUNT, 3))
+    vectors[:, HANDLE_NAMES.index(part), 2] = height * np.sin(np.arange(frames) / 3)
+    still = np.zeros((frames, 3))
+    return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(vectors), still, matrix_from_axis_angle(still))
