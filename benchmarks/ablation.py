@@ -39,7 +39,18 @@ VARIANTS: dict[str, dict[str, object]] = {
     "without other rest poses": {"loss": LOSS, "augment": AugmentConfig(rest_rate=0.0)},
     "without damage": {"loss": LOSS, "damage": NONE},
 }
-COLUMNS = ("held_accuracy", "held_purity", "held_root", "held_pose", "held_outside", "varied_accuracy", "varied_pose", "sides", "rough")
+COLUMNS = (
+    "held_accuracy",
+    "held_purity",
+    "held_root",
+    "held_pose",
+    "held_outside",
+    "varied_accuracy",
+    "varied_purity",
+    "varied_pose",
+    "sides",
+    "rough",
+)
 
 
 @torch.no_grad()
