@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from bunraku.animation import Animation
 from bunraku.character import Character, Handles, Rig, top_influences
 from bunraku.errors import CharacterError, MotionError
-from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton
+from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton, line_up, local_rotations
 
 
 def random_motion(frames=3, handles=4, seed=0):
@@ -41,6 +41,14 @@ def test_handle_0_must_not_move_locally():
         HandleMotion(moved, motion.rotations, motion.root_translation, motion.root_rotation)
 
 
+def test_what_was_taken_apart_is_joined_again():
+    motion = random_motion(frames=5)
+    again = HandleMotion.joined([motion.take(slice(0, 2)), motion.take(np.array([2])), motion.take(slice(3, None))])
+    for name in HandleMotion.arrays:
+        np.testing.assert_array_equal(getattr(again, name), getattr(motion, name))
+    assert again.fps == motion.fps
+
+
 @pytest.mark.parametrize("field", ["translations", "rotations", "root_translation"])
 def test_motion_refuses_what_is_not_a_number(field):
     motion = random_motion()
@@ -48,6 +56,14 @@ def test_motion_refuses_what_is_not_a_number(field):
     values[field][-1] = np.nan
     with pytest.raises(MotionError, match="not numbers"):
         HandleMotion(**values)
+
+
+def test_local_rotations_are_the_way_back_of_forward_kinematics():
+    skeleton = Skeleton(("a", "b", "c", "d"), [-1, 0, 1, 0], np.eye(4, 3))
+    rotations = Rotation.random(8, random_state=3).as_matrix().reshape(2, 4, 3, 3)
+    world, _ = SkeletalMotion(skeleton, rotations, np.zeros((2, 3))).world()
+    np.testing.assert_allclose(local_rotations(world, skeleton.parents), rotations, atol=1e-6)
+    assert line_up(2, skeleton.parents) == [2, 1, 0] and line_up(3, skeleton.parents) == [3, 0]
 
 
 def test_forward_kinematics_by_hand():

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.animation import Animation
+from bunraku.bodies.layout import HANDLE_COUNT
 from bunraku.character import Character
 from bunraku.errors import CharacterError, FormatError, MotionError
 from bunraku.geometry.rotations import nearest_rotation
@@ -25,7 +26,6 @@ __all__ = ["Motion", "bone_turns", "load_any_motion", "reference_motion"]
 Motion = SkeletalMotion | HandleMotion | Animation | RigAnimation | MeshMotion
 CLIPS = (".glb", ".gltf", ".vrm", ".fbx")
 _CHUNK = 200  # frames registered at once: bounds memory
-_ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")
 
 
 def load_any_motion(path: str | Path, *, fps: float = 20.0, clip: int | str = 0) -> Motion:
@@ -113,8 +113,8 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
         known = motion.reference or _of_animation(motion)
     else:
         known = motion
-        if known.translations.shape[1] != 30:
-            raise MotionError(f"a motion of the reference body has 30 handles, not {known.translations.shape[1]}")
+        if known.translations.shape[1] != HANDLE_COUNT:
+            raise MotionError(f"a motion of the reference body has {HANDLE_COUNT} handles, not {known.translations.shape[1]}")
     return resample(known, fps)
 
 
@@ -134,7 +134,7 @@ def _of_animation(animation: Animation) -> HandleMotion:
 
     character, rig = animation.character, animation.character.rig
     bones = 0 if rig is None else len(rig.names)
-    if len(animation.handles.positions) == 30 and bones + 1 != 30:
+    if len(animation.handles.positions) == HANDLE_COUNT != bones + 1:
         return motion_to_reference(animation.motion, character, animation.handles)
     if rig is not None and len(animation.handles.positions) == bones + 1:
         try:
@@ -173,8 +173,7 @@ def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
         handle_motion_of_mesh(rest.vertices, np.asarray(vertices[start : start + _CHUNK]), handles.weights, handles.positions, areas, fps)
         for start in range(0, len(vertices), _CHUNK)
     ]
-    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
-    return motion_to_reference(HandleMotion(**arrays, fps=fps), rest, handles)
+    return motion_to_reference(HandleMotion.joined(parts), rest, handles)
 
 
 def bone_turns(animation: Animation) -> tuple[np.ndarray, np.ndarray]:

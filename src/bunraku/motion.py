@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from bunraku.errors import MotionError
 
-__all__ = ["HandleMotion", "SkeletalMotion", "Skeleton"]
+__all__ = ["HandleMotion", "SkeletalMotion", "Skeleton", "line_up", "local_rotations"]
 
 
 def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
@@ -54,6 +55,26 @@ class Skeleton:
         for joint in range(1, len(self.names)):
             out[joint] += out[self.parents[joint]]
         return out
+
+
+def line_up(joint: int, parents: Sequence[int] | np.ndarray) -> list[int]:
+    """A joint and those above it, the root last."""
+    out = [joint]
+    while parents[out[-1]] >= 0:
+        out.append(int(parents[out[-1]]))
+    return out
+
+
+def local_rotations(world: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """Rotations in the frames of the parents from those in the world, shape (N, J, 3, 3).
+
+    Args:
+        world: Of all joints, shape (N, J, 3, 3).
+        parents: Of a `Skeleton`, shape (J,); the root is joint 0.
+    """
+    out = world.copy()
+    out[:, 1:] = np.swapaxes(world[:, parents[1:]], -1, -2) @ world[:, 1:]
+    return out
 
 
 @dataclass(frozen=True)
@@ -124,6 +145,9 @@ class HandleMotion:
     root_rotation: np.ndarray
     fps: float = 20.0
 
+    arrays: ClassVar[tuple[str, ...]] = ("translations", "rotations", "root_translation", "root_rotation")
+    """Names of what has a value for each frame."""
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "translations", _array(self.translations, (None, None, 3), "handle translations"))
         frames, handles = self.translations.shape[:2]
@@ -147,9 +171,13 @@ class HandleMotion:
 
     def take(self, frames: slice | np.ndarray) -> HandleMotion:
         """The motion of some of the frames: a slice, or indices of shape (M,)."""
-        return HandleMotion(
-            self.translations[frames], self.rotations[frames], self.root_translation[frames], self.root_rotation[frames], self.fps
-        )  # fmt: skip
+        return replace(self, **{name: getattr(self, name)[frames] for name in self.arrays})
+
+    @classmethod
+    def joined(cls, parts: Sequence[HandleMotion]) -> HandleMotion:
+        """Motions of the same handles one after the other, at the rate of the first."""
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.arrays}
+        return replace(parts[0], **arrays)
 
     def transforms(self, positions: np.ndarray) -> np.ndarray:
         """World transform of each handle as Eq. 3 applies it to rest positions.

@@ -11,6 +11,7 @@ import numpy as np
 from bunraku.animation import Animation
 from bunraku.character import Character
 from bunraku.errors import MotionError
+from bunraku.geometry.resampling import Resampling
 from bunraku.motion import HandleMotion
 
 __all__ = ["PointAnimation"]
@@ -65,14 +66,10 @@ class PointAnimation:
 
     def at(self, fps: float) -> PointAnimation:
         """The same at another rate [1/s]: offsets move in straight lines between frames."""
-        if fps == self.motion.fps:
+        moved = self.animation.at(fps)
+        if moved.motion is self.motion:
             return self
-        moved, last = self.animation.at(fps), len(self.offsets) - 1
-        moments = np.minimum(np.arange(len(moved.motion)) * (self.motion.fps / fps), last)
-        low = np.minimum(moments.astype(int), max(last - 1, 0))
-        share = (moments - low).astype(np.float32)[:, None, None]
-        offsets = self.offsets[low] * (1 - share) + self.offsets[np.minimum(low + 1, last)] * share
-        return PointAnimation(moved, offsets)
+        return PointAnimation(moved, Resampling.of(len(self.offsets), self.motion.fps, fps).linear(self.offsets))
 
     def save(self, path: str | Path, **options: Any) -> Path:
         """Write the animation in the format that the file's suffix names and return the path.

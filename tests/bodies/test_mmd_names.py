@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from bunraku.bodies.bone_words import plain_name
 from bunraku.bodies.layout import JOINT_NAMES
-from bunraku.bodies.mmd_names import mmd_skeleton_map, plain_name
+from bunraku.bodies.mmd_names import mmd_skeleton_map
 from bunraku.bodies.skeleton_map import map_skeleton
 from bunraku.motion import Skeleton
 

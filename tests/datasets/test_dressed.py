@@ -11,7 +11,7 @@ from bunraku.bodies.reference import reference_body
 from bunraku.datasets.dressed import Wardrobe, build_dressed, dressed_person, extras, training_dressed
 from bunraku.datasets.dressed.shapes import random_body, random_proportions, rest_linear
 from bunraku.datasets.dressed.surfaces import melted, simplified
-from bunraku.datasets.dressed.wardrobe import Piece, Worn, joined, skirt_weights, smooth_step
+from bunraku.datasets.dressed.wardrobe import Piece, Worn, joined, skirt_weights
 from bunraku.errors import FormatError
 from bunraku.geometry.graph import mesh_parts, unique_edges
 from bunraku.handles.training_data import TrainingCharacter
@@ -80,7 +80,6 @@ def test_pieces_are_cut_and_joined():
     assert len(both.points) == len(piece.points) + len(legs.points) and both.faces.max() == len(both.points) - 1
     thick = piece.puffed(0.01)
     np.testing.assert_allclose(np.linalg.norm(thick.points - piece.points, axis=1), 0.01, atol=1e-6)
-    assert smooth_step(np.array([0.0, 0.5, 1.0]), 0, 1).tolist() == [0, 0.5, 1] and smooth_step(np.array([0.0]), 1, 0)[0] == 1
 
 
 def test_a_melted_body_is_one_closed_skin_with_the_same_labels():

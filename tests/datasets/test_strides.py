@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bunraku.datasets.strides import forward_speed, unrolled, with_travel
+from bunraku.datasets.strides import forward_speed, played_on, with_travel
 from bunraku.motion import HandleMotion
 
 
@@ -54,11 +54,11 @@ def turning(frames, end):
 
 
 def test_a_loop_is_played_on_without_a_seam():
-    loop = unrolled(turning(11, 2 * np.pi), 40)
+    loop = played_on(turning(11, 2 * np.pi), 40)
     assert len(loop) == 40  # four rounds of ten: the eleventh frame is the first again
     np.testing.assert_allclose(loop.rotations[10], loop.rotations[0], atol=1e-6)
     np.testing.assert_allclose(np.diff(loop.root_translation[:, 2]), 0.1, atol=1e-5)
-    short = unrolled(turning(10, 2 * np.pi * 0.9), 40)  # its last frame is one step before the first
+    short = played_on(turning(10, 2 * np.pi * 0.9), 40)  # its last frame is one step before the first
     assert len(short) == 40 and np.abs(np.diff(short.rotations[:, 1, 1, 1])).max() < 0.7
     once = turning(10, 1.5)
-    assert unrolled(once, 40) is once and unrolled(loop, 40) is loop
+    assert played_on(once, 40) is once and played_on(loop, 40) is loop

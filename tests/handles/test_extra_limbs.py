@@ -11,7 +11,7 @@ from bunraku.character import Handles
 from bunraku.errors import CharacterError
 from bunraku.geometry.simplify import NetworkMesh, network_mesh
 from bunraku.handles.extra_limbs import split_limbs
-from bunraku.handles.limbs import find_limbs
+from bunraku.handles.limbs import FAMILIES, edge_lengths, find_limbs
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 SIDES = (("left", 1.0), ("right", -1.0))
@@ -104,7 +104,7 @@ def test_one_leg_a_side_stays_one(boots: bool) -> None:
     weights = shared_weights(mesh)
     same, roles = split_limbs(mesh, weights)
     assert roles is None and same is weights
-    assert len(find_limbs(mesh, weights, [H[f"left_{part}"] for part in ("hip", "knee", "ankle", "foot")])[0]) == 1
+    assert len(find_limbs(mesh, weights, edge_lengths(mesh))[FAMILIES[0], "left"][0]) == 1
 
 
 def test_boots_do_not_hide_further_legs() -> None:

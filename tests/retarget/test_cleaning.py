@@ -52,7 +52,8 @@ def posed(frames, **angles):
 
 def soles(motion, person):
     character, handles, _, legs = person
-    return [foot_points(leg, character, handles, motion) for leg in legs]
+    transforms = motion.transforms(handles.positions)
+    return [foot_points(leg, character, handles, transforms) for leg in legs]
 
 
 def test_a_person_has_two_legs_and_two_arms(person):

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bunraku.bodies.layout import JOINT_NAMES
-from bunraku.errors import MotionError
+from bunraku.errors import FormatError, MotionError, OptionError
 from bunraku.formats import load_character
 from bunraku.formats.mmd_model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
 from bunraku.formats.vmd import VmdMotion, VmdTrack, load_vmd, read_vmd
@@ -17,6 +17,7 @@ from bunraku.motion import SkeletalMotion
 from bunraku.retarget.mmd import mmd_animation, mmd_poses_to_smpl, mmd_vertices, play_vmd
 from bunraku.retarget.mmd_pose import pose_mmd
 from bunraku.retarget.mmd_standard import standard_model, vmd_motion
+from bunraku.retarget.mmd_work import pose_work
 from bunraku.retarget.to_mmd import mmd_clip, mmd_motion, settle_mmd
 
 DATA = Path("/work/data/apparel/mmd")
@@ -301,3 +302,41 @@ def test_hours_of_frames_are_refused_before_they_are_made():
     vmd = VmdMotion("", {"センター": track} | {f"bone {number}": track for number in range(5000)}, {}, ())
     with pytest.raises(MotionError, match="too many"):
         play_vmd(standard_model(), vmd, 240)
+
+
+def test_models_that_ask_for_hours_are_refused_before_they_are_posed():
+    import time
+
+    assert pose_work(model_of(bone("a", (0, 0, 0)), bone("b", (1, 0, 0), 0, append=MmdAppend(0, 1.0, True, False)), bone("c", (2, 0, 0), 1))) == 5
+    plain = standard_model()
+    assert pose_work(plain) < 2_000
+    length = 600  # one chain, and half of it are goals of inverse kinematics that turn all above them, a thousand times
+    chain = [bone(str(place), (0, place, 0), place - 1) for place in range(length)]
+    greedy = MmdIk(length - 1, 1000, 1.0, tuple(MmdIkLink(place) for place in range(length - 2, length - 258, -1)))
+    start = time.perf_counter()
+    with pytest.raises(MotionError, match="too many"):
+        pose_mmd(model_of(*chain, *(bone(f"goal {number}", (1, 1, 1), ik=greedy, layer=1) for number in range(300))), {})
+    takers = [bone(str(place), (0, place, 0), place - 1, append=MmdAppend(0, 1.0, True, False)) for place in range(3000)]
+    with pytest.raises(MotionError, match="too many"):
+        pose_mmd(model_of(*takers), {})
+    assert time.perf_counter() - start < 2
+    with pytest.raises(MotionError, match="10,000,000 frames"):
+        pose_mmd(plain, {}, frames=10_000_000)
+
+
+def test_an_animation_of_an_mmd_character_is_saved_as_vmd(tmp_path):
+    character = rigged(tmp_path, standard_model())
+    animation = mmd_animation(character, vmd_of(legs(8)))
+    again = mmd_animation(character, load_vmd(animation.save(tmp_path / "legs.vmd")))
+    assert len(again) == 8 and np.abs(again.vertices() - animation.vertices()).max() < 1e-4
+    with pytest.raises(OptionError, match="30 frames a second"):
+        animation.save(tmp_path / "legs.vmd", fps=24)
+    with pytest.raises(FormatError, match="the humanoid skeleton is told by the 30 handles"):
+        animation.animation().save(tmp_path / "bones.vmd")
+    assert not (tmp_path / "bones.vmd").exists()
+    from bunraku.bodies.reference import reference_body
+    from bunraku.rig_animation import RigAnimation
+
+    person = reference_body().character()
+    with pytest.raises(FormatError, match="is none; transfer onto a .pmx"):
+        RigAnimation(person, np.tile(np.eye(3), (2, 22, 1, 1)), np.zeros((2, 22, 3))).save(tmp_path / "person.vmd")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["left_axis", "part_of_name"]
+__all__ = ["left_axis", "part_of_name", "plain_name"]
 
 # Kinds that name a handle outright; "left" stands for the side that the joint has.
 _KINDS: tuple[tuple[str, str], ...] = (
@@ -69,6 +69,11 @@ _WIDE = str.maketrans("０１２３４５６７８９ＡＢＣＤＥＦＧＨＩ
 _DROP = {"j", "bip", "bip01", "bip001", "sec", "c", "def", "org", "mch", "jnt", "joint", "bn", "b", "end", "mixamorig", "cc", "base", "valvebiped"}
 
 
+def plain_name(name: str) -> str:
+    """A bone's name with the wide letters and digits that only some models use made narrow."""
+    return name.translate(_WIDE)
+
+
 def part_of_name(name: str) -> tuple[str, int, int, bool]:
     """What one name says on its own.
 
@@ -76,7 +81,7 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
         The kind of part ("" when unknown), the side (+1 left, -1 right, 0 none), the first number in the name (0 when there
         is none), and whether the name is that of an inverse-kinematics target.
     """
-    plain = name.translate(_WIDE).split(":")[-1].split("|")[-1]
+    plain = plain_name(name).split(":")[-1].split("|")[-1]
     if re.search(r"[\u3040-\u30ff\u4e00-\u9fff]", plain):
         side = 1 if plain.startswith("左") else -1 if plain.startswith("右") else 0
         rest = plain[1:] if side else plain

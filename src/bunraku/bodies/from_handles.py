@@ -18,8 +18,8 @@ from bunraku.bodies.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.bodies.reference import reference_body
 from bunraku.errors import MotionError
 from bunraku.geometry.areas import vertex_areas
-from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton
+from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
+from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
 
 __all__ = ["joint_errors", "skeleton_from_handles"]
 
@@ -73,11 +73,9 @@ def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> Skeleta
     body = reference_body()
     want = motion.root_rotation[:, None].astype(float) @ motion.rotations[:, :JOINT_COUNT]
     world = np.concatenate([_world(want[start : start + CHUNK], rounds) for start in range(0, len(want), CHUNK)])
-    local = world.copy()
-    local[:, 1:] = np.swapaxes(world[:, _PARENTS[1:]], -1, -2) @ world[:, 1:]
     # The place of the pelvis handle is a mean of skin, to which the thighs belong too: the root joint is where that mean comes out right.
     root = motion.root_translation + body.handles.positions[0] - _mean_of_root(world)
-    return SkeletalMotion(Skeleton(JOINT_NAMES, _PARENTS, body.skeleton.offsets), local, root, motion.fps)
+    return SkeletalMotion(Skeleton(JOINT_NAMES, _PARENTS, body.skeleton.offsets), local_rotations(world, _PARENTS), root, motion.fps)
 
 
 def _joint_places(world: np.ndarray) -> np.ndarray:
@@ -98,9 +96,7 @@ def _world(want: np.ndarray, rounds: int) -> np.ndarray:
         wide = world.transpose(0, 2, 1, 3).reshape(3 * frames, -1)  # rows: frame and axis; columns: joint and its axis
         places = _joint_places(world).transpose(0, 2, 1).reshape(3 * frames, -1)
         covariance = (wide @ moments.linear + places @ moments.shift).reshape(frames, 3, JOINT_COUNT, 3).transpose(0, 2, 1, 3)
-        u, _, vt = np.linalg.svd(covariance)
-        u[..., 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
-        lacking = axis_angle_from_matrix(want @ np.swapaxes(u @ vt, -1, -2))
+        lacking = axis_angle_from_matrix(want @ np.swapaxes(nearest_rotation(covariance), -1, -2))
         world = matrix_from_axis_angle(lacking) @ world
     return world
 

@@ -14,8 +14,8 @@ from bunraku.bodies.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.bodies.reference import reference_body
 from bunraku.bodies.smpl_rest import LIMB_CHILD, smpl_offsets
 from bunraku.errors import MotionError
-from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
-from bunraku.motion import SkeletalMotion, Skeleton
+from bunraku.geometry.rotations import matrix_from_axis_angle, nearest_rotation, rotation_between
+from bunraku.motion import SkeletalMotion, Skeleton, local_rotations
 
 __all__ = ["motion_from_positions"]
 
@@ -57,10 +57,8 @@ def motion_from_positions(positions: np.ndarray, fps: float) -> SkeletalMotion:
                 world[:, joint] = _rolled(world[:, joint], joint, offsets, bones, fps)
         else:
             world[:, joint] = above
-    local = world.copy()
     parents = np.array(JOINT_PARENTS)
-    local[:, 1:] = np.swapaxes(world[:, parents[1:]], -1, -2) @ world[:, 1:]
-    return SkeletalMotion(Skeleton(JOINT_NAMES, parents, offsets), local, places[:, 0], fps)
+    return SkeletalMotion(Skeleton(JOINT_NAMES, parents, offsets), local_rotations(world, parents), places[:, 0], fps)
 
 
 def _rest_offsets(bones: np.ndarray) -> np.ndarray:
@@ -89,9 +87,7 @@ def _frame(bones: np.ndarray, left: int, right: int, above: int) -> np.ndarray:
 
 def _fit(rest: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """Rotations (N, 3, 3) that bring vectors (C, 3) nearest to moved ones (N, C, 3) (Kabsch 1976)."""
-    u, _, vt = np.linalg.svd(np.einsum("nci,cj->nij", moved, rest))
-    u[..., :, 2] *= np.linalg.det(u @ vt)[:, None]
-    return np.asarray(u @ vt)
+    return nearest_rotation(np.einsum("nci,cj->nij", moved, rest))
 
 
 def _rolled(world: np.ndarray, joint: int, offsets: np.ndarray, bones: np.ndarray, fps: float) -> np.ndarray:

@@ -10,10 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bunraku.bodies.bone_words import plain_name
 from bunraku.bodies.layout import JOINT_NAMES
 from bunraku.bodies.skeleton_map import SkeletonMap
 
-__all__ = ["MMD_CENTRES", "mmd_skeleton_map", "plain_name"]
+__all__ = ["MMD_CENTRES", "mmd_skeleton_map"]
 
 MMD_CENTRES = ("センター", "腰", "グルーブ", "全ての親")
 """Bones that carry the whole body, the one that motions move first."""
@@ -24,12 +25,6 @@ _SIDED = {
     "foot": ("足先EX", "つま先EX", "つま先"),
 }  # fmt: skip
 _NEEDED = ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee")
-_WIDE = str.maketrans("０１２３４５６７８９ＡＢＣＤＥＦＧＨＩＪＫＬＭＮＯＰＱＲＳＴＵＶＷＸＹＺ", "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ")
-
-
-def plain_name(name: str) -> str:
-    """A bone's name with the wide letters and digits that only some models use made narrow."""
-    return name.translate(_WIDE)
 
 
 def mmd_skeleton_map(names: Sequence[str]) -> SkeletonMap | None:

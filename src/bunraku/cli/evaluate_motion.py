@@ -8,10 +8,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_range
+from bunraku.cli.checks import check_input, check_range, check_source
 from bunraku.cli.progress import stages
 from bunraku.cli.report import measured
-from bunraku.errors import FormatError
 
 __all__ = ["EvaluateMotion"]
 
@@ -80,10 +79,8 @@ class EvaluateMotion:
         check_range("--reference-steps", self.reference_steps, 0, 1000)
         check_range("--reference-clips", self.reference_clips, 2, 100_000)
         check_range("--seed", self.seed, 0, 2**31)
-        if not self.data.is_dir():
-            raise FormatError(self.data, "there is no such folder; make it with `bunraku data motions`")
-        if self.characters is not None and not self.characters.is_dir():
-            raise FormatError(self.characters, "there is no such folder; give one with rigged characters")
+        check_source(self.data, "make it with `bunraku data motions`")
+        check_source(self.characters, "give one with rigged characters")
         for path in (self.checkpoint, self.mdm, self.extractor):
             if path is not None:
                 check_input(path)

@@ -22,8 +22,9 @@ from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.graph import unique_edges
 from bunraku.handles.from_rig import settle_joints
 from bunraku.handles.training_data import AugmentConfig, TrainingCharacter, augment, handle_target
+from bunraku.motion import line_up
 from bunraku.retarget.ground import standing, stride_scale
-from bunraku.retarget.joints import Joints, reference_joints
+from bunraku.retarget.joints import Joints, downwards, reference_joints
 from bunraku.retarget.lighter import lighter
 from bunraku.retarget.neutral import neutral_pose, rest_turns
 from bunraku.retarget.rest_pose import upright
@@ -177,7 +178,7 @@ def _row(character: Character, name: str, handles: Handles, turns: np.ndarray, j
         "humanoid": bool(upright(handles) and present[_LIMBS].all()),
         "features": np.zeros(0) if handles.features is None else handles.features,
         "handles": handles.positions, "roles": handles.played, "turns": turns, "joints": joints.positions, "parents": joints.parents,
-        "order": _downwards(joints.parents), "present": present, "scale": scale, "extent": np.ptp(character.vertices, axis=0).max(),
+        "order": downwards(joints.parents), "present": present, "scale": scale, "extent": np.ptp(character.vertices, axis=0).max(),
         "edge_points": character.vertices[picked], "edge_index": index[picked], "edge_weights": weights[picked], "edge_share": len(edges) / EDGES,
     }  # fmt: skip
     return row | _arms(character, name, handles, index, weights, random)
@@ -232,9 +233,7 @@ def _with_ancestors(joints: set[int], parents: np.ndarray) -> list[int]:
     """Joints and all above them, every parent before its children."""
     depth: dict[int, int] = {}
     for joint in joints:
-        chain = [joint]
-        while parents[chain[-1]] >= 0:
-            chain.append(int(parents[chain[-1]]))
+        chain = line_up(joint, parents)
         depth |= {one: len(chain) - 1 - place for place, one in enumerate(chain)}
     return sorted(depth, key=lambda joint: (depth[joint], joint))
 
@@ -243,14 +242,6 @@ def _playing(role: int, handles: Handles) -> int:
     """A handle that plays a part: the one of that number where it does, else the first."""
     players = np.flatnonzero(handles.played == role)
     return role if role in players else int(players[0]) if len(players) else 0
-
-
-def _downwards(parents: np.ndarray) -> np.ndarray:
-    depth = np.zeros(len(parents), int)
-    for handle, parent in enumerate(parents):
-        while parent >= 0:
-            depth[handle], parent = depth[handle] + 1, parents[parent]
-    return np.argsort(depth, kind="stable")
 
 
 def _stacked(rows: Iterable[Row]) -> Row:

@@ -24,7 +24,7 @@ from bunraku.datasets.archive import present_files
 from bunraku.datasets.characters import HELD_OUT
 from bunraku.datasets.known_rigs import facing_turn
 from bunraku.datasets.motions import handle_motion_of_mesh
-from bunraku.datasets.strides import forward_speed, unrolled, with_travel
+from bunraku.datasets.strides import forward_speed, played_on, with_travel
 from bunraku.diffusion.clips import load_clip, load_index, write_clip, write_index
 from bunraku.errors import BunrakuError, CharacterError
 from bunraku.geometry.areas import vertex_areas
@@ -214,7 +214,7 @@ def reference_motion(body: CreatureBody, vertices: np.ndarray, travels: bool = F
         raise CharacterError(f"{name}: the clip makes the mesh {ratio.max():.1f} times its size, which no handles do; it may move something else")
     motion = handle_motion_of_mesh(body.character.vertices, vertices, body.handles.weights, body.handles.positions, body.areas, FPS)
     if loops:
-        motion = unrolled(motion, LEAST_LOOP)
+        motion = played_on(motion, LEAST_LOOP)
     if travels:
         motion = with_travel(motion, forward_speed(vertices, body.character.surface, height, FPS))
     return body.way.motion(motion, native=not person)

@@ -11,7 +11,7 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -137,13 +137,8 @@ def handle_motion_of_body(motion: SkeletalMotion, body: ReferenceBody | None = N
         parts.append(handle_motion_of_mesh(body.vertices, posed, body.handle_weights, positions, areas, motion.fps))
     floor = float(np.quantile(np.concatenate(lowest), 0.05))
     drop = np.array([0, floor if abs(floor) < 0.15 else 0, 0], np.float32)
-    return HandleMotion(
-        np.concatenate([part.translations for part in parts]),
-        np.concatenate([part.rotations for part in parts]),
-        np.concatenate([part.root_translation for part in parts]) - drop,
-        np.concatenate([part.root_rotation for part in parts]),
-        motion.fps,
-    )
+    whole = HandleMotion.joined(parts)
+    return replace(whole, root_translation=whole.root_translation - drop)
 
 
 def split_of(name: str) -> str:

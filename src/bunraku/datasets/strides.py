@@ -11,7 +11,7 @@ import numpy as np
 
 from bunraku.motion import HandleMotion
 
-__all__ = ["forward_speed", "unrolled", "with_travel"]
+__all__ = ["forward_speed", "played_on", "with_travel"]
 
 NEAR = (0.04, 0.015)  # what is this near to the lowest point, as a share of the height, stands; the second where the first takes in swinging feet
 IN_PLACE = 0.25  # clips that come farther than this share of the way that their feet make do move already
@@ -55,7 +55,7 @@ def with_travel(motion: HandleMotion, speed: float) -> HandleMotion:
     return replace(motion, root_translation=motion.root_translation + np.outer(moments, [0, 0, speed]).astype(np.float32))
 
 
-def unrolled(motion: HandleMotion, least: int) -> HandleMotion:
+def played_on(motion: HandleMotion, least: int) -> HandleMotion:
     """A loop played on, in whole rounds, until it has at least `least` frames; the motion as it is where it does not end as it began.
 
     Loops of a few frames, such as one bound of a gallop, are too short to be cut, joined or told from a single step.
@@ -73,4 +73,4 @@ def unrolled(motion: HandleMotion, least: int) -> HandleMotion:
     path = motion.root_translation.astype(np.float64)
     way = (path[-1] - path[0]) * period / (frames - 1)
     path = path[order] + np.outer(np.arange(rounds * period) // period, [way[0], 0, way[2]])
-    return HandleMotion(motion.translations[order], motion.rotations[order], path, motion.root_rotation[order], motion.fps)
+    return replace(motion.take(order), root_translation=path)

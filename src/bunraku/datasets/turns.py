@@ -14,7 +14,7 @@ from bunraku.diffusion.clips import load_clip, load_index, write_clip, write_ind
 from bunraku.diffusion.features import heading
 from bunraku.motion import HandleMotion
 
-__all__ = ["add_turns", "cut", "find_turn"]
+__all__ = ["add_turns", "find_turn"]
 
 WINDOWS = (50, 70)  # frames
 LEAST, MOST, FARTHEST = 2.5, 3.9, 0.9  # rad, rad, m
@@ -41,12 +41,6 @@ def find_turn(motion: HandleMotion) -> tuple[int, int, float] | None:
                 if moved < FARTHEST and (best is None or cost < best[0]):
                     best = (cost, start, start + window, change)
     return best and best[1:]
-
-
-def cut(motion: HandleMotion, start: int, stop: int) -> HandleMotion:
-    """Frames `start` to `stop` - 1 of a motion."""
-    part = slice(max(start, 0), stop)
-    return HandleMotion(motion.translations[part], motion.rotations[part], motion.root_translation[part], motion.root_rotation[part], motion.fps)
 
 
 def add_turns(out: str | Path) -> list[str]:
@@ -76,7 +70,7 @@ def add_turns(out: str | Path) -> list[str]:
         if found is None:
             continue
         start, stop, change = found
-        clip = cut(motion, start - MARGIN, stop + MARGIN)
+        clip = motion.take(slice(max(start - MARGIN, 0), stop + MARGIN))
         write_clip(out / f"turn_{name}.npz", clip)
         caption = f"a person turns around to the {'left' if change > 0 else 'right'}"
         added[f"turn_{name}"] = entry | {"texts": [caption], "frames": len(clip)}

@@ -124,10 +124,14 @@ class ClipSet:
             members = [index for index, clip in enumerate(self.clips) if (clip.character if clip.species else None) == character]
             self._of_character[character] = np.array(members, int)
         actions: dict[str, set[str]] = {}
+        cast: dict[str, set[str]] = {}
         for clip in self.clips:
-            if clip.species and clip.action and clip.character:
-                actions.setdefault(clip.species, set()).update(can_do(clip.species, clip.action))
+            if clip.species and clip.character:
+                cast.setdefault(clip.species, set()).add(clip.character)
+                if clip.action:
+                    actions.setdefault(clip.species, set()).update(can_do(clip.species, clip.action))
         self._can = actions
+        self._cast = {species: sorted(characters) for species, characters in cast.items()}
 
     def _probability(self, creatures: float) -> np.ndarray:
         """People: square roots all through, of a group's seconds (at most two minutes count) and of a clip's share in its group."""
@@ -203,7 +207,7 @@ class ClipSet:
         if not able:
             return None, sentence
         species = able[int(random.integers(len(able)))]
-        characters = sorted({clip.character for clip in self.clips if clip.species == species and clip.character})
+        characters = self._cast[species]
         return characters[int(random.integers(len(characters)))], borrowed_sentence(text, species, random)
 
     def _compose(self, clip: TrainingClip, text: str, random: np.random.Generator) -> tuple[np.ndarray, str, list[tuple[str, ...]]] | None:

@@ -21,6 +21,7 @@ from bunraku.diffusion.parts import feature_mask, kept_handles
 from bunraku.diffusion.paths import arrive, placed_at
 from bunraku.diffusion.text import check_prompt
 from bunraku.errors import MotionError, OptionError
+from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.motion import HandleMotion
 
@@ -91,9 +92,7 @@ def edit_motion(
     made = _generate(part, first - low, after - low, handles, prompt, [high - low], seed, how)
     anchor = high - low - 1 if first == low and after < high else 0  # a kept frame where there is one
     made = placed_at(made, anchor, part, anchor)
-    names = ("translations", "rotations", "root_translation", "root_rotation")
-    arrays = {name: np.concatenate([getattr(motion, name)[:low], getattr(made, name), getattr(motion, name)[high:]]) for name in names}
-    whole = HandleMotion(**arrays, fps=motion.fps)
+    whole = made.take(np.clip(np.arange(len(motion)) - low, 0, len(made) - 1))  # what is kept beyond the part comes next
     return put_back(whole, motion, handles, first, after, fade=0)
 
 
@@ -149,7 +148,7 @@ def put_back(made: HandleMotion, original: HandleMotion, handles: np.ndarray, fi
             root's place on the ground fades over the whole span, so that no foot slides for it. 0 leaves differences as they are.
     """
     count = len(original)
-    arrays = {name: np.array(getattr(made, name)) for name in ("translations", "rotations", "root_translation", "root_rotation")}
+    arrays = {name: np.array(getattr(made, name)) for name in HandleMotion.arrays}
     edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < count)
     for edge, way in edges if fade else ():
         frames = edge + way * np.arange(1, min(fade, after - first) + 1)
@@ -179,8 +178,7 @@ def put_back(made: HandleMotion, original: HandleMotion, handles: np.ndarray, fi
 
 def _fade(length: int) -> np.ndarray:
     """From nearly 1 smoothly to nearly 0, shape (length,)."""
-    share = 1 - np.arange(1, length + 1) / (length + 1)
-    return share * share * (3 - 2 * share)
+    return smooth_step(1 - np.arange(1, length + 1) / (length + 1))
 
 
 def _check(motion: HandleMotion, model: Denoiser) -> None:

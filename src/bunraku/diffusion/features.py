@@ -27,11 +27,11 @@ from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d, matrix_y, q
 from bunraku.motion import HandleMotion
 
 __all__ = [
-    "FEATURE_SIZE", "ROOT_SIZE", "FeatureStatistics", "decode", "encode", "feature_weights", "heading", "mirror",
+    "FEATURE_SIZE", "HANDLE_SIZE", "ROOT_SIZE", "FeatureStatistics", "decode", "encode", "feature_weights", "heading", "mirror",
 ]  # fmt: skip
 
-ROOT_SIZE = 10
-FEATURE_SIZE = ROOT_SIZE + 9 * (HANDLE_COUNT - 1)
+ROOT_SIZE, HANDLE_SIZE = 10, 9
+FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)
 _SIX_SIGNS = np.array([1, -1, -1, -1, 1, 1], np.float32)
 
 

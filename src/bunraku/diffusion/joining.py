@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bunraku.diffusion.grammar import conjugate, is_stative
+from bunraku.geometry.easing import smooth_step
 
 __all__ = ["join_point", "link", "splice"]
 
@@ -51,8 +52,7 @@ def join_point(tail: np.ndarray, head: np.ndarray, weights: np.ndarray, blend: i
 def splice(tail: np.ndarray, head: np.ndarray, i: int, j: int, blend: int = _BLEND) -> np.ndarray:
     """`tail` up to frame i, then `head` from frame j, cross-faded over the next `blend` frames of both."""
     blend = min(blend, len(tail) - i, len(head) - j)
-    share = np.linspace(0, 1, blend + 2, dtype=np.float32)[1:-1, None]
-    share = share * share * (3 - 2 * share)
+    share = smooth_step(np.linspace(0, 1, blend + 2, dtype=np.float32)[1:-1, None])
     mixed = tail[i : i + blend] * (1 - share) + head[j : j + blend] * share
     return np.concatenate([tail[:i], mixed, head[j + blend :]])
 

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.diffusion.features import HANDLE_SIZE, ROOT_SIZE
 from bunraku.errors import OptionError
 
 __all__ = ["PARTS", "feature_mask", "kept_handles"]
-
-ROOT_FEATURES, HANDLE_FEATURES = 10, 9  # numbers a frame, see `features`
 
 
 def _named(*endings: str, side: str = "") -> tuple[int, ...]:
@@ -69,4 +68,4 @@ def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
 
 def feature_mask(handles: np.ndarray) -> np.ndarray:
     """Which features the handles decide, shape (271,), bool: ten numbers for the root and nine for each other (see `features`)."""
-    return np.concatenate([np.repeat(handles[:1], ROOT_FEATURES), np.repeat(handles[1:], HANDLE_FEATURES)])
+    return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])

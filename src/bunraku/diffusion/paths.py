@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.motion import HandleMotion
 
@@ -127,8 +128,7 @@ def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> Hand
     goal = motion.root_translation[-1 if travels else 0].astype(float)
     goal[1] = motion.root_translation[0, 1]
     count = len(motion)
-    share = np.clip((np.arange(count) - (count - 1 - min(fade, count - 1))) / min(fade, count - 1), 0, 1)
-    share = share * share * (3 - 2 * share)
+    share = smooth_step(np.arange(count), count - 1 - min(fade, count - 1), count - 1)
     path, all_along = motion.root_translation.astype(float), np.arange(count) / (count - 1)
     off = goal - path[-1]
     path[:, [0, 2]] += all_along[:, None] * off[[0, 2]]

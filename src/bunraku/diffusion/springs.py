@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor
 
-from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 
 __all__ = ["LIMB_SPRINGS", "spring_loss", "springs_present"]
 
-_CHAINS = (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "fingers"))
-LIMB_SPRINGS: tuple[tuple[int, int], ...] = tuple(
-    (HANDLE_NAMES.index(f"{side}_{upper}"), HANDLE_NAMES.index(f"{side}_{lower}"))
-    for side in ("left", "right")
-    for chain in _CHAINS
-    for upper, lower in zip(chain, chain[1:], strict=False)
-)
+LIMB_SPRINGS: tuple[tuple[int, int], ...] = tuple(spring for side in SIDES for family in FAMILIES for spring in pairwise(limb_handles(side, family)))
 """A of Eq. 7: which handles of the limbs are adjacent."""
 
 

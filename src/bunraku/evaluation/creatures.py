@@ -9,7 +9,7 @@ it is convex, so the same clips give the same classifier.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +143,7 @@ def _played_on(motion: HandleMotion) -> HandleMotion:
     if loops:  # where it goes, it goes on
         rounds = np.arange(LONG) // frames
         path[:, [0, 2]] += np.outer(rounds, (motion.root_translation[-1] - motion.root_translation[0])[[0, 2]] * frames / (frames - 1))
-    return HandleMotion(motion.translations[order], motion.rotations[order], path, motion.root_rotation[order], motion.fps)
+    return replace(motion.take(order), root_translation=path)
 
 
 @dataclass(frozen=True, eq=False)

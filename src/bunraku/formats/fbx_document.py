@@ -21,7 +21,7 @@ from bunraku.formats.gltf_builder import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Glt
 from bunraku.formats.gltf_colors import linear_from_srgb
 from bunraku.formats.gltf_document import Document
 from bunraku.formats.gltf_mesh import MAX_VERTICES
-from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix
+from bunraku.geometry.rotations import matrix_from_quaternion, nearest_rotation, quaternion_from_matrix
 
 __all__ = ["scene_document"]
 
@@ -244,8 +244,7 @@ def _unscaled(linear: np.ndarray) -> np.ndarray:
     """N that makes a linear map the rotation nearest to it, shape (4, 4); the identity where it is flat."""
     out = np.eye(4)
     if abs(np.linalg.det(linear)) > 1e-30:
-        u, _, v = np.linalg.svd(linear)
-        out[:3, :3] = np.linalg.inv(linear) @ (u * [1, 1, np.linalg.det(u @ v)]) @ v
+        out[:3, :3] = np.linalg.inv(linear) @ nearest_rotation(linear)
     return out
 
 
@@ -255,9 +254,7 @@ def _decompose(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     scale = np.linalg.norm(linear, axis=1)
     scale[:, 0] *= np.where(np.linalg.det(linear) < 0, -1, 1)
     unit = linear / np.where(np.abs(scale) > 1e-12, scale, 1)[:, None, :]
-    u, _, v = np.linalg.svd(unit)
-    u[:, :, 2] *= np.linalg.det(u @ v)[:, None]
-    quaternion = quaternion_from_matrix(u @ v)
+    quaternion = quaternion_from_matrix(nearest_rotation(unit))
     flips = np.where((quaternion[1:] * quaternion[:-1]).sum(-1) < 0, -1.0, 1.0)
     quaternion[1:] *= np.cumprod(flips)[:, None]
     return local[:, :3, 3], quaternion, scale

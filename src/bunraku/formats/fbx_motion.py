@@ -13,6 +13,7 @@ from bunraku.formats.fbx_skeleton import BONES, bind_matrices, inverses
 from bunraku.formats.fbx_transforms import Values, default_world, world_matrices
 from bunraku.formats.fbx_tree import read_tree
 from bunraku.formats.files import read_bounded
+from bunraku.geometry.rotations import nearest_rotation
 from bunraku.motion import SkeletalMotion, Skeleton
 
 __all__ = ["load_fbx_motion", "read_motion"]
@@ -59,7 +60,7 @@ def read_motion(path: Path, data: bytes, *, clip: int | str | None = None, fps: 
     rest = frame.world(_rest(scene, joints))
     moving = np.stack([np.broadcast_to(some, (count, 4, 4)) for some in world_matrices(scene, values, joints)], axis=1)
     world = frame.world(moving)
-    turn = _rotations(world[..., :3, :3] @ inverses(rest)[:, :3, :3])  # from the rest pose, in the world
+    turn = nearest_rotation(world[..., :3, :3] @ inverses(rest)[:, :3, :3])  # from the rest pose, in the world
     number = {model: joint for joint, model in enumerate(joints)}
     parents = np.array([number.get(_above(scene, model, number), -1) for model in joints])
     local = turn.copy()
@@ -120,10 +121,3 @@ def _bind_pose(scene: FbxScene) -> dict[int, np.ndarray]:
             if pose.subtype == "BindPose" and len(matrix) == 16 and np.isfinite(matrix).all() and model >= 0:
                 out.setdefault(model, matrix.astype(float).reshape(4, 4).T)
     return out
-
-
-def _rotations(linear: np.ndarray) -> np.ndarray:
-    """The rotations nearest to linear maps, shape (..., 3, 3)."""
-    u, _, v = np.linalg.svd(linear)
-    u[..., :, 2] *= np.linalg.det(u @ v)[..., None]
-    return np.asarray(u @ v)

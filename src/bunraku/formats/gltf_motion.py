@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ from bunraku.bodies.layout import HANDLE_NAMES
 from bunraku.character import Handles
 from bunraku.errors import OptionError
 from bunraku.formats.gltf_builder import GltfBuilder
-from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
+from bunraku.geometry.resampling import Resampling
+from bunraku.geometry.rotations import quaternion_from_matrix
 from bunraku.motion import HandleMotion
 
 __all__ = ["add_joints", "add_motion", "checked_fps", "handle_names", "resample"]
@@ -57,22 +59,10 @@ def resample(motion: HandleMotion, fps: float) -> HandleMotion:
         fps: Frames a second of the result [1/s]; frame m is at m / fps seconds, as far as the motion reaches.
     """
     if abs(fps - motion.fps) < 1e-6 or len(motion) == 1:
-        return motion if len(motion) > 1 else HandleMotion(motion.translations, motion.rotations, motion.root_translation, motion.root_rotation, fps)
-    last = len(motion) - 1
-    at = np.minimum(np.arange(int(np.floor(last / motion.fps * fps + 1e-6)) + 1) * (motion.fps / fps), last)
-    low = np.minimum(at.astype(int), last - 1)
-    share = at - low
-
-    def linear(values: np.ndarray) -> np.ndarray:
-        blend = share.reshape(-1, *[1] * (values.ndim - 1))
-        return values[low] * (1 - blend) + values[low + 1] * blend
-
-    def shortest(values: np.ndarray) -> np.ndarray:
-        q = quaternion_from_matrix(values.astype(float))
-        blend = np.broadcast_to(share.reshape(-1, *[1] * (q.ndim - 2)), q[low].shape[:-1])
-        return np.asarray(matrix_from_quaternion(quaternion_slerp(q[low], q[low + 1], blend)))
-
-    return HandleMotion(linear(motion.translations), shortest(motion.rotations), linear(motion.root_translation), shortest(motion.root_rotation), fps)
+        return motion if len(motion) > 1 else replace(motion, fps=fps)
+    between = Resampling.of(len(motion), motion.fps, fps)
+    moves, path = (between.linear(values.astype(float)) for values in (motion.translations, motion.root_translation))
+    return HandleMotion(moves, between.rotations(motion.rotations), path, between.rotations(motion.root_rotation), fps)
 
 
 def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:

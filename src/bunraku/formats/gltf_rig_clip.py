@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from bunraku.formats.gltf_builder import GltfBuilder
-from bunraku.geometry.rotations import nearest_rotation, quaternion_from_matrix, quaternion_slerp
+from bunraku.geometry.resampling import Resampling
+from bunraku.geometry.rotations import nearest_rotation, quaternion_from_matrix
 
 __all__ = ["add_bone_clip"]
 
@@ -31,19 +32,12 @@ def add_bone_clip(builder: GltfBuilder, joints: list[int], local: np.ndarray, ha
     rotation = quaternion_from_matrix(nearest_rotation(linear / np.maximum(scale, 1e-12)[..., None, :]))
     flips = np.where((rotation[1:] * rotation[:-1]).sum(-1) < 0, -1.0, 1.0)
     rotation[1:] *= np.cumprod(flips, axis=0)[..., None]
-    last = len(local) - 1
-    at = np.minimum(np.arange(int(np.floor(last / have * want + 1e-6)) + 1) * (have / want), last)
-    low = np.minimum(at.astype(int), max(last - 1, 0))
-    high, share = np.minimum(low + 1, last), at - low
-
-    def sampled(values: np.ndarray) -> np.ndarray:
-        return np.asarray(values[low] + (values[high] - values[low]) * share[:, None, None])
-
-    turned = quaternion_slerp(rotation[low], rotation[high], np.broadcast_to(share[:, None], (len(at), rotation.shape[1])))
+    between = Resampling.of(len(local), have, want)
+    turned = between.quaternions(rotation)
     size = max(float(np.abs(local[..., :3, 3]).max()), 1e-9)
-    every = builder.array((np.arange(len(at)) / want).astype(np.float32)[:, None], bounds=True)
+    every = builder.array((np.arange(len(between)) / want).astype(np.float32)[:, None], bounds=True)
     once = builder.array(np.zeros((1, 1), np.float32), bounds=True)
-    tracks = (("translation", sampled(local[..., :3, 3]), SMALL * size), ("rotation", turned, SMALL), ("scale", sampled(scale), None))
+    tracks = (("translation", between.linear(local[..., :3, 3]), SMALL * size), ("rotation", turned, SMALL), ("scale", between.linear(scale), None))
     channels: list[dict[str, Any]] = []
     samplers: list[dict[str, Any]] = []
     for joint, node in enumerate(joints):
@@ -61,7 +55,7 @@ def add_bone_clip(builder: GltfBuilder, joints: list[int], local: np.ndarray, ha
             samplers.append({"input": every if moves else once, "output": data, "interpolation": "LINEAR"})
     if not any(sampler["input"] == every for sampler in samplers):  # one channel keeps the length of a motion that stands still
         first = next(channel["sampler"] for channel in channels if channel["target"]["path"] == "rotation")
-        samplers[first] |= {"input": every, "output": builder.array(np.repeat(turned[:1, 0].astype(np.float32), len(at), axis=0))}
+        samplers[first] |= {"input": every, "output": builder.array(np.repeat(turned[:1, 0].astype(np.float32), len(between), axis=0))}
     builder.tree["animations"] = [{"name": name, "channels": channels, "samplers": samplers}]
 
 

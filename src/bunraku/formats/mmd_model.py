@@ -266,6 +266,11 @@ class MmdModel:
         """Names of the bones."""
         return tuple(bone.name for bone in self.bones)
 
+    @property
+    def order(self) -> list[int]:
+        """Bones in the order in which MMD deforms them."""
+        return sorted(range(len(self.bones)), key=lambda bone: (self.bones[bone].after_physics, self.bones[bone].layer, bone))
+
     def bone(self, name: str) -> int:
         """Index of the first bone with this name, -1 for none."""
         return next((index for index, bone in enumerate(self.bones) if bone.name == name), -1)

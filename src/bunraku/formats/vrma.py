@@ -15,7 +15,7 @@ from bunraku.errors import FormatError, MotionError
 from bunraku.formats.gltf_curves import MAX_SECONDS, clip_curves, node_worlds
 from bunraku.formats.gltf_document import Document, open_document
 from bunraku.formats.gltf_nodes import read_nodes
-from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton
+from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
 
 __all__ = ["EXTENSION", "VRM_BONES", "read_glb_motion", "read_vrma"]
 
@@ -104,8 +104,7 @@ def _motion(document: Document) -> SkeletalMotion:
         world = _unscaled(moved[..., :3, :3]) @ np.linalg.inv(_unscaled(rest[:, :3, :3]))
     except np.linalg.LinAlgError:
         raise FormatError(document.path, "a bone has no extent at rest; the file is broken, export it again") from None
-    local = world.copy()
-    local[:, 1:] = np.swapaxes(world[:, parents[1:]], -1, -2) @ world[:, 1:]
+    local = local_rotations(world, parents)
     places = rest[:, :3, 3]
     offsets = places - np.where(parents[:, None] >= 0, places[np.maximum(parents, 0)], 0)
     if not np.isfinite(local).all():

@@ -103,12 +103,13 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
     """
     if _person(mesh, weights):
         return weights, None
-    found = {(family, side): find_limbs(mesh, weights, limb_handles(side, family)) for family in FAMILIES for side in SIDES}
+    graph = edge_lengths(mesh)
+    found = find_limbs(mesh, weights, graph)
     if any(all(len(found[family, side][0]) < 2 for family in FAMILIES) for side in SIDES):
         return weights, None
     areas = mesh.areas / mesh.areas.sum(dtype=np.float64)
     spare = [handle for handle in map(HANDLE_NAMES.index, _SPARE_FIRST) if areas @ weights[:, handle] < SPARE]
-    out, graph = _without(weights, spare), edge_lengths(mesh)
+    out = _without(weights, spare)
     splits: list[list[_Split]] = []
     before = [0] * len(SIDES)
     for family in FAMILIES:

@@ -48,6 +48,7 @@ class Limb:
 
 
 def limb_handles(side: str, family: tuple[str, ...]) -> list[int]:
+    """Handles of the parts of a limb, from the body outwards."""
     return [HANDLE_NAMES.index(f"{side}_{part}") for part in family]
 
 
@@ -62,8 +63,9 @@ def edge_lengths(mesh: NetworkMesh) -> csr_matrix:
     return csr_matrix((np.tile(length, 2), (np.concatenate([first, second]), np.concatenate([second, first]))), shape=(count, count))
 
 
-def find_limbs(mesh: NetworkMesh, weights: np.ndarray, columns: list[int]) -> tuple[list[Limb], list[Limb]]:
-    """The limbs that share some handles, raised ones and then front ones first, and stubs beside them; fewer than two limbs where it is one or none.
+def find_limbs(mesh: NetworkMesh, weights: np.ndarray, graph: csr_matrix) -> dict[tuple[tuple[str, ...], str], tuple[list[Limb], list[Limb]]]:
+    """For each family and side, the limbs that share those handles, raised ones first and then from the back, and stubs beside them;
+    fewer than two limbs where it is one or none.
 
     Candidates are the connected pieces of the region that the handles hold, or, where those hang together at the body, of what the
     lower parts hold. One counts as a limb of its own if it is about as large as the largest, goes out side by side with the others
@@ -73,16 +75,21 @@ def find_limbs(mesh: NetworkMesh, weights: np.ndarray, columns: list[int]) -> tu
     Args:
         mesh: The network mesh.
         weights: Of its vertices, shape (M, K).
-        columns: Handles of the parts of the limb, from the body outwards.
+        graph: Lengths of its edges (`edge_lengths`).
     """
     body = weights[:, LIMB_HANDLES].sum(axis=1) < 0.5
+    keys = [(family, side) for family in FAMILIES for side in SIDES]
     if not body.any():
-        return [], []
-    distance, before, _ = dijkstra(edge_lengths(mesh), indices=np.flatnonzero(body), min_only=True, return_predecessors=True)
-    regions = [weights[:, some].sum(axis=1) > 0.5 for some in (columns, columns[1:])]
-    whole, lower = (_limbs(mesh, region, distance, before) if region.any() else ([], []) for region in regions)
-    limbs, stubs = max(whole, lower, key=lambda found: (len(found[0]), len(found[1])))
-    return sorted(limbs, key=lambda limb: (stands(mesh, limb), float(mesh.vertices[limb.members, 2].mean()))), stubs
+        return {key: ([], []) for key in keys}
+    distance, before, _ = dijkstra(graph, indices=np.flatnonzero(body), min_only=True, return_predecessors=True)
+    out = {}
+    for family, side in keys:
+        columns = limb_handles(side, family)
+        regions = [weights[:, some].sum(axis=1) > 0.5 for some in (columns, columns[1:])]
+        whole, lower = (_limbs(mesh, region, distance, before) if region.any() else ([], []) for region in regions)
+        limbs, stubs = max(whole, lower, key=lambda found: (len(found[0]), len(found[1])))
+        out[family, side] = sorted(limbs, key=lambda limb: (stands(mesh, limb), float(mesh.vertices[limb.members, 2].mean()))), stubs
+    return out
 
 
 def _limbs(mesh: NetworkMesh, region: np.ndarray, distance: np.ndarray, before: np.ndarray) -> tuple[list[Limb], list[Limb]]:

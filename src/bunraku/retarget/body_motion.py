@@ -6,14 +6,15 @@ weights do. Here handles take the rotations of their joints as they are, so limb
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
 from bunraku.bodies.reference import leg_length, reference_body
 from bunraku.errors import MotionError
-from bunraku.geometry.extremes import part_extremes
-from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion, SkeletalMotion
+from bunraku.retarget.ground import lowest
 from bunraku.retarget.joints import attached, reference_joints
 
 __all__ = ["body_handle_motion", "stiff"]
@@ -44,13 +45,11 @@ def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
     pelvis, place = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
     path = motion.root_translation * scale + np.einsum("nij,j->ni", root, place - pelvis) - place
     out = HandleMotion(translations, rotations, path, root, motion.fps)
-    pick = part_extremes(body.vertices, body.handle_weights)
-    lowest = skin(body.vertices[pick], body.handle_weights[pick], out.transforms(body.handles.positions))[..., 1].min(axis=1)
-    path[:, 1] -= np.quantile(lowest, STANDS)
-    return HandleMotion(translations, rotations, path, root, motion.fps)
+    path[:, 1] -= np.quantile(lowest(body.vertices, body.handle_weights, out, body.handles.positions), STANDS)
+    return replace(out, root_translation=path)
 
 
 def stiff(motion: HandleMotion) -> HandleMotion:
     """A motion of the reference body with all joints held, as bones hold them."""
     rotations, translations = attached(motion.rotations.astype(np.float64), reference_body().handles, reference_joints())
-    return HandleMotion(translations, rotations, motion.root_translation, motion.root_rotation, motion.fps)
+    return replace(motion, rotations=rotations, translations=translations)

@@ -14,12 +14,11 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import convolve1d, maximum_filter1d
 
 from bunraku.character import Character, Handles
-from bunraku.geometry.extremes import part_extremes
-from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
-from bunraku.retarget.foot_lock import Contacts
+from bunraku.retarget.foot_lock import Contacts, add_bending
+from bunraku.retarget.ground import lowest
 from bunraku.retarget.joints import Joints
-from bunraku.retarget.legs import Leg, find_arms, foot_points, move_feet
+from bunraku.retarget.legs import Leg, foot_points, move_feet
 
 __all__ = ["enough", "on_the_floor"]
 
@@ -56,15 +55,10 @@ def _foot_lifts(heights: np.ndarray, trust: np.ndarray, most: float, depth: floa
         depth: What may sink [m].
         reach: How many frames before and after it is needed a lift begins and ends.
     """
-    count = len(heights)
     goal = np.maximum(-heights, -most)
-    band = np.zeros((3, count))
+    band = np.zeros((3, len(heights)))
     band[2] = HOLD * trust + PULL * (1 - trust) + 1e-4
-    for offset, weight in zip((0, 1, 2), (1.0, -2.0, 1.0), strict=True):  # squared second differences
-        band[2, offset : count - 2 + offset] += weight * weight
-    band[1, 1 : count - 1] -= 2
-    band[1, 2:count] -= 2
-    band[0, 2:] += 1
+    add_bending(band)
     lifts = solveh_banded(band, HOLD * trust * goal)
     return np.asarray(lifts + enough(np.maximum(-(heights + lifts) - depth, 0), reach))
 
@@ -90,6 +84,7 @@ def on_the_floor(
     handles: Handles,
     joints: Joints,
     legs: list[Leg],
+    arms: list[Leg],
     contacts: Contacts | None,
     stands: np.ndarray,
     floor: float,
@@ -102,12 +97,12 @@ def on_the_floor(
         handles: Its handles.
         joints: Where they meet.
         legs: Its legs, L.
+        arms: Its arms.
         contacts: Of its feet; None where they are not known.
         stands: What may stand on the ground, shape (V,), bool. Arms and hands, but not what they hold, must not sink either.
         floor: Height of the ground [m].
     """
     depth, reach = DEPTH * character.height, max(1, round(SPREAD * motion.fps))
-    arms = find_arms(character, handles, joints, legs)
     solid = _solid(character, handles, arms, stands)
     limbs = [*legs, *(replace(arm, sole=np.intersect1d(arm.sole, _held(character, arm, True))) for arm in arms)]
     limbs = [limb for limb in limbs if len(limb.sole)]
@@ -115,19 +110,16 @@ def on_the_floor(
     def need(some: np.ndarray) -> np.ndarray:
         if not some.any():
             return np.zeros(len(motion))
-        points, weights = character.vertices[some], handles.weights[some]
-        pick = part_extremes(points, weights)
-        posed = skin(points[pick], weights[pick], motion.transforms(handles.positions))
-        return np.maximum(floor - depth - posed[..., 1].min(axis=1), 0)
+        return np.maximum(floor - depth - lowest(character.vertices[some], handles.weights[some], motion, handles.positions), 0)
 
     ends = np.zeros(len(character.vertices), bool)
     for limb in limbs:
         ends[limb.foot_area] = True
     motion = _lifted(motion, enough(need(solid & ~ends), reach))
     if limbs and len(motion) > 2:
-        shifts = np.zeros((len(motion), len(limbs), 3))
+        shifts, transforms = np.zeros((len(motion), len(limbs), 3)), motion.transforms(handles.positions)
         for number, limb in enumerate(limbs):
-            heights = foot_points(limb, character, handles, motion)[..., 1].min(axis=1) - floor
+            heights = foot_points(limb, character, handles, transforms)[..., 1].min(axis=1) - floor
             trust = np.zeros(len(motion))
             if contacts is not None and number < len(legs):
                 held = contacts.stands[:, number]

@@ -17,11 +17,12 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from bunraku.character import Character, Handles
+from bunraku.geometry.easing import smooth_step
 from bunraku.motion import HandleMotion
 from bunraku.retarget.joints import Joints
 from bunraku.retarget.legs import Leg, foot_points, move_feet
 
-__all__ = ["Contacts", "find_contacts", "foot_motion", "locked"]
+__all__ = ["Contacts", "add_bending", "find_contacts", "foot_motion", "locked"]
 
 LOW, HIGH = 0.05, 0.08  # height of a foot that comes to stand, and of one that no longer does, over the leg's length
 SLOW, FAST = 0.5, 1.0  # likewise its speed along the ground, in leg lengths a second
@@ -85,7 +86,7 @@ def find_contacts(motion: HandleMotion, character: Character, handles: Handles, 
     world = motion.transforms(handles.positions)
     steps, heights, raised = [], [], []
     for leg in legs:
-        step, height = foot_motion(foot_points(leg, character, handles, motion), floor, ROLL * leg.length)
+        step, height = foot_motion(foot_points(leg, character, handles, world), floor, ROLL * leg.length)
         steps.append(step)
         heights.append(height)
         up = np.ones(len(step), bool)
@@ -105,19 +106,13 @@ def find_contacts(motion: HandleMotion, character: Character, handles: Handles, 
             enters, stays = (share < LOW) & (speed < SLOW) & standing, (share < HIGH) & (speed < FAST) & standing
             trust = (
                 np.stack([_held(enters[:, leg], stays[:, leg]) for leg in range(len(legs))], axis=1)
-                * _fade(speed, SLOW, FAST)
-                * _fade(share, LOW, HIGH)
+                * smooth_step(speed, FAST, SLOW)
+                * smooth_step(share, HIGH, LOW)
             )
         slowest = np.take_along_axis(step, (speed + HURRY * (1 - trust)).argmin(axis=1)[:, None, None], axis=1)
         beside = np.linalg.norm(step - slowest, axis=-1) * unit
         missing = _root_steps(step, trust / (1 + (beside / APART) ** 4) / (1 + (speed / HURRY) ** 2))
     return Contacts(step, height, trust), missing
-
-
-def _fade(value: np.ndarray, full: float, none: float) -> np.ndarray:
-    """1 up to one value, 0 from another on, smooth between."""
-    share = np.clip((none - value) / (none - full), 0, 1)
-    return np.asarray(share * share * (3 - 2 * share))
 
 
 def _held(enters: np.ndarray, stays: np.ndarray) -> np.ndarray:
@@ -149,6 +144,16 @@ def _root_steps(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
     return np.asarray(solveh_banded(band, -np.einsum("nl,nli->ni", trust, steps)))
 
 
+def add_bending(band: np.ndarray) -> None:
+    """Add the squared second differences of a curve to a banded matrix (3, N), in place; in upper form, its diagonal in row 2."""
+    count = band.shape[1]
+    for offset, weight in zip((0, 1, 2), (1.0, -2.0, 1.0), strict=True):
+        band[2, offset : count - 2 + offset] += weight * weight
+    band[1, 1 : count - 1] -= 2
+    band[1, 2:count] -= 2
+    band[0, 2:] += 1
+
+
 def _offsets(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
     """Offsets of one foot that cancel its steps where it stands, smooth and small elsewhere, shape (N, 2).
 
@@ -157,7 +162,7 @@ def _offsets(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
         trust: How much it stands, shape (N - 1,).
     """
     count = len(steps) + 1
-    band = np.zeros((3, count))  # upper form: diagonal in row 2
+    band = np.zeros((3, count))
     free = np.ones(count)
     free[:-1] -= 0.5 * trust
     free[1:] -= 0.5 * trust
@@ -166,12 +171,7 @@ def _offsets(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
     band[2, :-1] += held
     band[2, 1:] += held
     band[1, 1:] -= held
-    for offset, weight in zip((0, 1, 2), (1.0, -2.0, 1.0), strict=True):  # squared second differences
-        band[2, offset : count - 2 + offset] += weight * weight
-    if count > 2:
-        band[1, 1 : count - 1] -= 2
-        band[1, 2:count] -= 2
-        band[0, 2:] += 1
+    add_bending(band)
     right = np.zeros((count, 2))
     right[:-1] += held[:, None] * steps
     right[1:] -= held[:, None] * steps

@@ -15,7 +15,7 @@ from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
 from bunraku.retarget.rest_pose import upright
 
-__all__ = ["grounded", "standing", "stride_scale"]
+__all__ = ["grounded", "lowest", "standing", "stride_scale"]
 
 CHUNK = 500  # frames posed at once to find the lowest point: bounds memory
 _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
@@ -49,8 +49,15 @@ def stride_scale(character: Character, handles: Handles, stands: np.ndarray) -> 
     return max(over_floor, 0.02 * character.height) / float(reference_body().handles.positions[0, 1])
 
 
-def _lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
-    """Height of the lowest vertex in each frame [m], shape (N,), from the extreme points of every part."""
+def lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, positions: np.ndarray) -> np.ndarray:
+    """Height of the lowest vertex in each frame [m], shape (N,), from the extreme points of every part.
+
+    Args:
+        vertices: Rest positions [m], shape (V, 3).
+        weights: Of the handles, shape (V, K).
+        motion: Of the handles.
+        positions: Of the handles [m], shape (K, 3).
+    """
     pick = part_extremes(vertices, weights)
     transforms = motion.transforms(positions)
     parts = [transforms[start : start + CHUNK] for start in range(0, len(transforms), CHUNK)]
@@ -64,16 +71,16 @@ def grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, h
     Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the ground is for that frame.
     """
     body = reference_body()
-    want = _lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
+    want = lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
     window = 2 * round(0.75 * motion.fps) + 1
     drift = gaussian_filter1d(minimum_filter1d(want, window, mode="nearest"), 0.25 * motion.fps, mode="nearest")
-    have = _lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions)
+    have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions)
     seen = character.surface
     if stands.sum() < seen.sum():
         feet = standing(body.character(), body.handles)
-        hands_down = _lowest(body.vertices[feet], body.handle_weights[feet], motion, body.handles.positions) > want + 0.01
+        hands_down = lowest(body.vertices[feet], body.handle_weights[feet], motion, body.handles.positions) > want + 0.01
         if hands_down.any():
-            have = np.where(hands_down, _lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have)
+            have = np.where(hands_down, lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have)
     floor = float(character.vertices[stands, 1].min())
     lift = uniform_filter1d(floor + (want - drift) * scale - have, 5, mode="nearest")
     moved = fitted.root_translation.copy()

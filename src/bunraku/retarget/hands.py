@@ -16,9 +16,10 @@ from scipy.spatial import cKDTree
 from bunraku.bodies.layout import HANDLE_NAMES
 from bunraku.bodies.reference import reference_body
 from bunraku.character import Character, Handles
+from bunraku.geometry.easing import smooth_step
 from bunraku.motion import HandleMotion
 from bunraku.retarget.joints import Joints, attached
-from bunraku.retarget.legs import Leg, find_arms, move_feet
+from bunraku.retarget.legs import Leg, move_feet
 from bunraku.retarget.rest_pose import upright
 
 __all__ = ["hands_kept"]
@@ -53,7 +54,7 @@ def hands_kept(
     handles: Handles,
     joints: Joints,
     turns: np.ndarray,
-    legs: list[Leg],
+    arms: list[Leg],
     scale: float,
 ) -> HandleMotion:
     """The fitted motion with hands where the reference body's hands touch it.
@@ -65,11 +66,10 @@ def hands_kept(
         handles: Its handles.
         joints: Where they meet.
         turns: From its rest pose into the reference body's stance, shape (K, 3, 3).
-        legs: Its legs.
+        arms: Its arms.
         scale: Its size over the reference body's.
     """
-    arms = find_arms(character, handles, joints, legs) if upright(handles) else []
-    arms = [arm for arm in arms if arm.foot and int(handles.played[arm.foot[0]]) in _WRISTS]
+    arms = [arm for arm in arms if int(handles.played[arm.foot[0]]) in _WRISTS] if upright(handles) else []
     if not arms or len(fitted) < 2:
         return fitted
     body = reference_body()
@@ -96,7 +96,7 @@ def hands_kept(
             if name not in own:
                 continue
             local = _unapplied(theirs[:, part.handle], source)
-            share = _nearness(cKDTree(part.points).query(local)[0]) * _rest(local, motion.fps)
+            share = smooth_step(cKDTree(part.points).query(local)[0], NEAR, TOUCHES) * _rest(local, motion.fps)
             there = own[name]
             goal = _placed(local, part, there, scale)
             frame = world[:, there.handle] @ _square(np.linalg.inv(_square(stance[there.handle])))
@@ -118,7 +118,7 @@ def hands_kept(
 def _joined(places: list[tuple[int, np.ndarray, np.ndarray]], shifts: np.ndarray, motion: HandleMotion, fitted: HandleMotion, scale: float) -> None:
     """Bring hands together that touch each other, in place: each goes half of the way."""
     between = places[0][1] - places[1][1]
-    share = _nearness(np.linalg.norm(between, axis=1) - NEAR / 2)  # palms' middles are apart by two hands
+    share = smooth_step(np.linalg.norm(between, axis=1) - NEAR / 2, NEAR, TOUCHES)  # palms' middles are apart by two hands
     turn = fitted.root_rotation.astype(np.float64) @ np.swapaxes(motion.root_rotation, -1, -2)
     want = np.einsum("nij,nj->ni", turn, between) * scale
     have = places[0][2] + shifts[:, 0] - places[1][2] - shifts[:, 1]
@@ -127,16 +127,10 @@ def _joined(places: list[tuple[int, np.ndarray, np.ndarray]], shifts: np.ndarray
     shifts[:, 1] -= half
 
 
-def _nearness(distance: np.ndarray) -> np.ndarray:
-    share = np.clip((NEAR - distance) / (NEAR - TOUCHES), 0, 1)
-    return np.asarray(share * share * (3 - 2 * share))
-
-
 def _rest(local: np.ndarray, fps: float) -> np.ndarray:
     """How much a palm rests on a part, 0 to 1, by its places in the part's frame (N, 3)."""
     speed = np.linalg.norm(np.gradient(local, axis=0), axis=1) * fps
-    share = np.clip((PASSES - gaussian_filter1d(speed, BLEND * fps, mode="nearest")) / (PASSES - RESTS), 0, 1)
-    return np.asarray(share * share * (3 - 2 * share))
+    return smooth_step(gaussian_filter1d(speed, BLEND * fps, mode="nearest"), PASSES, RESTS)
 
 
 def _placed(local: np.ndarray, part: _Part, there: _Part, scale: float) -> np.ndarray:

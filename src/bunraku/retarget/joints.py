@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -14,11 +15,10 @@ from bunraku.character import Character, Handles
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import axis_angle_from_matrix
 
-__all__ = ["Joints", "attached", "estimated_reference_joints", "find_joints", "reference_joints", "refined_joints"]
+__all__ = ["Joints", "attached", "capped", "downwards", "estimated_reference_joints", "find_joints", "reference_joints", "refined_joints"]
 
 PRESENT = 2e-3  # share of the surface under which a handle counts as absent and follows its parent
-
-
+LOOSE, LOOSE_ON_PEOPLE = 0.5, 0.05  # how far parts may leave their joints [m of the reference body]
 GROUP = 4000  # vertices of a part looked at to find where it meets another
 HIP_BY_THIGH = 0.75  # how far a bent hip follows the thigh instead of the overlap of weights; by archive humanoids made to sit
 CLOSE = 0.1  # how fast closeness fades, as a share of a part's size
@@ -171,7 +171,7 @@ def attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[n
     rotations = rotations.copy()
     translations = np.zeros((*rotations.shape[:2], 3))
     h = handles.positions.astype(np.float64)
-    for handle in _downwards(joints.parents)[1:]:
+    for handle in downwards(joints.parents)[1:]:
         parent = int(joints.parents[handle])
         if not joints.present[handle]:
             rotations[:, handle] = rotations[:, parent]
@@ -181,7 +181,16 @@ def attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[n
     return rotations, translations
 
 
-def _downwards(parents: np.ndarray) -> list[int]:
+def capped(residual: np.ndarray, native: bool) -> np.ndarray:
+    """What local translations hold beyond stiff joints, cut to what parts may leave them by, in the reference's metres (..., 3).
+
+    On people, 5 cm and more are errors of the generator, not motion; soft bodies and loose parts (`native`) go farther.
+    """
+    length = np.linalg.norm(residual, axis=-1, keepdims=True)
+    return np.asarray(residual * np.minimum(1, (LOOSE if native else LOOSE_ON_PEOPLE) / np.maximum(length, 1e-9)))
+
+
+def downwards(parents: Sequence[int] | np.ndarray) -> list[int]:
     """All handles, every parent before its children."""
     depth = np.zeros(len(parents), int)
     for handle, parent in enumerate(parents):

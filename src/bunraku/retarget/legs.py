@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bunraku.bodies.layout import HANDLE_NAMES
 from bunraku.character import Character, Handles
 from bunraku.geometry.extremes import extreme_points
-from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.geometry.skinning import skin
-from bunraku.handles.extra_limbs import FAMILIES
+from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.motion import HandleMotion
 from bunraku.retarget.joints import Joints
 from bunraku.retarget.rest_pose import upright
@@ -24,7 +23,7 @@ SOLE = 0.25  # part of a leg, from its end, that counts as its foot where it has
 OWN = 0.45  # the lower part of a leg has a vertex of which it holds so much at the least; on a blob, parts blur
 STRAIGHT = 0.99  # how far a leg is stretched at the most, over its length
 SOFT = 0.94  # from where on stretching slows down, so that knees do not snap
-_PARTS = [[HANDLE_NAMES.index(f"{side}_{part}") for part in family] for family in FAMILIES for side in ("left", "right")]
+_PARTS = [limb_handles(side, family) for family in FAMILIES for side in SIDES]
 _LEGS = len(_PARTS) // 2
 
 
@@ -128,14 +127,12 @@ def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int
     return Leg(upper, lower, tuple(foot), found, own[extreme_points(points)], own, length)
 
 
-def foot_points(leg: Leg, character: Character, handles: Handles, motion: HandleMotion) -> np.ndarray:
-    """Where the sole of a leg is in each frame [m], shape (N, m, 3)."""
-    return skin(character.vertices[leg.sole], handles.weights[leg.sole], motion.transforms(handles.positions)).astype(np.float64)
+def foot_points(leg: Leg, character: Character, handles: Handles, transforms: np.ndarray) -> np.ndarray:
+    """Where the sole of a leg is in each frame [m], shape (N, m, 3), by the transforms of the handles (N, K, 3, 4)."""
+    return skin(character.vertices[leg.sole], handles.weights[leg.sole], transforms).astype(np.float64)
 
 
-def move_feet(
-    motion: HandleMotion, handles: Handles, joints: Joints, legs: list[Leg], shifts: np.ndarray, turns: np.ndarray | None = None
-) -> HandleMotion:
+def move_feet(motion: HandleMotion, handles: Handles, joints: Joints, legs: list[Leg], shifts: np.ndarray) -> HandleMotion:
     """The motion with feet moved by bending their legs; feet keep their slope.
 
     A leg is a chain of two bones: its knee stays in the plane in which it was bent. It is never stretched beyond its length, so a
@@ -147,22 +144,17 @@ def move_feet(
         joints: Where they meet.
         legs: The legs whose feet are moved, L.
         shifts: How far each ankle moves [m], shape (N, L, 3).
-        turns: How far each foot turns about +Y [rad], shape (N, L).
     """
-    moved = [
-        number
-        for number in range(len(legs))
-        if np.abs(shifts[:, number]).max() > 1e-9 or (turns is not None and np.abs(turns[:, number]).max() > 1e-9)
-    ]
+    moved = [number for number in range(len(legs)) if np.abs(shifts[:, number]).max() > 1e-9]
     if not moved:
         return motion
     world = motion.transforms(handles.positions).astype(np.float64)
     for number in moved:
-        _move_foot(world, legs[number], joints, shifts[:, number], None if turns is None else turns[:, number], motion)
+        _move_foot(world, legs[number], joints, shifts[:, number], motion)
     return _local(world, motion, handles)
 
 
-def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, turn: np.ndarray | None, motion: HandleMotion) -> None:
+def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, motion: HandleMotion) -> None:
     """Bend one leg, in place."""
     hip, knee, ankle = (
         world[:, handle, :, :3] @ joint + world[:, handle, :, 3] for handle, joint in zip((leg.upper, leg.lower, leg.end), leg.joints, strict=True)
@@ -187,9 +179,9 @@ def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, t
     ):
         swung = np.einsum("nij,nj->ni", swing, _unit(before_turn))
         _carry(world, handle, joints, pivot, target, _between(swung, _unit(after_turn)) @ swing)
-    yaw = np.tile(np.eye(3), (len(world), 1, 1)) if turn is None else matrix_y(turn)
+    level = np.tile(np.eye(3), (len(world), 1, 1))
     for handle in leg.foot:
-        _carry(world, handle, joints, ankle, goal, yaw)
+        _carry(world, handle, joints, ankle, goal, level)
 
 
 def _carry(world: np.ndarray, handle: int, joints: Joints, pivot: np.ndarray, target: np.ndarray, turned: np.ndarray) -> None:

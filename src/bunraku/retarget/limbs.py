@@ -9,14 +9,14 @@ import numpy as np
 
 from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.character import Handles
-from bunraku.handles.limbs import FAMILIES
+from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.retarget.joints import Joints
 
 __all__ = ["LimbView", "by_limb", "limb_views", "reference_parts"]
 
 TOUCH = 1e-3  # least overlap of two parts of one limb, over that of the outer one with itself
 
-_LIMBS = [[HANDLE_NAMES.index(f"{side}_{part}") for part in family] for side in ("left", "right") for family in FAMILIES]
+_LIMBS = [limb_handles(side, family) for side in SIDES for family in FAMILIES]
 _LEAVES = [handle for handle in range(len(HANDLE_NAMES)) if handle not in HANDLE_PARENTS]
 
 

@@ -13,12 +13,11 @@ from bunraku.character import Character
 from bunraku.errors import MotionError
 from bunraku.formats.mmd_model import MmdModel, mmd_model
 from bunraku.formats.vmd import VMD_FPS, VmdMotion
-from bunraku.motion import SkeletalMotion, Skeleton
+from bunraku.motion import SkeletalMotion, Skeleton, line_up, local_rotations
 from bunraku.retarget.mmd_pose import MmdPoses, pose_mmd
 from bunraku.rig_animation import RigAnimation
 
-__all__ = ["mmd_animation", "mmd_poses_to_smpl", "mmd_vertices", "model_of", "play_vmd"]
-
+__all__ = ["mmd_animation", "mmd_poses_to_smpl", "mmd_vertices", "model_of", "play_vmd", "standard_bones"]
 
 MOST_TRANSFORMS = 20_000_000  # of all bones in all frames: 1 GB
 
@@ -33,6 +32,18 @@ def model_of(target: Character | MmdModel) -> MmdModel:
     if model is None:
         raise MotionError(f"{target.name}: this character is no MMD model; load one from a PMX or PMD file")
     return model
+
+
+def standard_bones(model: MmdModel) -> SkeletonMap:
+    """Which bones of a model are which of SMPL's 22 joints.
+
+    Raises:
+        MotionError: The bones do not have MMD's standard names.
+    """
+    found = mmd_skeleton_map(model.names)
+    if found is None:
+        raise MotionError(f"{model.name or 'this model'}: its bones do not have MMD's standard names (下半身, 左足, 左ひざ ...)")
+    return found
 
 
 def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS, *, ik: bool | None = None) -> MmdPoses:
@@ -112,32 +123,20 @@ def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:
     Raises:
         MotionError: The bones do not have MMD's standard names.
     """
-    found = mmd_skeleton_map(poses.model.names)
-    if found is None:
-        raise MotionError(f"{poses.model.name or 'this model'}: its bones do not have MMD's standard names (下半身, 左足, 左ひざ ...)")
+    found = standard_bones(poses.model)
     parents = poses.model.parents
-    lines = {joint: _line(joint, parents) for joint in found.joints if joint >= 0}
+    lines = {joint: line_up(joint, parents) for joint in found.joints if joint >= 0}
     shared = set.intersection(*(set(line) for line in lines.values()))
     root = next((bone for bone in next(iter(lines.values())) if bone in shared), -1)
     if root < 0:
         raise MotionError(f"{poses.model.name or 'this model'}: its legs and arms do not hang on one bone")
-    chosen = sorted({bone for line in lines.values() for bone in line[: line.index(root) + 1]}, key=lambda bone: (len(_line(bone, parents)), bone))
+    chosen = sorted({bone for line in lines.values() for bone in line[: line.index(root) + 1]}, key=lambda bone: (len(line_up(bone, parents)), bone))
     place = {bone: number for number, bone in enumerate(chosen)}
     above = np.array([place.get(int(parents[bone]), -1) if bone != root else -1 for bone in chosen])
     rest = poses.model.positions[chosen]
     offsets = rest - np.where(above[:, None] >= 0, rest[above], 0)
-    world = poses.rotations[:, chosen].astype(float)
-    local = world.copy()
-    local[:, 1:] = np.swapaxes(world[:, above[1:]], -1, -2) @ world[:, 1:]
+    local = local_rotations(poses.rotations[:, chosen].astype(float), above)
     skeleton = Skeleton(tuple(poses.model.names[bone] for bone in chosen), above, offsets)
     motion = SkeletalMotion(skeleton, local, poses.positions[:, root], poses.fps)
     joints = tuple(place[joint] if joint >= 0 else -1 for joint in found.joints)
     return to_smpl(motion, SkeletonMap(joints, found.how, found.convention))
-
-
-def _line(bone: int, parents: np.ndarray) -> list[int]:
-    """A bone and those above it, the root last."""
-    out = [bone]
-    while parents[out[-1]] >= 0:
-        out.append(int(parents[out[-1]]))
-    return out

@@ -13,14 +13,13 @@ from bunraku.character import Character, Handles
 from bunraku.geometry.skinning import skin
 from bunraku.motion import HandleMotion
 from bunraku.retarget.ground import standing, stride_scale
-from bunraku.retarget.joints import Joints, attached, reference_joints
+from bunraku.retarget.joints import Joints, attached, capped, downwards, reference_joints
 from bunraku.retarget.lighter import lighter
 from bunraku.retarget.limbs import reference_parts
 from bunraku.retarget.neutral import neutral_pose, rest_turns
 
 __all__ = ["WayBack", "motion_to_reference"]
 
-LONGEST_RESIDUAL, LONGEST_ON_PEOPLE = 0.5, 0.05  # how far parts may leave their joints [m of the reference body], as in `fit_motion`
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
 
@@ -45,15 +44,16 @@ class WayBack:
     lever: np.ndarray
 
     @classmethod
-    def of(cls, character: Character, handles: Handles) -> WayBack:
+    def of(cls, character: Character, handles: Handles, rest: tuple[np.ndarray, Joints] | None = None) -> WayBack:
         """Measure a character as `fit_motion` does.
 
         Args:
             character: Facing +Z, in the pose that its motions are relative to.
             handles: Its handles, K = 30 with the reference body's meaning.
+            rest: What a rig tells of the rest pose (see `fit_motion`); None measures it.
         """
         character, handles = lighter(character, handles)
-        turns, joints = rest_turns(character, handles)
+        turns, joints = rest or rest_turns(character, handles)
         stance, there = neutral_pose(character, handles, joints, turns)
         stands = standing(stance, there)
         rise = float(character.vertices[stands, 1].min()) - float(stance.vertices[stands, 1].min())
@@ -79,22 +79,13 @@ class WayBack:
         stiff = attached(motion.rotations.astype(np.float64), self.handles, self.joints)[1]
         residual = (motion.translations - stiff) / self.scale * present[:, None]
         residual[:, 0] = 0
-        length = np.linalg.norm(residual, axis=-1, keepdims=True)
-        residual *= np.minimum(1, (LONGEST_RESIDUAL if native else LONGEST_ON_PEOPLE) / np.maximum(length, 1e-9))
-        for handle in np.argsort(_depths(), kind="stable"):
+        for handle in downwards(HANDLE_PARENTS):
             if not present[handle] and handle:
                 rotations[:, handle] = rotations[:, max(int(parents[handle]), 0)]
-        translations = attached(rotations, reference_body().handles, known)[1] + residual
+        translations = attached(rotations, reference_body().handles, known)[1] + capped(residual, native)
         path = motion.root_translation - np.array([0, self.rise, 0]) - (motion.root_rotation - np.eye(3)) @ self.lever
         result = replace(motion, rotations=rotations, translations=translations, root_translation=path / self.scale)
         return result if native else _as_person(result)
-
-
-def _depths() -> list[int]:
-    depths = [0]
-    for parent in HANDLE_PARENTS[1:]:
-        depths.append(depths[parent] + 1)
-    return depths
 
 
 def motion_to_reference(motion: HandleMotion, character: Character, handles: Handles, native: bool = False) -> HandleMotion:

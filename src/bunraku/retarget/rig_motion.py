@@ -6,9 +6,6 @@ import numpy as np
 
 from bunraku.animation import Animation
 from bunraku.motion import HandleMotion
-from bunraku.retarget.ground import standing, stride_scale
-from bunraku.retarget.lighter import lighter
-from bunraku.retarget.neutral import neutral_pose
 from bunraku.retarget.reference import WayBack
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.rig_animation import RigAnimation
@@ -63,13 +60,5 @@ def rig_to_reference(parts: RigParts, turns: np.ndarray, positions: np.ndarray, 
         fps: Frames a second [1/s].
         native: See `motion_to_reference`.
     """
-    return _way(parts).motion(bones_to_handles(parts, turns, positions, fps), native)
-
-
-def _way(parts: RigParts) -> WayBack:
-    character, handles = lighter(parts.character, parts.handles)
-    stance, there = neutral_pose(character, handles, parts.joints, parts.turns)
-    stands = standing(stance, there)
-    rise = float(character.vertices[stands, 1].min()) - float(stance.vertices[stands, 1].min())
-    lever = handles.positions[0].astype(np.float64) - there.positions[0]
-    return WayBack(handles, parts.turns, parts.joints, stride_scale(stance, there, stands), rise, lever)
+    way = WayBack.of(parts.character, parts.handles, (parts.turns, parts.joints))
+    return way.motion(bones_to_handles(parts, turns, positions, fps), native)

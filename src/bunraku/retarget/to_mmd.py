@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku.bodies.bone_words import plain_name
 from bunraku.bodies.layout import JOINT_NAMES
-from bunraku.bodies.mmd_names import MMD_CENTRES, mmd_skeleton_map, plain_name
+from bunraku.bodies.mmd_names import MMD_CENTRES, mmd_skeleton_map
 from bunraku.bodies.reference import leg_length, reference_body
 from bunraku.bodies.resample import resample_motion
 from bunraku.bodies.skeleton_map import SkeletonMap
@@ -20,15 +21,10 @@ from bunraku.errors import MotionError
 from bunraku.formats.mmd_model import MmdModel
 from bunraku.formats.vmd import VMD_FPS
 from bunraku.formats.vmd_write import MmdClip
-from bunraku.geometry.rotations import (
-    axis_angle_from_matrix,
-    matrix_from_axis_angle,
-    matrix_from_quaternion,
-    quaternion_from_matrix,
-    quaternion_slerp,
-)
-from bunraku.motion import SkeletalMotion
-from bunraku.retarget.mmd import model_of
+from bunraku.geometry.resampling import Resampling
+from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.motion import SkeletalMotion, line_up
+from bunraku.retarget.mmd import model_of, standard_bones
 from bunraku.retarget.mmd_pose import pose_mmd
 from bunraku.rig_animation import RigAnimation, bone_order
 
@@ -54,9 +50,7 @@ def mmd_motion(target: Character | MmdModel, motion: SkeletalMotion) -> MmdClip:
     model = model_of(target)
     if motion.skeleton.names != JOINT_NAMES:
         raise MotionError("MMD models take motions of SMPL's 22 joints; use bunraku.bodies.to_smpl first")
-    found = mmd_skeleton_map(model.names)
-    if found is None:
-        raise MotionError(f"{model.name or 'this model'}: its bones do not have MMD's standard names (下半身, 左足, 左ひざ ...)")
+    found = standard_bones(model)
     motion = resample_motion(motion, VMD_FPS)
     wanted, centre = _wanted(model, found, motion)
     parents, rest = model.parents, model.positions
@@ -85,10 +79,7 @@ def _wanted(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> tupl
     world = motion.world()[0].astype(float)
     back = np.swapaxes(turns_of_rest(found, model.positions), -1, -2)
     out = {bone: world[:, joint] @ back[joint] for joint, bone in enumerate(found.joints) if bone >= 0}
-    line, at = [], found.of("pelvis")
-    while at >= 0:
-        line.append(at)
-        at = int(model.parents[at])
+    line = line_up(found.of("pelvis"), model.parents)
     named = {plain_name(model.names[bone]): bone for bone in line}
     centre = next((named[name] for name in MMD_CENTRES if name in named), line[-1])
     out[centre] = world[:, 0] @ back[0]
@@ -152,7 +143,7 @@ def _keys(model: MmdModel, rotations: np.ndarray, translations: np.ndarray) -> d
     keyed_turns[:, still], keyed_moves[:, still] = np.eye(3), 0
     taken_turns: dict[int, np.ndarray] = {}
     taken_moves: dict[int, np.ndarray] = {}
-    for bone in sorted(range(len(model.bones)), key=lambda bone: (model.bones[bone].after_physics, model.bones[bone].layer, bone)):
+    for bone in model.order:
         append = model.bones[bone].append
         if append is not None and append.rotation:
             source = rotations[:, append.bone] if append.local else taken_turns.get(append.bone, keyed_turns[:, append.bone])
@@ -176,16 +167,10 @@ def _still(rotations: np.ndarray, translations: np.ndarray) -> np.ndarray:
 def _resampled(animation: RigAnimation) -> tuple[np.ndarray, np.ndarray]:
     """Local rotations (N, B, 3, 3) and translations (N, B, 3) at 30 frames a second."""
     rotations, translations = animation.rotations.astype(float), animation.translations.astype(float)
-    last = len(animation) - 1
-    if abs(animation.fps - VMD_FPS) < 1e-6 or not last:
+    if abs(animation.fps - VMD_FPS) < 1e-6 or len(animation) == 1:
         return rotations, translations
-    times = np.minimum(np.arange(int(last / animation.fps * VMD_FPS + 1e-6) + 1) / VMD_FPS * animation.fps, last)
-    low = np.minimum(times.astype(np.int64), last - 1)
-    share = times - low
-    quaternions = quaternion_from_matrix(rotations)
-    shares = np.broadcast_to(share[:, None], (len(times), rotations.shape[1]))
-    turned = matrix_from_quaternion(quaternion_slerp(quaternions[low], quaternions[low + 1], shares))
-    return turned, translations[low] + share[:, None, None] * (translations[low + 1] - translations[low])
+    between = Resampling.of(len(animation), animation.fps, VMD_FPS)
+    return between.rotations(rotations), between.linear(translations)
 
 
 def _leg_goals(model: MmdModel) -> tuple[str, ...]:

@@ -8,7 +8,8 @@ import numpy as np
 
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.bodies.makehuman import BODY_VERTICES
-from bunraku.datasets.dressed.wardrobe import Piece, Wardrobe, Worn, joined, smooth_step
+from bunraku.datasets.dressed.wardrobe import Piece, Wardrobe, Worn, joined
+from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.graph import mean_operator, unique_edges
 from bunraku.geometry.normals import vertex_normals
 from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
