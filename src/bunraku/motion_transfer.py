@@ -6,6 +6,7 @@ Every motion becomes one of the reference body first (`any_motion`). From there 
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,11 +20,12 @@ from bunraku.motion import HandleMotion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.rig_animation import RigAnimation
 
-__all__ = ["TRANSFER_STAGES", "perform_transfer", "played_by_mmd", "same_skeleton", "transfer"]
+__all__ = ["TRANSFER_STAGES", "check_apparel", "perform_transfer", "played_by_mmd", "same_skeleton", "transfer", "with_apparel"]
 
 Progress = Callable[[str, float], None]
-TRANSFER_STAGES = Stages(hands=True)
-"""The stages that run by default: those of fitting, and hands that touch the body stay near it."""
+_log = logging.getLogger(__name__)
+TRANSFER_STAGES = Stages(hands=True, shape=True)
+"""The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its shape."""
 
 
 def transfer(
@@ -32,6 +34,7 @@ def transfer(
     *,
     onto: Literal["auto", "handles", "rig"] = "auto",
     handles: Handles | Literal["predict", "rig"] = "predict",
+    apparel: Literal["rigid", "simulate"] = "rigid",
     stages: Stages | None = None,
     fps: float = 20.0,
     names: Mapping[str, str] | None = None,
@@ -46,6 +49,7 @@ def transfer(
         onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a humanoid that has one
             and handles otherwise.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
+        apparel: "rigid" moves hair and clothes with the body, "simulate" by the rigid bodies or springs of an MMD or VRM file.
         stages: Which stages run; `TRANSFER_STAGES` when None.
         fps: Frames a second of the result [1/s].
         names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
@@ -66,6 +70,27 @@ def transfer(
         raise OptionError(f"a motion goes onto 'handles', 'rig' or 'auto', not '{onto}'; choose one of the three")
     if not 1 <= fps <= 240:
         raise OptionError(f"frames a second must be from 1 to 240, not {fps:g}")
+    if apparel not in ("rigid", "simulate"):
+        raise OptionError(f"apparel moves by 'rigid' or 'simulate', not '{apparel}'; choose one of the two")
+    if apparel == "simulate":
+        if onto == "handles":
+            raise OptionError("apparel is simulated on the bones of a character's rig; leave out onto='handles'")
+        check_apparel(character)  # before the work
+    result = _transferred(character, motion, onto, handles, stages, fps, names, clip, progress)
+    return with_apparel(result, apparel, progress)
+
+
+def _transferred(
+    character: Character,
+    motion: Motion | str | Path,
+    onto: Literal["auto", "handles", "rig"],
+    handles: Handles | Literal["predict", "rig"],
+    stages: Stages | None,
+    fps: float,
+    names: Mapping[str, str] | None,
+    clip: int | str,
+    progress: Progress | None,
+) -> Animation | RigAnimation:
     tell = progress or (lambda stage, done: None)
     tell("read", 0.0)
     if isinstance(motion, str | Path):
@@ -120,6 +145,43 @@ def perform_transfer(
         result = Animation(character, handles, fit_motion(reference, character, handles, stages), reference)
     tell("fit", 1.0)
     return result
+
+
+def check_apparel(character: Character) -> None:
+    """Whether there is apparel to simulate.
+
+    Raises:
+        CharacterError: The file of the character says nothing of physics.
+        FormatError: The nodes of the file are broken.
+    """
+    from bunraku.physics.apparel_rig import apparel_rig
+
+    if apparel_rig(character) is None:
+        raise CharacterError(
+            f"{character.name}: nothing of this character is moved by physics; its file must be a PMX, PMD or VRM with rigid bodies or springs"
+        )
+
+
+def with_apparel(animation: Animation | RigAnimation, apparel: str = "simulate", progress: Progress | None = None) -> Animation | RigAnimation:
+    """The animation with its apparel simulated, or as it is where apparel is "rigid".
+
+    Raises:
+        CharacterError: There is no physics in its file, or it is moved by handles.
+    """
+    if apparel != "simulate":
+        return animation
+    check_apparel(animation.character)
+    if not isinstance(animation, RigAnimation):
+        name = animation.character.name
+        raise CharacterError(f"{name}: apparel is simulated on the bones of a humanoid's rig, and this one is moved by handles; try --onto rig")
+    from bunraku.physics.simulate import simulate
+
+    tell = progress or (lambda stage, done: None)
+    tell("apparel", 0.0)
+    found = simulate(animation, progress=lambda done: tell("apparel", done))
+    for problem in found.report.problems():
+        _log.warning("%s: %s", animation.character.name, problem)
+    return found.animation
 
 
 def same_skeleton(character: Character, motion: Motion) -> RigAnimation | None:

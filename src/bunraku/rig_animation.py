@@ -157,7 +157,9 @@ class RigAnimation:
         return skin(self.character.vertices, self.handles.weights, transforms if frames is None else transforms[frames])
 
     def save(self, path: str | Path, **options: Any) -> Path:
-        """Write the animation: a .glb keeps the file's own nodes, skins and materials; other formats are those of `Animation.save`.
+        """Write the animation: a .glb keeps the file's own nodes, skins and materials, a .vmd the bones of an MMD model.
+
+        Other formats are those of `Animation.save`.
 
         Raises:
             FormatError: The suffix is unknown, or the file cannot be written.
@@ -172,6 +174,8 @@ class RigAnimation:
             from bunraku.retarget.rig_motion import handle_animation
 
             return save_animation(handle_animation(self), path, **options)
+        if Path(path).suffix.lower() == ".vmd":
+            return save_animation(self, path, **options)
         return save_animation(self.animation(), path, **options)
 
 
@@ -183,4 +187,5 @@ def bone_order(parents: np.ndarray) -> list[int]:
         (below[int(parent)] if parent >= 0 else out).append(bone)
     for bone in out:
         out.extend(below[bone])
-    return out + [bone for bone in range(len(parents)) if bone not in set(out)] if len(out) < len(parents) else out
+    reached = set(out)
+    return out + [bone for bone in range(len(parents)) if bone not in reached]

@@ -1,20 +1,33 @@
 """`bunraku transfer`: one pair, many pairs, what is done already and what is wrong."""
 
 import json
+import multiprocessing
+import os
 import shutil
+import signal
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bunraku import transfer
 from bunraku.bodies.layout import JOINT_NAMES
 from bunraku.bodies.reference import reference_body
 from bunraku.cli import main
 from bunraku.cli.transfer_jobs import Settings, done_already, holds_character, pairs_of
-from bunraku.formats import load_character
+from bunraku.cli.transfer_runs import run_pairs
+from bunraku.formats import load_character, load_motion
 from bunraku.formats.bvh_write import write_bvh
+from bunraku.formats.vmd import load_vmd
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.motion import SkeletalMotion, Skeleton
+from bunraku.retarget.mmd import mmd_animation
+from bunraku.retarget.mmd_standard import standard_model
 from bunraku.rig_animation import RigAnimation
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
+from mmd_bytes import Bone, plank, pmx
 
 
 def waving(skeleton=None, frames=8):
@@ -51,6 +64,54 @@ def test_one_pair(files, capsys):
 def test_other_formats(files):
     assert run(files / "person.glb", files / "wave.bvh", "-o", files / "out.npz") == 0
     assert run(files / "person.glb", files / "wave.bvh", "-o", files / "out.bvh") == 0
+
+
+@pytest.fixture
+def doll(files):
+    """The same person as an MMD model with the standard bones."""
+    bones = [Bone(some.name, tuple(some.position * [1, 1, -1] / 0.08), some.parent, some.layer) for some in standard_model().bones]
+    (files / "doll.pmx").write_bytes(pmx(plank(bones=bones, bodies=[], joints=[], textures=[])))
+    return files / "doll.pmx"
+
+
+def test_vmd_of_an_mmd_character(files, doll, fails, capsys):
+    assert run(doll, files / "wave.bvh", "--onto", "rig", "-o", files / "wave.vmd") == 0
+    vmd, character = load_vmd(files / "wave.vmd"), load_character(doll)
+    known = transfer(character, files / "wave.bvh", onto="rig", fps=30)
+    assert np.abs(mmd_animation(character, vmd).vertices() - known.vertices()).max() < 1e-4
+    assert run(doll, files / "wave.vmd", "-o", files / "again.vmd") == 0  # a VMD is played, so this is a copy
+    assert np.abs(mmd_animation(character, load_vmd(files / "again.vmd")).vertices() - known.vertices()).max() < 1e-4
+    capsys.readouterr()
+    assert "transfer onto a .pmx" in fails("transfer", files / "person.glb", files / "wave.bvh", "-o", files / "person.vmd")
+
+
+def test_a_batch_in_another_format(files, doll, fails, capsys):
+    words = (doll, files / "wave.bvh", files / "again.bvh", "--onto", "rig", "-o", files / "out")
+    for suffix in ("vmd", ".vrma", "BVH", "ply"):
+        assert run(*words, "--format", suffix) == 0
+        capsys.readouterr()
+        assert run(*words, "--format", suffix) == 0
+        assert "2 of 2 files are there already" in capsys.readouterr().out
+    written = sorted(path.name for path in (files / "out").glob("doll*"))
+    assert written == sorted(f"doll-{motion}{suffix}" for motion in ("again", "wave") for suffix in ("", ".bvh", ".vmd", ".vrma"))
+    assert len(load_motion(files / "out" / "doll-wave.bvh")) == len(load_motion(files / "out" / "doll-wave.vrma")) == 11
+    assert "--format" in fails("transfer", *words, "--format", "docx")
+
+
+def test_a_process_that_is_killed_takes_no_other_pair_along(files):
+    for name in ("third", "fourth", "fifth", "sixth"):
+        shutil.copy2(files / "wave.bvh", files / f"{name}.bvh")
+    pairs = pairs_of([files / "person.glb"], sorted(files.glob("*.bvh")), files)
+    results = run_pairs(pairs, Settings(), 2)
+    done = dict([next(results)])
+    victim = multiprocessing.active_children()[0]
+    os.kill(victim.pid, signal.SIGKILL)  # as the system does where memory runs out
+    for pair, reason in results:
+        assert pair not in done
+        done[pair] = reason
+    assert set(done) == set(pairs)
+    assert [pair.motion.name for pair in pairs if done[pair]] == ["bad.bvh"]
+    assert all(pair.output.is_file() for pair in pairs if pair.motion.name != "bad.bvh")
 
 
 def test_many_pairs(files, capsys):
@@ -115,7 +176,6 @@ def test_ray(files, fails):
     try:
         import ray  # noqa: F401
     except ImportError:
-        from bunraku.cli.transfer_jobs import run_pairs
         from bunraku.errors import MissingExtraError
 
         with pytest.raises(MissingExtraError, match=r"bunraku\[ray\]"):

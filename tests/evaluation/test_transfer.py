@@ -1,16 +1,29 @@
 """The table of motion transfer, on a folder with one character and five motions."""
 
+import json
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from bunraku import FormatError, RigAnimation
 from bunraku.bodies.layout import JOINT_NAMES
 from bunraku.bodies.reference import reference_body
-from bunraku.evaluation.transfer import BARS, KINDS, evaluate_transfer, limb_angles, pick_motions
+from bunraku.evaluation.transfer import BARS, KINDS, evaluate_transfer, pick_motions
+from bunraku.evaluation.transfer_character import limb_angles
+from bunraku.evaluation.transfer_mmd import leg_reach, measure_soles
 from bunraku.formats.bvh_write import write_bvh
+from bunraku.formats.vmd_write import MmdClip, write_vmd
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.motion import SkeletalMotion
+from bunraku.retarget.mmd_standard import standard_model
 from bunraku.retarget.rig_parts import RigParts
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
+from mmd_bytes import Bone, plank, pmx
+
+MMD = Path("/work/data/apparel/mmd")
 
 
 def test_motions_are_picked_by_caption_then_by_name(tmp_path):
@@ -43,8 +56,56 @@ def test_the_table(tmp_path):
         write_bvh(motion, tmp_path / f"{kind}.bvh")
     (tmp_path / "characters").mkdir()
     RigAnimation(body.character(), matrix_from_axis_angle(turns), np.zeros((10, 22, 3))).save(tmp_path / "characters" / "person.glb")
-    result = evaluate_transfer(tmp_path / "characters", tmp_path, speed=False)
+    result = evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)
     assert result["counts"] == {"characters": 1, "humanoids": 1, "clips": 1} and not result["failed"]
     assert set(BARS) <= set(result)
     assert result["finished"] == 1 and result["angle_rig"] < 5 and result["bvh_degrees"] < 0.01
-    assert result["back"] < 0.005 and result["back_copied"] < 1e-5
+    assert result["back"] < 0.005 and result["back_copied"] < 1e-5 and result["soles"] is None
+    kept = tmp_path / "work" / "transfer.jsonl"
+    made_of, row = json.loads(kept.read_text())
+    assert row == result["rows"][0]
+    kept.write_text(json.dumps([made_of, row | {"angle_rig": 77.0}]) + "\n[half a li")
+    assert evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)["angle_rig"] == 77.0
+    write_bvh(motion, tmp_path / "walk.bvh", fps=30)
+    assert evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)["angle_rig"] < 5  # another walk
+
+
+def doll(folder):
+    """The standard skeleton of MMD with a mesh, its leg IK and all."""
+    model = standard_model()
+
+    def chain(ik):
+        if ik is None:
+            return None
+        limits = {True: None, False: ((-np.pi, 0.0, 0.0), (-np.radians(0.5), 0.0, 0.0))}
+        return ik.target, ik.loops, ik.limit, [(link.bone, limits[link.lower is None]) for link in ik.links]
+
+    bones = [Bone(some.name, tuple(some.position * [1, 1, -1] / 0.08), some.parent, some.layer, ik=chain(some.ik)) for some in model.bones]
+    (folder / "doll.pmx").write_bytes(pmx(plank(bones=bones, bodies=[], joints=[], textures=[])))
+
+
+def test_soles_of_an_mmd_model(tmp_path):
+    doll(tmp_path)
+    up = np.zeros((20, 3))
+    up[:10, 1], up[10:, 1] = np.linspace(0.02, 0.3, 10), -0.4  # the last half is under the floor
+    still = np.broadcast_to(np.eye(3), (20, 3, 3))
+    write_vmd(MmdClip({f"{side}足ＩＫ": (up, still) for side in "左右"}), tmp_path / "step.vmd")
+    (tmp_path / "broken.vmd").write_bytes(b"Vocaloid Motion Data 0002")
+    failed = {}
+    result = measure_soles(tmp_path, failed)
+    assert list(failed) == ["broken.vmd"]
+    assert result["soles"] < 1e-5 and result["soles_reached"] == 0.5 and result["soles_beyond"] < 1e-5
+    assert 0.38 < result["soles_target"] < 0.41
+    model = standard_model()
+    hip, knee, ankle = (model.bone(f"左{name}") for name in ("足", "ひざ", "足首"))
+    length = np.linalg.norm(model.positions[hip] - model.positions[knee]) + np.linalg.norm(model.positions[knee] - model.positions[ankle])
+    link = model.bones[model.bone("左足ＩＫ")].ik.links[0]
+    assert length - 1e-3 < leg_reach(model, link, hip, ankle) <= length
+    assert measure_soles(None, {}) == dict.fromkeys(result)
+
+
+@pytest.mark.skipif(not MMD.is_dir(), reason="needs the unpacked MMD characters")
+def test_soles_of_real_characters():
+    failed = {}
+    result = measure_soles(MMD, failed)
+    assert not failed and result["soles"] < 0.01 and result["soles_beyond"] < 0.001 and result["soles_reached"] > 0.4

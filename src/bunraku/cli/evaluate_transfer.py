@@ -29,6 +29,10 @@ class EvaluateTransfer:
     """Folder of motions: with a captions.csv beside them, or named by what is done."""
     limit: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
     """Take only so many characters, spread over all."""
+    mmd: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Folder of MMD models and VMD files with leg IK, for the rows of soles; left out without it."""
+    work: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Where rows of characters are kept, so that the same command goes on where it was stopped."""
     no_speed: bool = False
     """Leave out the times, which say little on a busy machine."""
     json: bool = False
@@ -36,13 +40,14 @@ class EvaluateTransfer:
 
     def run(self) -> None:
         check_range("--limit", self.limit, 1, 100_000)
-        for folder in (self.characters, self.motions):
-            if not folder.is_dir():
+        for folder in (self.characters, self.motions, self.mmd):
+            if folder is not None and not folder.is_dir():
                 raise FormatError(folder, "there is no such folder")
         from bunraku.evaluation.transfer import evaluate_transfer
 
         with stages() as report:
-            result = evaluate_transfer(self.characters, self.motions, limit=self.limit, speed=not self.no_speed, progress=report)
+            how: dict[str, Any] = {"mmd": self.mmd, "limit": self.limit, "work": self.work, "speed": not self.no_speed}
+            result = evaluate_transfer(self.characters, self.motions, progress=report, **how)
         measured(result, self.json, _print)
 
 
@@ -64,4 +69,6 @@ def _print(result: dict[str, Any]) -> None:
 
 
 def _number(value: float, unit: str) -> str:
+    if unit == " m":
+        return f"{1000 * value:.4f} mm"
     return f"{value:.2f}{unit}" if unit and value >= 0.1 else f"{value:.4f}{unit}" if unit else f"{value:.2%}"

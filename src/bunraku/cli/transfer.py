@@ -15,7 +15,8 @@ from bunraku.cli.orientation import AxisOption, check_axes
 from bunraku.cli.outputs import PreviewOption, WithoutOption, check_outputs, check_stages
 from bunraku.cli.progress import stages
 from bunraku.cli.report import wrote
-from bunraku.cli.transfer_jobs import Pair, Settings, animation_of, done_already, holds_character, pairs_of, run_pairs
+from bunraku.cli.transfer_jobs import Pair, Settings, animation_of, done_already, holds_character, pairs_of
+from bunraku.cli.transfer_runs import run_pairs
 from bunraku.errors import BunrakuError, FormatError, OptionError
 
 __all__ = ["Transfer"]
@@ -40,6 +41,8 @@ class Transfer:
     """File to write, by its suffix, or the folder of several. Default: CHARACTER-MOTION.glb in this folder, or the folder transfer."""
     onto: Literal["auto", "handles", "rig"] = "auto"
     """What is moved: the "handles" of the character, the bones of its own "rig", or by "auto" the rig of a humanoid and the handles of others."""
+    apparel: Literal["rigid", "simulate"] = "rigid"
+    """How hair and clothes of MMD and VRM characters move: "rigid" with the body, or "simulate" by the physics of their file."""
     handles: Literal["predict", "rig"] = "predict"
     """Where handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by their names."""
     map: Path | None = None
@@ -49,11 +52,13 @@ class Transfer:
     fps: float = 30.0
     """Frames a second of the result, 1 to 120."""
     without: WithoutOption = ()
-    """Leave out a stage: rest-pose, attach, ground, feet, smooth, floor or hands. May be given more than once."""
+    """Leave out a stage: rest-pose, attach, shape, ground, feet, smooth, floor or hands. May be given more than once."""
     up: AxisOption = "auto"
     """The axis that is up in the characters' files."""
     front: AxisOption = "auto"
     """The axis that the characters face in their files."""
+    format: Annotated[str, tyro.conf.arg(metavar="SUFFIX")] = "glb"
+    """What each pair is written as where no file is named: glb, vmd, vrma, bvh, usd, fbx, npz, obj, mp4 ..."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the pairs, or "ray" for a Ray cluster."""
     preview: PreviewOption = ()
@@ -64,16 +69,18 @@ class Transfer:
         check_axes(self.up, self.front)
         names = _names(self.map)
         check_stages(self.without)
-        settings = Settings(self.onto, self.handles, self.fps, self.clip, names, tuple(sorted(set(self.without))), self.up, self.front)
-        jobs = _jobs(self.jobs)
+        if self.apparel == "simulate" and self.onto == "handles":
+            raise OptionError("--apparel simulate moves the bones of a character's rig; leave out --onto handles")
+        settings = Settings(self.onto, self.handles, self.fps, self.clip, names, tuple(sorted(set(self.without))), self.up, self.front, self.apparel)
+        jobs, suffix = _jobs(self.jobs), _suffix(self.format)
         characters, motions, bad = self._sorted()
         single = len(characters) == len(motions) == 1 and not bad and not self._folder()
         if single:
-            self._one(characters[0], motions[0], settings)
+            self._one(characters[0], motions[0], settings, suffix)
             return 0
         if self.preview:
             raise OptionError("--preview is for one character with one motion; make previews of several files with `bunraku render`")
-        return self._many(characters, motions, bad, settings, jobs)
+        return self._many(characters, motions, bad, settings, jobs, suffix)
 
     def _folder(self) -> bool:
         """Whether the output is named as a folder."""
@@ -106,8 +113,8 @@ class Transfer:
             raise OptionError("none of these files is a motion only; put motions that have a character in them after --motions")
         return characters, motions, bad
 
-    def _one(self, character: Path, motion: Path, settings: Settings) -> None:
-        output = self.output or Path(f"{character.stem}-{motion.stem}.glb")
+    def _one(self, character: Path, motion: Path, settings: Settings, suffix: str) -> None:
+        output = self.output or Path(f"{character.stem}-{motion.stem}{suffix}")
         inputs = [character] if motion.is_dir() else [character, motion]
         check_outputs([output], self.preview, inputs, _outputs())
         with stages() as report:
@@ -128,7 +135,9 @@ class Transfer:
                 for path in written:
                     wrote(path)
 
-    def _many(self, characters: list[Path], motions: list[Path], bad: dict[Path, str], settings: Settings, jobs: int | str) -> int:
+    def _many(self, characters: list[Path], motions: list[Path], bad: dict[Path, str], settings: Settings, jobs: int | str, suffix: str) -> int:
+        from bunraku.formats.registry import check_writer
+
         folder = self.output or Path("transfer")
         if folder.suffix and not folder.is_dir():
             if len(characters) == len(motions) == 1 and bad:  # a file was meant, and one input is no good
@@ -138,7 +147,8 @@ class Transfer:
         if folder.is_file():
             raise FormatError(folder, "this is a file; name a folder with -o, where each pair gets a file")
         check_folder(folder)
-        pairs = pairs_of(characters, motions, folder)
+        check_writer(Path(f"motion{suffix}"))
+        pairs = pairs_of(characters, motions, folder, suffix)
         inputs = {path.resolve() for path in (*characters, *motions)}
         for pair in pairs:
             if pair.output.resolve() in inputs:
@@ -155,7 +165,7 @@ class Transfer:
                     failed[_label(pair, reason)] = reason
                 else:
                     note(pair)
-                    wrote(pair.output)
+                    wrote(pair.written)
                 report("transfer", done / len(todo))
         for label, reason in failed.items():
             print(f"bunraku: failed: {label}: {' '.join(reason.removeprefix(f'{label}: ').split())}", file=sys.stderr)
@@ -179,6 +189,14 @@ def _jobs(text: str) -> int | str:
     if not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 256:
         raise OptionError(f"--jobs is a number from 1 to 256, or ray, not {text!r}")
     return int(text)
+
+
+def _suffix(text: str) -> str:
+    suffix = f".{text.lower().removeprefix('.')}"
+    if suffix not in _outputs():
+        known = ", ".join(known[1:] for known in _outputs())
+        raise OptionError(f"--format names no format that is written: {text[:40]!r}; there are {known}")
+    return suffix
 
 
 def _names(path: Path | None) -> tuple[tuple[str, str], ...]:

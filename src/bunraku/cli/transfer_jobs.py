@@ -1,28 +1,22 @@
-"""The work of `bunraku transfer`: which file is what, one pair after the other or on several processes, and what is done already."""
+"""The work of `bunraku transfer`: which file is what, what a pair of them gives, and what is done already."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bunraku.errors import BunrakuError, FormatError, MissingExtraError
+from bunraku.errors import BunrakuError, FormatError
 
 if TYPE_CHECKING:
     from bunraku.motion import HandleMotion
     from bunraku.retarget.fit import Stages
 
-__all__ = [
-    "Pair", "Settings", "animation_of", "done_already", "holds_character", "pairs_of", "run_pairs", "transfer_pair",
-]  # fmt: skip
+__all__ = ["Pair", "Settings", "animation_of", "done_already", "holds_character", "pairs_of", "transfer_pair"]
 
 LEDGER = ".bunraku-transfer.json"
 """Beside the results of a batch: what each was made of."""
@@ -40,6 +34,7 @@ class Settings:
     without: tuple[str, ...] = ()
     up: str = "auto"
     front: str = "auto"
+    apparel: str = "rigid"
 
 
 @dataclass(frozen=True)
@@ -49,6 +44,11 @@ class Pair:
     character: Path
     motion: Path
     output: Path
+
+    @property
+    def written(self) -> Path:
+        """What is there when it is done: the file, or the folder of a sequence of meshes."""
+        return self.output.with_suffix("") if self.output.suffix.lower() in (".obj", ".ply") else self.output
 
 
 def holds_character(path: Path) -> bool:
@@ -98,11 +98,19 @@ def pairs_of(characters: Iterable[Path], motions: Iterable[Path], folder: Path, 
 
 
 def animation_of(pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None = None) -> Any:
-    """The motion of a pair on its character: an `Animation` or a `RigAnimation`.
+    """The motion of a pair on its character: an `Animation` or a `RigAnimation`, apparel and all.
 
     Raises:
-        BunrakuError: A file cannot be read, or the two do not go together.
+        BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
     """
+    from bunraku.motion_transfer import check_apparel, with_apparel
+
+    if settings.apparel == "simulate":  # before the work
+        check_apparel(character_of(pair.character, settings)[0])
+    return with_apparel(_transferred(pair, settings, progress), settings.apparel, progress)
+
+
+def _transferred(pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None) -> Any:
     from bunraku.motion_transfer import perform_transfer, played_by_mmd, same_skeleton
 
     character, handles = character_of(pair.character, settings)
@@ -182,7 +190,7 @@ def done_already(pairs: list[Pair], settings: Settings) -> tuple[list[Pair], Cal
     if not isinstance(known, dict):
         known = {}
     marks = {pair: _fingerprint(pair, settings) for pair in pairs}
-    todo = [pair for pair in pairs if known.get(pair.output.name) != marks[pair] or not pair.output.is_file()]
+    todo = [pair for pair in pairs if known.get(pair.output.name) != marks[pair] or not pair.written.exists()]
 
     def note(pair: Pair) -> None:
         from bunraku.formats.files import atomic_write
@@ -202,73 +210,3 @@ def _fingerprint(pair: Pair, settings: Settings) -> str:
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         facts += [[str(file.resolve()), file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.exists()]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]
-
-
-def run_pairs(pairs: list[Pair], settings: Settings, jobs: int | str) -> Iterator[tuple[Pair, str]]:
-    """Do all pairs; give each with what went wrong, "" for nothing, as it is done.
-
-    Args:
-        pairs: What to do; pairs of one character follow each other.
-        settings: For all.
-        jobs: How many processes, or "ray" for a cluster of the package ray, whose machines must see the same files.
-
-    Raises:
-        MissingExtraError: ray is not installed.
-    """
-    if not pairs:
-        return
-    if jobs == "ray":
-        yield from _on_ray(pairs, settings)
-    elif jobs == 1 or len(pairs) == 1:
-        for pair in pairs:
-            yield pair, transfer_pair(pair, settings)
-    else:
-        with ProcessPoolExecutor(min(int(jobs), len(pairs)), mp_context=get_context("spawn"), initializer=_one_thread) as pool:
-            waiting = {pool.submit(_run_batch, batch, settings): batch for batch in _batches(pairs, int(jobs))}
-            for future in as_completed(waiting):
-                try:
-                    yield from future.result()
-                except Exception as error:  # a process that died
-                    reason = f"its process ended ({type(error).__name__}); run again with --jobs 1"
-                    yield from ((pair, f"{pair.output.name}: {reason}") for pair in waiting[future])
-
-
-def _batches(pairs: list[Pair], jobs: int) -> list[list[Pair]]:
-    """Pairs of one character together, as far as that leaves enough batches for all processes; a few at once, so that progress is seen."""
-    size = max(1, min(4, len(pairs) // (2 * jobs)))
-    out: list[list[Pair]] = []
-    for pair in pairs:
-        if out and len(out[-1]) < size and out[-1][0].character == pair.character:
-            out[-1].append(pair)
-        else:
-            out.append([pair])
-    return out
-
-
-def _run_batch(batch: list[Pair], settings: Settings) -> list[tuple[Pair, str]]:
-    return [(pair, transfer_pair(pair, settings)) for pair in batch]
-
-
-def _one_thread() -> None:
-    """Processes share the cores; threads in each would only get into each other's way."""
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"
-
-
-def _on_ray(pairs: list[Pair], settings: Settings) -> Iterator[tuple[Pair, str]]:
-    try:
-        ray: Any = import_module("ray")
-    except ImportError as error:
-        raise MissingExtraError("ray", "ray", "--jobs ray") from error
-    ray.init(ignore_reinit_error=True, log_to_driver=False)
-    work = ray.remote(_run_batch)
-    here = [Pair(*(path.resolve() for path in (pair.character, pair.motion, pair.output))) for pair in pairs]
-    own = dict(zip(here, pairs, strict=True))
-    waiting = {work.remote(batch, settings): batch for batch in _batches(here, max(1, int(ray.available_resources().get("CPU", 1))))}
-    while waiting:
-        (ready,), _ = ray.wait(list(waiting), num_returns=1)
-        batch = waiting.pop(ready)
-        try:
-            yield from ((own[pair], reason) for pair, reason in ray.get(ready))
-        except ray.exceptions.RayError as error:
-            yield from ((own[pair], f"{pair.output.name}: its task ended ({type(error).__name__}); run again with --jobs 1") for pair in batch)

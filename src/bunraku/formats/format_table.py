@@ -105,6 +105,7 @@ FORMATS: tuple[Format, ...] = (
         motion="fbx_motion:read_motion",
         animation="fbx_export:write_fbx",
     ),
+    Format("VMD", (".vmd",), (b"Vocaloid Motion Data",), animation="bunraku.retarget.vmd_out:write_character_vmd"),
     Format("PMX", (".pmx",), (b"PMX ",), character="pmx:read_pmx"),
     Format("PMD", (".pmd",), (b"Pmd",), character="pmd:read_pmd"),
     Format("RigNet", (".txt",), character="rignet:read_rignet"),

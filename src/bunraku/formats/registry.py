@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bunraku.character import Character, Handles
     from bunraku.motion import HandleMotion, SkeletalMotion
     from bunraku.point_animation import PointAnimation
+    from bunraku.rig_animation import RigAnimation
 
 __all__ = [
     "check_writer",
@@ -168,16 +169,17 @@ def load_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
     return motion
 
 
-def save_animation(animation: Animation, path: str | Path, **options: Any) -> Path:
+def save_animation(animation: Animation | RigAnimation, path: str | Path, **options: Any) -> Path:
     """Write an animation in the format that the suffix names.
 
     .glb, .usd, .usda, .usdc, .usdz and .fbx hold the character with its skin and motion, .obj and .ply a sequence of meshes, .bvh and
-    .vrma what the humanoid skeleton does, .npz the handle motion, .mp4, .webp and .gif a video, .png a contact sheet.
+    .vrma what the humanoid skeleton does, .vmd the bones of an MMD model, .npz the handle motion, .mp4, .webp and .gif a video, .png a
+    contact sheet.
 
     Args:
-        animation: The animation.
+        animation: The animation; one of a rig only for .vmd, see `RigAnimation.save`.
         path: The file. `walk.obj` becomes a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on.
-        **options: `fps`, frames a second of the output [1/s], for all but .npz; `up` ("+y" or "+z") and `unit` ("m", "cm", ...) for
+        **options: `fps`, frames a second of the output [1/s], for all but .npz and .vmd; `up` ("+y" or "+z") and `unit` ("m", "cm", ...) for
             USD, .obj, .ply and .bvh; and what the writers of single formats have besides (docs/formats.md).
 
     Returns:

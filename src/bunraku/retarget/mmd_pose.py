@@ -14,6 +14,7 @@ import numpy as np
 
 from bunraku.formats.mmd_model import MmdIk, MmdIkLink, MmdModel
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.retarget.mmd_work import check_work
 
 __all__ = ["MmdPoses", "pose_mmd"]
 
@@ -63,8 +64,12 @@ def pose_mmd(
 
     Returns:
         The poses, in float32.
+
+    Raises:
+        MotionError: The model asks for too much work; see `mmd_work`.
     """
     count = frames if frames is not None else max((len(positions) for positions, _ in tracks.values()), default=1)
+    check_work(model, count)
     bones = len(model.bones)
     rotations, positions = np.empty((count, bones, 3, 3), np.float32), np.empty((count, bones, 3), np.float32)
     known = {name: index for index, name in reversed(list(enumerate(model.names)))}
@@ -105,7 +110,7 @@ class _State:
         self.turns, self.places = np.empty_like(self.local), np.empty_like(self.moves)
         for root in np.flatnonzero(self.parents < 0):
             self._carry(int(root))
-        for bone in sorted(range(len(bones)), key=lambda index: (bones[index].after_physics, bones[index].layer, index)):
+        for bone in self.model.order:
             if bones[bone].append is not None:
                 self._take_over(bone)
                 self._carry(bone)

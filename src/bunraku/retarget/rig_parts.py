@@ -6,11 +6,13 @@ reference body's rest.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bunraku.bodies.bone_names import NO_HANDLE, handle_of_joints, limb_parents
+from bunraku.bodies.bone_words import part_of_name
 from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.bodies.reference import handle_positions, reference_body
 from bunraku.character import Character, Handles
@@ -37,6 +39,7 @@ _VRM = {
     "Shoulder": "collar", "UpperArm": "shoulder", "LowerArm": "elbow", "Hand": "wrist", "UpperLeg": "hip", "LowerLeg": "knee", "Foot": "ankle",
     "Toes": "foot",
 }  # fmt: skip
+_WRISTS = (HANDLE_NAMES.index("left_wrist"), HANDLE_NAMES.index("right_wrist"))
 _FEET = tuple(HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot") for side in ("left", "right"))
 
 
@@ -89,6 +92,8 @@ class RigParts:
         for bone in order:
             if parts[bone] != NO_HANDLE and leads[parts[bone]] < 0:
                 leads[parts[bone]] = bone
+        for wrist in _WRISTS:
+            parts, leads[wrist] = _hand_below(wrist, int(leads[wrist]), rig.names, parts, parents, mass)
         if leads[0] < 0:
             raise CharacterError(f"{character.name}: no bone of its rig is known to be the pelvis; put the motion on its handles instead")
         joints = _joints(handles, rig.positions, parts, parents, leads, mass / max(float(areas.sum()), 1e-30))
@@ -151,6 +156,14 @@ def _avatar_parts(character: Character) -> np.ndarray | None:
     if "upperChest" not in model.humanoid:
         out[out == HANDLE_NAMES.index("spine2")] = HANDLE_NAMES.index("spine3")
     return out if (out == 0).any() else None
+
+
+def _hand_below(wrist: int, lead: int, names: Sequence[str], parts: np.ndarray, parents: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, int]:
+    """Parts and the first bone of a hand whose rig has a wrist bone over the hand's: clips turn the one that holds the hand."""
+    below = [bone for bone in np.flatnonzero(parents == lead) if parts[bone] == wrist and part_of_name(names[int(bone)])[0] == "wrist"]
+    if lead < 0 or len(below) != 1 or mass[below[0]] <= mass[lead]:
+        return parts, lead
+    return np.where(np.arange(len(parts)) == lead, NO_HANDLE, parts), int(below[0])
 
 
 def _joints(handles: Handles, rest: np.ndarray, parts: np.ndarray, parents: np.ndarray, leads: np.ndarray, share: np.ndarray) -> Joints:
