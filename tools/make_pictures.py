@@ -1,7 +1,7 @@
 """Make the pictures of the docs: `python tools/make_pictures.py [NAME ...] [--characters DIR]`, in docs/pictures, at most 300 kB each.
 
-Everything is drawn from the shipped weights and the sample characters, so anyone can make them again; the sheet of handles from
-the character archive, where its folder is given.
+Everything is drawn from the shipped weights and the sample characters, so anyone can make them again; the sheet of handles and
+the gallery from the character archive, where its folder is given.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
+from bunraku.character import Character
 from bunraku.pipeline import animate, rig
 from bunraku.render import contact_sheet, render_animation, render_still
 from bunraku.samples import sample_character, sample_names
@@ -35,6 +36,19 @@ PROMPTS = (
     "a person punches",
 )
 ON_CHARACTERS = ("a person walks forward", "a person waves with the right hand", "a person dances")
+GALLERY = (
+    "walks forward", "runs", "walks slowly, tired", "walks in a circle", "turns left, then walks on", "walks backwards", "sneaks",
+    "jumps up high", "hops on one leg", "jumps forward", "does a cartwheel", "does jumping jacks", "does a squat", "stretches",
+    "kicks with the left leg", "punches", "swings a sword", "is hit and staggers", "falls down dead", "attacks",
+    "waves with the right hand", "cheers with both arms up", "claps", "dances", "bows", "sits down on the floor", "crawls", "eats something",
+    "stands idle", "swims",
+)  # fmt: skip
+GALLERY_CHARACTERS = (
+    "kaykit/Rogue_Hooded", "quaternius/modular_men/King", "quaternius/modular_women/Formal", "quaternius2019/Female_Dress",
+    "quaternius/animals_pack/ShibaInu", "quaternius/dinosaurs_pack/Velociraptor", "quaternius/cute_fish_pack/Betta",
+    "quaternius/easy_enemies_pack/Spider", "quaternius2019/Dragon", "quaternius/platformer_game_pack/Bee",
+)  # fmt: skip
+"""Of the archive, none of them seen in training."""
 FRAMES = 7
 SHEET = 40
 CHARACTERS: Path | None = None
@@ -113,7 +127,21 @@ def characters() -> None:
         contact_sheet(pictures, labels, OUT / f"characters-{slug}.png", columns=FRAMES, title=prompt)
 
 
-MAKERS: dict[str, Callable[[], None]] = {"samples": samples, "handles": handles, "prompts": prompts, "characters": characters}
+def gallery() -> None:
+    """Thirty sentences on each of ten characters that no training saw, or on the samples where no archive is given: a sheet a character."""
+    chosen: dict[str, Character] = {name: sample_character(name) for name in sample_names()}
+    if CHARACTERS:
+        chosen = {name.rpartition("/")[2]: bunraku.load_character(CHARACTERS / f"{name}.glb") for name in GALLERY_CHARACTERS}
+    for name, character in chosen.items():
+        handles = rig(character)
+        pictures = []
+        for prompt in GALLERY:
+            animation = animate(character, prompt, seconds=3.0, seed=1, handles=handles)
+            pictures.append(np.concatenate(list(render_animation(animation, size=(86, 104), times=(0.2, 1.0, 1.8, 2.7))), axis=1))
+        contact_sheet(pictures, list(GALLERY), OUT / f"gallery-{name.lower()}.png", columns=3, title=name)
+
+
+MAKERS: dict[str, Callable[[], None]] = {"samples": samples, "handles": handles, "prompts": prompts, "characters": characters, "gallery": gallery}
 
 
 def main() -> None:

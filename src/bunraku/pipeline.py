@@ -169,7 +169,7 @@ def animate(
         loop: Make a loop: the last pose is the first again, at another place where the motion travels.
         in_place: Take the way over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
-        stages: Which stages fit the motion to the character; all when None.
+        stages: Which stages fit the motion to the character; `retarget.perform.PERFORM_STAGES` when None.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:

@@ -120,3 +120,29 @@ def test_bones_of_the_same_skeleton_are_copied():
     assert copied_bones(moved.character, *moved.world(), 20.0, rested(2.0, 1.5)) is None  # rests in another pose
     renamed = replace(other.rig, names=("hips", *other.rig.names[1:]))
     assert copied_bones(moved.character, *moved.world(), 20.0, replace(other, rig=renamed)) is None
+
+
+def test_a_wrist_bone_over_the_hand_leaves_the_turn_to_the_hand():
+    plain = rested(1.0, 0.5)
+    parts = {"pelvis": "hips", "spine1": "spine", "spine2": "chest", "hip": "upperleg", "knee": "lowerleg", "ankle": "foot", "foot": "toes",
+             "shoulder": "upperarm", "elbow": "lowerarm", "collar": "clavicle"}  # fmt: skip
+    names = []
+    for name in JOINT_NAMES:
+        side, _, part = name.rpartition("_")
+        names.append(f"{parts.get(part, part)}{'.' + side[0] if side else ''}")
+    wrists = [names.index("wrist.l"), names.index("wrist.r")]
+    rig, weights = plain.rig, plain.rig.dense_weights()
+    hands = 0.8 * weights[:, wrists]
+    weights[:, wrists] -= hands
+    weights = np.concatenate([weights, hands], axis=1)
+    order = np.argsort(-weights, axis=1)[:, :6]
+    transforms = np.concatenate([rig.transforms, rig.transforms[wrists]])
+    with_hands = Rig((*names, "hand.l", "hand.r"), np.append(rig.parents, wrists), transforms, order, np.take_along_axis(weights, order, axis=1))
+    found = RigParts.of(replace(plain, rig=with_hands))
+    assert found.humanoid and found.leads[[_J["left_wrist"], _J["right_wrist"]]].tolist() == [22, 23]
+    moved = fit_rig(body_handle_motion(walking()), found, CARRIED)
+    turns = np.array(moved.rotations)
+    turns[:, 22] = matrix_from_axis_angle(np.array([0.7, 0.2, 0.1]))  # as a clip turns it
+    clip = replace(moved, rotations=turns)
+    back = fit_rig(rig_to_reference(found, *clip.world(), 20.0, native=True), found, CARRIED)
+    assert np.abs(back.vertices() - clip.vertices()).max() < 0.005 * plain.height

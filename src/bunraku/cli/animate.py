@@ -53,7 +53,7 @@ class Animate:
     left as it is, so a run that was stopped goes on."""
     output: OutputOption = ()
     """File to write: .glb, .usd, .usdc, .usdz, .fbx (with Blender), .npz (the handle motion), .bvh or .vrma (what the humanoid skeleton
-    does), .obj or .ply (a folder with one mesh a frame), .mp4, .webp, .gif or .png. May be given more than once.
+    does), .vmd (of MMD characters), .obj or .ply (a folder with one mesh a frame), .mp4, .webp, .gif or .png. May be given more than once.
     Default: CHARACTER-PROMPT.glb in this folder."""
     preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
@@ -80,7 +80,7 @@ class Animate:
     front: AxisOption = "auto"
     """The axis that the character faces in the file."""
     without: WithoutOption = ()
-    """Leave out a stage that fits the motion to the character: rest-pose, attach, ground, feet, smooth or floor. May be given more than once."""
+    """Leave out a stage that fits the motion to the character: rest-pose, attach, shape, ground, feet, smooth or floor. May be repeated."""
 
     def run(self) -> None:
         prompts = self._prompts()
@@ -91,7 +91,7 @@ class Animate:
             check_input(self.after)
             if self.loop:
                 raise OptionError("a loop ends where it starts, so --loop and --after do not go together; leave one out")
-        fitting = fitting_stages(self.without)
+        fitting = fitting_stages(self.without, shape=True)
         if self.prompts is not None:
             from bunraku.cli.batch import animate_lines
 

@@ -71,7 +71,7 @@ class Edit:
     front: AxisOption = "auto"
     """The axis that --character faces."""
     without: WithoutOption = ()
-    """Leave out a stage that fits the motion to the character: rest-pose, attach, ground, feet, smooth or floor. May be given more than once."""
+    """Leave out a stage that fits the motion to the character: rest-pose, attach, ground, feet, smooth or floor. May be repeated."""
 
     def run(self) -> None:
         from bunraku.diffusion.parts import kept_handles

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +24,7 @@ __all__ = [
 ]  # fmt: skip
 
 PREVIEWS = (".mp4", ".webp", ".gif", ".png")
-OUTPUTS = (".glb", ".npz", ".bvh", ".vrma", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".obj", ".ply", *PREVIEWS)
+OUTPUTS = (".glb", ".npz", ".bvh", ".vrma", ".vmd", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".obj", ".ply", *PREVIEWS)
 
 OutputOption = Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction]
 PreviewOption = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction]
@@ -63,7 +63,7 @@ def save_all(animation: Animation, outputs: Sequence[Path], previews: Sequence[P
     try:
         for number, path in enumerate(outputs):
             report("write", number / len(outputs))
-            written.append(animation.save(path, **({} if path.suffix.lower() == ".npz" else {"fps": fps})))
+            written.append(animation.save(path, **({} if path.suffix.lower() in (".npz", ".vmd") else {"fps": fps})))
         report("write", 1.0)
         for path in previews:
             from bunraku.render import save_preview
@@ -87,11 +87,11 @@ def check_stages(without: tuple[str, ...]) -> None:
             raise OptionError(f"--without names no stage '{name}'; there are {', '.join(known)}")
 
 
-def fitting_stages(without: tuple[str, ...]) -> Stages | None:
-    """All stages of fitting but those named, or None for the default."""
+def fitting_stages(without: tuple[str, ...], shape: bool = False) -> Stages | None:
+    """The stages of fitting but those named, or None for the default; `shape` is one of them where motions are made."""
     check_stages(without)
     if not without:
         return None
     from bunraku.retarget.fit import Stages
 
-    return Stages(**{name.replace("-", "_"): False for name in without})
+    return replace(Stages(shape=shape), **{name.replace("-", "_"): False for name in without})

@@ -109,7 +109,8 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
         statistics = measured or FeatureStatistics.measure([entry["features"] for entry in training])
         notes = {"creatures": True} if any(entry.get("species") for entry in training) else {}
         frames = (network or PRESETS[config.preset]).frames
-        train, val = (ClipSet(clips, statistics, split, frames) for split in ("train", "val"))
+        mixture = {"creatures": config.creatures, "computed": config.computed, "borrowed": config.borrowed}
+        train, val = (ClipSet(clips, statistics, split, frames, **mixture) for split in ("train", "val"))
         del clips, training
         if encoder is None:
             encoder = text_encoder("clip" if config.text_folder else "all-MiniLM-L6-v2", config.text_folder)

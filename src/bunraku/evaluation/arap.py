@@ -65,15 +65,17 @@ class ArapRow:
     Args:
         name: Its name.
         unseen: Whether no training sees it.
-        adapted: ARAP-Loss with the adaptation.
-        plain: Without it: delta = 0, all stages on.
-        loose: Without it and without the stage `attach`: the paper's setting without adaptation.
+        adapted: ARAP-Loss with the adaptation: the network's, and its last step on the very mesh, which is the stage `shape`.
+        learned: With the network's adaptation alone.
+        plain: Without both: delta = 0.
+        loose: Without the stage `attach` too: the paper's setting without adaptation.
         delta: Mean length of delta over frames and handles but the root [m of the reference body].
     """
 
     name: str
     unseen: bool
     adapted: float
+    learned: float
     plain: float
     loose: float
     delta: float
@@ -85,10 +87,15 @@ class ArapTable:
 
     rows: tuple[ArapRow, ...]
 
-    def ratio(self, unseen: bool) -> float:
-        """ARAP-Loss with the adaptation over without, each the mean over the characters that are (un)seen; NaN without any."""
+    def ratio(self, unseen: bool, kind: str = "adapted") -> float:
+        """ARAP-Loss with the adaptation over without, each the mean over the characters that are (un)seen; NaN without any.
+
+        Args:
+            unseen: Which characters.
+            kind: "adapted", or "learned" for the network's share alone.
+        """
         rows = [row for row in self.rows if row.unseen == unseen]
-        return sum(row.adapted for row in rows) / max(sum(row.plain for row in rows), 1e-30) if rows else float("nan")
+        return sum(getattr(row, kind) for row in rows) / max(sum(row.plain for row in rows), 1e-30) if rows else float("nan")
 
     def ratio_each(self, unseen: bool) -> float:
         """Mean of each character's own ratio, which no character that distorts a lot by nature outweighs; NaN without any."""
@@ -98,7 +105,8 @@ class ArapTable:
     def means(self, unseen: bool) -> dict[str, float]:
         """Mean of each figure over the characters that are (un)seen."""
         rows = [row for row in self.rows if row.unseen == unseen]
-        return {name: float(np.mean([getattr(row, name) for row in rows])) for name in ("adapted", "plain", "loose", "delta")} if rows else {}
+        names = ("adapted", "learned", "plain", "loose", "delta")
+        return {name: float(np.mean([getattr(row, name) for row in rows])) for name in names} if rows else {}
 
 
 def measure_adaptation(
@@ -135,7 +143,7 @@ def measure_adaptation(
     model, encoder = load_generator(checkpoint)
     text = encoder.encode(list(prompts))
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
-    stages = stages or Stages()
+    stages = stages or Stages(shape=True)
     rows = []
     for done, (name, character, handles) in enumerate(characters):
         if progress is not None:
@@ -149,7 +157,8 @@ def measure_adaptation(
         figures = []
         for values, offset in zip(found.values.cpu().numpy(), found.adaptation.cpu().numpy(), strict=True):
             plain = decode(statistics.restore(values), model.config.fps)
-            kinds = ((adapt(plain, offset), stages), (plain, stages), (plain, replace(stages, attach=False)))
+            bare, adapted = replace(stages, shape=False), adapt(plain, offset)
+            kinds = ((adapted, stages), (adapted, bare), (plain, bare), (plain, replace(bare, attach=False)))
             figures.append([_of(fit_motion(motion, character, handles, how), character, handles, stride) for motion, how in kinds])
             figures[-1].append(float(np.linalg.norm(offset[:, 1:], axis=-1).mean()))
         rows.append(ArapRow(name, name.partition("~")[0] in HELD_OUT, *np.mean(figures, axis=0).tolist()))
@@ -159,11 +168,5 @@ def measure_adaptation(
 
 
 def _of(motion: HandleMotion, character: Character, handles: Handles, stride: int) -> float:
-    some = HandleMotion(
-        motion.translations[::stride],
-        motion.rotations[::stride],
-        motion.root_translation[::stride],
-        motion.root_rotation[::stride],
-        motion.fps / stride,
-    )
+    some = replace(motion.take(slice(None, None, stride)), fps=motion.fps / stride)
     return animation_arap(Animation(character, handles, some))

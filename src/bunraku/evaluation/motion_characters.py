@@ -85,6 +85,7 @@ def arap_figures(
     for unseen, word in ((False, "seen"), (True, "unseen")):
         means = table.means(unseen)
         out[f"arap_ratio_{word}"] = table.ratio(unseen) if means else None
+        out[f"arap_ratio_learned_{word}"] = table.ratio(unseen, "learned") if means else None
         out |= {f"arap_{word}_{kind}": value for kind, value in means.items()}
         out[f"arap_characters_{word}"] = float(sum(row.unseen == unseen for row in table.rows))
     return out

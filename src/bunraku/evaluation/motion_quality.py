@@ -217,9 +217,10 @@ def stage_effects(
         and the fields of `MotionQuality`; `moved` is the mean distance of the handles' places in the root's frame from those without any
         of the stages [cm].
     """
-    cases = {"nothing": Stages(), **{name: replace(Stages(), **{name: False}) for name in CLEANING}}
+    everything = Stages(shape=True)
+    cases = {"nothing": everything, **{name: replace(everything, **{name: False}) for name in CLEANING}}
     none = ", ".join(CLEANING)
-    cases[none] = Stages(**dict.fromkeys(CLEANING, False))
+    cases[none] = replace(everything, **dict.fromkeys(CLEANING, False))
     results: dict[str, list[tuple[str, MotionQuality, float]]] = {case: [] for case in cases}
     for name, (character, handles) in characters.items():
         what = gauge(character, handles)

@@ -9,6 +9,8 @@ switched off, clean its motion and turn it into one of another character. They r
   third of the pelvis' tilt.
 - `attach`: local translations are set so that each handle stays joined to its parent at the place where their weights meet. It
   takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than the reference's.
+- `shape`: handles move a little where that keeps the mesh's edges at their lengths (`retarget/edge_lengths.py`); off unless asked for, as
+  everything that makes a motion for a character does, and nothing that takes one back from it and on.
 - `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of the reference body, and
   a reference body that drifts off the ground for longer than a jump lasts is set back on it.
 - `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/foot_lock.py`).
@@ -28,12 +30,13 @@ from bunraku.diffusion.features import heading
 from bunraku.errors import CharacterError
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.motion import HandleMotion
+from bunraku.retarget.edge_lengths import edges_kept
 from bunraku.retarget.floor import on_the_floor
 from bunraku.retarget.foot_lock import locked
 from bunraku.retarget.ground import grounded, standing, stride_scale
 from bunraku.retarget.hands import hands_kept
-from bunraku.retarget.joints import Joints, attached, find_joints, reference_joints, refined_joints
-from bunraku.retarget.legs import find_legs
+from bunraku.retarget.joints import Joints, attached, capped, find_joints, reference_joints, refined_joints
+from bunraku.retarget.legs import find_arms, find_legs
 from bunraku.retarget.lighter import lighter
 from bunraku.retarget.limbs import by_limb
 from bunraku.retarget.neutral import neutral_pose, rest_turns
@@ -42,12 +45,10 @@ from bunraku.retarget.smoothing import smoothed
 
 __all__ = ["Stages", "fit_motion"]
 
-RESIDUAL, NATIVE_RESIDUAL = 0.05, 0.5  # how far parts may leave their joints [m of the reference body]
-
 
 @dataclass(frozen=True)
 class Stages:
-    """Which stages run after sampling; all by default.
+    """Which stages run after sampling.
 
     Args:
         rest_pose: Turn limbs from the character's rest direction into the reference body's.
@@ -57,6 +58,7 @@ class Stages:
         smooth: Take the generator's noise out.
         floor: Let nothing sink into the ground.
         hands: Keep hands near the body where the reference body's are.
+        shape: Keep the mesh's edges at their lengths where handles can.
     """
 
     rest_pose: bool = True
@@ -66,19 +68,7 @@ class Stages:
     smooth: bool = True
     floor: bool = True
     hands: bool = False
-
-
-def _residual(motion: HandleMotion, longest: float) -> np.ndarray:
-    """What the motion's local translations hold beyond stiff joints: soft bending and shrugs, in the reference's metres (N, K, 3).
-
-    Those longer than `longest` [m] are cut to it: on people, 5 cm, they are errors of the generator, not motion; soft bodies and
-    loose parts go farther.
-    """
-    body = reference_body()
-    stiff = attached(motion.rotations.astype(np.float64), body.handles, reference_joints())[1]
-    residual = motion.translations - stiff
-    length = np.linalg.norm(residual, axis=-1, keepdims=True)
-    return residual * np.minimum(1, longest / np.maximum(length, 1e-9))
+    shape: bool = False
 
 
 def fit_motion(
@@ -96,7 +86,7 @@ def fit_motion(
         character: The character, facing +Z.
         handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose parts they play,
             about their own joints.
-        stages: Which stages run; all when None.
+        stages: Which stages run; all but `hands` and `shape` when None.
         native: The motion was generated for this very body, by weights that know creatures: lying bodies keep the pelvis' tilt, soft
             ones bend farther, and the stage `ground` is left out, as the motion brings its own height over the floor.
         rest: What a rig tells of the rest pose: its turns into the reference body's, shape (K, 3, 3), and its joints. None measures them.
@@ -130,9 +120,13 @@ def fit_motion(
     scale = stride_scale(*stance, stands)
     if stages.attach:
         rotations, translations = attached(rotations, handles, joints)
-        translations += _residual(motion, NATIVE_RESIDUAL if native else RESIDUAL)[:, handles.played] * scale * joints.present[:, None]
+        stiff = attached(motion.rotations.astype(np.float64), body.handles, reference_joints())[1]
+        residual = capped(motion.translations - stiff, native)  # soft bending and shrugs
+        translations += residual[:, handles.played] * scale * joints.present[:, None]
     else:
         translations = motion.translations[:, handles.played] * scale
+    if stages.shape:
+        translations = translations + edges_kept(rotations, translations, character, handles, scale)
     floors = [float(some.vertices[stands, 1].min()) for some in (character, stance[0])]
     path = motion.root_translation * scale + np.array([0, floors[0] - floors[1], 0])  # who sits stands up
     lever = handles.positions[0] - stance[1].positions[0]  # the root turns about its place in the stance, not in the rest pose
@@ -144,12 +138,13 @@ def fit_motion(
         fitted = grounded(motion, fitted, character, handles, scale, stands)
     if stages.feet or stages.floor or stages.hands:
         legs, contacts = find_legs(character, handles, joints), None
+        arms = find_arms(character, handles, joints, legs)
         if stages.feet:
             fitted, contacts = locked(fitted, character, handles, joints, legs, floors[0])
         if stages.hands:
-            fitted = hands_kept(motion, fitted, character, handles, joints, turns, legs, scale)
+            fitted = hands_kept(motion, fitted, character, handles, joints, turns, arms, scale)
         if stages.floor:
-            fitted = on_the_floor(fitted, character, handles, joints, legs, contacts, stands, floors[0])
+            fitted = on_the_floor(fitted, character, handles, joints, legs, arms, contacts, stands, floors[0])
     return fitted
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from bunraku.animation import Animation
 from bunraku.character import Character, Handles
 from bunraku.motion import HandleMotion
 from bunraku.retarget.fit import Stages, fit_motion
 
-__all__ = ["fit_performed", "perform", "reference_of"]
+__all__ = ["PERFORM_STAGES", "fit_performed", "perform", "reference_of"]
 
 Progress = Callable[[str, float], None]
+PERFORM_STAGES = Stages(shape=True)
+"""The stages that run by default."""
 
 
 def perform(
@@ -34,11 +37,14 @@ def perform(
         loop: Whether the motion is a loop.
         in_place: Take the way over the ground out.
         after: Start in the last pose of this; a motion of the reference body is one that `motion` already follows.
-        stages: Which stages fit the motion to the character; all when None.
+        stages: Which stages fit the motion to the character; `PERFORM_STAGES` when None.
         progress: Called with a stage's name and the share done, 0 to 1.
     """
     if progress:
         progress("fit", 0.0)
+    stages = stages or PERFORM_STAGES
+    if isinstance(after, Animation) and after.reference is None:  # what the stage did to that clip is in the way back from it already
+        stages = replace(stages, shape=False)
     fitted = fit_performed(motion, character, handles, stages, loop)
     if isinstance(after, Animation):
         from bunraku.diffusion.editing import follow

@@ -7,6 +7,8 @@ pelvis travels. Bones of MMD models that take over other bones' turns, or follow
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bunraku.bodies.bone_names import NO_HANDLE
@@ -28,13 +30,13 @@ def fit_rig(motion: HandleMotion, character: Character | RigParts, stages: Stage
     Args:
         motion: Motion of the reference body's handles, feet on y = 0.
         character: The character, facing +Z, or its `RigParts`.
-        stages: Which stages run; all when None.
+        stages: Which stages run; all when None. `shape` never does: bones keep their lengths.
 
     Raises:
         CharacterError: There is no rig, or its bones' names do not tell which parts they move.
     """
     parts = character if isinstance(character, RigParts) else RigParts.of(character)
-    fitted = fit_motion(stiff(motion), parts.character, parts.handles, stages, rest=(parts.turns, parts.joints))
+    fitted = fit_motion(stiff(motion), parts.character, parts.handles, replace(stages or Stages(), shape=False), rest=(parts.turns, parts.joints))
     turns, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
     return _with_helpers(RigAnimation.of_world(parts.character, turns, positions, motion.fps, motion), parts)
 
