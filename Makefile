@@ -46,10 +46,12 @@ demo: $(READY)
 test: $(READY) .venv/.validator
 	$(BIN)/python -m pytest $(ARGS)
 
-# The Khronos validator checks every GLB that the tests write. It comes from npm; without npm those tests are skipped and say so.
-.venv/.validator: $(READY) tests/formats/validator/package.json
-	@if command -v npm >/dev/null; then npm install --silent --no-audit --no-fund --no-package-lock --prefix tests/formats/validator \
-		|| echo "the glTF validator could not be installed; its tests are skipped"; fi
+# The Khronos validator checks every GLB that the tests write, and three.js opens some. Both come from npm; without npm those tests are skipped and
+# say so, as those with Blender are where there is none.
+.venv/.validator: $(READY) tests/formats/validator/package.json tools/check_viewers/package.json
+	@if command -v npm >/dev/null; then for folder in tests/formats/validator tools/check_viewers; do \
+		npm install --silent --no-audit --no-fund --no-package-lock --prefix $$folder || echo "npm install failed in $$folder; its tests are skipped"; \
+		done; fi
 	@touch $@
 
 lint: $(READY)

@@ -30,6 +30,8 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("data", "characters"): ("data", "Characters", "turn rigged characters into samples to train on"),
     ("data", "mesh-bank"): ("data", "MeshBank", "write the mesh features of characters to train with"),
     ("data", "character-bank"): ("bank", "CharacterBank", "pack rigged characters for the losses of mesh-specific motion learning"),
+    ("data", "wardrobe"): ("data_wardrobe", "Wardrobe", "make dressed characters with rigid bodies for their apparel, as PMX files"),
+    ("data", "apparel"): ("data_apparel", "Apparel", "simulate the apparel of characters in motion, as data to train on"),
     ("train", "handles"): ("train", "handles", "train the Mesh Handle Predictor"),
     ("train", "orientation"): ("train", "orientation", "train the network that knows how a character stands"),
     ("train", "diffusion"): ("train", "diffusion", "train the Shape-aware Motion Diffusion"),
@@ -38,6 +40,7 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("evaluate", "handles"): ("evaluate_handles", "EvaluateHandles", "measure the handles on rigged characters"),
     ("evaluate", "motion"): ("evaluate_motion", "EvaluateMotion", "measure generated motion on held-out clips"),
     ("evaluate", "transfer"): ("evaluate_transfer", "EvaluateTransfer", "measure motion transfer on rigged characters"),
+    ("evaluate", "physics"): ("evaluate_physics", "EvaluatePhysics", "measure the simulated apparel of MMD and VRM characters"),
     ("evaluate", "retrieval"): ("evaluate", "Retrieval", "test how well sentences are found back from motions"),
 }
 

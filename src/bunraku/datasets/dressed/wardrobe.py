@@ -15,10 +15,11 @@ from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT
 from bunraku.bodies.makehuman import MakeHumanBody
 from bunraku.errors import FormatError
 from bunraku.formats.mhclo import Clothes, fit, fit_weights, read_mhclo
+from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.graph import mesh_parts, unique_edges
 from bunraku.geometry.normals import vertex_normals
 
-__all__ = ["Garment", "Piece", "Wardrobe", "Worn", "joined", "skirt_weights", "smooth_step"]
+__all__ = ["Garment", "Piece", "Wardrobe", "Worn", "joined", "skirt_weights"]
 
 _LEGS = [1, 2, 4, 5, 7, 8, 10, 11]
 _HEAD, _TOP = HANDLE_NAMES.index("head"), HANDLE_NAMES.index("head_top")
@@ -74,12 +75,6 @@ def joined(pieces: list[Piece]) -> Piece:
         np.concatenate([piece.joints for piece in pieces]),
         np.concatenate([piece.handles for piece in pieces]),
     )
-
-
-def smooth_step(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """0 at `low`, 1 at `high`, smooth between; either may be the larger."""
-    t = np.clip((values - low) / (high - low), 0, 1)
-    return np.asarray(t * t * (3 - 2 * t))
 
 
 def skirt_weights(points: np.ndarray, joints: np.ndarray, carried: np.ndarray) -> np.ndarray:

@@ -1,0 +1,56 @@
+"""GLBs as three.js and Blender show them; each is skipped where it is not there (see tools/check_viewers)."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tools" / "check_viewers"))
+from check import waving
+from viewers import blender_missing, blender_vertices, three_missing, three_vertices
+
+from bunraku.animation import Animation
+from bunraku.bodies.layout import JOINT_NAMES
+from bunraku.bodies.reference import reference_body
+from bunraku.formats import load_character
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.retarget.rig_motion import handle_animation
+from bunraku.rig_animation import RigAnimation
+
+FPS, FRAMES = 20.0, [3, 7, 11]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A person who bows and turns an arm: the own rig, 30 handles, and handles with vertices that move on their own."""
+    folder, body = tmp_path_factory.mktemp("viewers"), reference_body()
+    turns, moves = np.zeros((12, 22, 3)), np.zeros((12, 22, 3))
+    turns[:, JOINT_NAMES.index("left_shoulder")] = np.linspace(0, 1, 12)[:, None] * [0.9, 0.2, -1.3]
+    turns[:, JOINT_NAMES.index("spine1"), 0] = np.linspace(0, 0.8, 12)
+    turns[:, 0, 1] = np.linspace(0, 2.5, 12)
+    moves[:, 0] = np.linspace(0, 1, 12)[:, None] * [0.3, 0.1, 1.5]
+    still = RigAnimation(body.character(), matrix_from_axis_angle(0 * turns), moves, FPS)
+    character = load_character(still.save(folder / "person.glb"))
+    rig = RigAnimation(character, matrix_from_axis_angle(turns), moves, FPS)
+    handles = handle_animation(rig)
+    made = {"rig": rig, "handles": Animation(character, handles.handles, handles.motion), "points": waving(handles)}
+    return {kind: (animation.save(folder / f"{kind}.glb"), animation.vertices(FRAMES)) for kind, animation in made.items()}
+
+
+def compare(made, shown):
+    height = reference_body().character().height
+    for (kind, (_, known)), found in zip(made.items(), shown, strict=True):
+        assert found.shape == known.shape, kind
+        assert np.isfinite(found).mean() > 0.99
+        assert np.nanmax(np.linalg.norm(found - known, axis=-1)) < 0.001 * height, kind
+
+
+@pytest.mark.skipif(bool(three_missing()), reason=three_missing())
+def test_three_js_shows_what_was_written(made):
+    compare(made, three_vertices([(file, np.array(FRAMES) / FPS) for file, _ in made.values()]))
+
+
+@pytest.mark.skipif(bool(blender_missing()), reason=blender_missing())
+def test_blender_shows_what_was_written(made):
+    compare(made, blender_vertices([(file, np.array(FRAMES) / FPS) for file, _ in made.values()], FPS))
