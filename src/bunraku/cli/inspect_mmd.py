@@ -35,6 +35,7 @@ def mmd_facts(character: Character) -> dict[str, Any]:
         "rigid_bodies_dynamic": sum(body.dynamic for body in model.bodies),
         "rigid_joints": len(model.joints),
         "apparel_vertices": 0 if mask is None else int(mask.sum()),
+        **_drawn(character),
         "deforms": {kind: count for kind, count in kinds.items() if count},
         "warnings": list(model.warnings),
     }
@@ -81,5 +82,14 @@ def vrm_facts(character: Character) -> dict[str, Any]:
         "spring_joints": sum(len(spring.joints) for spring in model.springs),
         "colliders": len(model.colliders),
         "apparel_vertices": 0 if mask is None else int(mask.sum()),
+        **_drawn(character),
         "warnings": list(model.warnings),
     }
+
+
+def _drawn(character: Character) -> dict[str, Any]:
+    """The file of a mask that somebody made by hand."""
+    from bunraku.formats.artist_mask import artist_mask_file
+
+    path = artist_mask_file(character)
+    return {} if path is None else {"apparel_mask": path.name}

@@ -1,10 +1,11 @@
-"""Which vertices of an MMD or VRM character are apparel: those that physics move."""
+"""Which vertices of a character are apparel: those that an artist says, or else those that the physics of an MMD or VRM file move."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from bunraku.character import Character
+from bunraku.formats.artist_mask import artist_mask
 from bunraku.formats.mmd_model import MmdModel, mmd_model
 from bunraku.formats.vrm import vrm_model
 from bunraku.formats.vrm_model import VrmModel
@@ -17,13 +18,18 @@ APPAREL_SHARE = 0.5
 def apparel_mask(character: Character, model: MmdModel | VrmModel | None = None) -> np.ndarray | None:
     """Vertices whose weight on joints that physics move exceeds a half, shape (V,), bool; None where the file says nothing of physics.
 
+    A mask beside the file (`artist_mask`) replaces that.
+
     Args:
         character: With a rig.
         model: What its file says, where that is known already.
 
     Raises:
-        FormatError: The nodes of its file are broken.
+        FormatError: The nodes of its file, or the mask beside it, are broken.
     """
+    drawn = artist_mask(character)
+    if drawn is not None:
+        return drawn
     moved = moved_joints(character, model)
     if moved is None or character.rig is None:
         return None

@@ -108,7 +108,7 @@ def _plain(path: Path, data: bytes, name: str) -> np.ndarray:
         size *= int(length)
     if dtype.hasobject:
         raise FormatError(path, f"its array{name} holds pickled objects, not plain numbers, and is refused; save plain numbers")
-    if dtype.kind not in "fiu" or size != len(data) - content.tell():
+    if dtype.kind not in "bfiu" or size != len(data) - content.tell():
         raise FormatError(path, f"its array{name} is not plain numbers, or is cut short; save it again")
     content.seek(0)
     array: np.ndarray = np.lib.format.read_array(content, allow_pickle=False)
