@@ -74,6 +74,20 @@ def doll(files):
     return files / "doll.pmx"
 
 
+def test_axis_and_unit_of_what_is_written(files, fails, capsys):
+    assert run(files / "wave.bvh", files / "person.glb", "-o", files / "own.bvh") == 0
+    assert run(files / "wave.bvh", files / "person.glb", "-o", files / "other.bvh", "--file-up", "+z", "--file-unit", "m") == 0
+
+    def offset(name):  # of the left hip
+        lines = (files / name).read_text().splitlines()
+        return np.array([line.split()[1:] for line in lines if line.strip().startswith("OFFSET")][1], float)
+
+    x, y, z = offset("own.bvh")
+    np.testing.assert_allclose(offset("other.bvh"), [x / 100, -z / 100, y / 100], atol=1e-4)
+    capsys.readouterr()
+    fails(["transfer", str(files / "wave.bvh"), str(files / "person.glb"), "-o", str(files / "x.glb"), "--file-up", "+z"], "up")
+
+
 def test_vmd_of_an_mmd_character(files, doll, fails, capsys):
     assert run(doll, files / "wave.bvh", "--onto", "rig", "-o", files / "wave.vmd") == 0
     vmd, character = load_vmd(files / "wave.vmd"), load_character(doll)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -57,6 +57,10 @@ class Transfer:
     """The axis that is up in the characters' files."""
     front: AxisOption = "auto"
     """The axis that the characters face in their files."""
+    file_up: Annotated[Literal["+y", "+z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """The axis that is up in what is written, for BVH, USD, FBX, OBJ and PLY. Default: the format's own."""
+    file_unit: Annotated[str | None, tyro.conf.arg(metavar="UNIT", help_behavior_hint="")] = None
+    """The unit of lengths in what is written (m, dm, cm, mm, in, ft), for the same formats. Default: the format's own."""
     format: Annotated[str, tyro.conf.arg(metavar="SUFFIX")] = "glb"
     """What each pair is written as where no file is named: glb, vmd, vrma, bvh, usd, fbx, npz, obj, mp4 ..."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
@@ -72,6 +76,7 @@ class Transfer:
         if self.apparel == "simulate" and self.onto == "handles":
             raise OptionError("--apparel simulate moves the bones of a character's rig; leave out --onto handles")
         settings = Settings(self.onto, self.handles, self.fps, self.clip, names, tuple(sorted(set(self.without))), self.up, self.front, self.apparel)
+        settings = replace(settings, file_up=self.file_up or "", file_unit=self.file_unit or "")
         jobs, suffix = _jobs(self.jobs), _suffix(self.format)
         characters, motions, bad = self._sorted()
         single = len(characters) == len(motions) == 1 and not bad and not self._folder()
@@ -122,7 +127,7 @@ class Transfer:
             written = []
             try:
                 report("write", 0.0)
-                written.append(animation.save(output))
+                written.append(animation.save(output, **settings.saving))
                 report("write", 1.0)
                 for path in self.preview:
                     from bunraku.render import save_preview

@@ -35,6 +35,13 @@ class Settings:
     up: str = "auto"
     front: str = "auto"
     apparel: str = "rigid"
+    file_up: str = ""
+    file_unit: str = ""
+
+    @property
+    def saving(self) -> dict[str, str]:
+        """Options of the format that is written, those that were given."""
+        return {name: value for name, value in (("up", self.file_up), ("unit", self.file_unit)) if value}
 
 
 @dataclass(frozen=True)
@@ -130,7 +137,7 @@ def transfer_pair(pair: Pair, settings: Settings) -> str:
         "" when it is written, otherwise what went wrong.
     """
     try:
-        animation_of(pair, settings).save(pair.output)
+        animation_of(pair, settings).save(pair.output, **settings.saving)
     except BunrakuError as error:
         return str(error)
     except MemoryError:
