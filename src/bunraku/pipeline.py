@@ -48,7 +48,8 @@ def rig(character: Character, *, handles: Literal["predict", "rig"] = "predict",
 
 
 def _scripts(prompts: Sequence[str], seconds: float) -> list[list[tuple[str, float]]]:
-    """The sentences of each prompt with their seconds; what cannot be generated is refused before anything is loaded."""
+    """The clauses of each prompt with their seconds; what cannot be generated is refused before anything is loaded."""
+    from bunraku.diffusion.clauses import timed_clauses
     from bunraku.diffusion.sequence import parse_sequence, timed_sequence
     from bunraku.diffusion.text import check_prompt
 
@@ -56,7 +57,8 @@ def _scripts(prompts: Sequence[str], seconds: float) -> list[list[tuple[str, flo
     for prompt in prompts:
         if not isinstance(prompt, str):
             raise OptionError("the prompt must be a sentence")
-        scripts.append([(check_prompt(part), length) for part, length in timed_sequence(parse_sequence(prompt), seconds)])
+        timed = timed_sequence(parse_sequence(prompt), seconds)
+        scripts.append([clause for part, length in timed for clause in timed_clauses(check_prompt(part), length)])
     return scripts
 
 

@@ -20,7 +20,7 @@ from bunraku.diffusion.grammar import conjugate, fill, is_stative, sentence_form
 
 __all__ = [
     "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants", "creature_actions", "creature_clauses", "creature_names",
-    "creature_variants", "mirror_words", "normalise_label", "person_phrases",
+    "creature_variants", "known_verbs", "mirror_words", "normalise_label", "person_phrases",
 ]  # fmt: skip
 
 _MIRRORED = {
@@ -33,6 +33,7 @@ _MIRRORED = {
 }
 _MIRRORED = {value: key for key, value in _MIRRORED.items() if key != "anticlockwise"} | _MIRRORED
 _SIDE = re.compile(r"\b(" + "|".join(sorted(_MIRRORED, key=len, reverse=True)) + r")\b", re.IGNORECASE)
+_BRACED = re.compile(r"\{(\w+)\}")
 _HUMAN = re.compile(r"^(a|the|one) (person|human|man|woman|figure|character|persons|humans)\b|^someone\b")
 
 
@@ -75,6 +76,13 @@ def caption_group(label: str) -> CaptionGroup:
     """The group of a label; a label that the file does not know is a group of its own."""
     label = normalise_label(label)
     return _groups().get(label) or CaptionGroup(label, ())
+
+
+@functools.cache
+def known_verbs() -> frozenset[str]:
+    """All verbs of the phrases, plain: "walk", "gallop"."""
+    texts = (resources.files("bunraku.diffusion").joinpath(name).read_text("utf-8") for name in ("captions.json", "creature_captions.json"))
+    return frozenset(verb for text in texts for verb in _BRACED.findall(text))
 
 
 def mirror_words(sentence: str) -> str:
