@@ -6,7 +6,6 @@ Every motion becomes one of the reference body first (`any_motion`). From there 
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +19,9 @@ from bunraku.motion import HandleMotion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.rig_animation import RigAnimation
 
-__all__ = ["TRANSFER_STAGES", "check_apparel", "perform_transfer", "played_by_mmd", "same_skeleton", "transfer", "with_apparel"]
+__all__ = ["TRANSFER_STAGES", "perform_transfer", "played_by_mmd", "same_skeleton", "transfer"]
 
 Progress = Callable[[str, float], None]
-_log = logging.getLogger(__name__)
 TRANSFER_STAGES = Stages(hands=True, shape=True)
 """The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its shape."""
 
@@ -66,6 +64,8 @@ def transfer(
         MotionError: No pelvis and legs are found in the skeleton.
         FormatError: The file cannot be read.
     """
+    from bunraku.physics.animated import check_apparel, with_apparel
+
     if onto not in ("auto", "handles", "rig"):
         raise OptionError(f"a motion goes onto 'handles', 'rig' or 'auto', not '{onto}'; choose one of the three")
     if not 1 <= fps <= 240:
@@ -145,43 +145,6 @@ def perform_transfer(
         result = Animation(character, handles, fit_motion(reference, character, handles, stages), reference)
     tell("fit", 1.0)
     return result
-
-
-def check_apparel(character: Character) -> None:
-    """Whether there is apparel to simulate.
-
-    Raises:
-        CharacterError: The file of the character says nothing of physics.
-        FormatError: The nodes of the file are broken.
-    """
-    from bunraku.physics.apparel_rig import apparel_rig
-
-    if apparel_rig(character) is None:
-        raise CharacterError(
-            f"{character.name}: nothing of this character is moved by physics; its file must be a PMX, PMD or VRM with rigid bodies or springs"
-        )
-
-
-def with_apparel(animation: Animation | RigAnimation, apparel: str = "simulate", progress: Progress | None = None) -> Animation | RigAnimation:
-    """The animation with its apparel simulated, or as it is where apparel is "rigid".
-
-    Raises:
-        CharacterError: There is no physics in its file, or it is moved by handles.
-    """
-    if apparel != "simulate":
-        return animation
-    check_apparel(animation.character)
-    if not isinstance(animation, RigAnimation):
-        name = animation.character.name
-        raise CharacterError(f"{name}: apparel is simulated on the bones of a humanoid's rig, and this one is moved by handles; try --onto rig")
-    from bunraku.physics.simulate import simulate
-
-    tell = progress or (lambda stage, done: None)
-    tell("apparel", 0.0)
-    found = simulate(animation, progress=lambda done: tell("apparel", done))
-    for problem in found.report.problems():
-        _log.warning("%s: %s", animation.character.name, problem)
-    return found.animation
 
 
 def same_skeleton(character: Character, motion: Motion) -> RigAnimation | None:

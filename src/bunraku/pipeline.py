@@ -13,7 +13,8 @@ from bunraku.character import Character, Handles
 from bunraku.errors import MotionError, OptionError
 from bunraku.motion import HandleMotion
 from bunraku.retarget.fit import Stages
-from bunraku.retarget.perform import fit_performed, perform, reference_of
+from bunraku.retarget.perform import fit_performed, perform, perform_dressed, reference_of
+from bunraku.rig_animation import RigAnimation
 
 __all__ = ["animate", "edit", "generate", "rig"]
 
@@ -143,6 +144,41 @@ def generate(
     return motions[0] if isinstance(prompt, str) else motions
 
 
+@overload
+def animate(
+    character: Character,
+    prompt: str,
+    *,
+    seconds: float = ...,
+    seed: int = ...,
+    steps: int | None = ...,
+    guidance: float | None = ...,
+    handles: Handles | Literal["predict", "rig"] = ...,
+    apparel: Literal["rigid"] = ...,
+    loop: bool = ...,
+    in_place: bool = ...,
+    after: HandleMotion | Animation | None = ...,
+    stages: Stages | None = ...,
+    progress: Progress | None = ...,
+) -> Animation: ...
+
+
+@overload
+def animate(
+    character: Character,
+    prompt: str,
+    *,
+    seconds: float = ...,
+    seed: int = ...,
+    steps: int | None = ...,
+    guidance: float | None = ...,
+    apparel: Literal["simulate"],
+    in_place: bool = ...,
+    stages: Stages | None = ...,
+    progress: Progress | None = ...,
+) -> RigAnimation: ...
+
+
 def animate(
     character: Character,
     prompt: str,
@@ -152,12 +188,13 @@ def animate(
     steps: int | None = None,
     guidance: float | None = None,
     handles: Handles | Literal["predict", "rig"] = "predict",
+    apparel: Literal["rigid", "simulate"] = "rigid",
     loop: bool = False,
     in_place: bool = False,
     after: HandleMotion | Animation | None = None,
     stages: Stages | None = None,
     progress: Progress | None = None,
-) -> Animation:
+) -> Animation | RigAnimation:
     """Make a character do what a sentence says.
 
     Args:
@@ -168,6 +205,8 @@ def animate(
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `rig`).
+        apparel: "rigid" moves hair and clothes with the body; "simulate" moves the bones of the character's own rig, and hair and clothes
+            by the rigid bodies or springs of its MMD or VRM file.
         loop: Make a loop: the last pose is the first again, at another place where the motion travels.
         in_place: Take the way over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
@@ -175,14 +214,29 @@ def animate(
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
-        The animation at 20 frames a second.
+        The animation at 20 frames a second, or at 30 where apparel is simulated.
 
     Raises:
-        OptionError: The prompt is empty or too long, the length is out of range, or a loop is to follow another clip.
-        CharacterError: `handles` are not 30, or cannot be taken from the rig.
+        OptionError: The prompt is empty or too long, the length is out of range, a loop is to follow another clip, or simulated apparel is
+            to be looped, to follow a clip, or to be moved by handles.
+        CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """
     _scripts([prompt], seconds)
+    if apparel not in ("rigid", "simulate"):
+        raise OptionError(f"apparel moves by 'rigid' or 'simulate', not '{apparel}'; choose one of the two")
+    if apparel == "simulate":
+        if loop or after is not None:
+            raise OptionError("simulated apparel starts from the rest pose, so it neither loops nor follows another clip; leave that out")
+        if handles != "predict":
+            raise OptionError("apparel is simulated on the bones of a character's rig; leave handles out")
+        from bunraku.handles.predict import mesh_feature
+        from bunraku.physics.animated import check_apparel
+
+        check_apparel(character)  # before the work
+        found = mesh_feature(character)
+        made = generate(prompt, seconds=seconds, seed=seed, steps=steps, guidance=guidance, mesh_feature=found, progress=progress)
+        return perform_dressed(made, character, in_place=in_place, stages=stages, progress=progress)
     if not isinstance(handles, Handles):
         handles = rig(character, handles=handles or "predict", progress=progress)
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)

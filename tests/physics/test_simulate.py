@@ -214,7 +214,8 @@ def test_wrong_options_and_characters_without_physics():
 
 
 def test_transfer_needs_physics_to_simulate(tmp_path):
-    from bunraku.motion_transfer import transfer, with_apparel
+    from bunraku.motion_transfer import transfer
+    from bunraku.physics.animated import with_apparel
 
     doll, _ = chain(2)
     with pytest.raises(CharacterError, match="nothing of this character"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
@@ -36,7 +36,7 @@ __all__ = ["Animate"]
 class Animate:
     """Make a character do what a sentence says.
 
-    The character is a .glb, .gltf, .vrm, .fbx, .obj, .ply or .stl file; it needs no rig. The animation is written as a GLB that
+    The character is a .glb, .gltf, .vrm, .pmx, .pmd, .fbx, .obj, .ply or .stl file; it needs no rig. The animation is written as a GLB that
     keeps the mesh, materials and textures of the input, as an NPZ of the handle motion, or as a sequence of meshes.
 
     Several prompts in a row, parted by semicolons, blend into each other: "walks:4; jumps:2; waves:3". The numbers are seconds.
@@ -61,6 +61,9 @@ class Animate:
     """Length of the clip, 0.5 to 120; prompts in a row without seconds of their own share it."""
     loop: bool = False
     """Make a loop: the clip ends in the pose that it starts in, at the same speed."""
+    apparel: Literal["rigid", "simulate"] = "rigid"
+    """How hair and clothes of MMD and VRM characters move: "rigid" with the body, or "simulate" by the physics of their file, on the
+    bones of its own rig."""
     in_place: bool = False
     """Take the way over the ground out: the character walks on the spot."""
     after: Path | None = None
@@ -91,6 +94,10 @@ class Animate:
             check_input(self.after)
             if self.loop:
                 raise OptionError("a loop ends where it starts, so --loop and --after do not go together; leave one out")
+        if self.apparel == "simulate" and (self.loop or self.after is not None):
+            raise OptionError("simulated apparel starts from the rest pose, so --apparel simulate goes with neither --loop nor --after")
+        if self.apparel == "simulate" and self.handles != "predict":
+            raise OptionError("--apparel simulate moves the bones of the character's rig; leave --handles out")
         fitting = fitting_stages(self.without, shape=True)
         if self.prompts is not None:
             from bunraku.cli.batch import animate_lines
@@ -110,20 +117,21 @@ class Animate:
 
             from bunraku.pipeline import animate, rig
 
+            how: dict[str, Any] = {
+                "seconds": self.seconds, "seed": self.seed, "steps": self.steps, "guidance": self.guidance, "in_place": self.in_place,
+                "stages": fitting, "progress": report,
+            }  # fmt: skip
+            if self.apparel == "simulate":
+                save_all(animate(character, self.prompt, apparel="simulate", **how), outputs, self.preview, self.fps, report)
+                return
             handles = rig(character, handles=self.handles, progress=report)
             animation = animate(
                 character,
                 self.prompt,
-                seconds=self.seconds,
-                seed=self.seed,
-                steps=self.steps,
-                guidance=self.guidance,
                 handles=handles,
                 loop=self.loop,
-                in_place=self.in_place,
                 after=None if self.after is None else _before(self.after, character, handles),
-                stages=fitting,
-                progress=report,
+                **how,
             )
             save_all(animation, outputs, self.preview, self.fps, report)
 

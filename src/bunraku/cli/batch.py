@@ -12,8 +12,10 @@ from bunraku.cli.report import wrote
 from bunraku.errors import FormatError, OptionError
 
 if TYPE_CHECKING:
+    from bunraku.animation import Animation
     from bunraku.cli.animate import Animate
     from bunraku.retarget.fit import Stages
+    from bunraku.rig_animation import RigAnimation
 
 __all__ = ["animate_lines", "read_lines"]
 
@@ -65,22 +67,32 @@ def animate_lines(options: Animate, prompts: list[str], fitting: Stages | None) 
     if not todo:
         return
     from bunraku.formats import load_character
+    from bunraku.handles.predict import mesh_feature
+    from bunraku.physics.animated import check_apparel
     from bunraku.pipeline import generate, rig
-    from bunraku.retarget.perform import perform
+    from bunraku.retarget.perform import perform, perform_dressed
 
     with stages() as report:
         report("load", 0.0)
         character = stand_up(load_character(options.character), options.character, options.up, options.front)
         report("load", 1.0)
-        handles = rig(character, handles=options.handles, progress=report)
+        dressed = options.apparel == "simulate"
+        if dressed:
+            check_apparel(character)
+        handles = None if dressed else rig(character, handles=options.handles, progress=report)
+        feature = mesh_feature(character) if handles is None else handles.features
         folder.mkdir(exist_ok=True)
         for start in range(0, len(todo), AT_ONCE):
             some = todo[start : start + AT_ONCE]
             motions = generate(  # the same seed for each, so that a clip does not depend on those beside it
                 [prompt for _, prompt in some], seconds=options.seconds, seed=[options.seed] * len(some), steps=options.steps,
-                guidance=options.guidance, mesh_feature=handles.features, loop=options.loop,
+                guidance=options.guidance, mesh_feature=feature, loop=options.loop,
             )  # fmt: skip
             for done, ((path, _), motion) in enumerate(zip(some, motions, strict=True), start):
-                animation = perform(motion, character, handles, loop=options.loop, in_place=options.in_place, stages=fitting)
+                animation: Animation | RigAnimation
+                if handles is None:
+                    animation = perform_dressed(motion, character, in_place=options.in_place, stages=fitting)
+                else:
+                    animation = perform(motion, character, handles, loop=options.loop, in_place=options.in_place, stages=fitting)
                 wrote(animation.save(path, fps=options.fps))
                 report("clips", (done + 1) / len(todo))

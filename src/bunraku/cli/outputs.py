@@ -17,6 +17,7 @@ from bunraku.errors import OptionError
 if TYPE_CHECKING:
     from bunraku.animation import Animation
     from bunraku.retarget.fit import Stages
+    from bunraku.rig_animation import RigAnimation
 
 __all__ = [
     "PREVIEWS", "GuidanceOption", "OutputOption", "PreviewOption", "StepsOption", "WithoutOption", "check_outputs", "check_sampling", "check_stages",
@@ -57,7 +58,7 @@ def check_outputs(outputs: Sequence[Path], previews: Sequence[Path], inputs: Seq
     check_different((*outputs, *previews))
 
 
-def save_all(animation: Animation, outputs: Sequence[Path], previews: Sequence[Path], fps: float, report: Report) -> None:
+def save_all(animation: Animation | RigAnimation, outputs: Sequence[Path], previews: Sequence[Path], fps: float, report: Report) -> None:
     """Write an animation and its previews, and name what was written, whatever became of the rest."""
     written: list[Path] = []
     try:
@@ -67,9 +68,11 @@ def save_all(animation: Animation, outputs: Sequence[Path], previews: Sequence[P
         report("write", 1.0)
         for path in previews:
             from bunraku.render import save_preview
+            from bunraku.rig_animation import RigAnimation
 
             make_folder(path)
-            written.append(save_preview(animation, path, fps=fps, progress=lambda done, total: report("preview", done / total)))
+            shown = animation.animation() if isinstance(animation, RigAnimation) else animation
+            written.append(save_preview(shown, path, fps=fps, progress=lambda done, total: report("preview", done / total)))
     finally:  # what is whole stays
         for path in written:
             wrote(path)

@@ -110,7 +110,7 @@ def animation_of(pair: Pair, settings: Settings, progress: Callable[[str, float]
     Raises:
         BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
     """
-    from bunraku.motion_transfer import check_apparel, with_apparel
+    from bunraku.physics.animated import check_apparel, with_apparel
 
     if settings.apparel == "simulate":  # before the work
         check_apparel(character_of(pair.character, settings)[0])

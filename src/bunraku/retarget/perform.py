@@ -9,8 +9,9 @@ from bunraku.animation import Animation
 from bunraku.character import Character, Handles
 from bunraku.motion import HandleMotion
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.rig_animation import RigAnimation
 
-__all__ = ["PERFORM_STAGES", "fit_performed", "perform", "reference_of"]
+__all__ = ["PERFORM_STAGES", "fit_performed", "perform", "perform_dressed", "reference_of"]
 
 Progress = Callable[[str, float], None]
 PERFORM_STAGES = Stages(shape=True)
@@ -57,6 +58,45 @@ def perform(
     if progress:
         progress("fit", 1.0)
     return Animation(character, handles, fitted, motion)
+
+
+def perform_dressed(
+    motion: HandleMotion,
+    character: Character,
+    *,
+    in_place: bool = False,
+    stages: Stages | None = None,
+    fps: float = 30.0,
+    progress: Progress | None = None,
+) -> RigAnimation:
+    """A motion of the reference body on the bones of a character, whose hair and clothes its file's physics move.
+
+    Args:
+        motion: N frames.
+        character: With a rig and physics, +Y up and facing +Z.
+        in_place: Take the way over the ground out; apparel then hangs as on a treadmill.
+        stages: Which stages fit the motion to the rig; all when None.
+        fps: Frames a second of the result [1/s]; apparel swings faster than 20 can show.
+        progress: Called with a stage's name and the share done, 0 to 1.
+
+    Raises:
+        CharacterError: There is no physics in the file, or the names of its bones do not tell their parts.
+    """
+    from bunraku.diffusion.paths import in_place as on_the_spot
+    from bunraku.formats.gltf_motion import resample
+    from bunraku.physics.animated import check_apparel, with_apparel
+    from bunraku.retarget.to_rig import fit_rig
+
+    check_apparel(character)
+    tell = progress or (lambda stage, done: None)
+    tell("fit", 0.0)
+    if in_place:  # feet that are held would carry the character away
+        motion, stages = on_the_spot(motion), replace(stages or Stages(), feet=False)
+    moved = fit_rig(resample(motion, fps), character, stages)
+    tell("fit", 1.0)
+    dressed = with_apparel(moved, "simulate", progress)
+    assert isinstance(dressed, RigAnimation)
+    return dressed
 
 
 def fit_performed(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False) -> HandleMotion:

@@ -1,0 +1,51 @@
+"""The apparel of an animation: as it is, or simulated by the physics of its character's file."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+from bunraku.animation import Animation
+from bunraku.character import Character
+from bunraku.errors import CharacterError
+from bunraku.physics.apparel_rig import apparel_rig
+from bunraku.physics.simulate import simulate
+from bunraku.rig_animation import RigAnimation
+
+__all__ = ["check_apparel", "with_apparel"]
+
+Progress = Callable[[str, float], None]
+_log = logging.getLogger(__name__)
+
+
+def check_apparel(character: Character) -> None:
+    """Whether there is apparel to simulate.
+
+    Raises:
+        CharacterError: The file of the character says nothing of physics.
+        FormatError: The nodes of the file are broken.
+    """
+    if apparel_rig(character) is None:
+        raise CharacterError(
+            f"{character.name}: nothing of this character is moved by physics; its file must be a PMX, PMD or VRM with rigid bodies or springs"
+        )
+
+
+def with_apparel(animation: Animation | RigAnimation, apparel: str = "simulate", progress: Progress | None = None) -> Animation | RigAnimation:
+    """The animation with its apparel simulated, or as it is where apparel is "rigid".
+
+    Raises:
+        CharacterError: There is no physics in its file, or it is moved by handles.
+    """
+    if apparel != "simulate":
+        return animation
+    check_apparel(animation.character)
+    if not isinstance(animation, RigAnimation):
+        name = animation.character.name
+        raise CharacterError(f"{name}: apparel is simulated on the bones of a humanoid's rig, and this one is moved by handles; try --onto rig")
+    tell = progress or (lambda stage, done: None)
+    tell("apparel", 0.0)
+    found = simulate(animation, progress=lambda done: tell("apparel", done))
+    for problem in found.report.problems():
+        _log.warning("%s: %s", animation.character.name, problem)
+    return found.animation
