@@ -1,7 +1,7 @@
 """What happens one after the other in a sentence: "a person walks, then waves" is "a person walks" and "a person waves".
 
 Each clause is generated from its own words, as the prompts of a sequence are: the network hears "then" but often does only one of
-both. Only words that say order part a sentence; "walks and waves" stays whole.
+both. Only words that say order part a sentence; "walks and waves" is for `voices`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import re
 from bunraku.diffusion.captions import known_verbs
 from bunraku.diffusion.grammar import conjugate
 
-__all__ = ["SHORTEST_CLAUSE", "split_clauses", "timed_clauses"]
+__all__ = ["SHORTEST_CLAUSE", "patterns", "split_clauses", "timed_clauses", "with_subject"]
 
 SHORTEST_CLAUSE = 1.0
 """Seconds under which clauses are too short to be done one by one; the sentence stays whole then."""
@@ -56,7 +56,8 @@ def _forms() -> tuple[str, str, str]:
 
 
 @functools.cache
-def _patterns() -> dict[str, re.Pattern[str]]:
+def patterns() -> dict[str, re.Pattern[str]]:
+    """What begins a clause: a "subject", a verb in the "third" person, as a "gerund" or "plain", any "clause", or a "finite" one."""
     third, gerund, plain = _forms()
     texts = {
         "subject": rf"(?P<subject>{_NOUN})(?={_ADVERBS}(?:{third}|{gerund}|is\s+|are\s+))",
@@ -86,9 +87,9 @@ def split_clauses(sentence: str) -> list[str]:
         return [sentence]
     subject, named = "", []
     for clause in clauses:
-        found = _patterns()["subject"].match(clause)
+        found = patterns()["subject"].match(clause)
         subject = found["subject"].strip() if found else subject
-        named.append(clause if found else _with_subject(clause, subject))
+        named.append(clause if found else with_subject(clause, subject))
     return named
 
 
@@ -101,7 +102,7 @@ def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
 
 def _hinged(piece: str) -> list[str]:
     """A piece parted at "before" and "after", in the order in which things happen."""
-    clause = _patterns()
+    clause = patterns()
     found = _AFTER_FIRST.match(piece)
     if found and clause["gerund"].match(found["earlier"]) and clause["clause"].match(found["later"]):
         return [found["earlier"], *_hinged(found["later"])]
@@ -117,15 +118,16 @@ def _listed(piece: str) -> list[str]:
     """A piece such as "a man walks, turns around" as its clauses, where each begins with a verb of one form ("walks, looking down" does not)."""
     first, *others = _COMMA.split(piece)
     begin = _OPENING.sub("", first)
-    subject = _patterns()["subject"].match(begin)
+    subject = patterns()["subject"].match(begin)
     begin = begin[subject.end() :] if subject else begin
-    same = any(all(_patterns()[form].match(item) for item in (begin, *others)) for form in ("third", "gerund", "plain"))
+    same = any(all(patterns()[form].match(item) for item in (begin, *others)) for form in ("third", "gerund", "plain"))
     return [first, *others] if others and same else [piece]
 
 
-def _with_subject(clause: str, subject: str) -> str:
+def with_subject(clause: str, subject: str) -> str:
+    """A clause that begins with its verb as one of this subject; others, and all without a subject, stay as they are."""
     if not subject:
         return clause
-    if _patterns()["third"].match(clause):
+    if patterns()["third"].match(clause):
         return f"{subject} {clause}"
-    return f"{subject} is {clause}" if _patterns()["gerund"].match(clause) else clause
+    return f"{subject} is {clause}" if patterns()["gerund"].match(clause) else clause

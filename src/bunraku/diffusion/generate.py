@@ -6,7 +6,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -117,7 +117,8 @@ def generate_motions(
 
     import torch
 
-    from bunraku.diffusion.windows import plan_windows, sample_plans
+    from bunraku.diffusion.voices import Twin, voices
+    from bunraku.diffusion.windows import drawn_noise, plan_windows, sample_plans
     from bunraku.nn.threads import fitting_threads
 
     if how.progress:
@@ -125,17 +126,27 @@ def generate_motions(
     model, encoder = load_generator(how.checkpoint)
     lengths = [frames_of([seconds for _, seconds in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
-    text = encoder.encode([prompt for script in scripts for prompt, _ in script])
+    heard = [[voices(prompt) for prompt, _ in script] for script in scripts]
+    twins = [twin for index, some in enumerate(heard) if (twin := Twin.of(index, some))]
+    told = [voice[0].sentence for some in heard for voice in some] + [sentence for twin in twins for sentence in twin.sentences]
+    text = encoder.encode(told)
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
+    noise = drawn_noise(seeds, len(scripts))
+    plans, noise = plans + [plans[twin.motion] for twin in twins], noise + [noise[twin.motion] for twin in twins]
     sizes = [plan.frames for plan in plans]
 
-    def close(values: Tensor) -> Tensor:
-        return torch.cat([closed(part, model) for part in values.split(sizes)])
+    def refine(values: Tensor) -> Tensor:
+        parts = list(values.split(sizes))
+        for place, twin in enumerate(twins, len(scripts)):
+            parts[place] = twin.follow(parts[twin.motion], parts[place])
+        return torch.cat([closed(part, model) for part in parts] if loop else parts)
 
     with fitting_threads(model):
-        found = sample_plans(model, text, plans, seeds=seeds, refine=close if loop else None, **how.options(model, len(text.mask)))
+        found = sample_plans(model, text, plans, seeds=noise, refine=refine if loop or twins else None, **how.options(model, len(text.mask)))
+    for twin, own in zip(twins, found[len(scripts) :], strict=True):
+        found[twin.motion] = replace(own, adaptation=twin.adapt(found[twin.motion].adaptation, own.adaptation))
     motions = []
-    for part, length in zip(found, lengths, strict=True):
+    for part, length in zip(found[: len(scripts)], lengths, strict=True):
         frames = np.arange(sum(length) + loop) % len(part.values)
         features = statistics.restore(part.values.cpu().numpy()[frames])
         motions.append(adapt(decode(features, model.config.fps), part.adaptation.cpu().numpy()[frames]))

@@ -18,7 +18,7 @@ from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.sampler import Sample, Window, row_noise, sample_windows
 from bunraku.diffusion.text import TextBatch
 
-__all__ = ["Plan", "plan_windows", "sample_long", "sample_plans"]
+__all__ = ["Plan", "drawn_noise", "plan_windows", "sample_long", "sample_plans"]
 
 OVERLAP = 28  # frames that two windows share
 SHORTEST = 40  # frames; training saw hardly anything shorter
@@ -92,7 +92,13 @@ def _rise(frames: Tensor, length: int) -> Tensor:
 
 
 def sample_plans(
-    model: Denoiser, text: TextBatch, plans: Sequence[Plan], *, seeds: int | Sequence[int] = 0, mesh_features: Tensor | None = None, **options: Any
+    model: Denoiser,
+    text: TextBatch,
+    plans: Sequence[Plan],
+    *,
+    seeds: int | Sequence[int] | Sequence[tuple[int, int]] = 0,
+    mesh_features: Tensor | None = None,
+    **options: Any,
 ) -> list[Sample]:
     """Make several motions in one batch.
 
@@ -100,7 +106,7 @@ def sample_plans(
         model: The denoiser.
         text: The sentences of the first plan, then those of the second, and so on.
         plans: One for each motion.
-        seeds: Of the starting noise; one number gives each motion noise of its own, the first as when it is alone.
+        seeds: Of the starting noise; one number gives each motion noise of its own, the first as when it is alone. See `drawn_noise`.
         mesh_features: f_phi for each sentence, shape (B, 448).
         options: Others of `sample_windows`.
 
@@ -113,10 +119,17 @@ def sample_plans(
         windows += [Window(window.frames + frame, window.share, window.row + row) for window in plan.windows]
         frame, row = frame + plan.frames, row + 1 + max(window.row for window in plan.windows)
     lengths, size = [plan.frames for plan in plans], model.config.features
-    drawn = [(seeds, index) for index in range(len(plans))] if isinstance(seeds, int) else [(seed, 0) for seed in seeds]
+    drawn = drawn_noise(seeds, len(plans))
     noise = [row_noise(length, size, *pair) for length, pair in zip(lengths, drawn, strict=True)]
     found = sample_windows(model, text, windows, torch.cat(noise), mesh_features=mesh_features, seed=drawn[0][0], **options)
     return [Sample(*parts) for parts in zip(found.values.split(lengths), found.adaptation.split(lengths), strict=True)]
+
+
+def drawn_noise(seeds: int | Sequence[int] | Sequence[tuple[int, int]], count: int) -> list[tuple[int, int]]:
+    """Seed and row (see `row_noise`) of each of `count` motions, from one seed, a seed for each, or the very pairs."""
+    if isinstance(seeds, int):
+        return [(seeds, index) for index in range(count)]
+    return [(seed, 0) if isinstance(seed, int) else seed for seed in seeds]
 
 
 def sample_long(
