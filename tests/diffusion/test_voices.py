@@ -64,3 +64,10 @@ def test_the_legs_walk_on_while_the_hand_waves():
     wrist, shoulder = (joints[:, HANDLE_NAMES.index(name), 1] for name in ("right_wrist", "right_shoulder"))
     assert (wrist > shoulder - 0.1).mean() > 0.8
     assert np.allclose(other.rotations, generate_motions([[("a person jumps", 3.0)]], seeds=1)[0].rotations, atol=1e-2)
+
+
+@pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
+def test_a_loop_of_two_voices_closes():
+    (loop,) = generate_motions([[("walks while waving with the left hand", 2.0)]], seeds=3, loop=True)
+    assert np.array_equal(loop.rotations[0], loop.rotations[-1]) and np.array_equal(loop.translations[0], loop.translations[-1])
+    assert np.linalg.norm(loop.root_translation[-1] - loop.root_translation[0]) > 1.0
