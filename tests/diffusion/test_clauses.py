@@ -22,7 +22,11 @@ from bunraku.diffusion.clauses import split_clauses, timed_clauses
         ("a kick followed by a jump", ["a kick", "a jump"]),
         ("walk, then jump, then wave", ["walk", "jump", "wave"]),
         ("steps forward, watching the ground, and then backs up", ["steps forward, watching the ground", "backs up"]),
-        ("runs; after that, waves", ["runs; after that, waves"]),  # semicolons are for `parse_sequence`
+        ("walks, jumps, waves", ["walks", "jumps", "waves"]),
+        ("a dragon flies up, roars and lands", ["a dragon flies up", "a dragon roars", "a dragon lands"]),
+        ("Walk to the left, turn around, walk back", ["Walk to the left", "turn around", "walk back"]),
+        ("she walks slowly, then faster, and finally runs", ["she walks slowly, then faster", "she runs"]),
+        ('"walks", then "runs"', ["walks", "runs"]),
     ],
 )
 def test_clauses_come_in_the_order_of_time(sentence, clauses):
@@ -34,7 +38,12 @@ def test_clauses_come_in_the_order_of_time(sentence, clauses):
     [
         "walks and waves",
         "walks slowly, carefully",
+        "walks forward, waving",
+        "a man strides along, lifting the legs high, with swinging arms",
         "a person jumps now and then",
+        "a person runs, stops and runs again",  # a caption of training
+        "walking backwards, then turning around",
+        "dances with quick steps, turns and jumps",
         "every now and then he kicks the ball",
         "bows before the king",
         "runs after a thief",
@@ -46,12 +55,16 @@ def test_clauses_come_in_the_order_of_time(sentence, clauses):
         "steps forward and then back again",
         "falls after a deadly hit and lies still",
         "then",
-        "walks, then",
         "",
     ],
 )
 def test_what_says_no_order_stays_whole(sentence):
     assert split_clauses(sentence) == [sentence]
+
+
+def test_an_end_without_a_clause_is_left_out():
+    assert split_clauses("walks, then") == ["walks, then"]
+    assert split_clauses("walks, then jumps, then") == ["walks", "jumps"]
 
 
 def test_clauses_share_the_time_and_short_ones_stay_together():

@@ -21,6 +21,8 @@ ARMS = np.isin(np.arange(30), PARTS["arms"])
         ("run and clap", "run", "clap", "arms"),
         ("a man is slowly walking while he nods", "a man is slowly walking", "he nods", "head"),
         ("walks forward and shakes the head", "walks forward", "shakes the head", "head"),
+        ("walks forward, waving", "walks forward", "waving", "arms"),
+        ("the robot marches, and waves", "the robot marches", "the robot waves", "arms"),
         ("walks, while raising the right arm", "walks", "raising the right arm", "arms"),
     ],
 )

@@ -20,7 +20,7 @@ from bunraku.diffusion.grammar import conjugate, fill, is_stative, sentence_form
 
 __all__ = [
     "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants", "creature_actions", "creature_clauses", "creature_names",
-    "creature_variants", "known_verbs", "mirror_words", "normalise_label", "person_phrases",
+    "creature_variants", "known_clauses", "known_verbs", "mirror_words", "normalise_label", "person_phrases",
 ]  # fmt: skip
 
 _MIRRORED = {
@@ -83,6 +83,13 @@ def known_verbs() -> frozenset[str]:
     """All verbs of the phrases, plain: "walk", "gallop"."""
     texts = (resources.files("bunraku.diffusion").joinpath(name).read_text("utf-8") for name in ("captions.json", "creature_captions.json"))
     return frozenset(verb for text in texts for verb in _BRACED.findall(text))
+
+
+@functools.cache
+def known_clauses() -> frozenset[str]:
+    """All phrases for people's motions without a subject, in the third person, as gerunds and plain: what sentences of training are made of."""
+    phrases = {phrase for group in _groups().values() for phrase in group.phrases}
+    return frozenset(conjugate(phrase, form) for phrase in phrases for form in ("third", "gerund", "plain"))
 
 
 def mirror_words(sentence: str) -> str:

@@ -1,7 +1,7 @@
 """What happens one after the other in a sentence: "a person walks, then waves" is "a person walks" and "a person waves".
 
 Each clause is generated from its own words, as the prompts of a sequence are: the network hears "then" but often does only one of
-both. Only words that say order part a sentence; "walks and waves" is for `voices`.
+both. Words that say order part a sentence, and commas between verbs; "walks and waves" is for `voices`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import re
 
-from bunraku.diffusion.captions import known_verbs
+from bunraku.diffusion.captions import known_clauses, known_verbs
 from bunraku.diffusion.grammar import conjugate
 
 __all__ = ["SHORTEST_CLAUSE", "patterns", "split_clauses", "timed_clauses", "with_subject"]
@@ -35,9 +35,14 @@ _NOUN = (
     r"(?:(?:a|an|the|one|this|that|my|our|his|her|their|its)\s+(?:(?!(?:and|or)\b)[\w'-]+\s+){1,3}?"
     r"|(?:someone|somebody|he|she|it|they)\s+)"
 )
+_MORE_VERBS = (
+    "approach", "bark", "brush", "chase", "comb", "cook", "cough", "cross", "cry", "descend", "dig", "draw", "enter", "escape", "flee", "growl",
+    "grow", "hiss", "howl", "hug", "hunt", "kiss", "knock", "pour", "pray", "read", "relax", "scream", "search", "shiver", "shout", "sigh", "smile",
+    "sneeze", "sniff", "speed", "stalk", "stir", "tremble", "try", "type", "wake", "weep", "write", "yawn", "yell",
+)  # fmt: skip
 _NO_VERB = re.compile(
     r"(?:left|right|forwards?|backwards?|back(?!\s+(?:up|away|off))|sideways|to|towards?|into|onto|in|on|at|around|up|down|away|out|off|again|over|with|from"
-    r"|the\s+other|another|some|for|once|twice)\b",
+    r"|the\s+other|another|some|for|once|twice|faster|slower|more|less|higher|lower)\b",
     re.IGNORECASE,
 )
 _ADVERBS = r"(?:(?:\w+ly|also|again)\s+)*"
@@ -50,7 +55,7 @@ def _forms() -> tuple[str, str, str]:
     def pattern(words: set[str]) -> str:
         return r"(?:" + "|".join(sorted(map(re.escape, words), key=len, reverse=True)) + r")\b"
 
-    verbs = known_verbs()
+    verbs = known_verbs() | set(_MORE_VERBS)
     third, gerund = ({conjugate(f"{{{verb}}}", form) for verb in verbs} for form in ("third", "gerund"))
     return pattern(third), pattern(gerund), pattern(set(verbs))
 
@@ -78,12 +83,20 @@ def split_clauses(sentence: str) -> list[str]:
     Args:
         sentence: A prompt in English.
     """
-    text = " ".join(sentence.split()).strip()
-    pieces = [piece for part in _ORDER.split(_BEGINS.sub("", text)) for piece in _hinged(part)]
-    if len(pieces) > 1 or _OPENING.match(text):
-        pieces = [item for piece in pieces for item in _listed(piece)]
-    clauses = [clause for piece in pieces if (clause := _OPENING.sub("", piece).strip(" ,.;!"))]
-    if len(clauses) < 2 or not all(clause[0].isalpha() and not _NO_VERB.match(clause) for clause in clauses[1:]):
+    text = " ".join(sentence.replace('"', " ").split())
+    found = patterns()["subject"].match(text)
+    if (text[found.end() :] if found else text).lower().removeprefix("is ").rstrip(" .") in known_clauses():
+        return [sentence]  # training knows it as it is
+    parts = _ORDER.split(_BEGINS.sub("", text))
+    pieces = [piece for part in parts for piece in _hinged(part)]
+    clauses: list[str] = []
+    for item in (item for piece in pieces for item in _listed(piece, len(pieces) > 1)):
+        clause = _OPENING.sub("", item).strip(" ,.;!")
+        if clauses and clause and (_NO_VERB.match(clause) or not clause[0].isalpha()):
+            clauses[-1] += f", then {clause}"  # "runs left, then right"
+        elif clause:
+            clauses.append(clause)
+    if len(clauses) < 2:
         return [sentence]
     subject, named = "", []
     for clause in clauses:
@@ -114,14 +127,22 @@ def _hinged(piece: str) -> list[str]:
     return [piece]
 
 
-def _listed(piece: str) -> list[str]:
-    """A piece such as "a man walks, turns around" as its clauses, where each begins with a verb of one form ("walks, looking down" does not)."""
+def _listed(piece: str, ordered: bool) -> list[str]:
+    """A list such as "a man walks, turns around and waves" as its clauses, where each begins with a verb of one form ("walks, looking down" does
+    not). Only commas make a list: "walks and waves" is none. Nouns may look like verbs ("dances with steps, turns and jumps"), so where nothing else
+    in the sentence says order, a list after "with" or "of" is none either."""
     first, *others = _COMMA.split(piece)
+    if not ordered and re.search(r"\b(?:with|of)\b|:", first):
+        return [piece]
     begin = _OPENING.sub("", first)
     subject = patterns()["subject"].match(begin)
     begin = begin[subject.end() :] if subject else begin
-    same = any(all(patterns()[form].match(item) for item in (begin, *others)) for form in ("third", "gerund", "plain"))
-    return [first, *others] if others and same else [piece]
+    for form in ("third", "gerund", "plain") if others else ():
+        verb = patterns()[form]
+        if all(verb.match(item) for item in (begin, *others)):
+            head, _, last = others[-1].rpartition(" and ")
+            return [first, *others[:-1], head, last] if head and verb.match(last) else [first, *others]
+    return [piece]
 
 
 def with_subject(clause: str, subject: str) -> str:

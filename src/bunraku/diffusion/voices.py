@@ -45,7 +45,7 @@ _LEGS = (
 _ARMS = ("wave", "clap", "applaud", "salute", "cheer", "point", "beckon", "drink", "greet")
 _HEAD = ("nod",)
 _LIMB = re.compile(r"\b(?:hands?|arms?|fists?)\b", re.IGNORECASE)
-_JOINTS = (re.compile(r"\s*,?\s+(?:while|whilst)\s+", re.IGNORECASE), re.compile(r"\s+and\s+(?!then\b)", re.IGNORECASE))
+_JOINTS = tuple(re.compile(joint, re.IGNORECASE) for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!then\b)", r"\s*,\s*(?=\w+ing\b)"))
 
 
 @dataclass(frozen=True, eq=False)
