@@ -7,7 +7,10 @@ changes of length, with the squared move of the handles beside them, make a smal
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from bunraku.character import Character, Handles
 from bunraku.geometry.resampling import Resampling
@@ -44,11 +47,18 @@ def edges_kept(rotations: np.ndarray, translations: np.ndarray, character: Chara
         return np.zeros(translations.shape)
     frames = np.append(np.arange(0, len(translations) - 1, STRIDE), len(translations) - 1)
     parts = [frames[start : start + CHUNK] for start in range(0, len(frames), CHUNK)]
-    moved = np.concatenate([system.solved(rotations[part], translations[part], handles.positions, scale) for part in parts])
+    with _libraries().limit(limits=1, user_api="blas"):  # small products: where a core is busy, threads would wait for each other
+        moved = np.concatenate([system.solved(rotations[part], translations[part], handles.positions, scale) for part in parts])
     at = np.interp(np.arange(len(translations)), frames, np.arange(len(frames)))
     low = at.astype(int)
     high = np.minimum(low + 1, len(frames) - 1)
     return Resampling(low, high, at - low).linear(moved.astype(float))
+
+
+@functools.cache
+def _libraries() -> ThreadpoolController:
+    """The libraries that numpy multiplies with; looking for them takes longer than to set their threads."""
+    return ThreadpoolController()
 
 
 class _System:
