@@ -126,9 +126,9 @@ class Denoiser(nn.Module):
         self.text_in = nn.Linear(config.text_size, width)
         self.mesh_in = nn.Linear(config.mesh_features, width)
         self.pooled_in = nn.Linear(config.pooled_size, width)
-        self.null_text = nn.Parameter(torch.randn(width) * 0.02)
-        self.null_pooled = nn.Parameter(torch.randn(width) * 0.02)
-        self.null_mesh = nn.Parameter(torch.randn(width) * 0.02)
+        self.null_text = nn.Parameter(drawn(torch.empty(width), 0.02))
+        self.null_pooled = nn.Parameter(drawn(torch.empty(width), 0.02))
+        self.null_mesh = nn.Parameter(drawn(torch.empty(width), 0.02))
         self.step_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.steer = nn.Linear(width, 9 * width)
         self.layers = nn.ModuleList(_Layer(width, config.heads, config.feedforward) for _ in range(config.layers))
@@ -140,7 +140,7 @@ class Denoiser(nn.Module):
         for layer in self.layers:
             for name in ("self_out", "cross_out", "narrow"):
                 linear = getattr(layer, name)
-                nn.init.normal_(linear.weight, std=0.02 / math.sqrt(2 * config.layers))
+                drawn(linear.weight, 0.02 / math.sqrt(2 * config.layers))
                 nn.init.zeros_(linear.bias)
         with torch.no_grad():
             self.steer.weight.mul_(0.1)
@@ -149,7 +149,7 @@ class Denoiser(nn.Module):
         for linear in (self.final, self.adaptation_out):
             nn.init.zeros_(linear.weight)
             nn.init.zeros_(linear.bias)
-        nn.init.normal_(self.motion_out.weight, std=0.02)
+        drawn(self.motion_out.weight, 0.02)
         nn.init.zeros_(self.motion_out.bias)
 
     @property
@@ -234,6 +234,11 @@ class Denoiser(nn.Module):
             h = layer(h, memory, steer, rotary, mask, memory_mask)
         scale, shift = self.final(vector)[:, None].chunk(2, dim=-1)
         return F.layer_norm(h, h.shape[-1:]) * (1 + scale) + shift
+
+
+def drawn(value: Tensor, deviation: float) -> Tensor:
+    """The tensor, filled with normal noise; one on the meta device stays as it is, since torch takes two seconds to load what would fill it."""
+    return value if value.is_meta else nn.init.normal_(value, std=deviation)
 
 
 def build_denoiser(config: DenoiserConfig) -> Denoiser:

@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from bunraku.diffusion.denoiser import Denoiser
+from bunraku.diffusion.denoiser import Denoiser, drawn
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 
 __all__ = ["EncoderDenoiser"]
@@ -68,7 +68,7 @@ class EncoderDenoiser(Denoiser):
         for layer in self.layers:
             for name in ("self_out", "narrow"):
                 linear = getattr(layer, name)
-                nn.init.normal_(linear.weight, std=0.02 / math.sqrt(2 * config.layers))
+                drawn(linear.weight, 0.02 / math.sqrt(2 * config.layers))
                 nn.init.zeros_(linear.bias)
 
     def condition(

@@ -20,6 +20,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from bunraku.errors import WeightsError
+from bunraku.nn.threads import one_thread
 
 __all__ = ["TrainingState", "load_checkpoint", "load_training_state", "save_checkpoint", "save_training_state", "shipped_checkpoint"]
 
@@ -110,10 +111,11 @@ def load_checkpoint(path: str | Path, kind: str) -> tuple[dict[str, torch.Tensor
     """
     path = Path(path)
     tensors, config = _read(path, kind)
-    state = {name: value.float() if value.dtype in (torch.float16, torch.bfloat16) else value for name, value in tensors.items()}
-    for name, value in state.items():
-        if value.is_floating_point() and not bool(torch.isfinite(value).all()):
-            raise WeightsError(f"{path}: the weights '{name}' hold values that are not numbers; copy or train them again")
+    with one_thread():
+        state = {name: value.float() if value.dtype in (torch.float16, torch.bfloat16) else value for name, value in tensors.items()}
+        for name, value in state.items():
+            if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+                raise WeightsError(f"{path}: the weights '{name}' hold values that are not numbers; copy or train them again")
     return state, config
 
 
