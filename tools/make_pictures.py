@@ -35,6 +35,12 @@ PROMPTS = (
     "a person does jumping jacks",
     "a person punches",
 )
+STORIES = (
+    ("person", "walks forward, then waves with the left hand"),
+    ("person", "runs while clapping, then jumps"),
+    ("person", "turns around, walks and sits down"),
+    ("dog", "a dog walks, then attacks"),
+)
 ON_CHARACTERS = ("a person walks forward", "a person waves with the right hand", "a person dances")
 GALLERY = (
     "walks forward", "runs", "walks slowly, tired", "walks in a circle", "turns left, then walks on", "walks backwards", "sneaks",
@@ -114,6 +120,12 @@ def prompts() -> None:
         contact_sheet(pictures, labels, OUT / f"prompts-{sheet}.png", columns=FRAMES)
 
 
+def stories() -> None:
+    """Sentences that say what comes next, and what goes on meanwhile."""
+    pictures = [np.concatenate(_row(name, prompt, 6.0, size=(125, 150))[0], axis=1) for name, prompt in STORIES]
+    contact_sheet(pictures, [prompt for _, prompt in STORIES], OUT / "stories.png", columns=1)
+
+
 def characters() -> None:
     """The same sentences on the other sample characters."""
     for prompt in ON_CHARACTERS:
@@ -141,7 +153,9 @@ def gallery() -> None:
         contact_sheet(pictures, list(GALLERY), OUT / f"gallery-{name.lower()}.png", columns=3, title=name)
 
 
-MAKERS: dict[str, Callable[[], None]] = {"samples": samples, "handles": handles, "prompts": prompts, "characters": characters, "gallery": gallery}
+MAKERS: dict[str, Callable[[], None]] = {
+    "samples": samples, "handles": handles, "prompts": prompts, "stories": stories, "characters": characters, "gallery": gallery,
+}  # fmt: skip
 
 
 def main() -> None:
