@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -58,13 +58,30 @@ def check_outputs(outputs: Sequence[Path], previews: Sequence[Path], inputs: Seq
     check_different((*outputs, *previews))
 
 
-def save_all(animation: Animation | RigAnimation, outputs: Sequence[Path], previews: Sequence[Path], fps: float, report: Report) -> None:
-    """Write an animation and its previews, and name what was written, whatever became of the rest."""
+def save_all(
+    animation: Animation | RigAnimation,
+    outputs: Sequence[Path],
+    previews: Sequence[Path],
+    fps: float,
+    report: Report,
+    options: Mapping[str, str] | None = None,
+) -> None:
+    """Write an animation and its previews, and name what was written, whatever became of the rest.
+
+    Args:
+        animation: What to write.
+        outputs: The animation's files.
+        previews: Videos and contact sheets.
+        fps: Frames a second [1/s] of previews, and of files where `options` is None.
+        report: Called with a stage's name and the share done.
+        options: Those of the files' formats; the animation then keeps its own rate.
+    """
     written: list[Path] = []
     try:
         for number, path in enumerate(outputs):
             report("write", number / len(outputs))
-            written.append(animation.save(path, **({} if path.suffix.lower() in (".npz", ".vmd") else {"fps": fps})))
+            rate = {} if path.suffix.lower() in (".npz", ".vmd") else {"fps": fps}
+            written.append(animation.save(path, **(rate if options is None else options)))
         report("write", 1.0)
         for path in previews:
             from bunraku.render import save_preview

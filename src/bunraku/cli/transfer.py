@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_folder, check_input, check_range, make_folder
+from bunraku.cli.checks import check_folder, check_input, check_range
 from bunraku.cli.orientation import AxisOption, check_axes
-from bunraku.cli.outputs import PreviewOption, WithoutOption, check_outputs, check_stages
+from bunraku.cli.outputs import PreviewOption, WithoutOption, check_outputs, check_stages, save_all
 from bunraku.cli.progress import stages
 from bunraku.cli.report import wrote
 from bunraku.cli.transfer_jobs import Pair, Settings, animation_of, done_already, holds_character, pairs_of
@@ -124,21 +124,7 @@ class Transfer:
         check_outputs([output], self.preview, inputs, _outputs())
         with stages() as report:
             animation = animation_of(Pair(character, motion, output), settings, report)
-            written = []
-            try:
-                report("write", 0.0)
-                written.append(animation.save(output, **settings.saving))
-                report("write", 1.0)
-                for path in self.preview:
-                    from bunraku.render import save_preview
-                    from bunraku.rig_animation import RigAnimation
-
-                    make_folder(path)
-                    shown = animation.animation() if isinstance(animation, RigAnimation) else animation
-                    written.append(save_preview(shown, path, fps=self.fps, progress=lambda done, total: report("preview", done / total)))
-            finally:  # what is whole stays
-                for path in written:
-                    wrote(path)
+            save_all(animation, [output], self.preview, self.fps, report, settings.saving)
 
     def _many(self, characters: list[Path], motions: list[Path], bad: dict[Path, str], settings: Settings, jobs: int | str, suffix: str) -> int:
         from bunraku.formats.registry import check_writer

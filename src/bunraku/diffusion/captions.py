@@ -81,8 +81,7 @@ def caption_group(label: str) -> CaptionGroup:
 @functools.cache
 def known_verbs() -> frozenset[str]:
     """All verbs of the phrases, plain: "walk", "gallop"."""
-    texts = (resources.files("bunraku.diffusion").joinpath(name).read_text("utf-8") for name in ("captions.json", "creature_captions.json"))
-    return frozenset(verb for text in texts for verb in _BRACED.findall(text))
+    return frozenset(verb for name in ("captions.json", "creature_captions.json") for verb in _BRACED.findall(str(_table(name))))
 
 
 @functools.cache

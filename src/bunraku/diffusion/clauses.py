@@ -12,7 +12,7 @@ import re
 from bunraku.diffusion.captions import known_clauses, known_verbs
 from bunraku.diffusion.grammar import conjugate
 
-__all__ = ["SHORTEST_CLAUSE", "patterns", "split_clauses", "timed_clauses", "with_subject"]
+__all__ = ["SHORTEST_CLAUSE", "split_clauses", "subject_of", "timed_clauses", "with_subject"]
 
 SHORTEST_CLAUSE = 1.0
 """Seconds under which clauses are too short to be done one by one; the sentence stays whole then."""
@@ -61,7 +61,7 @@ def _forms() -> tuple[str, str, str]:
 
 
 @functools.cache
-def patterns() -> dict[str, re.Pattern[str]]:
+def _patterns() -> dict[str, re.Pattern[str]]:
     """What begins a clause: a "subject", a verb in the "third" person, as a "gerund" or "plain", any "clause", or a "finite" one."""
     third, gerund, plain = _forms()
     texts = {
@@ -84,8 +84,7 @@ def split_clauses(sentence: str) -> list[str]:
         sentence: A prompt in English.
     """
     text = " ".join(sentence.replace('"', " ").split())
-    found = patterns()["subject"].match(text)
-    if (text[found.end() :] if found else text).lower().removeprefix("is ").rstrip(" .") in known_clauses():
+    if subject_of(text)[1].lower().removeprefix("is ").rstrip(" .") in known_clauses():
         return [sentence]  # training knows it as it is
     parts = _ORDER.split(_BEGINS.sub("", text))
     pieces = [piece for part in parts for piece in _hinged(part)]
@@ -100,10 +99,16 @@ def split_clauses(sentence: str) -> list[str]:
         return [sentence]
     subject, named = "", []
     for clause in clauses:
-        found = patterns()["subject"].match(clause)
-        subject = found["subject"].strip() if found else subject
-        named.append(clause if found else with_subject(clause, subject))
+        own = subject_of(clause)[0]
+        subject = own or subject
+        named.append(clause if own else with_subject(clause, subject))
     return named
+
+
+def subject_of(clause: str) -> tuple[str, str]:
+    """Its subject, "" where it has none, and the rest."""
+    found = _patterns()["subject"].match(clause)
+    return (found["subject"].strip(), clause[found.end() :]) if found else ("", clause)
 
 
 def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
@@ -115,7 +120,7 @@ def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
 
 def _hinged(piece: str) -> list[str]:
     """A piece parted at "before" and "after", in the order in which things happen."""
-    clause = patterns()
+    clause = _patterns()
     found = _AFTER_FIRST.match(piece)
     if found and clause["gerund"].match(found["earlier"]) and clause["clause"].match(found["later"]):
         return [found["earlier"], *_hinged(found["later"])]
@@ -134,11 +139,9 @@ def _listed(piece: str, ordered: bool) -> list[str]:
     first, *others = _COMMA.split(piece)
     if not ordered and re.search(r"\b(?:with|of)\b|:", first):
         return [piece]
-    begin = _OPENING.sub("", first)
-    subject = patterns()["subject"].match(begin)
-    begin = begin[subject.end() :] if subject else begin
+    begin = subject_of(_OPENING.sub("", first))[1]
     for form in ("third", "gerund", "plain") if others else ():
-        verb = patterns()[form]
+        verb = _patterns()[form]
         if all(verb.match(item) for item in (begin, *others)):
             head, _, last = others[-1].rpartition(" and ")
             return [first, *others[:-1], head, last] if head and verb.match(last) else [first, *others]
@@ -149,6 +152,6 @@ def with_subject(clause: str, subject: str) -> str:
     """A clause that begins with its verb as one of this subject; others, and all without a subject, stay as they are."""
     if not subject:
         return clause
-    if patterns()["third"].match(clause):
+    if _patterns()["third"].match(clause):
         return f"{subject} {clause}"
-    return f"{subject} is {clause}" if patterns()["gerund"].match(clause) else clause
+    return f"{subject} is {clause}" if _patterns()["gerund"].match(clause) else clause

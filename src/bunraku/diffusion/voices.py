@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.diffusion.clauses import patterns, with_subject
+from bunraku.diffusion.clauses import subject_of, with_subject
 from bunraku.diffusion.grammar import conjugate
 from bunraku.diffusion.parts import feature_mask, kept_handles
 
@@ -24,24 +24,8 @@ if TYPE_CHECKING:
 __all__ = ["Twin", "Voice", "voices"]
 
 _LEGS = (
-    "walk",
-    "run",
-    "jog",
-    "sprint",
-    "march",
-    "sneak",
-    "tiptoe",
-    "skip",
-    "stroll",
-    "stride",
-    "hop",
-    "jump",
-    "trot",
-    "stomp",
-    "wander",
-    "sit",
-    "kneel",
-)
+    "walk", "run", "jog", "sprint", "march", "sneak", "tiptoe", "skip", "stroll", "stride", "hop", "jump", "trot", "stomp", "wander", "sit", "kneel",
+)  # fmt: skip
 _ARMS = ("wave", "clap", "applaud", "salute", "cheer", "point", "beckon", "drink", "greet")
 _HEAD = ("nod",)
 _LIMB = re.compile(r"\b(?:hands?|arms?|fists?)\b", re.IGNORECASE)
@@ -72,9 +56,7 @@ def voices(sentence: str) -> tuple[Voice, ...]:
         halves = [half.strip(" ,.;!") for half in joint.split(text)]
         if len(halves) != 2 or not all(halves):
             continue
-        found = patterns()["subject"].match(halves[0])
-        subject = found["subject"].strip() if found else ""
-        first, second = halves[0], with_subject(halves[1], subject)
+        first, second = halves[0], with_subject(halves[1], subject_of(halves[0])[0])
         parts = [_part(half) for half in (first, second)]
         if sorted(parts) in (["arms", "legs"], ["head", "legs"]):
             body, gesture = (first, second) if parts[0] == "legs" else (second, first)
@@ -84,8 +66,7 @@ def voices(sentence: str) -> tuple[Voice, ...]:
 
 def _part(clause: str) -> str:
     """What its verb moves: "legs", "arms", "head", or "" for neither or all."""
-    found = patterns()["subject"].match(clause)
-    words = (clause[found.end() :] if found else clause).lower().split()
+    words = subject_of(clause)[1].lower().split()
     words = words[1:] if words and words[0] in ("is", "are") else words
     while words and words[0].endswith("ly"):
         words = words[1:]

@@ -12,7 +12,7 @@ from bunraku.physics.apparel_rig import apparel_rig
 from bunraku.physics.simulate import simulate
 from bunraku.rig_animation import RigAnimation
 
-__all__ = ["check_apparel", "with_apparel"]
+__all__ = ["check_apparel", "simulated", "with_apparel"]
 
 Progress = Callable[[str, float], None]
 _log = logging.getLogger(__name__)
@@ -43,6 +43,15 @@ def with_apparel(animation: Animation | RigAnimation, apparel: str = "simulate",
     if not isinstance(animation, RigAnimation):
         name = animation.character.name
         raise CharacterError(f"{name}: apparel is simulated on the bones of a humanoid's rig, and this one is moved by handles; try --onto rig")
+    return simulated(animation, progress)
+
+
+def simulated(animation: RigAnimation, progress: Progress | None = None) -> RigAnimation:
+    """The animation with its apparel simulated; what went wrong is logged.
+
+    Raises:
+        CharacterError: There is no physics in its file.
+    """
     tell = progress or (lambda stage, done: None)
     tell("apparel", 0.0)
     found = simulate(animation, progress=lambda done: tell("apparel", done))

@@ -84,19 +84,16 @@ def perform_dressed(
     """
     from bunraku.diffusion.paths import in_place as on_the_spot
     from bunraku.formats.gltf_motion import resample
-    from bunraku.physics.animated import check_apparel, with_apparel
+    from bunraku.physics.animated import simulated
     from bunraku.retarget.to_rig import fit_rig
 
-    check_apparel(character)
     tell = progress or (lambda stage, done: None)
     tell("fit", 0.0)
     if in_place:  # feet that are held would carry the character away
         motion, stages = on_the_spot(motion), replace(stages or Stages(), feet=False)
     moved = fit_rig(resample(motion, fps), character, stages)
     tell("fit", 1.0)
-    dressed = with_apparel(moved, "simulate", progress)
-    assert isinstance(dressed, RigAnimation)
-    return dressed
+    return simulated(moved, progress)
 
 
 def fit_performed(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False) -> HandleMotion:
