@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -18,11 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.bodies.layout import JOINT_NAMES
+from bunraku.bodies.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.bodies.reference import ReferenceBody, handle_positions, reference_body
 from bunraku.datasets.feet import level_feet, standing_foot_pitch, subject_pitches
+from bunraku.datasets.floors import floor_height, posture_fault
 from bunraku.datasets.hinges import unrolled
-from bunraku.diffusion.clips import write_clip, write_index
+from bunraku.datasets.watched import FEWEST, Stretch, load_watched
+from bunraku.diffusion.clips import load_clip, load_lowest, write_clip, write_index
 from bunraku.errors import FormatError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.registration import register
@@ -123,22 +125,29 @@ def handle_motion_of_mesh(
 def handle_motion_of_body(motion: SkeletalMotion, body: ReferenceBody | None = None) -> HandleMotion:
     """Skeletal motion of SMPL's joints as handle motion of the reference body.
 
-    The body is set on the ground: the clip is moved along Y so that the lowest point of its standing frames (5 % quantile) is at 0,
-    unless that is more than 15 cm away, where the clip means to be off the ground.
+    The body is set on the ground by what touches it (`floors.floor_height`).
     """
+    return grounded_motion(motion, body)[0]
+
+
+def grounded_motion(motion: SkeletalMotion, body: ReferenceBody | None = None) -> tuple[HandleMotion, np.ndarray]:
+    """As `handle_motion_of_body`, with the body's lowest point over the ground in each frame [m], shape (N,)."""
     body = body or reference_body()
     areas = vertex_areas(body.vertices, body.faces)
     positions = handle_positions(body.vertices, body.handle_weights, areas)
-    parts, lowest = [], []
+    arms = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist", "fingers")]
+    stands = body.handle_weights[:, arms].sum(axis=1) < 0.5  # what reaches for the floor reaches through it: people's arms are not this body's
+    parts, lowest, carrying = [], [], []
     for start in range(0, len(motion), CHUNK):
         cut = slice(start, start + CHUNK)
         posed = body.pose(SkeletalMotion(motion.skeleton, motion.rotations[cut], motion.root_translation[cut], motion.fps))
         lowest.append(posed[..., 1].min(axis=1))
+        carrying.append(posed[:, stands, 1].min(axis=1))
         parts.append(handle_motion_of_mesh(body.vertices, posed, body.handle_weights, positions, areas, motion.fps))
-    floor = float(np.quantile(np.concatenate(lowest), 0.05))
-    drop = np.array([0, floor if abs(floor) < 0.15 else 0, 0], np.float32)
-    whole = HandleMotion.joined(parts)
-    return replace(whole, root_translation=whole.root_translation - drop)
+    whole, bottom = HandleMotion.joined(parts), np.concatenate(lowest)
+    floor = floor_height(np.concatenate(carrying), motion.fps)
+    drop = np.outer(floor, [0, 1, 0]).astype(np.float32)
+    return replace(whole, root_translation=whole.root_translation - drop), (bottom - floor).astype(np.float32)
 
 
 def split_of(name: str) -> str:
@@ -150,7 +159,7 @@ def split_of(name: str) -> str:
 def _convert(archive: MotionArchive, indices: list[int], out: Path, slopes: dict[str, float]) -> int:
     for index in indices:
         name = archive.names[index]
-        write_clip(out / f"{name}.npz", handle_motion_of_body(level_feet(unrolled(archive.motion(index)), name, slopes)))
+        write_clip(out / f"{name}.npz", *grounded_motion(level_feet(unrolled(archive.motion(index)), name, slopes)))
     return sum(int(archive.bounds[index + 1] - archive.bounds[index]) for index in indices)
 
 
@@ -226,15 +235,48 @@ def build_motions(source: str | Path, out: str | Path, jobs: int | None = None, 
             for future in as_completed([pool.submit(_work, batch, out, slopes) for batch in _batches(archive, todo)]):
                 done += future.result()
                 report("converting motions", done / total)
-    entries = {
-        name: {
+    watched = load_watched(source, {name: int(length) for name, length in zip(archive.names, lengths, strict=True)})
+    entries = {}
+    for i, name in enumerate(archive.names):
+        clip = archive.clips.get(name, {})
+        entries[name] = {
             "texts": clip.get("texts") or [],
             "source": clip.get("source", ""),
             "licence": clip.get("licence", ""),
             "frames": int(lengths[i]),
             "split": split_of(name),
-            "weight": 0.5 if any("partial" in flag for flag in clip.get("flags") or []) else 1.0,
+            "weight": clip_weight(name, clip.get("flags") or []),
         }
-        for i, (name, clip) in enumerate((name, archive.clips.get(name, {})) for name in archive.names)
-    }
+        if name in watched:
+            motion, bottom = load_clip(out / f"{name}.npz"), load_lowest(out / f"{name}.npz")
+            entries[name]["stretches"] = [checked(stretch, motion, bottom) for stretch in watched[name]]
+            report("checking captions", (i + 1) / len(archive.names))
     return write_index(out, entries)
+
+
+def clip_weight(name: str, flags: Sequence[str]) -> float:
+    """How often to draw a clip: less where its caption tells more than it shows, or where a toy's proportions make feet slide and arms stand out."""
+    toy = 0.4 if name.startswith(("kk_", "kkm_")) else 1.0
+    return toy * (0.5 if any("partial" in flag for flag in flags) else 1.0)
+
+
+def checked(stretch: Stretch, motion: HandleMotion, lowest: np.ndarray) -> dict[str, Any]:
+    """A stretch for the index: without the T-pose that it may start or end in, and with the fault that keeps it from training, if it has one."""
+    start, stop = stretch.start, stretch.stop
+    if "T-pose" in stretch.note:
+        posed = t_pose(motion)
+        while start < stop and posed[start]:
+            start += 1
+        while stop > start and posed[stop - 1]:
+            stop -= 1
+    part = slice(start, stop)
+    fault = stretch.fault or ("nothing but a T-pose" if stop - start < FEWEST else None)
+    fault = fault or posture_fault(list(stretch.texts), motion.root_translation[part, 1], lowest[part])
+    return {"start": start, "stop": stop, "texts": list(stretch.texts)} | ({"fault": fault} if fault else {})
+
+
+def t_pose(motion: HandleMotion) -> np.ndarray:
+    """Frames in which both arms are stretched out to the sides as in the reference body's rest pose, shape (N,), bool."""
+    parts = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]
+    turned = np.einsum("nkii->nk", motion.rotations[:, parts])  # 3 at rest
+    return np.asarray((turned > 1 + 2 * np.cos(np.radians(22))).all(axis=1))

@@ -73,6 +73,7 @@ def add_turns(out: str | Path) -> list[str]:
         clip = motion.take(slice(max(start - MARGIN, 0), stop + MARGIN))
         write_clip(out / f"turn_{name}.npz", clip)
         caption = f"a person turns around to the {'left' if change > 0 else 'right'}"
-        added[f"turn_{name}"] = entry | {"texts": [caption], "frames": len(clip)}
+        kept = {key: value for key, value in entry.items() if key != "stretches"}
+        added[f"turn_{name}"] = kept | {"texts": [caption], "frames": len(clip)}
     write_index(out, clips | added)
     return list(added)

@@ -13,24 +13,31 @@ from bunraku.formats.files import atomic_write
 from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d
 from bunraku.motion import HandleMotion
 
-__all__ = ["load_clip", "load_index", "write_clip", "write_index"]
+__all__ = ["load_clip", "load_index", "load_lowest", "write_clip", "write_index"]
 
 
-def write_clip(path: Path, motion: HandleMotion) -> None:
+def write_clip(path: Path, motion: HandleMotion, lowest: np.ndarray | None = None) -> None:
     """Write a clip, whole or not at all; locals in half precision, which costs under a millimetre.
+
+    Args:
+        path: File to write.
+        motion: The clip.
+        lowest: Lowest point of the body over the ground in each frame [m], shape (N,), where it is known.
 
     Raises:
         FormatError: The file cannot be written.
     """
+    arrays: dict[str, Any] = {
+        "translations": motion.translations.astype(np.float16),
+        "rotations6d": matrix_to_6d(motion.rotations).astype(np.float16),
+        "root_translation": motion.root_translation,
+        "root_rotation6d": matrix_to_6d(motion.root_rotation),
+        "fps": np.float32(motion.fps),
+    }
+    if lowest is not None:
+        arrays["lowest"] = lowest.astype(np.float16)
     with atomic_write(path) as file:
-        np.savez(
-            file,
-            translations=motion.translations.astype(np.float16),
-            rotations6d=matrix_to_6d(motion.rotations).astype(np.float16),
-            root_translation=motion.root_translation,
-            root_rotation6d=matrix_to_6d(motion.root_rotation),
-            fps=np.float32(motion.fps),
-        )
+        np.savez(file, **arrays)
 
 
 def load_clip(path: str | Path) -> HandleMotion:
@@ -46,6 +53,19 @@ def load_clip(path: str | Path) -> HandleMotion:
             translations[:, 0], rotations[:, 0] = 0, np.eye(3)
             root = matrix_from_6d(np.asarray(file["root_rotation6d"], np.float32))
             return HandleMotion(translations, rotations, np.asarray(file["root_translation"], np.float32), root, float(file["fps"]))
+    except Exception as error:
+        raise FormatError(path, f"this is not a handle-motion clip ({error}); build the data again with 'bunraku data motions'") from error
+
+
+def load_lowest(path: str | Path) -> np.ndarray:
+    """The lowest point of the body over the ground in each frame [m], shape (N,); zeros where the clip does not say.
+
+    Raises:
+        FormatError: The file is missing or broken.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return np.asarray(file["lowest"], np.float32) if "lowest" in file else np.zeros(len(file["root_translation"]), np.float32)
     except Exception as error:
         raise FormatError(path, f"this is not a handle-motion clip ({error}); build the data again with 'bunraku data motions'") from error
 

@@ -27,7 +27,9 @@ _THREE = (
 )  # fmt: skip
 
 
-def join_point(tail: np.ndarray, head: np.ndarray, weights: np.ndarray, blend: int = _BLEND) -> tuple[int, int, float]:
+def join_point(
+    tail: np.ndarray, head: np.ndarray, weights: np.ndarray, blend: int = _BLEND, most: tuple[int | None, int | None] = (None, None)
+) -> tuple[int, int, float]:
     """Where to leave one motion and enter another so that pose and velocity agree best.
 
     Args:
@@ -35,13 +37,14 @@ def join_point(tail: np.ndarray, head: np.ndarray, weights: np.ndarray, blend: i
         head: Motion to enter in its first quarter, shape (M, D).
         weights: Share of each feature, shape (D,).
         blend: Frames that both must still have after that.
+        most: Frames at the most, beside the blend, that are lost of the tail's end and of the head's beginning; None for a quarter.
 
     Returns:
         Frame i of the tail, frame j of the head, and the mean squared difference there.
     """
     last = max(len(tail) - blend + 1, 1)
-    first = min(3 * len(tail) // 4, last - 1)
-    stop = max(1, min(len(head) // 4, len(head) - blend))
+    first = min(3 * len(tail) // 4, last - 1) if most[0] is None else max(last - 1 - most[0], 0)
+    stop = max(1, min(len(head) // 4 if most[1] is None else most[1] + 1, len(head) - blend))
     scale = np.sqrt(weights / weights.sum())
     a, b = tail[first:last] * scale, head[:stop] * scale
     distance = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * a @ b.T

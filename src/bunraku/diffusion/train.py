@@ -109,7 +109,7 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
         statistics = measured or FeatureStatistics.measure([entry["features"] for entry in training])
         notes = {"creatures": True} if any(entry.get("species") for entry in training) else {}
         frames = (network or PRESETS[config.preset]).frames
-        mixture = {"creatures": config.creatures, "computed": config.computed, "borrowed": config.borrowed}
+        mixture = {"creatures": config.creatures, "computed": config.computed, "borrowed": config.borrowed, "events": config.events}
         train, val = (ClipSet(clips, statistics, split, frames, **mixture) for split in ("train", "val"))
         del clips, training
         if encoder is None:
@@ -206,7 +206,7 @@ def _loop(trainer: Trainer, network: DenoiserConfig, clips: ClipSet, bank: TextB
 
 
 _COLUMNS = (
-    "step", "seconds", "rate", "motion", "velocity", "validation", "validation_wrong_text", "steps_per_second", "spring", "adversarial",
+    "step", "seconds", "rate", "motion", "velocity", "contact", "validation", "validation_wrong_text", "steps_per_second", "spring", "adversarial",
     "discriminator", "score",
 )  # fmt: skip
 
@@ -217,7 +217,7 @@ def _tell(trainer: Trainer, row: dict[str, float], speed: float, events: EventLo
     log = trainer.config.out / "log.csv"
     append_row(log, row, logged_columns(log))
     events.write(trainer.step, {name: value for name, value in row.items() if name not in ("step", "seconds")})
-    extra = "  ".join(f"{name} {row[name]:.4f}" for name in ("spring", "adversarial", "discriminator", "score") if name in row)
+    extra = "  ".join(f"{name} {row[name]:.4f}" for name in ("contact", "spring", "adversarial", "discriminator", "score") if name in row)
     console.print(
         f"step {trainer.step:6d}  {trainer.seconds / 60:6.1f} min  loss {row['motion']:.4f} velocity {row['velocity']:.4f}  "
         f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  {extra}{'  ' if extra else ''}{speed:.2f} steps/s"

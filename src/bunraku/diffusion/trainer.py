@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from bunraku.diffusion.character_bank import CharacterBank
+from bunraku.diffusion.contact_loss import contact_loss
 from bunraku.diffusion.dataset import MotionBatch
 from bunraku.diffusion.denoiser import Denoiser, build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
@@ -41,6 +42,7 @@ class Example:
     mesh: Tensor | None
     keep_text: Tensor
     keep_mesh: Tensor
+    of_body: Tensor
     draw: MeshDraw | None = None
 
 
@@ -116,7 +118,8 @@ class Trainer:
             drop_mesh[rows] = False
         return Example(
             clean.to(self.device), noise.to(self.device), step.to(self.device), torch.from_numpy(batch.lengths).to(self.device),
-            text.to(self.device), None if mesh is None else mesh.to(self.device), ~drop_text.to(self.device), ~drop_mesh.to(self.device), draw,
+            text.to(self.device), None if mesh is None else mesh.to(self.device), ~drop_text.to(self.device), ~drop_mesh.to(self.device),
+            torch.tensor([mesh is None for mesh in batch.meshes], device=self.device), draw,
         )  # fmt: skip
 
     def predict(self, model: Denoiser, example: Example) -> tuple[Tensor, Tensor]:
@@ -156,6 +159,10 @@ class Trainer:
         motion, velocity = (part.mean() for part in motion_losses(predicted, example.clean, example.lengths, self.weights))
         total = motion + config.velocity_weight * velocity
         told = {"motion": motion, "velocity": velocity}
+        if config.contact_weight > 0:
+            found, true = (values * self.model.std + self.model.mean for values in (predicted.float(), example.clean))
+            told["contact"] = contact_loss(found, true, example.lengths, example.of_body).mean()
+            total = total + config.contact_weight * told["contact"]
         samples, learns = None, learning is not None and learning.learns
         if learning is not None and example.draw is not None:
             clean = example.clean * self.model.std + self.model.mean

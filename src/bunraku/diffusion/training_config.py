@@ -25,12 +25,14 @@ class TrainingConfig:
         decay: Share of the budget, at its end, over which the rate falls to a fiftieth.
         weight_decay: AdamW's.
         velocity_weight: Weight of the frame-difference term.
+        contact_weight: Weight of the contact loss: feet that stand do not slide or lift.
         drop_text: Share of rows without their sentence, for classifier-free guidance.
         drop_mesh: Share of rows without their mesh feature.
         compose: Share of rows that join two clips, "a person walks and then waves".
         creatures: Share of rows that are creatures' clips, where the data have any.
         computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
         borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that creature shows.
+        events: Share of people's rows that are something plain to see in the numbers, such as a turn, cut out of a clip and told by them.
         ema: Decay of the averaged weights.
         mesh_bank: NPZ with `features` (C, 448), f_phi of many characters; None trains with the null mesh only.
         cross: Share of the people's motions that are given to any character of the banks, creatures too.
@@ -62,12 +64,14 @@ class TrainingConfig:
     decay: float = 0.3
     weight_decay: float = 0.02
     velocity_weight: float = 2.0
+    contact_weight: float = 0.02
     drop_text: float = 0.1
     drop_mesh: float = 0.2
     compose: float = 0.12
     creatures: float = 0.25
     computed: float = 0.3
     borrowed: float = 0.1
+    events: float = 0.15
     ema: float = 0.999
     mesh_bank: Path | None = None
     cross: float = 0.1

@@ -99,11 +99,17 @@ def _creature_frames(species: str) -> list[str]:
     return [f"{subject} {form}" for subject in creature_subjects(species) for form in ("{third}", "is {gerund}")] + ["{third}", "{plain}"]
 
 
-def borrowed_sentence(text: str, species: str, random: np.random.Generator) -> str:
-    """What a person does, said of a creature or, as often, of a person: "a horse waves"."""
-    phrases = caption_clauses(text, form="braces")
+def borrowed_sentence(phrases: Sequence[str], sentences: Sequence[str], species: str, random: np.random.Generator) -> str:
+    """What a person does, said of a creature or, as often, of a person: "a horse waves".
+
+    Args:
+        phrases: With verbs in braces.
+        sentences: About a person.
+        species: Of the creature.
+        random: Chooses.
+    """
     if not phrases or random.random() < 0.5:
-        return _one(caption_variants(text), random)
+        return _one(sentences, random)
     phrase = _one(phrases, random)
     frames = [frame for frame in _creature_frames(species) if not (is_stative(phrase) and "gerund" in frame)]
     return fill(_one(frames, random), phrase)
