@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from bunraku.bodies.layout import HANDLE_MIRROR
-from bunraku.datasets.characters import load_characters, reference_characters
-from bunraku.handles.damage import DamageConfig
+from bunraku.body.layout import HANDLE_MIRROR
+from bunraku.datasets.characters.build import load_characters, reference_characters
+from bunraku.datasets.characters.training_character import AugmentConfig, TrainingCharacter
 from bunraku.handles.graph import mesh_graph
-from bunraku.handles.losses import LossConfig
 from bunraku.handles.predictor import load_predictor
-from bunraku.handles.train import HandleTrainConfig, HandleTrainer, validate_handles
-from bunraku.handles.training_data import AugmentConfig, TrainingCharacter
+from bunraku.training.handles.damage import DamageConfig
+from bunraku.training.handles.train import HandleTrainConfig, HandleTrainer, validate_handles
+from bunraku.training.losses.handle_losses import LossConfig
 
 LOSS = LossConfig(smoothness=0.1)  # every loss that was ever tried is on
 NONE = DamageConfig(slide_rate=0, coarse_rate=0, hole_rate=0, split_rate=0, noise=0, normal_noise=0)

@@ -26,9 +26,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bunraku.formats import load_motion
-from bunraku.formats.bvh_write import write_bvh
-from bunraku.motion import SkeletalMotion, Skeleton
+from bunraku.core.motion import SkeletalMotion, Skeleton
+from bunraku.formats.bvh.write import write_bvh
+from bunraku.io import load_motion
 
 
 def made_up(frames: int, joints: int, fps: float) -> SkeletalMotion:

@@ -28,10 +28,10 @@ def main() -> None:
 
     import numpy as np
 
-    from bunraku.diffusion.clauses import timed_clauses
     from bunraku.diffusion.features import encode
     from bunraku.diffusion.generate import generate_motions, load_generator
-    from bunraku.evaluation.motion_extractor import embed_motions, embed_sentences, load_extractor
+    from bunraku.evaluation.motion.extractor import embed_motions, embed_sentences, load_extractor
+    from bunraku.language.clauses import timed_clauses
     from bunraku.nn.checkpoints import shipped_checkpoint
 
     extractor = load_extractor(shipped_checkpoint("extractor"))

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.character import Character
+from bunraku.core.character import Character
 
 PROMPT = "a person walks forward"
 

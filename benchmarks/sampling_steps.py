@@ -49,7 +49,7 @@ def main() -> None:
     from bunraku.diffusion.features import FeatureStatistics, decode
     from bunraku.diffusion.generate import load_generator
     from bunraku.diffusion.sampler import sample
-    from bunraku.evaluation.seams import handle_places
+    from bunraku.evaluation.motion.seams import handle_places
     from bunraku.nn.threads import fitting_threads
 
     torch.set_num_threads(args.threads)
@@ -87,7 +87,7 @@ def main() -> None:
     def embedded(values: np.ndarray) -> np.ndarray | None:
         if len(values) < 64 or args.extractor is None:
             return None
-        from bunraku.evaluation.motion_extractor import embed_motions, load_extractor
+        from bunraku.evaluation.motion.extractor import embed_motions, load_extractor
 
         return np.asarray(embed_motions(load_extractor(args.extractor), [statistics.restore(row) for row in values]))
 
@@ -100,7 +100,7 @@ def main() -> None:
     def distance(ours: np.ndarray | None, theirs: np.ndarray | None) -> str:
         if ours is None or theirs is None:
             return "-"
-        from bunraku.evaluation.motion_metrics import fid
+        from bunraku.evaluation.motion.metrics import fid
 
         return f"{fid(ours, theirs):.3f}"
 

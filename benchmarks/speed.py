@@ -109,9 +109,9 @@ def character_of(size: int, folder: Path) -> Path:
     import numpy as np
     import trimesh
 
-    from bunraku.bodies.reference import reference_body
-    from bunraku.character import Character
-    from bunraku.formats import save_character
+    from bunraku.body.reference import reference_body
+    from bunraku.core.character import Character
+    from bunraku.io import save_character
 
     body = reference_body()
     mesh = trimesh.Trimesh(body.vertices, body.faces, process=False)
@@ -135,9 +135,9 @@ def time_size(size: int) -> dict[str, float]:
     import trimesh
 
     import bunraku
-    from bunraku.animation import Animation
+    from bunraku.core.animation import Animation
+    from bunraku.core.skinning import skin, skin_basis, skin_reference
     from bunraku.geometry.simplify import network_mesh
-    from bunraku.geometry.skinning import skin, skin_basis, skin_reference
     from bunraku.handles.graph import EdgeConv, edge_conv_reference, mesh_graph
     from bunraku.handles.predict import _model, predict_handles
     from bunraku.nn.checkpoints import shipped_checkpoint
@@ -195,7 +195,7 @@ def export_reference(animation: object, path: Path) -> None:
     import numpy as np
     import pygltflib as gl
 
-    from bunraku.animation import Animation
+    from bunraku.core.animation import Animation
     from bunraku.geometry.rotations import quaternion_from_matrix
 
     assert isinstance(animation, Animation)

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Character, Handles
-from bunraku.evaluation.motion_quality import CLEANING, stage_effects
-from bunraku.motion import HandleMotion
-from bunraku.pipeline import generate, rig
+from bunraku.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.evaluation.motion.quality import CLEANING, stage_effects
+from bunraku.pipelines.animate import generate, rig
 from bunraku.retarget.fit import Stages, fit_motion
 
 PROMPTS = (

@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT / "tests" / "formats"))
 from gltf_player import Player  # noqa: E402
 
 import bunraku  # noqa: E402
-from bunraku.animation import Animation  # noqa: E402
+from bunraku.core.animation import Animation  # noqa: E402
 
 SUFFIXES = {".glb", ".gltf", ".vrm", ".obj", ".ply", ".stl"}
 VALIDATOR = Path(os.environ.get("BUNRAKU_GLTF_VALIDATOR", ROOT / "tests/formats/validator"))

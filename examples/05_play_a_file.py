@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.formats.gltf_play import load_animation
-from bunraku.samples import sample_character
+from bunraku.io.play import load_animation
+from bunraku.synthetic.samples import sample_character
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)

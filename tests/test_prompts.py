@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import HANDLE_NAMES
-from bunraku.bodies.reference import reference_body
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
 from bunraku.diffusion.features import heading
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.pipeline import animate
+from bunraku.pipelines.animate import animate
 
 pytestmark = pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
 SEEDS = 3

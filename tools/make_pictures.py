@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.character import Character
-from bunraku.pipeline import animate, rig
+from bunraku.core.character import Character
+from bunraku.pipelines.animate import animate, rig
 from bunraku.render import contact_sheet, render_animation, render_still
-from bunraku.samples import sample_character, sample_names
+from bunraku.synthetic.samples import sample_character, sample_names
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
 PROMPTS = (

@@ -25,14 +25,14 @@ from bunraku.errors import (
 )
 
 if TYPE_CHECKING:
-    from bunraku.animation import Animation
-    from bunraku.character import Character, Handles, Rig
-    from bunraku.formats import load_character, load_motion, save_character
+    from bunraku.core.animation import Animation
+    from bunraku.core.character import Character, Handles, Rig
+    from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
+    from bunraku.core.rig_animation import RigAnimation
     from bunraku.handles.orientation import Orientation, guess_orientation, upright
-    from bunraku.motion import HandleMotion, SkeletalMotion, Skeleton
-    from bunraku.motion_transfer import transfer
-    from bunraku.pipeline import animate, edit, generate, rig
-    from bunraku.rig_animation import RigAnimation
+    from bunraku.io import load_character, load_motion, save_character
+    from bunraku.pipelines.animate import animate, edit, generate, rig
+    from bunraku.pipelines.transfer import transfer
 
 __version__ = "0.1.0"
 
@@ -67,24 +67,24 @@ __all__ = [
 ]
 
 _HOME = {
-    "Animation": "bunraku.animation",
-    "Character": "bunraku.character",
-    "HandleMotion": "bunraku.motion",
-    "Handles": "bunraku.character",
+    "Animation": "bunraku.core.animation",
+    "Character": "bunraku.core.character",
+    "HandleMotion": "bunraku.core.motion",
+    "Handles": "bunraku.core.character",
     "Orientation": "bunraku.handles.orientation",
-    "Rig": "bunraku.character",
-    "RigAnimation": "bunraku.rig_animation",
-    "SkeletalMotion": "bunraku.motion",
-    "Skeleton": "bunraku.motion",
-    "animate": "bunraku.pipeline",
-    "edit": "bunraku.pipeline",
-    "generate": "bunraku.pipeline",
+    "Rig": "bunraku.core.character",
+    "RigAnimation": "bunraku.core.rig_animation",
+    "SkeletalMotion": "bunraku.core.motion",
+    "Skeleton": "bunraku.core.motion",
+    "animate": "bunraku.pipelines.animate",
+    "edit": "bunraku.pipelines.animate",
+    "generate": "bunraku.pipelines.animate",
     "guess_orientation": "bunraku.handles.orientation",
-    "load_character": "bunraku.formats",
-    "load_motion": "bunraku.formats",
-    "rig": "bunraku.pipeline",
-    "save_character": "bunraku.formats",
-    "transfer": "bunraku.motion_transfer",
+    "load_character": "bunraku.io",
+    "load_motion": "bunraku.io",
+    "rig": "bunraku.pipelines.animate",
+    "save_character": "bunraku.io",
+    "transfer": "bunraku.pipelines.transfer",
     "upright": "bunraku.handles.orientation",
 }
 

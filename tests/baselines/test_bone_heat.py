@@ -3,7 +3,7 @@ import trimesh
 
 from bunraku.baselines.bone_heat import bone_distances, bone_heat, cotangent_laplacian, embedded_bone_heat
 from bunraku.baselines.volume import volume_of
-from bunraku.bodies.reference import reference_body
+from bunraku.body.reference import reference_body
 
 
 def cylinder() -> trimesh.Trimesh:

@@ -3,7 +3,7 @@ import trimesh
 from scipy.sparse.csgraph import connected_components
 
 from bunraku.baselines.clusters import cluster_vertices, geodesic_clusters, geodesic_graph
-from bunraku.samples import sample_character
+from bunraku.synthetic.samples import sample_character
 
 
 def test_clusters_are_connected_and_not_empty():

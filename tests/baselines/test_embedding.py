@@ -4,7 +4,7 @@ import trimesh
 
 from bunraku.baselines.embedding import Template, embed_skeleton, embedded_human, human_template, sphere_centres
 from bunraku.baselines.volume import surface_samples, volume_of
-from bunraku.bodies.reference import reference_body
+from bunraku.body.reference import reference_body
 
 
 def test_the_volume_of_a_ball_is_its_depth():

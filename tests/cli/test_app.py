@@ -11,8 +11,8 @@ import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import VERBS, _explain
 from bunraku.cli.checks import slug
-from bunraku.cli.report import size_text
-from bunraku.cli.samples import Samples
+from bunraku.cli.evaluate.report import size_text
+from bunraku.cli.verbs.samples import Samples
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from bunraku.body.parts import kept_handles
 from bunraku.cli import main
-from bunraku.cli.edit import parse_span
-from bunraku.diffusion.parts import kept_handles
+from bunraku.cli.verbs.edit import parse_span
 from bunraku.errors import OptionError
-from bunraku.formats.clips import load_clip
+from bunraku.io.clips import load_clip
 from bunraku.nn.checkpoints import shipped_checkpoint
 
 needs_weights = pytest.mark.skipif(
@@ -18,8 +18,8 @@ QUICK = ["--steps", "2"]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    from bunraku.formats import save_character
-    from bunraku.samples import sample_character
+    from bunraku.io import save_character
+    from bunraku.synthetic.samples import sample_character
 
     folder = tmp_path_factory.mktemp("edit")
     save_character(sample_character("person", 0.3), folder / "person.glb")

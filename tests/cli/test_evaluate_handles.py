@@ -2,10 +2,10 @@ import json
 
 import pytest
 
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Character
+from bunraku.body.reference import reference_body
 from bunraku.cli import main
-from bunraku.formats import save_character
+from bunraku.core.character import Character
+from bunraku.io import save_character
 from bunraku.nn.checkpoints import shipped_checkpoint
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.cli import main
-from bunraku.formats.vmd_write import MmdClip, write_vmd
+from bunraku.formats.mmd.vmd_write import MmdClip, write_vmd
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
 from mmd_bytes import Joint, plank, pmd, pmx

@@ -8,14 +8,14 @@ import pytest
 
 from bunraku.cli import main
 from bunraku.cli.app import _joined
-from bunraku.cli.inspect import describe
 from bunraku.cli.orientation import said_axes, settle_file
+from bunraku.cli.verbs.inspect import describe
 from bunraku.errors import WeightsError
-from bunraku.formats import load_character, load_motion, save_character
 from bunraku.geometry.axes import upright_rotation
 from bunraku.handles.orientation import Orientation, Settled
+from bunraku.io import load_character, load_motion, save_character
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.samples import sample_character
+from bunraku.synthetic.samples import sample_character
 
 
 def need_weights(*names):

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 from bunraku import transfer
-from bunraku.bodies.layout import JOINT_NAMES
-from bunraku.bodies.reference import reference_body
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.body.reference import reference_body
 from bunraku.cli import main
-from bunraku.cli.transfer_jobs import Settings, done_already, holds_character, pairs_of
-from bunraku.cli.transfer_runs import run_pairs
-from bunraku.formats import load_character, load_motion
-from bunraku.formats.bvh_write import write_bvh
-from bunraku.formats.vmd import load_vmd
+from bunraku.cli.transfer.jobs import Settings, done_already, holds_character, pairs_of
+from bunraku.cli.transfer.runs import run_pairs
+from bunraku.core.motion import SkeletalMotion, Skeleton
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.formats.bvh.write import write_bvh
+from bunraku.formats.mmd.vmd import load_vmd
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.motion import SkeletalMotion, Skeleton
-from bunraku.retarget.mmd import mmd_animation
-from bunraku.retarget.mmd_standard import standard_model
-from bunraku.rig_animation import RigAnimation
+from bunraku.io import load_character, load_motion
+from bunraku.retarget.mmd.play import mmd_animation
+from bunraku.retarget.mmd.standard import standard_model
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
 from mmd_bytes import Bone, plank, pmx

@@ -13,9 +13,9 @@ import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import VERBS
 from bunraku.cli.checks import SECONDS
-from bunraku.cli.inspect import describe
+from bunraku.cli.verbs.inspect import describe
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.samples import sample_names
+from bunraku.synthetic.samples import sample_names
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -172,7 +172,7 @@ def test_what_is_whole_is_named_when_the_rest_fails(tmp_path, monkeypatch, capsy
 
 
 def test_limits_and_defaults_agree_with_the_library():
-    sequence, generate = importlib.import_module("bunraku.diffusion.sequence"), importlib.import_module("bunraku.diffusion.generate")
+    sequence, generate = importlib.import_module("bunraku.language.sequence"), importlib.import_module("bunraku.diffusion.generate")
     assert SECONDS == (sequence.SHORTEST, sequence.LONGEST)
     text = (ROOT / "docs" / "cli.md").read_text()
     assert f"{generate.STEPS} by default" in text and f"{generate.GUIDANCE} by default" in text

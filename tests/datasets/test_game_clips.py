@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import HANDLE_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Handles
-from bunraku.datasets.game_clips import add_game_clips, reference_clip
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.datasets.motions.game_clips import add_game_clips, reference_clip
 from bunraku.errors import FormatError
-from bunraku.motion import HandleMotion
-from bunraku.samples import sample_character
+from bunraku.synthetic.samples import sample_character
 
 
 def arm_raised(side, degrees=70, frames=12):

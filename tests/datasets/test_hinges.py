@@ -1,10 +1,10 @@
 import numpy as np
 
-from bunraku.bodies.layout import JOINT_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.datasets.hinges import rolled_limbs, unrolled
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import SkeletalMotion
+from bunraku.datasets.motions.hinges import rolled_limbs, unrolled
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.motion import SkeletalMotion
 
 J = {name: index for index, name in enumerate(JOINT_NAMES)}
 

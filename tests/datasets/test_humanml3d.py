@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.bodies.from_positions import motion_from_positions
-from bunraku.bodies.layout import JOINT_COUNT
-from bunraku.bodies.reference import reference_body
-from bunraku.cli.data import Motions
-from bunraku.datasets.humanml3d import add_takes, amass_takes, humanml3d_takes, licensed_takes
-from bunraku.diffusion.clips import load_clip, load_index, write_index
+from bunraku.body.from_positions import motion_from_positions
+from bunraku.body.layout import JOINT_COUNT
+from bunraku.body.reference import reference_body
+from bunraku.cli.data.samples import Motions
+from bunraku.core.motion import SkeletalMotion
+from bunraku.datasets.motions.clips import load_clip, load_index, write_index
+from bunraku.datasets.motions.humanml3d import add_takes, amass_takes, humanml3d_takes, licensed_takes
 from bunraku.errors import FormatError
-from bunraku.motion import SkeletalMotion
 
 CAPTION = "a person bends.#a/DET person/NOUN bend/VERB#0.0#0.0\nbowing#bow/VERB#0.0#0.0\n"
 

@@ -3,10 +3,10 @@
 import gzip
 from pathlib import Path
 
-from bunraku.datasets.characters import build_characters, rigged_files
-from bunraku.formats import save_character
-from bunraku.handles.training_data import TrainingCharacter
-from bunraku.samples import sample_character, sample_names
+from bunraku.datasets.characters.build import build_characters, rigged_files
+from bunraku.datasets.characters.training_character import TrainingCharacter
+from bunraku.io import save_character
+from bunraku.synthetic.samples import sample_character, sample_names
 
 DATA = Path(__file__).parents[1] / "formats" / "data"
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bunraku.datasets.strides import forward_speed, played_on, with_travel
-from bunraku.motion import HandleMotion
+from bunraku.core.motion import HandleMotion
+from bunraku.datasets.motions.strides import forward_speed, played_on, with_travel
 
 
 def walker(speed, frames=40, fps=20.0, height=1.0):

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from bunraku.datasets.turns import add_turns, find_turn
-from bunraku.diffusion.clips import load_clip, write_clip
+from bunraku.core.motion import HandleMotion
+from bunraku.datasets.motions.clips import load_clip, write_clip
+from bunraku.datasets.motions.turns import add_turns, find_turn
 from bunraku.diffusion.features import heading
 from bunraku.errors import FormatError
 from bunraku.geometry.rotations import matrix_y
-from bunraku.motion import HandleMotion
 
 
 def walker(degrees, frames=160, radius=0.0):

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from bunraku.datasets.watched import load_watched
+from bunraku.datasets.motions.watched import load_watched
 from bunraku.errors import FormatError
 
 

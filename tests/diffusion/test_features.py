@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_MIRROR
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_weights, heading, mirror
 from bunraku.errors import MotionError
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
-from bunraku.geometry.skinning import skin
-from bunraku.motion import HandleMotion
 
 
 def smooth_motion(frames=60, seed=0, fps=20.0, canonical=False):

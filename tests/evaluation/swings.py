@@ -3,10 +3,10 @@
 import numpy as np
 import torch
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.diffusion.text import TextBatch
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.motion import HandleMotion
+from bunraku.language.encoders import TextBatch
 
 PARTS = {"left_elbow": "waves", "right_knee": "kicks", "spine1": "bows", "head": "nods", "left_hip": "steps", "right_elbow": "points"}
 

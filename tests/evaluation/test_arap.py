@@ -2,10 +2,10 @@ import math
 
 import numpy as np
 
-from bunraku.animation import Animation
-from bunraku.character import Character, Handles
-from bunraku.evaluation.arap import ArapRow, ArapTable, animation_arap, arap_loss, measure_adaptation
-from bunraku.motion import HandleMotion
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.evaluation.motion.arap import ArapRow, ArapTable, animation_arap, arap_loss, measure_adaptation
 
 
 def test_arap_loss_by_hand():
@@ -39,7 +39,7 @@ def test_a_generated_clip_is_measured_with_and_without():
     from dataclasses import replace
 
     from bunraku.handles.from_rig import rig_handles
-    from bunraku.samples import sample_character
+    from bunraku.synthetic.samples import sample_character
 
     character = sample_character("dancer", 0.4, rigged=True)
     handles = replace(rig_handles(character).top(4), features=np.zeros(448, np.float32))

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.bodies.layout import HANDLE_NAMES
-from bunraku.diffusion.clips import write_clip
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.motion import HandleMotion
+from bunraku.datasets.motions.clips import write_clip
 from bunraku.errors import FormatError
-from bunraku.evaluation.creatures import (
+from bunraku.evaluation.motion.creatures import (
     CLASSES,
     action_features,
     creature_accuracy,
@@ -18,7 +19,6 @@ from bunraku.evaluation.creatures import (
     real_accuracy,
     train_classifier,
 )
-from bunraku.motion import HandleMotion
 
 KINDS = {
     "walk": (0.4, 1.0, 1.0),

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.evaluation.handle_measures import (
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.skinning import skin
+from bunraku.evaluation.handles.measures import (
     NAMED_PARTS,
     accepted_handles,
     drive,
@@ -19,7 +20,6 @@ from bunraku.evaluation.handle_measures import (
     weight_difference,
 )
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.geometry.skinning import skin
 
 H = {name: index for index, name in enumerate(HANDLE_NAMES)}
 

@@ -5,18 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from bunraku.bodies.layout import HANDLE_NAMES
-from bunraku.bodies.reference import handle_positions, reference_body
-from bunraku.character import Character, Handles
-from bunraku.datasets.code_made import EVALUATION_SEED
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError, FormatError, OptionError
-from bunraku.evaluation.handle_trials import Reference, measure_subject, prediction_seconds, resolution_differences
-from bunraku.evaluation.handles import BARS, Bar, code_made_subjects, evaluate_handles, folder_subjects
-from bunraku.evaluation.resampling import carried
-from bunraku.evaluation.subjects import find_files, subject
-from bunraku.formats import save_character
+from bunraku.evaluation.handles.resampling import carried
+from bunraku.evaluation.handles.subjects import find_files, subject
+from bunraku.evaluation.handles.table import BARS, Bar, code_made_subjects, evaluate_handles, folder_subjects
+from bunraku.evaluation.handles.trials import Reference, measure_subject, prediction_seconds, resolution_differences
+from bunraku.io import save_character
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.samples import sample_character
+from bunraku.synthetic.families import EVALUATION_SEED
+from bunraku.synthetic.samples import sample_character
 
 needs_weights = pytest.mark.skipif(not shipped_checkpoint("handles").is_file(), reason="the shipped weights are not there")
 

@@ -6,21 +6,21 @@ import pytest
 import torch
 from swings import PARTS, WordEncoder, swing
 
-from bunraku.bodies.reference import reference_body
+from bunraku.body.reference import reference_body
 from bunraku.cli import main
+from bunraku.datasets.motions.clips import write_clip, write_index
 from bunraku.diffusion import generate
-from bunraku.diffusion.clips import write_clip, write_index
 from bunraku.diffusion.denoiser import Denoiser, build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import encode
 from bunraku.errors import OptionError
-from bunraku.evaluation import motion_samples
-from bunraku.evaluation.handle_fid import body_handles, handle_fid, handle_samples
-from bunraku.evaluation.motion_blocks import BARS
-from bunraku.evaluation.motion_eval import MotionEvalConfig, Row, evaluate_motion, measure_rows
-from bunraku.evaluation.motion_extractor import Extractor, ExtractorConfig, save_extractor
-from bunraku.evaluation.motion_samples import Request, SamplerSettings, make_motions
-from bunraku.evaluation.motion_windows import Window
+from bunraku.evaluation.handles.fid import body_handles, handle_fid, handle_samples
+from bunraku.evaluation.motion import samples as motion_samples
+from bunraku.evaluation.motion.blocks import BARS
+from bunraku.evaluation.motion.extractor import Extractor, ExtractorConfig, save_extractor
+from bunraku.evaluation.motion.samples import Request, SamplerSettings, make_motions
+from bunraku.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
+from bunraku.evaluation.motion.windows import Window
 from bunraku.geometry.rotations import matrix_y
 
 

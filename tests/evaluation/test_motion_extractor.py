@@ -5,10 +5,9 @@ import pytest
 import torch
 from swings import PARTS, WordEncoder, swing
 
-from bunraku.diffusion.clips import write_clip, write_index
+from bunraku.datasets.motions.clips import write_clip, write_index
 from bunraku.errors import OptionError, WeightsError
-from bunraku.evaluation.extractor_train import ExtractorTrainConfig, train_extractor
-from bunraku.evaluation.motion_extractor import (
+from bunraku.evaluation.motion.extractor import (
     RADIUS,
     Extractor,
     ExtractorConfig,
@@ -17,6 +16,7 @@ from bunraku.evaluation.motion_extractor import (
     load_extractor,
     save_extractor,
 )
+from bunraku.evaluation.motion.train_extractor import ExtractorTrainConfig, train_extractor
 
 TINY = ExtractorConfig(width=16, layers=1, heads=2, feedforward=32, embedding=8, text_size=8, pooled_size=8, text_encoder="words", dropout=0.0)
 
@@ -80,7 +80,7 @@ def test_training_brings_motions_and_their_sentences_together(data, tmp_path):
     path = train_extractor(settings(data, tmp_path / "run", steps=120), rows.append, WordEncoder())
     assert rows[-1]["loss"] < 0.3 * rows[0]["loss"]
     model = load_extractor(path)
-    from bunraku.diffusion.dataset import load_clips
+    from bunraku.training.diffusion.clip_rows import load_clips
 
     clips = load_clips(data, splits={"test"})
     sentences = embed_sentences(model, WordEncoder(), [entry["texts"][0] for entry in clips.values()])

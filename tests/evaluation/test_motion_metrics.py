@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import sqrtm
 
 from bunraku.errors import OptionError
-from bunraku.evaluation.motion_metrics import (
+from bunraku.evaluation.motion.metrics import (
     diversity,
     fid,
     frechet_distance,

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import HANDLE_COUNT
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Character, Handles
-from bunraku.evaluation.motion_quality import foot_sliding, gauge, jitter, measure, penetration, pooled, stage_effects
-from bunraku.motion import HandleMotion
+from bunraku.body.layout import HANDLE_COUNT
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.evaluation.motion.quality import foot_sliding, gauge, jitter, measure, penetration, pooled, stage_effects
 
 FRAMES = 40
 CM = 170 / reference_body().character().height  # at human size, for each metre of the reference body

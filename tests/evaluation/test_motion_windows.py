@@ -3,7 +3,7 @@ import pytest
 
 from bunraku.diffusion.features import mirror
 from bunraku.errors import OptionError
-from bunraku.evaluation.motion_windows import LENGTHS, candidate_sentences, draw_windows, window_features, window_meaning
+from bunraku.evaluation.motion.windows import LENGTHS, candidate_sentences, draw_windows, window_features, window_meaning
 
 
 def clips(**frames):

@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from bunraku.bodies.reference import reference_body
+from bunraku.apparel.mask import apparel_mask
+from bunraku.body.reference import reference_body
 from bunraku.cli import main
-from bunraku.datasets.apparel import wardrobe_character
-from bunraku.datasets.apparel_clips.build import body_animation
-from bunraku.datasets.apparel_clips.recording import eq4_transforms
-from bunraku.datasets.apparel_clips.unified import UnifiedBody
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.skinning import skin
+from bunraku.datasets.apparel.build import body_animation
+from bunraku.datasets.apparel.recording import eq4_transforms
+from bunraku.datasets.apparel.unified import UnifiedBody
 from bunraku.errors import CharacterError, OptionError
-from bunraku.evaluation.penetration import BodyVolume, nearest_joint_vertices, sample_apparel
-from bunraku.evaluation.physics import PHYSICS_BARS, joined, measure_physics
-from bunraku.evaluation.physics_measures import apparel_chains, body_speeds, chain_lengths
-from bunraku.evaluation.stock_motions import STOCK_MOTIONS, stock_motion
-from bunraku.formats.apparel_mask import apparel_mask
+from bunraku.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
+from bunraku.evaluation.physics.penetration import BodyVolume, nearest_joint_vertices, sample_apparel
+from bunraku.evaluation.physics.table import PHYSICS_BARS, joined, measure_physics
+from bunraku.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.geometry.skinning import skin
 from bunraku.physics import apparel_rig
-from bunraku.rig_animation import RigAnimation
-from bunraku.samples import sample_character
+from bunraku.synthetic.samples import sample_character
+from bunraku.synthetic.wardrobe import wardrobe_character
 
 SEED = 1
 

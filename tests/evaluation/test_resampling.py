@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from bunraku.character import Character
-from bunraku.evaluation.resampling import carried, resampled
-from bunraku.samples import sample_character
+from bunraku.core.character import Character
+from bunraku.evaluation.handles.resampling import carried, resampled
+from bunraku.synthetic.samples import sample_character
 
 
 @pytest.mark.parametrize("count", [1_000, 5_000, 50_000])

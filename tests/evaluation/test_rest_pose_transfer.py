@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from bunraku.bodies.layout import HANDLE_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.evaluation.rest_pose_transfer import code_made_motions, rest_pose_transfer, true_handles
-from bunraku.evaluation.rest_poses import posed_limbs
-from bunraku.evaluation.subjects import subject
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.evaluation.handles.rest_pose_transfer import code_made_motions, rest_pose_transfer, true_handles
+from bunraku.evaluation.handles.rest_poses import posed_limbs
+from bunraku.evaluation.handles.subjects import subject
 from bunraku.retarget.fit import Stages
-from bunraku.samples import sample_character
+from bunraku.synthetic.samples import sample_character
 
 
 def test_the_rest_pose_does_not_show_in_the_animation():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bunraku.bodies.layout import JOINT_NAMES, JOINT_PARENTS
-from bunraku.bodies.reference import reference_body
-from bunraku.evaluation.rest_poses import REST_POSES, limb_directions, posed_limbs
-from bunraku.handles.training_data import TrainingCharacter, forward_kinematics, handle_target, random_pose
+from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.body.reference import reference_body
+from bunraku.datasets.characters.training_character import TrainingCharacter, forward_kinematics, handle_target, random_pose
+from bunraku.evaluation.handles.rest_poses import REST_POSES, limb_directions, posed_limbs
 
 J = {name: index for index, name in enumerate(JOINT_NAMES)}
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from swings import PARTS, WordEncoder
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.diffusion import generate
 from bunraku.diffusion.denoiser import load_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.diffusion.train import TrainingConfig, train_diffusion
 from bunraku.errors import FormatError, OptionError
-from bunraku.evaluation.retrieval import draw_candidates, retrieval, wilson_interval
+from bunraku.evaluation.motion.retrieval import draw_candidates, retrieval, wilson_interval
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
+from bunraku.training.diffusion.train import TrainingConfig, train_diffusion
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from bunraku.evaluation.seams import handle_places, measure_loop, measure_seams
-from bunraku.motion import HandleMotion
+from bunraku.core.motion import HandleMotion
+from bunraku.evaluation.motion.seams import handle_places, measure_loop, measure_seams
 
 
 def sliding(path):

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from bunraku import FormatError, RigAnimation
-from bunraku.bodies.layout import JOINT_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.evaluation.transfer import BARS, KINDS, evaluate_transfer, pick_motions
-from bunraku.evaluation.transfer_character import limb_angles
-from bunraku.evaluation.transfer_mmd import leg_reach, measure_soles
-from bunraku.formats.bvh_write import write_bvh
-from bunraku.formats.vmd_write import MmdClip, write_vmd
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import SkeletalMotion
+from bunraku.evaluation.transfer.character import limb_angles
+from bunraku.evaluation.transfer.mmd import leg_reach, measure_soles
+from bunraku.evaluation.transfer.table import BARS, KINDS, evaluate_transfer, pick_motions
+from bunraku.formats.bvh.write import write_bvh
+from bunraku.formats.mmd.vmd_write import MmdClip, write_vmd
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.motion import SkeletalMotion
-from bunraku.retarget.mmd_standard import standard_model
+from bunraku.retarget.mmd.standard import standard_model
 from bunraku.retarget.rig_parts import RigParts
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bunraku.bodies.layout import JOINT_NAMES
+from bunraku.body.layout import JOINT_NAMES
 
 SIDES = (("Left", "left"), ("Right", "right"))
 

@@ -5,9 +5,9 @@ import struct
 
 import numpy as np
 
-from bunraku.character import Handles
+from bunraku.core.character import Handles
+from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.motion import HandleMotion
 
 _CODES = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}

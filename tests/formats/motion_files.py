@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bunraku.bodies.layout import JOINT_COUNT, JOINT_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.motion import SkeletalMotion
+from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import SkeletalMotion
 
 
 def about_y(angle):

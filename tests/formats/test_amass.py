@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.bodies.layout import JOINT_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.bodies.smpl_rest import smpl_offsets, smpl_turns
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.body.smpl_rest import smpl_offsets, smpl_turns
 from bunraku.errors import BunrakuError, FormatError, MotionError
-from bunraku.formats import load_motion
+from bunraku.io import load_motion
 
 UPRIGHT = [np.pi / 2, 0, 0]  # turns SMPL's +Y up into the +Z up of AMASS
 
@@ -119,7 +119,7 @@ def test_files_that_are_broken_or_mean_harm(tmp_path):
 
 
 def test_days_of_frames_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("bunraku.formats.amass.MOST_FRAMES", 7)
+    monkeypatch.setattr("bunraku.formats.arrays.amass.MOST_FRAMES", 7)
     with pytest.raises(FormatError, match="its 8 frames are too many"):
         load_motion(save(tmp_path / "long.npz"))
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bunraku.character import Character
-from bunraku.datasets.apparel import wardrobe_character
+from bunraku.apparel.artist_mask import artist_mask_file, read_artist_mask
+from bunraku.apparel.mask import apparel_mask
+from bunraku.core.character import Character
 from bunraku.errors import FormatError
-from bunraku.formats import load_character
-from bunraku.formats.apparel_mask import apparel_mask
-from bunraku.formats.artist_mask import artist_mask_file, read_artist_mask
-from bunraku.formats.pmx_write import save_pmx
+from bunraku.formats.mmd.pmx_write import save_pmx
+from bunraku.io import load_character
+from bunraku.synthetic.wardrobe import wardrobe_character
 
 
 @pytest.fixture(scope="module")

@@ -12,12 +12,12 @@ from bvh_files import BLENDER, CMU, DIALECTS, bvh_text
 from motion_files import walk_about
 from scipy.spatial.transform import Rotation
 
-from bunraku.bodies.layout import JOINT_NAMES
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.formats import load_motion
-from bunraku.formats.bvh import load_bvh
-from bunraku.formats.bvh_write import write_bvh
-from bunraku.motion import SkeletalMotion, Skeleton
+from bunraku.formats.bvh.read import load_bvh
+from bunraku.formats.bvh.write import write_bvh
+from bunraku.io import load_motion
 
 ARCHIVE = Path(os.environ.get("BUNRAKU_DATA", "/work/shared/data"))
 
@@ -304,8 +304,8 @@ def test_two_minutes_at_120_hz_take_half_a_second(tmp_path):
 @pytest.mark.data
 @pytest.mark.skipif(not (ARCHIVE / "unpack_motions.py").is_file(), reason="needs the motion archive, named by BUNRAKU_DATA")
 def test_files_of_the_archive_give_its_positions(tmp_path, monkeypatch):
-    from bunraku.bodies.to_smpl import to_smpl
-    from bunraku.datasets.motions import MotionArchive
+    from bunraku.datasets.motions.build import MotionArchive
+    from bunraku.skeletons.to_smpl import to_smpl
 
     spec = importlib.util.spec_from_file_location("unpack_motions", ARCHIVE / "unpack_motions.py")
     script = importlib.util.module_from_spec(spec)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from gltf_files import CUBE, CUBE_FACES, made_up_handles, made_up_motion
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import HANDLE_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Character, Handles
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
 from bunraku.errors import FormatError, MotionError
-from bunraku.formats import load_motion, save_character
-from bunraku.formats.clips import load_clip, load_clip_animation
-from bunraku.formats.gltf_clip import KEY
+from bunraku.formats.gltf.bunraku_clip import KEY
+from bunraku.io import load_motion, save_character
+from bunraku.io.clips import load_clip, load_clip_animation
 
 ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")
 
@@ -75,7 +75,7 @@ def test_files_without_a_motion_of_ours(animation, tmp_path):
 
 
 def test_the_mark_does_not_outlive_the_motion(animation, tmp_path):
-    from bunraku.formats import load_character
+    from bunraku.io import load_character
 
     character = load_character(animation.save(tmp_path / "clip.glb"))
     plain = save_character(character, tmp_path / "plain.glb")

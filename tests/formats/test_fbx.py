@@ -11,11 +11,11 @@ from fbx_files import Scene, binary, node, text
 from scipy.spatial.transform import Rotation
 
 from bunraku import Handles, load_character
-from bunraku.formats import save_character
-from bunraku.formats.fbx_scene import read_scene
-from bunraku.formats.fbx_transforms import default_world, euler_matrices
-from bunraku.formats.fbx_tree import read_tree
-from bunraku.formats.gltf_play import load_animation
+from bunraku.formats.fbx.scene import read_scene
+from bunraku.formats.fbx.transforms import default_world, euler_matrices
+from bunraku.formats.fbx.tree import read_tree
+from bunraku.io import save_character
+from bunraku.io.play import load_animation
 
 DATA = Path(__file__).parent / "data"
 BOXMEN = ("boxman_z_up_cm", "boxman_y_up_m")

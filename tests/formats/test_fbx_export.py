@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from gltf_files import CUBE, CUBE_FACES, made_up_handles, made_up_motion
 
-from bunraku.animation import Animation
-from bunraku.character import Character
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
 from bunraku.errors import BunrakuError, OptionError
-from bunraku.formats import load_character
-from bunraku.formats.fbx_export import BLENDER, BLENDER_PYTHON, blender_command
-from bunraku.formats.gltf_play import load_animation
-from bunraku.formats.registry import check_writer
+from bunraku.formats.fbx.export import BLENDER, BLENDER_PYTHON, blender_command
+from bunraku.io import load_character
+from bunraku.io.play import load_animation
+from bunraku.io.registry import check_writer
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ import pytest
 from fbx_files import HEAD, Scene, binary, node, text
 
 from bunraku import BunrakuError, FormatError, load_character
-from bunraku.formats.fbx_motion import load_fbx_motion
-from bunraku.formats.fbx_tree import Allowance, FbxArray
+from bunraku.formats.fbx.motion import load_fbx_motion
+from bunraku.formats.fbx.tree import Allowance, FbxArray
 
 DATA = Path(__file__).parent / "data"
 SQUARE = [[-1.0, 0, 0], [1, 0, 0], [1, 2, 0], [-1, 2, 0]]
@@ -83,7 +83,7 @@ def test_a_packed_bomb_is_refused_in_little_memory(tmp_path):
 
 
 def test_many_arrays_share_one_allowance(tmp_path, monkeypatch):
-    monkeypatch.setattr("bunraku.formats.fbx_tree.Allowance.__init__.__defaults__", (1000,), raising=False)
+    monkeypatch.setattr("bunraku.formats.fbx.tree.Allowance.__init__.__defaults__", (1000,), raising=False)
     scene = Scene()
     for number in range(20):
         scene.mesh(scene.model(f"m{number}", "Mesh"), SQUARE, [[0, 1, 2, 3]])

@@ -8,7 +8,7 @@ from fbx_files import Scene
 from test_fbx import DATA, from_blender, saved, unpacked
 
 from bunraku import FormatError, OptionError, load_character, load_motion
-from bunraku.formats.fbx_motion import load_fbx_motion
+from bunraku.formats.fbx.motion import load_fbx_motion
 
 
 def data(right: float, left: float, *weights: int) -> list[float]:

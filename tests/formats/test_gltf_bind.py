@@ -7,8 +7,8 @@ from gltf_player import Player
 from scipy.spatial.transform import Rotation
 
 from bunraku.errors import OptionError
-from bunraku.formats import load_character, save_animation, save_character
-from bunraku.formats.gltf_play import load_animation
+from bunraku.io import load_character, save_animation, save_character
+from bunraku.io.play import load_animation
 
 ARM = np.concatenate([CUBE * [0.1, 0.5, 0.1], CUBE * [0.1, 0.5, 0.1] + [0, 1, 0]]).astype(np.float32)  # two boxes of height 1
 ARM_FACES = np.concatenate([CUBE_FACES, CUBE_FACES + 8])

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bunraku import Animation, Character, FormatError, HandleMotion, Handles, OptionError
-from bunraku.formats import save_animation, save_character
-from bunraku.formats.gltf_play import load_animation
-from bunraku.samples import sample_character
+from bunraku.io import save_animation, save_character
+from bunraku.io.play import load_animation
+from bunraku.synthetic.samples import sample_character
 
 
 def random_animation(seed: int = 0, frames: int = 12, count: int = 5) -> Animation:

@@ -5,12 +5,12 @@ import pytest
 from gltf_files import CUBE, CUBE_FACES, Maker, made_up_handles, made_up_motion, textured_glb
 from gltf_player import Player
 
-from bunraku.animation import Animation
-from bunraku.bodies.reference import reference_body
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import MotionError, OptionError
-from bunraku.formats import load_character
-from bunraku.formats.morph_fit import key_shapes, mixed_shapes
-from bunraku.point_animation import PointAnimation
+from bunraku.formats.gltf.morph_targets import key_shapes, mixed_shapes
+from bunraku.io import load_character
 
 FPS, FRAMES = 20.0, 25
 

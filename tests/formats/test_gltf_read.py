@@ -8,7 +8,7 @@ import pytest
 from gltf_files import CUBE, CUBE_FACES, Maker, cube_glb, glb_bytes, png, textured_glb
 
 from bunraku.errors import CharacterError, FormatError
-from bunraku.formats import load_character
+from bunraku.io import load_character
 
 
 @pytest.fixture

@@ -7,12 +7,12 @@ import pytest
 from gltf_files import textured_glb
 
 from bunraku import OptionError, RigAnimation
-from bunraku.bodies.reference import reference_body
-from bunraku.formats import load_character
-from bunraku.formats.gltf_document import open_document
-from bunraku.formats.gltf_play import load_animation
+from bunraku.body.reference import reference_body
+from bunraku.formats.gltf.document import open_document
 from bunraku.formats.turning import turned
 from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.io import load_character
+from bunraku.io.play import load_animation
 
 
 def swinging(character, frames=5, seed=0):

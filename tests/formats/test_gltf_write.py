@@ -10,12 +10,12 @@ import pytest
 from gltf_files import CUBE, CUBE_FACES, Maker, made_up_handles, made_up_motion, textured_glb
 from gltf_player import Player
 
-from bunraku.animation import Animation
-from bunraku.character import Character, Handles
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError, FormatError, OptionError
-from bunraku.formats import load_character, save_animation, save_character
-from bunraku.formats.gltf_write import joint_attributes
-from bunraku.motion import HandleMotion
+from bunraku.formats.gltf.write import joint_attributes
+from bunraku.io import load_character, save_animation, save_character
 
 
 def animate(character, count=30, **options):

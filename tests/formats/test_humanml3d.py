@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from motion_files import about_y, humanml3d_vectors, walk_about
 
-from bunraku.bodies.layout import JOINT_NAMES
+from bunraku.body.layout import JOINT_NAMES
 from bunraku.errors import BunrakuError, FormatError, MotionError
-from bunraku.formats import load_motion
-from bunraku.formats.humanml3d import positions_of_vectors, read_texts
+from bunraku.formats.arrays.humanml3d import positions_of_vectors, read_texts
+from bunraku.io import load_motion
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

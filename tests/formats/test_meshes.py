@@ -9,7 +9,8 @@ from gltf_files import CUBE, CUBE_FACES, made_up_handles, png
 from gltf_player import Player
 
 from bunraku.errors import BunrakuError, CharacterError, FormatError
-from bunraku.formats import files, load_character, save_character
+from bunraku.formats import files
+from bunraku.io import load_character, save_character
 
 OBJ = """mtllib cube.mtl
 o cube

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from bunraku.errors import CharacterError, FormatError
-from bunraku.formats.mhclo import fit, fit_weights, read_mhclo
+from bunraku.formats.mesh.mhclo import fit, fit_weights, read_mhclo
 
 # A base of five vertices; distances of 2, 4 and 5 between the vertices that the scales name.
 BASE = np.array([[0, 0, 0], [2, 0, 0], [0, 4, 0], [0, 0, 5], [1, 1, 1]], float)

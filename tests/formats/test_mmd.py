@@ -9,10 +9,10 @@ import pytest
 from mmd_bytes import Body, Bone, Joint, plank, pmd, pmx
 from scipy.spatial.transform import Rotation
 
+from bunraku.apparel.mask import apparel_mask, moved_joints
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.formats import load_character
-from bunraku.formats.apparel_mask import apparel_mask, moved_joints
-from bunraku.formats.mmd_model import mmd_model
+from bunraku.formats.mmd.model import mmd_model
+from bunraku.io import load_character
 
 MODELS = Path("/work/data/apparel/mmd")
 FLIP = np.diag([1.0, 1, -1])
@@ -240,8 +240,8 @@ def test_real_characters(file, numbers):
     apparel = int(apparel_mask(character).sum())
     assert (len(character.vertices), len(model.bones), len(model.bodies), dynamic, len(model.joints), apparel) == numbers
     assert 1.4 < character.height < 1.9 and abs(character.vertices[:, 1].min()) < 0.01
-    from bunraku.bodies.bone_names import handle_of_joints
-    from bunraku.bodies.layout import HANDLE_NAMES
+    from bunraku.body.layout import HANDLE_NAMES
+    from bunraku.skeletons.bone_names import handle_of_joints
 
     handles = handle_of_joints(character.rig.names, character.rig.parents, character.rig.positions)
     named = {name: HANDLE_NAMES[handle] for name, handle in zip(character.rig.names, handles, strict=True) if handle >= 0}

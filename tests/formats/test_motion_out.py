@@ -10,14 +10,14 @@ from gltf_files import Maker
 from motion_files import walk_about
 from scipy.spatial.transform import Rotation
 
-from bunraku.bodies.from_handles import skeleton_from_handles
-from bunraku.bodies.reference import reference_body
-from bunraku.bodies.to_smpl import to_smpl
-from bunraku.datasets.motions import handle_motion_of_body
+from bunraku.body.from_handles import skeleton_from_handles
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import SkeletalMotion
+from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.formats import load_character, load_motion
-from bunraku.formats.vrma import VRM_BONES
-from bunraku.motion import SkeletalMotion
+from bunraku.formats.vrm.vrma import VRM_BONES
+from bunraku.io import load_character, load_motion
+from bunraku.skeletons.to_smpl import to_smpl
 
 
 def degrees(a, b):
@@ -184,7 +184,7 @@ def test_a_vrma_that_means_harm_gets_one_sentence(tmp_path, monkeypatch):
     keys, values = maker.add(np.array([0, 1, 5, 600], np.float32), bounds=True), maker.add(np.zeros((4, 3), np.float32))
     sampler, move = {"input": keys, "output": values}, {"sampler": 0, "target": {"node": 0, "path": "translation"}}
     refused("nodes in 18001 frames", maker, [{"children": [node + 1]} for node in range(deep)] + [{}], deep, [move], [sampler])
-    monkeypatch.setattr("bunraku.formats.gltf_curves.MAX_KEYS", 100_000)
+    monkeypatch.setattr("bunraku.formats.gltf.curves.MAX_KEYS", 100_000)
     maker, count = Maker(), 1000  # the same keys for 101 nodes
     sampler = {"input": maker.add(np.arange(count, dtype=np.float32) / 100, bounds=True), "output": maker.add(np.zeros((count, 3), np.float32))}
     moves = [{"sampler": 0, "target": {"node": node, "path": "translation"}} for node in range(101)]

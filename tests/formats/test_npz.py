@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from gltf_files import CUBE, CUBE_FACES, made_up_handles, made_up_motion
 
-from bunraku.animation import Animation
-from bunraku.character import Character
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
 from bunraku.errors import BunrakuError, FormatError, MotionError
-from bunraku.formats import load_motion
+from bunraku.io import load_motion
 
 
 @pytest.fixture

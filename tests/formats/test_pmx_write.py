@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from bunraku import load_character
-from bunraku.character import Character
-from bunraku.datasets.apparel import wardrobe_character
+from bunraku.core.character import Character
 from bunraku.errors import FormatError
-from bunraku.formats.mmd_build import MmdFile, mmd_character
-from bunraku.formats.mmd_model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
-from bunraku.formats.pmx import read_pmx_file
-from bunraku.formats.pmx_write import pmx_bytes, save_pmx, write_pmx
-from bunraku.samples import sample_character
+from bunraku.formats.mmd.build import MmdFile, mmd_character
+from bunraku.formats.mmd.model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
+from bunraku.formats.mmd.pmx import read_pmx_file
+from bunraku.formats.mmd.pmx_write import pmx_bytes, save_pmx, write_pmx
+from bunraku.synthetic.samples import sample_character
+from bunraku.synthetic.wardrobe import wardrobe_character
 
 
 def _assert_same(first: Character, second: Character) -> None:

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from gltf_files import CUBE, CUBE_FACES, made_up_handles, made_up_motion
 
-from bunraku.animation import Animation
-from bunraku.character import Character
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
 from bunraku.errors import FormatError, OptionError
 
 

@@ -6,12 +6,12 @@ from gltf_files import made_up_handles, made_up_motion, textured_glb
 from gltf_player import Player
 from test_validator import awkward_glb, errors, needs_validator
 
-from bunraku.animation import Animation
-from bunraku.character import Character
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
 from bunraku.errors import OptionError
-from bunraku.formats import load_character, save_animation, save_character
 from bunraku.formats.turning import turned
 from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
+from bunraku.io import load_character, save_animation, save_character
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from gltf_files import CUBE, CUBE_FACES, made_up_handles, made_up_motion, textured_glb
 
-from bunraku.animation import Animation
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Character
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
+from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import FormatError, MissingExtraError, OptionError
-from bunraku.formats import load_character
-from bunraku.point_animation import PointAnimation
+from bunraku.io import load_character
 
 Y_FROM_Z = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rows times this
 
@@ -144,7 +144,7 @@ def test_a_folder_in_the_way_of_the_textures(pxr, textured, tmp_path):
 
 
 def test_without_usd(animation, tmp_path, monkeypatch):
-    from bunraku.formats.registry import check_writer
+    from bunraku.io.registry import check_writer
 
     monkeypatch.setitem(sys.modules, "pxr", None)
     for name in ("Gf", "Sdf", "Usd"):

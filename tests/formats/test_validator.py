@@ -12,14 +12,14 @@ import pytest
 from gltf_files import CUBE, CUBE_FACES, Maker, made_up_handles, made_up_motion, textured_glb
 from motion_files import walk_about
 
-from bunraku.animation import Animation
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Character
-from bunraku.formats import load_character, save_character
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
+from bunraku.core.point_animation import PointAnimation
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.formats.turning import turned
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.point_animation import PointAnimation
-from bunraku.rig_animation import RigAnimation
+from bunraku.io import load_character, save_character
 
 HERE = Path(__file__).parent
 MODULES = Path(os.environ.get("BUNRAKU_GLTF_VALIDATOR", HERE / "validator")) / "node_modules"

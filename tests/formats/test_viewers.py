@@ -10,13 +10,13 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tools" / "check_viewers"))
 from check import waving
 from viewers import blender_missing, blender_vertices, three_missing, three_vertices
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import JOINT_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.formats import load_character
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.io import load_character
 from bunraku.retarget.rig_motion import handle_animation
-from bunraku.rig_animation import RigAnimation
 
 FPS, FRAMES = 20.0, [3, 7, 11]
 

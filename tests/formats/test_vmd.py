@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from bunraku.errors import FormatError
-from bunraku.formats.vmd import MMD_METRE, load_vmd
+from bunraku.formats.mmd.vmd import MMD_METRE, load_vmd
 
 MOTIONS = Path("/work/data/apparel/mmd/motion")
 LINEAR = ((20, 20, 107, 107),) * 4

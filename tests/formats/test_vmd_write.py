@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bunraku.errors import FormatError
-from bunraku.formats.vmd import load_vmd
-from bunraku.formats.vmd_write import MmdClip, pack_vmd, write_vmd
+from bunraku.formats.mmd.vmd import load_vmd
+from bunraku.formats.mmd.vmd_write import MmdClip, pack_vmd, write_vmd
 
 
 def clip(frames=50, seed=0):

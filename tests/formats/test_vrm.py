@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from gltf_files import Maker
 
+from bunraku.apparel.mask import apparel_mask, moved_joints
 from bunraku.errors import FormatError
-from bunraku.formats import load_character
-from bunraku.formats.apparel_mask import apparel_mask, moved_joints
-from bunraku.formats.vrm import vrm_model
+from bunraku.formats.vrm.read import vrm_model
+from bunraku.io import load_character
 
 REAL = Path("/work/data/apparel/vrm/Godette_vrm_v4.vrm")
 # 0 hips, 1 head, 2 to 4 hair, 5 a branch of it, 6 the mesh

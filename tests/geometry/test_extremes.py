@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bunraku.bodies.reference import reference_body
+from bunraku.body.reference import reference_body
 from bunraku.geometry.extremes import extreme_points, part_extremes
 
 

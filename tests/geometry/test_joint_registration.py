@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from bunraku.core.skinning import skin
 from bunraku.geometry.joint_registration import refine_registration
 from bunraku.geometry.registration import part_means, register
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.geometry.skinning import skin
 
 
 @pytest.fixture

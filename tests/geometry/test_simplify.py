@@ -202,7 +202,7 @@ def test_real_characters():
     files = sorted(folder.glob("**/*.glb"))[::20]
     if not files:
         pytest.skip("the training archive's characters are absent; name their folder's parent with BUNRAKU_DATA")
-    from bunraku.formats import load_character
+    from bunraku.io import load_character
 
     for file in files:
         character = load_character(file)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Handles
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.character import Handles
 from bunraku.errors import CharacterError
 from bunraku.geometry.simplify import NetworkMesh, network_mesh
 from bunraku.handles.extra_limbs import split_limbs

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import bunraku
-from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.body.layout import HANDLE_NAMES
 from bunraku.errors import CharacterError, OptionError
 from bunraku.handles.from_rig import rig_handles, settle_joints
-from bunraku.samples import sample_character
+from bunraku.synthetic.samples import sample_character
 
 
 def test_joints_without_a_name_join_their_nearest_known_ancestor():

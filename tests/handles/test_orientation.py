@@ -5,12 +5,12 @@ import time
 import numpy as np
 import pytest
 
-from bunraku.character import Character
+from bunraku.core.character import Character
 from bunraku.errors import OptionError, WeightsError
 from bunraku.geometry.axes import ORIENTATIONS, default_orientation, upright_rotation
 from bunraku.handles.orientation import HABITS, SURE, guess_orientation, settle, upright
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.samples import sample_character, sample_names
+from bunraku.synthetic.samples import sample_character, sample_names
 
 try:
     shipped_checkpoint("orientation")

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from bunraku.character import Character, Rig
-from bunraku.formats.mmd_model import MmdBody, MmdJoint
+from bunraku.core.character import Character, Rig
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.formats.mmd.model import MmdBody, MmdJoint
 from bunraku.physics import ApparelRig, PhysicsSettings
-from bunraku.rig_animation import RigAnimation
 
 BARE = PhysicsSettings(air=0.0, least_ratio=0.0, limbs=False, gravity=9.81)
 """Nothing but gravity."""

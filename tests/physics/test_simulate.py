@@ -11,10 +11,10 @@ from bodies import BARE, body, chain, character, joint, still
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from bunraku.character import Character, Rig
+from bunraku.core.character import Character, Rig
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, MotionError, OptionError
 from bunraku.physics import ApparelRig, PhysicsSettings, apparel_rig, simulate
-from bunraku.rig_animation import RigAnimation
 
 GENE = Path("/work/data/apparel/mmd/gene/Gene.pmx")
 WALK = Path("/work/data/apparel/mmd/motion/walk.vmd")
@@ -214,8 +214,8 @@ def test_wrong_options_and_characters_without_physics():
 
 
 def test_transfer_needs_physics_to_simulate(tmp_path):
-    from bunraku.motion_transfer import transfer
     from bunraku.physics.animated import with_apparel
+    from bunraku.pipelines.transfer import transfer
 
     doll, _ = chain(2)
     with pytest.raises(CharacterError, match="nothing of this character"):

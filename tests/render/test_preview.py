@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bunraku.animation import Animation
-from bunraku.character import Character, Handles
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
-from bunraku.motion import HandleMotion
 from bunraku.render import HANDLE_PALETTE, contact_sheet, handle_colors, render_animation, render_frames, save_preview, save_still
 from bunraku.render import frames as frames_module
 

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
-from bunraku.bodies.reference import handle_positions, reference_body
-from bunraku.character import Character, Handles
-from bunraku.datasets.motions import handle_motion_of_body
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
+from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.geometry.areas import vertex_areas
-from bunraku.motion import HandleMotion, SkeletalMotion
+from bunraku.retarget.decimate import lighter
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.floor import enough
-from bunraku.retarget.foot_lock import find_contacts, locked
-from bunraku.retarget.joints import find_joints, reference_joints
 from bunraku.retarget.legs import find_arms, find_legs, foot_points, move_feet
-from bunraku.retarget.lighter import lighter
-from bunraku.retarget.neutral import rest_turns
-from bunraku.retarget.smoothing import smoothed
+from bunraku.retarget.stages.floor import enough
+from bunraku.retarget.stages.foot_lock import find_contacts, locked
+from bunraku.retarget.stages.joints import find_joints, reference_joints
+from bunraku.retarget.stages.smoothing import smoothed
+from bunraku.retarget.stance import rest_turns
 
 LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 
@@ -242,8 +242,8 @@ def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
     assert lighter(character, handles)[0] is character  # few enough
     motion = posed(20, left_hip=-30 + 20 * np.sin(np.linspace(0, 9, 20)), left_knee=40)
     full, joints = fit_motion(motion, character, handles), rest_turns(character, handles)[1]
-    monkeypatch.setattr("bunraku.retarget.lighter.MANY", 8000)
-    monkeypatch.setattr("bunraku.retarget.lighter.CELLS", 4000)
+    monkeypatch.setattr("bunraku.retarget.decimate.MANY", 8000)
+    monkeypatch.setattr("bunraku.retarget.decimate.CELLS", 4000)
     light, lighter_handles = lighter(character, handles)
     assert len(light.vertices) < 0.7 * len(character.vertices)
     fast, found = fit_motion(motion, character, handles), rest_turns(light, lighter_handles)[1]

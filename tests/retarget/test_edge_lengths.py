@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from bunraku.character import Character, Handles
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin_reference
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.geometry.skinning import skin_reference
-from bunraku.motion import HandleMotion
-from bunraku.retarget import edge_lengths
-from bunraku.retarget.edge_lengths import edges_kept
+from bunraku.retarget.stages import edge_lengths
+from bunraku.retarget.stages.edge_lengths import edges_kept
 
 
 def _bar(smooth: bool = True) -> tuple[Character, Handles]:

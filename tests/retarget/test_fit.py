@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
-from bunraku.bodies.reference import handle_positions, reference_body
-from bunraku.character import Character, Handles
-from bunraku.datasets.motions import handle_motion_of_body
+from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
+from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import SkeletalMotion
+from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.errors import CharacterError
 from bunraku.geometry.areas import vertex_areas
-from bunraku.motion import SkeletalMotion
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.joints import find_joints
 from bunraku.retarget.reference import motion_to_reference
+from bunraku.retarget.stages.joints import find_joints
 
 
 def swing(frames=20):

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import JOINT_COUNT
-from bunraku.bodies.reference import handle_positions, leg_length, reference_body
-from bunraku.character import Character, Handles
-from bunraku.datasets.motions import handle_motion_of_body
+from bunraku.body.layout import JOINT_COUNT
+from bunraku.body.reference import handle_positions, leg_length, reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.errors import MotionError
-from bunraku.formats import load_motion
 from bunraku.geometry.areas import vertex_areas
 from bunraku.handles.from_rig import rig_handles
-from bunraku.motion import HandleMotion, SkeletalMotion
+from bunraku.io import load_motion
+from bunraku.io.humanoid import humanoid_motion
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.humanoid import humanoid_motion
-from bunraku.samples import sample_character
+from bunraku.synthetic.samples import sample_character
 
 
 def degrees(a, b):

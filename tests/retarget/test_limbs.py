@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.bodies.bone_names import handle_of_joints
-from bunraku.bodies.layout import HANDLE_NAMES
-from bunraku.bodies.reference import handle_positions, reference_body
-from bunraku.character import Character, Handles
-from bunraku.formats.gltf_motion import handle_names
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
+from bunraku.formats.gltf.handle_channels import handle_names
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.geometry.skinning import skin
-from bunraku.motion import HandleMotion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.limbs import by_limb, limb_views
-from bunraku.retarget.neutral import rest_turns
+from bunraku.retarget.stance import rest_turns
+from bunraku.skeletons.bone_names import handle_of_joints
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 LEG = ("hip", "knee", "ankle", "foot")

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import HANDLE_NAMES
-from bunraku.bodies.reference import reference_body
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.motion import HandleMotion
 from bunraku.handles.from_rig import rig_handles
-from bunraku.motion import HandleMotion
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.joints import reference_joints
 from bunraku.retarget.reference import WayBack, motion_to_reference
-from bunraku.samples import sample_character
+from bunraku.retarget.stages.joints import reference_joints
+from bunraku.synthetic.samples import sample_character
 
 BARE = Stages(feet=False, smooth=False, floor=False)
 

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bunraku.animation import Animation
-from bunraku.bodies.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
-from bunraku.bodies.reference import handle_positions, reference_body
-from bunraku.character import Character, Handles
-from bunraku.evaluation.rest_pose_transfer import code_made_motions
+from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
+from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import SkeletalMotion
+from bunraku.evaluation.handles.rest_pose_transfer import code_made_motions
 from bunraku.geometry.areas import vertex_areas
-from bunraku.motion import SkeletalMotion
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.joints import find_joints, refined_joints
-from bunraku.retarget.neutral import neutral_pose, rest_turns
+from bunraku.retarget.stages.joints import find_joints, refined_joints
+from bunraku.retarget.stance import neutral_pose, rest_turns
 
 POSES = {
     "A": {"shoulder": ("z", -45)},

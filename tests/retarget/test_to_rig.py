@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from bunraku import CharacterError, SkeletalMotion
-from bunraku.bodies.layout import JOINT_NAMES
-from bunraku.bodies.reference import reference_body
-from bunraku.bodies.smpl_rest import LIMB_CHILD
-from bunraku.character import Character, Rig
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.body.smpl_rest import LIMB_CHILD
+from bunraku.core.character import Character, Rig
+from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.geometry.skinning import skin
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_motion import handle_animation, rig_to_reference

@@ -18,10 +18,10 @@ import numpy as np
 from viewers import blender_missing, blender_vertices, three_missing, three_vertices
 
 import bunraku
-from bunraku.any_motion import load_any_motion, reference_motion
+from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import BunrakuError
-from bunraku.motion_transfer import perform_transfer
-from bunraku.point_animation import PointAnimation
+from bunraku.pipelines.to_reference import load_any_motion, reference_motion
+from bunraku.pipelines.transfer import perform_transfer
 from bunraku.retarget.rig_parts import is_humanoid_rig
 
 SECONDS = 3.0

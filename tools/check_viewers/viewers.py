@@ -1,7 +1,7 @@
 """Written GLBs as three.js and Blender show them: vertices at some times, to compare with Bunraku's own.
 
 Both are optional. three.js needs node and `npm install` in this folder (or BUNRAKU_THREE, a folder with node_modules/three); Blender is
-found as `bunraku.formats.fbx_export` finds it.
+found as `bunraku.formats.fbx.export` finds it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.errors import BunrakuError
-from bunraku.formats.fbx_export import blender_command
+from bunraku.formats.fbx.export import blender_command
 
 __all__ = ["blender_missing", "blender_vertices", "three_missing", "three_vertices"]
 

@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from bunraku.baselines.volume import Volume, volume_of
-from bunraku.bodies.layout import JOINT_NAMES, JOINT_PARENTS
-from bunraku.bodies.reference import reference_body
+from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.body.reference import reference_body
 
 __all__ = ["EmbeddedSkeleton", "Template", "embed_skeleton", "embedded_human", "human_template", "sphere_centres"]
 

@@ -9,8 +9,8 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from bunraku.diffusion.sequence import LONGEST, SHORTEST, parse_sequence, timed_sequence
 from bunraku.errors import FormatError, OptionError
+from bunraku.language.sequence import LONGEST, SHORTEST, parse_sequence, timed_sequence
 
 __all__ = [
     "check_different", "check_folder", "check_input", "check_output", "check_prompt", "check_range", "check_seconds", "check_sequence",
@@ -91,12 +91,12 @@ def check_output(path: Path, suffixes: Iterable[str], inputs: Iterable[Path] = (
     if any(path.exists() and other.exists() and path.samefile(other) for other in inputs):
         raise FormatError(path, "this would overwrite the input; choose another name")
     if path.suffix.lower() in SEQUENCES:
-        from bunraku.formats import sequences
+        from bunraku.formats.mesh import sequences
 
         sequences.check_sequence(path)
     check_folder(path.parent)
     if path.suffix.lower() in NEEDY:
-        from bunraku.formats import registry
+        from bunraku.io import registry
 
         registry.check_writer(path)
 

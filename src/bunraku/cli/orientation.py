@@ -12,7 +12,7 @@ import tyro
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
-    from bunraku.character import Character
+    from bunraku.core.character import Character
     from bunraku.handles.orientation import Settled
 
 __all__ = ["AxisOption", "check_axes", "said_axes", "settle_file", "stand_up"]
@@ -80,7 +80,7 @@ def settle_file(character: Character, up: str = "auto", front: str = "auto") -> 
 
 def _front_of_bones(character: Character) -> str:
     """The horizontal axis that a rig with +Y up faces; "" where there is none or the bones do not say."""
-    from bunraku.bodies.rig_axes import rig_axes
+    from bunraku.skeletons.rig_axes import rig_axes
 
     rig = character.rig
     axes = None if rig is None else rig_axes(rig.names, rig.parents, rig.positions)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from bunraku.cli.checks import check_different, check_output, check_range, make_folder
+from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.progress import Report
-from bunraku.cli.report import wrote
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
-    from bunraku.animation import Animation
+    from bunraku.core.animation import Animation
+    from bunraku.core.rig_animation import RigAnimation
     from bunraku.retarget.fit import Stages
-    from bunraku.rig_animation import RigAnimation
 
 __all__ = [
     "PREVIEWS", "GuidanceOption", "OutputOption", "PreviewOption", "StepsOption", "WithoutOption", "check_outputs", "check_sampling", "check_stages",
@@ -84,8 +84,8 @@ def save_all(
             written.append(animation.save(path, **(rate if options is None else options)))
         report("write", 1.0)
         for path in previews:
+            from bunraku.core.rig_animation import RigAnimation
             from bunraku.render import save_preview
-            from bunraku.rig_animation import RigAnimation
 
             make_folder(path)
             shown = animation.animation() if isinstance(animation, RigAnimation) else animation

@@ -18,7 +18,7 @@ def handles() -> tuple[type, Callable[[Any], None]]:
 
     Example: bunraku train handles --cache data/characters --out runs/handles
     """
-    from bunraku.handles.train import HandleTrainConfig, train_handles
+    from bunraku.training.handles.train import HandleTrainConfig, train_handles
 
     def run(config: HandleTrainConfig) -> None:
         with stages() as report:
@@ -41,7 +41,7 @@ def orientation() -> tuple[type, Callable[[Any], None]]:
 
     Example: bunraku train orientation --cache data/characters --out runs/orientation
     """
-    from bunraku.handles.orientation_train import OrientationTrainConfig, train_orientation
+    from bunraku.training.orientation.train import OrientationTrainConfig, train_orientation
 
     def tell(row: dict[str, float]) -> None:
         print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
@@ -57,7 +57,7 @@ def diffusion() -> tuple[type, Callable[[Any], None]]:
 
     Example: bunraku train diffusion --data data/motions --out runs/diffusion --minutes 240
     """
-    from bunraku.diffusion.train import TrainingConfig, train_diffusion
+    from bunraku.training.diffusion.train import TrainingConfig, train_diffusion
 
     return TrainingConfig, lambda config: print(f"wrote {train_diffusion(config)}")
 
@@ -69,7 +69,7 @@ def adaptation() -> tuple[type, Callable[[Any], None]]:
 
     Example: bunraku train adaptation --diffusion runs/diffusion/diffusion.safetensors --cache data/characters.npz --out runs/adaptation
     """
-    from bunraku.diffusion.adaptation_train import AdaptationConfig, train_adaptation
+    from bunraku.training.adaptation.train import AdaptationConfig, train_adaptation
 
     def run(config: AdaptationConfig) -> None:
         with stages() as report:
@@ -90,7 +90,7 @@ def extractor() -> tuple[type, Callable[[Any], None]]:
 
     Example: bunraku train extractor --data data/motions --out runs/extractor
     """
-    from bunraku.evaluation.extractor_train import ExtractorTrainConfig, train_extractor
+    from bunraku.evaluation.motion.train_extractor import ExtractorTrainConfig, train_extractor
 
     def run(config: ExtractorTrainConfig) -> None:
         with stages() as report:

@@ -18,13 +18,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from bunraku.bodies.layout import HANDLE_PARENTS
+from bunraku.body.layout import HANDLE_PARENTS
 from bunraku.diffusion.denoiser_config import ARCHITECTURES, DenoiserConfig
 from bunraku.diffusion.features import ROOT_SIZE
-from bunraku.diffusion.handle_fit import capped
 from bunraku.errors import WeightsError
 from bunraku.geometry.rotations import matrix_from_6d
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.retarget.batched_fit import capped
 
 __all__ = ["Denoiser", "build_denoiser", "joint_offsets", "load_denoiser", "save_denoiser"]
 
@@ -250,7 +250,7 @@ def build_denoiser(config: DenoiserConfig) -> Denoiser:
     if config.architecture == "decoder":
         return Denoiser(config)
     if config.architecture == "encoder":
-        from bunraku.diffusion.encoder_denoiser import EncoderDenoiser
+        from bunraku.diffusion.mdm_denoiser import EncoderDenoiser
 
         model: Denoiser = EncoderDenoiser(config)
         return model

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bunraku.bodies.layout import HANDLE_COUNT
+from bunraku.body.layout import HANDLE_COUNT
 from bunraku.diffusion.features import FEATURE_SIZE
 
 __all__ = ["ARCHITECTURES", "PRESETS", "DenoiserConfig"]

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bunraku.bodies.layout import HANDLE_COUNT
+from bunraku.body.layout import HANDLE_COUNT
+from bunraku.body.parts import feature_mask, kept_handles
+from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode
 from bunraku.diffusion.generate import Sampling, adapt, frames_of, load_generator
-from bunraku.diffusion.parts import feature_mask, kept_handles
-from bunraku.diffusion.paths import arrive, placed_at
-from bunraku.diffusion.text import check_prompt
+from bunraku.diffusion.root_path import arrive, placed_at
 from bunraku.errors import MotionError, OptionError
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.motion import HandleMotion
+from bunraku.language.encoders import check_prompt
 
 if TYPE_CHECKING:
     from torch import Tensor

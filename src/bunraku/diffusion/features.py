@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_MIRROR
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR
+from bunraku.core.motion import HandleMotion
 from bunraku.errors import MotionError
 from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d, matrix_y, quaternion_from_matrix
-from bunraku.motion import HandleMotion
 
 __all__ = [
     "FEATURE_SIZE", "HANDLE_SIZE", "ROOT_SIZE", "FeatureStatistics", "decode", "encode", "feature_weights", "heading", "mirror",

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FeatureStatistics, decode
-from bunraku.diffusion.text import TextEncoder, check_prompt, text_encoder
 from bunraku.errors import OptionError
-from bunraku.motion import HandleMotion
+from bunraku.language.encoders import TextEncoder, check_prompt, text_encoder
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -117,8 +117,8 @@ def generate_motions(
 
     import torch
 
-    from bunraku.diffusion.voices import Twin, voices
     from bunraku.diffusion.windows import drawn_noise, plan_windows, sample_plans
+    from bunraku.language.concurrent import Twin, voices
     from bunraku.nn.threads import fitting_threads
 
     if how.progress:
@@ -164,7 +164,7 @@ def closed(values: Tensor, model: Denoiser) -> Tensor:
     """Values of a loop, shape (N, D) in network units, whose root ends facing as it starts, and where it starts if it hardly travels."""
     import torch
 
-    from bunraku.diffusion.paths import arrive
+    from bunraku.diffusion.root_path import arrive
 
     mean, std = model.mean[:3], model.std[:3]
     root = arrive(values[:, :3] * std + mean, model.config.fps, None, None)

@@ -11,7 +11,7 @@ from torch import Tensor
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.schedule import sampling_steps
 from bunraku.diffusion.solvers import ancestral, dpm_solver
-from bunraku.diffusion.text import TextBatch
+from bunraku.language.encoders import TextBatch
 
 __all__ = [
     "Known", "Sample", "Window", "guided", "row_noise", "sample", "sample_windows", "starting_noise", "token_share",

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.sampler import Sample, Window, row_noise, sample_windows
-from bunraku.diffusion.text import TextBatch
+from bunraku.language.encoders import TextBatch
 
 __all__ = ["Plan", "drawn_noise", "plan_windows", "sample_long", "sample_plans"]
 

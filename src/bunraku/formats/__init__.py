@@ -1,7 +1,0 @@
-"""Files in and out: characters, motions and animations, recognised by their first bytes and their suffix."""
-
-from __future__ import annotations
-
-from bunraku.formats.registry import load_character, load_motion, save_animation, save_character, save_motion
-
-__all__ = ["load_character", "load_motion", "save_animation", "save_character", "save_motion"]

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.character import Character
-from bunraku.formats.gltf_mesh import MeshPart
-from bunraku.formats.gltf_nodes import NodeTree, posed_skins
-from bunraku.formats.gltf_read import Source
+from bunraku.core.character import Character
+from bunraku.formats.gltf.mesh import MeshPart
+from bunraku.formats.gltf.nodes import NodeTree, posed_skins
+from bunraku.formats.gltf.read import Source
 from bunraku.geometry.axes import upright_rotation
 
 __all__ = ["turned"]

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
-from bunraku.bodies.reference import handle_positions
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.body.reference import handle_positions
 from bunraku.geometry.simplify import NetworkMesh
 from bunraku.handles.limbs import FAMILIES, LIMB_HANDLES, SIDES, Limb, edge_lengths, find_limbs, limb_handles, stands
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.bodies.bone_names import NO_HANDLE, handle_of_joints
-from bunraku.bodies.layout import HANDLE_COUNT
-from bunraku.bodies.reference import handle_positions
-from bunraku.character import Character, Handles
+from bunraku.body.layout import HANDLE_COUNT
+from bunraku.body.reference import handle_positions
+from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
 from bunraku.geometry.areas import vertex_areas
+from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints
 
 __all__ = ["rig_handles", "settle_joints"]
 

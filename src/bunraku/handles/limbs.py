@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from bunraku.bodies.layout import HANDLE_NAMES
+from bunraku.body.layout import HANDLE_NAMES
 from bunraku.geometry.graph import mesh_parts
 from bunraku.geometry.simplify import NetworkMesh
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.character import Character
+from bunraku.core.character import Character
 from bunraku.formats.turning import turned
 from bunraku.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.geometry.surface_points import surface_points

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from bunraku.bodies.layout import HANDLE_MIRROR
-from bunraku.bodies.reference import handle_positions
-from bunraku.character import Character, Handles
+from bunraku.body.layout import HANDLE_MIRROR
+from bunraku.body.reference import handle_positions
+from bunraku.core.character import Character, Handles
 from bunraku.geometry.simplify import NetworkMesh, network_mesh, network_views
 from bunraku.handles.extra_limbs import split_limbs
 from bunraku.handles.loose_parts import seat_parts

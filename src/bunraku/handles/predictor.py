@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import nn
 
-from bunraku.bodies.layout import HANDLE_COUNT
+from bunraku.body.layout import HANDLE_COUNT
 from bunraku.errors import WeightsError
 from bunraku.handles.graph import GraphLayer, MeshGraph
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint

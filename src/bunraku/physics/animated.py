@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 
-from bunraku.animation import Animation
-from bunraku.character import Character
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.physics.apparel_rig import apparel_rig
 from bunraku.physics.simulate import simulate
-from bunraku.rig_animation import RigAnimation
 
 __all__ = ["check_apparel", "simulated", "with_apparel"]
 

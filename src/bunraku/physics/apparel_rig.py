@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.character import Character
-from bunraku.formats.mmd_model import MmdBody, MmdJoint, mmd_model
-from bunraku.formats.vrm import vrm_model
+from bunraku.core.character import Character
+from bunraku.formats.mmd.model import MmdBody, MmdJoint, mmd_model
+from bunraku.formats.vrm.read import vrm_model
 
 __all__ = ["ApparelRig", "apparel_rig"]
 

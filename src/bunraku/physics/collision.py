@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bunraku.formats.mmd_model import MmdBody
+from bunraku.formats.mmd.model import MmdBody
 
 __all__ = ["MOST_CLASSES", "collision_bits"]
 

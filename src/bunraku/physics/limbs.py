@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.character import Character
-from bunraku.formats.apparel_mask import APPAREL_SHARE, moved_joints
-from bunraku.formats.mmd_model import MmdBody
+from bunraku.apparel.mask import APPAREL_SHARE, moved_joints
+from bunraku.core.character import Character
+from bunraku.formats.mmd.model import MmdBody
 
 __all__ = ["body_limbs"]
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from bunraku.core.rig_animation import RigAnimation, bone_order
 from bunraku.physics.apparel_rig import ApparelRig
-from bunraku.rig_animation import RigAnimation, bone_order
 
 __all__ = ["joints_moved", "posed", "stretched"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bunraku.errors import OptionError
-from bunraku.formats.vmd import MMD_METRE
+from bunraku.formats.mmd.vmd import MMD_METRE
 
 __all__ = ["PhysicsSettings"]
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, MotionError, OptionError
 from bunraku.physics.apparel_rig import ApparelRig, apparel_rig
 from bunraku.physics.limbs import body_limbs
@@ -16,7 +17,6 @@ from bunraku.physics.posing import joints_moved, posed, stretched
 from bunraku.physics.settings import PhysicsSettings
 from bunraku.physics.targets import Drive, lead_in
 from bunraku.physics.world import World, build_world
-from bunraku.rig_animation import RigAnimation
 
 __all__ = ["Recovery", "Simulation", "SimulationReport", "simulate"]
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.core.rig_animation import RigAnimation, bone_order
 from bunraku.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_from_matrix, quaternion_slerp
-from bunraku.rig_animation import RigAnimation, bone_order
 
 __all__ = ["Drive", "lead_in"]
 

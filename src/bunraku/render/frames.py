@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from bunraku.animation import Animation
-from bunraku.character import Character, Handles
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.skinning import skin_basis
 from bunraku.errors import OptionError
-from bunraku.geometry.skinning import skin_basis
 from bunraku.render.backends import open_renderer
 from bunraku.render.camera import YAW, Camera, Framing, view_axes
 from bunraku.render.palette import handle_colors

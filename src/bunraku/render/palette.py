@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.character import Handles
+from bunraku.core.character import Handles
 
 __all__ = ["HANDLE_PALETTE", "handle_colors"]
 

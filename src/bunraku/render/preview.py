@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from bunraku.animation import Animation
-from bunraku.character import Character, Handles
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
 from bunraku.errors import OptionError
 from bunraku.render.camera import YAW
 from bunraku.render.frames import SIZE, moments, render_animation, render_still

@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
-from bunraku.bodies.reference import leg_length, reference_body
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
+from bunraku.body.reference import leg_length, reference_body
+from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
-from bunraku.motion import HandleMotion, SkeletalMotion
-from bunraku.retarget.ground import lowest
-from bunraku.retarget.joints import attached, reference_joints
+from bunraku.retarget.stages.ground import lowest
+from bunraku.retarget.stages.joints import attached, reference_joints
 
 __all__ = ["body_handle_motion", "stiff"]
 

@@ -3,19 +3,19 @@
 The diffusion model speaks of the reference body: its proportions and its T-pose. Named stages, each of which can be
 switched off, clean its motion and turn it into one of another character. They run in this order:
 
-- `smooth`: the generator's noise is taken out and fast moves stay (`retarget/smoothing.py`).
+- `smooth`: the generator's noise is taken out and fast moves stay (`retarget/stages/smoothing.py`).
 - `rest_pose`: a limb that rests in another direction than the reference body's (arms down, A-pose, sitting, the front legs of a
   dog) is first turned into the reference's direction, so the motion means the same. Bodies that lie along their spine take a
   third of the pelvis' tilt.
 - `attach`: local translations are set so that each handle stays joined to its parent at the place where their weights meet. It
   takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than the reference's.
-- `shape`: handles move a little where that keeps the mesh's edges at their lengths (`retarget/edge_lengths.py`); off unless asked for, as
+- `shape`: handles move a little where that keeps the mesh's edges at their lengths (`retarget/stages/edge_lengths.py`); off unless asked for, as
   everything that makes a motion for a character does, and nothing that takes one back from it and on.
 - `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of the reference body, and
   a reference body that drifts off the ground for longer than a jump lasts is set back on it.
-- `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/foot_lock.py`).
-- `hands`: hands that touch the body stay near it (`retarget/hands.py`); off unless asked for, as motion transfer does.
-- `floor`: nothing sinks into the ground, and feet that stand are on it (`retarget/floor.py`).
+- `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/stages/foot_lock.py`).
+- `hands`: hands that touch the body stay near it (`retarget/stages/hands.py`); off unless asked for, as motion transfer does.
+- `floor`: nothing sinks into the ground, and feet that stand are on it (`retarget/stages/floor.py`).
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Character, Handles
+from bunraku.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import heading
 from bunraku.errors import CharacterError
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
-from bunraku.motion import HandleMotion
-from bunraku.retarget.edge_lengths import edges_kept
-from bunraku.retarget.floor import on_the_floor
-from bunraku.retarget.foot_lock import locked
-from bunraku.retarget.ground import grounded, standing, stride_scale
-from bunraku.retarget.hands import hands_kept
-from bunraku.retarget.joints import Joints, attached, capped, find_joints, reference_joints, refined_joints
+from bunraku.retarget.decimate import lighter
 from bunraku.retarget.legs import find_arms, find_legs
-from bunraku.retarget.lighter import lighter
 from bunraku.retarget.limbs import by_limb
-from bunraku.retarget.neutral import neutral_pose, rest_turns
-from bunraku.retarget.rest_pose import upright
-from bunraku.retarget.smoothing import smoothed
+from bunraku.retarget.stages.edge_lengths import edges_kept
+from bunraku.retarget.stages.floor import on_the_floor
+from bunraku.retarget.stages.foot_lock import locked
+from bunraku.retarget.stages.ground import grounded, standing, stride_scale
+from bunraku.retarget.stages.hands import hands_kept
+from bunraku.retarget.stages.joints import Joints, attached, capped, find_joints, reference_joints, refined_joints
+from bunraku.retarget.stages.rest_pose import upright
+from bunraku.retarget.stages.smoothing import smoothed
+from bunraku.retarget.stance import neutral_pose, rest_turns
 
 __all__ = ["Stages", "fit_motion"]
 

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bunraku.character import Character, Handles
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
 from bunraku.geometry.extremes import extreme_points
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.geometry.skinning import skin
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.motion import HandleMotion
-from bunraku.retarget.joints import Joints
-from bunraku.retarget.rest_pose import upright
+from bunraku.retarget.stages.joints import Joints
+from bunraku.retarget.stages.rest_pose import upright
 
 __all__ = ["Leg", "find_arms", "find_legs", "foot_points", "move_feet"]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS
-from bunraku.character import Handles
+from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.core.character import Handles
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.retarget.joints import Joints
+from bunraku.retarget.stages.joints import Joints
 
 __all__ = ["LimbView", "by_limb", "limb_views", "reference_parts"]
 

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.bodies.layout import HANDLE_NAMES, HANDLE_PARENTS
-from bunraku.bodies.reference import reference_body
-from bunraku.character import Character, Handles
-from bunraku.geometry.skinning import skin
-from bunraku.motion import HandleMotion
-from bunraku.retarget.ground import standing, stride_scale
-from bunraku.retarget.joints import Joints, attached, capped, downwards, reference_joints
-from bunraku.retarget.lighter import lighter
+from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
+from bunraku.retarget.decimate import lighter
 from bunraku.retarget.limbs import reference_parts
-from bunraku.retarget.neutral import neutral_pose, rest_turns
+from bunraku.retarget.stages.ground import standing, stride_scale
+from bunraku.retarget.stages.joints import Joints, attached, capped, downwards, reference_joints
+from bunraku.retarget.stance import neutral_pose, rest_turns
 
 __all__ = ["WayBack", "motion_to_reference"]
 

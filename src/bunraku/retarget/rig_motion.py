@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.animation import Animation
-from bunraku.motion import HandleMotion
+from bunraku.core.animation import Animation
+from bunraku.core.motion import HandleMotion
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.retarget.reference import WayBack
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.rig_animation import RigAnimation
 
 __all__ = ["bones_to_handles", "handle_animation", "rig_to_reference"]
 

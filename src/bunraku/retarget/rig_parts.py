@@ -11,21 +11,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.bodies.bone_names import NO_HANDLE, handle_of_joints, limb_parents
-from bunraku.bodies.bone_words import part_of_name
-from bunraku.bodies.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
-from bunraku.bodies.reference import handle_positions, reference_body
-from bunraku.character import Character, Handles
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.rig_animation import bone_order
 from bunraku.errors import CharacterError
-from bunraku.formats.gltf_read import Source
-from bunraku.formats.vrm import vrm_model
+from bunraku.formats.gltf.read import Source
+from bunraku.formats.vrm.read import vrm_model
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import rotation_between
 from bunraku.handles.from_rig import rig_handles, settle_joints
-from bunraku.retarget.joints import PRESENT, Joints, reference_joints
-from bunraku.retarget.neutral import flat_feet
-from bunraku.retarget.rest_pose import rest_rotations, upright
-from bunraku.rig_animation import bone_order
+from bunraku.retarget.stages.joints import PRESENT, Joints, reference_joints
+from bunraku.retarget.stages.rest_pose import rest_rotations, upright
+from bunraku.retarget.stance import flat_feet
+from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints, limb_parents
+from bunraku.skeletons.bone_words import part_of_name
 
 __all__ = ["HUMANOID", "RigParts", "is_humanoid_rig"]
 

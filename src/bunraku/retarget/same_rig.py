@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.character import Character
-from bunraku.rig_animation import RigAnimation
+from bunraku.core.character import Character
+from bunraku.core.rig_animation import RigAnimation
 
 __all__ = ["copied_bones"]
 

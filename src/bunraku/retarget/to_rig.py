@@ -11,15 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.bodies.bone_names import NO_HANDLE
-from bunraku.character import Character
-from bunraku.formats.mmd_model import mmd_model
-from bunraku.motion import HandleMotion
+from bunraku.core.character import Character
+from bunraku.core.motion import HandleMotion
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.formats.mmd.model import mmd_model
 from bunraku.retarget.body_motion import stiff
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.mmd_pose import pose_mmd
+from bunraku.retarget.mmd.pose import pose_mmd
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.rig_animation import RigAnimation
+from bunraku.skeletons.bone_names import NO_HANDLE
 
 __all__ = ["fit_rig"]
 

@@ -1,6 +1,5 @@
-"""The wardrobe: dressed characters made by code, with rigs, rigid bodies and joints of their own, as MMD models."""
+"""The apparel data set: characters in clothes that physics move, to train and test apparel networks on (MMDMC, section 3)."""
 
-from bunraku.datasets.apparel.build import build_wardrobe
-from bunraku.datasets.apparel.character import wardrobe_character, wardrobe_costume
+from bunraku.datasets.apparel.reader import ApparelCharacter, ApparelClip, ApparelData, ApparelWindow
 
-__all__ = ["build_wardrobe", "wardrobe_character", "wardrobe_costume"]
+__all__ = ["ApparelCharacter", "ApparelClip", "ApparelData", "ApparelWindow"]

@@ -1,0 +1,142 @@
+"""The reference body: a small human in a T-pose that gives the joints and the handles their meaning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+
+from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.character import Character, Handles, Rig
+from bunraku.core.motion import SkeletalMotion, Skeleton
+from bunraku.core.skinning import skin
+from bunraku.errors import MotionError
+
+__all__ = ["ReferenceBody", "reference_body", "reference_shapes"]
+
+
+@dataclass(frozen=True)
+class ReferenceBody:
+    """A human body with 22 joints in SMPL's order and the canonical weights of the 30 handles.
+
+    Args:
+        name: Name of the shape ("average", "child", ...).
+        vertices: Rest positions in the T-pose, feet on y = 0 [m], shape (V, 3).
+        faces: Triangles, shape (F, 3).
+        joints: Joint positions [m], shape (22, 3).
+        joint_weights: Skin weights of the joints, shape (V, 22).
+        handle_weights: Skin weights of the handles, shape (V, 30).
+        mirror: Vertex at the mirror image of each vertex, shape (V,).
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    joints: np.ndarray
+    joint_weights: np.ndarray
+    handle_weights: np.ndarray
+    mirror: np.ndarray
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The 22 joints with their offsets."""
+        parents = np.array(JOINT_PARENTS)
+        offsets = self.joints - np.where(parents[:, None] >= 0, self.joints[parents], 0)
+        return Skeleton(JOINT_NAMES, parents, offsets)
+
+    @property
+    def handles(self) -> Handles:
+        """The canonical handles; one that has no vertices on a person stands at its parent (see `handle_positions`)."""
+        from bunraku.geometry.areas import vertex_areas
+
+        return Handles(handle_positions(self.vertices, self.handle_weights, vertex_areas(self.vertices, self.faces)), self.handle_weights)
+
+    def character(self) -> Character:
+        """The body as a rigged character."""
+        indices = np.argsort(-self.joint_weights, axis=1)[:, :4]
+        weights = np.take_along_axis(self.joint_weights, indices, axis=1)
+        transforms = np.tile(np.eye(4), (len(self.joints), 1, 1))
+        transforms[:, :3, 3] = self.joints
+        rig = Rig(JOINT_NAMES, np.array(JOINT_PARENTS), transforms, indices, weights / weights.sum(axis=1, keepdims=True))
+        return Character(f"reference-{self.name}", self.vertices, self.faces, rig)
+
+    def pose(self, motion: SkeletalMotion) -> np.ndarray:
+        """Vertices of the body in every frame of a motion of the 22 joints [m], shape (N, V, 3).
+
+        The body keeps its own bones: joints turn as the motion says, and the root's path is scaled by the ratio of leg lengths.
+
+        Raises:
+            MotionError: The motion has other joints.
+        """
+        if motion.skeleton.names != JOINT_NAMES:
+            raise MotionError("the reference body takes motions of SMPL's 22 joints only; map the skeleton first")
+        scale = leg_length(self.joints) / leg_length(motion.skeleton.positions)
+        own = SkeletalMotion(self.skeleton, motion.rotations, motion.root_translation * scale, motion.fps)
+        rotations, positions = own.world()
+        transforms = np.concatenate([rotations, (positions - np.einsum("njab,jb->nja", rotations, self.joints))[..., None]], axis=-1)
+        return skin(self.vertices, self.joint_weights, transforms)
+
+
+def leg_length(joints: np.ndarray) -> float:
+    """Mean length of the two legs from hip to ankle [m], from joint positions (22, 3)."""
+    return float(np.mean([np.linalg.norm(joints[a] - joints[b]) + np.linalg.norm(joints[b] - joints[c]) for a, b, c in ((1, 4, 7), (2, 5, 8))]))
+
+
+def handle_positions(vertices: np.ndarray, weights: np.ndarray, areas: np.ndarray) -> np.ndarray:
+    """Weighted mean of the vertices of each handle (Eq. 4), by surface area so that tessellation does not matter.
+
+    Args:
+        vertices: Positions [m], shape (V, 3).
+        weights: Handle weights, shape (V, K).
+        areas: Surface area that each vertex stands for, any unit, shape (V,).
+
+    Returns:
+        Positions [m], shape (K, 3). A handle without weight stands where its parent stands.
+    """
+    from bunraku.body.layout import HANDLE_PARENTS
+
+    mass = weights * (areas / max(areas.sum(), 1e-30))[:, None]
+    total = mass.sum(axis=0)
+    out = (mass.T @ vertices) / np.maximum(total, 1e-12)[:, None]
+    centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    for handle, parent in enumerate(HANDLE_PARENTS[: weights.shape[1]]):
+        if total[handle] < 1e-6:
+            out[handle] = centre if parent < 0 else out[parent]
+    return out.astype(np.float32)
+
+
+@lru_cache(maxsize=1)
+def _asset() -> dict[str, np.ndarray]:
+    with files("bunraku.body").joinpath("reference.npz").open("rb") as handle, np.load(handle, allow_pickle=False) as archive:
+        return {key: archive[key] for key in archive.files}
+
+
+def reference_shapes() -> tuple[str, ...]:
+    """Names of the shapes that ship: the average body first."""
+    return tuple(str(name) for name in _asset()["shape_names"])
+
+
+@lru_cache(maxsize=16)
+def reference_body(shape: str = "average") -> ReferenceBody:
+    """The reference body in one of `reference_shapes()`.
+
+    Raises:
+        KeyError: There is no such shape.
+    """
+    asset = _asset()
+    names = reference_shapes()
+    if shape not in names:
+        raise KeyError(f"no body shape {shape!r}; there are {', '.join(names)}")
+    index = names.index(shape)
+    vertices = asset["vertices"] if index == 0 else asset["shape_vertices"][index].astype(np.float32)
+
+    def weights(key: str) -> np.ndarray:
+        dense = asset[key].astype(np.float32)
+        return dense / dense.sum(axis=1, keepdims=True)
+
+    return ReferenceBody(
+        shape, vertices, asset["faces"].astype(np.int64), asset["shape_joints"][index], weights("joint_weights"), weights("handle_weights"),
+        asset["mirror"].astype(np.int64),
+    )  # fmt: skip

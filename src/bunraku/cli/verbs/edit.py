@@ -1,0 +1,144 @@
+"""`bunraku edit`: keep a part of a clip and generate the rest from a sentence."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from bunraku.cli.checks import check_input, check_prompt, slug
+from bunraku.cli.orientation import AxisOption, check_axes, stand_up
+from bunraku.cli.outputs import (
+    GuidanceOption,
+    OutputOption,
+    PreviewOption,
+    StepsOption,
+    WithoutOption,
+    check_outputs,
+    check_sampling,
+    fitting_stages,
+    save_all,
+)
+from bunraku.cli.progress import Report, stages
+from bunraku.errors import OptionError
+
+if TYPE_CHECKING:
+    from bunraku.core.animation import Animation
+
+__all__ = ["Edit"]
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Keep chosen handles of a clip, or all but a span of it, and generate the rest from a sentence.
+
+    The clip is a .glb or .npz file that Bunraku wrote. What is kept comes back exactly.
+
+    Example: bunraku edit walk.glb "waves with both hands" --keep legs -o walk-wave.glb
+    """
+
+    clip: tyro.conf.Positional[Path]
+    """The clip, .glb or .npz, as Bunraku wrote it."""
+    prompt: tyro.conf.Positional[str]
+    """What is done instead, in English."""
+    keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PART"), tyro.conf.UseAppendAction] = ()
+    """What stays: root, legs, arms, left-arm, right-arm, left-leg, right-leg, upper-body, lower-body, head, torso, tail, wings, or a
+    single handle such as left_wrist. May be given more than once."""
+    span: Annotated[str, tyro.conf.arg(metavar="FROM:TO")] = ""
+    """Seconds from and to which is generated, such as 1.0:3.0; all outside stays. Default: the whole clip."""
+    output: OutputOption = ()
+    """File to write: .glb, .npz, .obj or .ply. May be given more than once. Default: CLIP-PROMPT in this folder, with the clip's suffix."""
+    preview: PreviewOption = ()
+    """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
+    character: Path | None = None
+    """The character that an .npz clip was made for; without it the clip is edited and given back as one of the reference body."""
+    seed: int = 0
+    """The same seed and version give the same motion."""
+    steps: StepsOption = None
+    """Sampling steps, 1 to 1000; more is slower. Default: 20."""
+    guidance: GuidanceOption = None
+    """How closely to follow the sentence, 0 to 20. Default: 2.5."""
+    fps: float = 30.0
+    """Frames a second of the files, 1 to 120."""
+    handles: Literal["predict", "rig"] = "predict"
+    """Where the handles of --character come from."""
+    up: AxisOption = "auto"
+    """The axis that is up in --character."""
+    front: AxisOption = "auto"
+    """The axis that --character faces."""
+    without: WithoutOption = ()
+    """Leave out a stage that fits the motion to the character: rest-pose, attach, ground, feet, smooth or floor. May be repeated."""
+
+    def run(self) -> None:
+        from bunraku.body.parts import kept_handles
+
+        check_prompt(self.prompt)
+        span = parse_span(self.span) if self.span else None
+        if self.keep:
+            kept_handles(self.keep)
+        elif span is None:
+            raise OptionError("nothing is kept of the clip; name what stays (--keep legs) or the seconds that change (--span 1.0:3.0)")
+        check_sampling(self.seed, self.steps, self.guidance, self.fps)
+        check_axes(self.up, self.front)
+        inputs = [self.clip] + ([self.character] if self.character else [])
+        for path in inputs:
+            check_input(path)
+        outputs = self.output or (Path(f"{self.clip.stem}-{slug(self.prompt)}{self.clip.suffix.lower()}"),)
+        check_outputs(outputs, self.preview, inputs)
+        fitting = fitting_stages(self.without)
+
+        with stages() as report:
+            report("load", 0.0)
+            clip = self._animation(report)
+            report("load", 1.0)
+
+            from bunraku.pipelines.animate import edit
+
+            animation = edit(
+                clip, self.prompt, keep=self.keep, span=span, seed=self.seed, steps=self.steps, guidance=self.guidance, stages=fitting,
+                progress=report,
+            )  # fmt: skip
+            save_all(animation, outputs, self.preview, self.fps, report)
+
+    def _animation(self, report: Report) -> Animation:
+        from bunraku.body.reference import reference_body
+        from bunraku.core.animation import Animation
+        from bunraku.io import load_character
+        from bunraku.io.clips import load_clip, load_clip_animation
+
+        clip = load_clip(self.clip)
+        if self.clip.suffix.lower() != ".npz":
+            if self.character is not None:
+                raise OptionError(f"--character is for .npz clips, and {self.clip} brings its own; leave it out")
+            return load_clip_animation(self.clip)
+        if self.character is None:
+            body, motion = reference_body(), clip.of_the_reference_body()
+            if not clip.is_of(body.handles):
+                print(f"{self.clip}: edited as a motion of the reference body; name its character with --character to edit that", file=sys.stderr)
+            return Animation(body.character(), body.handles, motion, motion)
+        from bunraku.pipelines.animate import rig
+        from bunraku.pipelines.apply import perform
+
+        character = stand_up(load_character(self.character), self.character, self.up, self.front)
+        handles = rig(character, handles=self.handles, progress=report)
+        return clip.on(character, handles) or perform(clip.of_the_reference_body(), character, handles)
+
+
+def parse_span(text: str) -> tuple[float, float]:
+    """Seconds of "1.0:3.0".
+
+    Raises:
+        OptionError: It is no such span.
+    """
+    start, colon, end = text.partition(":")
+    try:
+        span = float(start), float(end)
+    except ValueError:
+        span = math.nan, math.nan
+    if not colon or not (math.isfinite(span[0]) and math.isfinite(span[1]) and 0 <= span[0] < span[1]):
+        raise OptionError(f"--span is two seconds with a colon between, such as 1.0:3.0, not '{text}'")
+    return span

@@ -1,0 +1,247 @@
+"""`bunraku inspect`: what a file holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from bunraku.cli.checks import check_input
+from bunraku.cli.evaluate.report import size_text
+from bunraku.errors import WeightsError
+
+if TYPE_CHECKING:
+    from bunraku.core.character import Character
+    from bunraku.core.motion import Skeleton
+    from bunraku.formats.gltf.document import Document
+
+__all__ = ["Inspect", "describe"]
+
+_USUAL = {"up": "+y", "front": "+z", "taken_up": "+y", "taken_front": "+z"}
+GLTF = (".glb", ".gltf", ".vrm")
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Tell what a file holds: its meshes, how they stand, rig, materials and animations, or the frames and joints of a motion.
+
+    Example: bunraku inspect dragon.glb --json
+    """
+
+    file: tyro.conf.Positional[Path]
+    """A character or a motion."""
+    json: bool = False
+    """Print JSON for programs."""
+
+    def run(self) -> None:
+        check_input(self.file)
+        facts = describe(self.file)
+        if self.json:
+            import json
+
+            print(json.dumps(facts, indent=2))
+        else:
+            _print(facts)
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """What a file holds, in values that JSON can say; lengths in metres and seconds.
+
+    Raises:
+        FormatError: The file cannot be read.
+        CharacterError: It holds no mesh that can be animated.
+    """
+    facts: dict[str, Any] = {"file": str(path), "bytes": path.stat().st_size}
+    if path.suffix.lower() in (".npz", ".npy", ".bvh", ".vrma"):
+        return facts | _motion(path)
+    from bunraku.cli.verbs.inspect_mmd import mmd_facts, vmd_facts, vrm_facts
+    from bunraku.io import load_character
+
+    if path.suffix.lower() == ".vmd":
+        return facts | vmd_facts(path)
+    fbx = _fbx(path) if path.suffix.lower() == ".fbx" else {}
+    if fbx and not fbx["meshes"]:  # clips without a character
+        return facts | _motion(path) | fbx
+    character = load_character(path)
+    suffix = getattr(character.source, "suffix", path.suffix.lower())
+    facts |= _character(character)
+    if character.source is not None:
+        facts |= _document(character.source.document)
+    if suffix not in GLTF:
+        facts.pop("generator", None)  # the document stands for a file of another format
+    return facts | fbx | mmd_facts(character) | vrm_facts(character)
+
+
+def _fbx(path: Path) -> dict[str, Any]:
+    from bunraku.formats.fbx.read import fbx_facts
+    from bunraku.formats.files import read_bounded
+
+    return fbx_facts(path, read_bounded(path))
+
+
+def _motion(path: Path) -> dict[str, Any]:
+    from bunraku.core.motion import HandleMotion
+    from bunraku.io import load_motion
+
+    motion = load_motion(path)
+    facts: dict[str, Any] = {"kind": "handle motion" if isinstance(motion, HandleMotion) else "skeletal motion"}
+    facts |= {"frames": len(motion), "fps": float(motion.fps), "seconds": round(len(motion) / motion.fps, 3)}
+    if isinstance(motion, HandleMotion):
+        facts["handles"] = motion.translations.shape[1]
+    else:
+        facts["joints"] = len(motion.skeleton.names)
+        facts |= _mapping(motion.skeleton)
+    travel = motion.root_translation[-1] - motion.root_translation[0]
+    return facts | {"root_travel": [round(float(x), 3) for x in travel]}
+
+
+def _mapping(skeleton: Skeleton) -> dict[str, Any]:
+    """Which joints play the parts of a person, as far as that is found."""
+    from bunraku.body.layout import JOINT_NAMES
+    from bunraku.errors import MotionError
+    from bunraku.skeletons.skeleton_map import map_skeleton
+
+    try:
+        found = map_skeleton(skeleton)
+    except MotionError:
+        return {"convention": "unknown", "mapping": {}}
+    named = {name: skeleton.names[joint] for name, joint in zip(JOINT_NAMES, found.joints, strict=True) if joint >= 0}
+    return {"convention": found.convention or "unknown", "mapping": named, "missing": list(found.missing)}
+
+
+def _character(character: Character) -> dict[str, Any]:
+    import numpy as np
+
+    low, high = character.vertices.min(axis=0), character.vertices.max(axis=0)
+    extent = high - low
+    welded, parts = _count_parts(character)
+    orientation = _orientation(character)
+    height = float(np.ptp(character.vertices[character.surface], axis=0)["xyz".index(orientation["taken_up"][1])]) or character.height
+    facts: dict[str, Any] = {
+        "kind": "character",
+        "name": character.name,
+        "vertices": len(character.vertices),
+        "vertices_welded": welded,
+        "faces": len(character.faces),
+        "loose_parts": parts,
+        "height": _digits(height),
+        "unit": _unit(height),
+        "extent": [_digits(x) for x in extent],
+        "lowest_corner": [_digits(x) for x in low],
+        "orientation": orientation,
+        "rig": None,
+    }
+    if character.rig is not None:
+        influences = int((character.rig.weights > 0).sum(axis=1).max(initial=0))
+        facts["rig"] = {"joints": len(character.rig.names), "influences": influences, "names": list(character.rig.names)}
+    return facts
+
+
+def _digits(value: Any) -> float:
+    """Five digits that count, whatever the unit."""
+    return float(f"{float(value):.5g}")
+
+
+def _count_parts(character: Character) -> tuple[int, int]:
+    """Vertices and loose parts once seams and repeated vertices are welded."""
+    from bunraku.geometry.graph import clean_mesh, mesh_parts, unique_edges
+
+    clean = clean_mesh(character.vertices, character.faces)
+    count = len(clean.vertices)
+    return count, int(mesh_parts(unique_edges(clean.faces, count), count).max()) + 1
+
+
+def _orientation(character: Character) -> dict[str, Any]:
+    """How the character seems to stand, and what animate and rig make of it."""
+    from bunraku.cli.orientation import settle_file
+
+    try:
+        settled, note = settle_file(character)
+    except WeightsError as error:
+        return {**_USUAL, "up_confidence": None, "front_confidence": None, "note": f"assumed: {error}"}
+    guess = settled.guess
+    assert guess is not None
+    return {
+        "up": guess.up,
+        "front": guess.front,
+        "up_confidence": round(guess.up_confidence, 3),
+        "front_confidence": round(guess.front_confidence, 3),
+        "taken_up": settled.up,
+        "taken_front": settled.front,
+        "note": note,
+    }
+
+
+def _unit(height: float) -> dict[str, str]:
+    """What unit a height is likely to be in: most characters are between a hand and a house tall."""
+    for least, unit in ((400, "millimetres"), (10, "centimetres"), (0.04, "metres")):
+        if height >= least:
+            return {"name": unit, "note": "" if unit == "metres" else f"{height:,.4g} m tall: probably {unit}; the animation keeps the file's unit"}
+    return {"name": "unknown", "note": f"{height:.2g} m tall: probably shrunk 100 or 1,000 times on its way; the animation keeps the file's unit"}
+
+
+def _document(document: Document) -> dict[str, Any]:
+    animations = []
+    for number, animation in enumerate(document.items("animations")):
+        ends = [float(document.accessor(sampler.get("input"), ("SCALAR",)).max(initial=0)) for sampler in document.objects(animation, "samplers")]
+        name = str(animation.get("name") or f"animation {number}")
+        animations.append({"name": name, "seconds": round(max(ends, default=0.0), 3), "channels": len(document.objects(animation, "channels"))})
+    return {
+        "generator": str(document.tree["asset"].get("generator", "")),
+        "meshes": len(document.items("meshes")),
+        "primitives": sum(len(document.objects(mesh, "primitives")) for mesh in document.items("meshes")),
+        "materials": [str(material.get("name") or f"material {number}") for number, material in enumerate(document.items("materials"))],
+        "textures": len(document.items("textures")),
+        "skins": len(document.items("skins")),
+        "animations": animations,
+        "extensions": sorted(str(name) for name in document.tree.get("extensionsUsed", [])),
+    }
+
+
+def _print(facts: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bold")
+    table.add_column(overflow="fold")
+    for key, value in facts.items():
+        table.add_row(Text(key.replace("_", " ")), Text(_say(key, value)))
+    Console().print(table)
+
+
+def _say(key: str, value: Any) -> str:
+    if key == "bytes":
+        return size_text(value)
+    if key in ("height", "seconds"):
+        return f"{value:g} {'m' if key == 'height' else 's'}"
+    if key in ("extent", "lowest_corner", "root_travel"):
+        return " x ".join(f"{x:g}" for x in value) + " m" if key == "extent" else ", ".join(f"{x:g}" for x in value) + " m"
+    if key == "orientation":
+        up, front = (f"{value[which].upper()} ({_sure(value[which + '_confidence'])})" for which in ("up", "front"))
+        return value["note"] or f"up {up}, front {front}"
+    if key == "unit":
+        return value["note"] or value["name"]
+    if key == "rig":
+        return "none" if value is None else f"{value['joints']} joints, up to {value['influences']} influences a vertex: {_short(value['names'])}"
+    if key == "mapping":
+        return ", ".join(f"{name} = {own}" for name, own in value.items()) or "none found; a person has a pelvis and two legs"
+    if key == "animations":
+        return _short([f"{clip['name']} ({clip['seconds']:g} s)" for clip in value]) if value else "none"
+    if key == "deforms":
+        return ", ".join(f"{kind} {count:,}" for kind, count in value.items())
+    if isinstance(value, list):
+        return f"{len(value)}: {_short(value)}" if value else "none"
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _sure(share: float) -> str:
+    return f"{100 * min(share, 0.99):.0f} % sure"
+
+
+def _short(names: list[str], limit: int = 12) -> str:
+    more = f", and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more

@@ -1,0 +1,69 @@
+"""`bunraku rig`: the character with its handles as a skin, without motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from bunraku.cli.checks import check_input, check_output, make_folder
+from bunraku.cli.evaluate.report import wrote
+from bunraku.cli.orientation import AxisOption, check_axes, stand_up
+from bunraku.cli.progress import stages
+
+__all__ = ["Rig"]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Give a character its 30 handles as a skin, without motion.
+
+    Any 3D program can pose the result: handle 0 is the root, the others are its children, four weights a vertex.
+
+    Example: bunraku rig dragon.glb -o dragon-rigged.glb --preview dragon-handles.png
+    """
+
+    character: tyro.conf.Positional[Path]
+    """The mesh to rig."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH", help_behavior_hint="")] = None
+    """GLB to write. Default: CHARACTER-rigged.glb in this folder."""
+    preview: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Also make a picture (.png) of the front and the back, coloured by handle."""
+    handles: Literal["predict", "rig"] = "predict"
+    """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by their names."""
+    up: AxisOption = "auto"
+    """The axis that is up in the file. "auto" goes by the rule of the format, and by the shape where it has none."""
+    front: AxisOption = "auto"
+    """The axis that the character faces in the file."""
+
+    def run(self) -> None:
+        check_axes(self.up, self.front)
+        check_input(self.character)
+        output = self.output or Path(f"{self.character.stem}-rigged.glb")
+        check_output(output, (".glb",), [self.character])
+        if self.preview is not None:
+            check_output(self.preview, (".png",), [self.character])
+
+        from bunraku.io import load_character, save_character
+
+        with stages() as report:
+            report("load", 0.0)
+            character = stand_up(load_character(self.character), self.character, self.up, self.front)
+            report("load", 1.0)
+
+            from bunraku.pipelines.animate import rig
+
+            handles = rig(character, handles=self.handles, progress=report)
+            report("write", 0.0)
+            save_character(character, output, handles=handles)
+            report("write", 1.0)
+            if self.preview is not None:
+                from bunraku.render import save_still
+
+                make_folder(self.preview)
+                save_still(character, self.preview, handles, views=2)
+        wrote(output, f"{len(handles.positions)} handles")
+        if self.preview is not None:
+            wrote(self.preview)

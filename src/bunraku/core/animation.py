@@ -1,0 +1,64 @@
+"""An animation: a character, its handles and their motion, ready to be played or saved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
+from bunraku.errors import CharacterError, MotionError
+
+__all__ = ["Animation"]
+
+
+@dataclass(frozen=True)
+class Animation:
+    """A character driven by a handle motion.
+
+    Args:
+        character: The character.
+        handles: Its K handles.
+        motion: Their motion.
+        reference: The motion of the reference body that `motion` was fitted from, where it is known; it is what `bunraku.edit` edits.
+
+    Raises:
+        CharacterError: The handles weigh another number of vertices than the character has.
+        MotionError: The motion has another number of handles.
+    """
+
+    character: Character
+    handles: Handles
+    motion: HandleMotion
+    reference: HandleMotion | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.handles.weights) != len(self.character.vertices):
+            raise CharacterError(f"the handles weigh {len(self.handles.weights)} vertices but the character has {len(self.character.vertices)}")
+        if self.motion.translations.shape[1] != len(self.handles.positions):
+            raise MotionError(f"the motion has {self.motion.translations.shape[1]} handles but the character has {len(self.handles.positions)}")
+
+    def vertices(self, frames: slice | list[int] | np.ndarray | None = None) -> np.ndarray:
+        """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named (Eq. 3)."""
+        transforms = self.motion.transforms(self.handles.positions)
+        return skin(self.character.vertices, self.handles.weights, transforms if frames is None else transforms[frames])
+
+    def at(self, fps: float) -> Animation:
+        """The same at another rate [1/s]; the motion that it was fitted from is left out, as it stays at its own."""
+        from bunraku.formats.gltf.handle_channels import resample
+
+        return self if fps == self.motion.fps else Animation(self.character, self.handles, resample(self.motion, fps))
+
+    def save(self, path: str | Path, **options: Any) -> Path:
+        """Write the animation in the format that the file's suffix names and return the path.
+
+        Raises:
+            FormatError: The suffix is unknown, or the file cannot be written.
+        """
+        from bunraku.io import save_animation
+
+        return save_animation(self, path, **options)

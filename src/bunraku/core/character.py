@@ -1,0 +1,193 @@
+"""Characters: a rest-pose mesh, the rig its file may hold, and the handles that move it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from bunraku.errors import CharacterError
+
+__all__ = ["Character", "Handles", "Rig", "top_influences"]
+
+
+def _frozen(array: Any, dtype: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
+    """The array as a read-only one of this type and shape; None in the shape stands for any length."""
+    out = np.ascontiguousarray(array, dtype=dtype)
+    if out.ndim != len(shape) or any(want is not None and have != want for have, want in zip(out.shape, shape, strict=True)):
+        raise CharacterError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
+    if out is array:
+        out = out.view()
+    out.flags.writeable = False
+    return out
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The skeleton and skin that a file brings.
+
+    Args:
+        names: Joint names, length J.
+        parents: Parent of each joint, shape (J,); -1 for a root. Any order.
+        transforms: World transform of each joint in the rest pose [m], shape (J, 4, 4).
+        indices: Joints that move each vertex, shape (V, M).
+        weights: Their shares, shape (V, M), each row sums to 1.
+
+    Raises:
+        CharacterError: Shapes disagree, or an index points at no joint.
+    """
+
+    names: tuple[str, ...]
+    parents: np.ndarray
+    transforms: np.ndarray
+    indices: np.ndarray
+    weights: np.ndarray
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "parents", _frozen(self.parents, np.int64, (count,), "rig parents"))
+        object.__setattr__(self, "transforms", _frozen(self.transforms, np.float64, (count, 4, 4), "rig transforms"))
+        object.__setattr__(self, "indices", _frozen(self.indices, np.int32, (None, None), "rig indices"))
+        object.__setattr__(self, "weights", _frozen(self.weights, np.float32, self.indices.shape, "rig weights"))
+        if count and (self.parents.max(initial=-1) >= count or self.parents.min(initial=-1) < -1):
+            raise CharacterError("a rig joint names a parent that does not exist")
+        if self.indices.size and (self.indices.min() < 0 or self.indices.max() >= count):
+            raise CharacterError("a vertex is weighted to a joint that does not exist")
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Joint positions in the rest pose [m], shape (J, 3)."""
+        return self.transforms[:, :3, 3]
+
+    def dense_weights(self) -> np.ndarray:
+        """Skin weights as one matrix, shape (V, J)."""
+        dense = np.zeros((len(self.indices), len(self.names)), np.float32)
+        np.add.at(dense, (np.arange(len(dense))[:, None], self.indices), self.weights)
+        return dense
+
+
+@dataclass(frozen=True)
+class Character:
+    """A rest-pose triangle mesh, with the rig of its file where it has one.
+
+    Args:
+        name: A short name, from the file.
+        vertices: Rest positions [m], +Y up, +Z forward, shape (V, 3).
+        faces: Vertex indices of each triangle, shape (F, 3).
+        rig: The file's own skeleton and skin.
+        colors: Colour of each vertex for previews, sRGB, shape (V, 3), uint8.
+        source: The document that the mesh came from, owned by `bunraku.io`; it lets a writer give the user's
+            materials, textures, UVs and vertex order back untouched.
+
+    Raises:
+        CharacterError: No vertices, no faces, a coordinate that is not finite, an index outside the vertices, or no extent.
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    rig: Rig | None = None
+    colors: np.ndarray | None = None
+    source: Any = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", _frozen(self.vertices, np.float32, (None, 3), "vertices"))
+        object.__setattr__(self, "faces", _frozen(self.faces, np.int64, (None, 3), "faces"))
+        count = len(self.vertices)
+        if count == 0:
+            raise CharacterError(f"{self.name}: the mesh is empty; export it again with its vertices")
+        if len(self.faces) == 0:
+            raise CharacterError(f"{self.name}: these are points without faces; make a surface of them first (for example with Blender's remesh)")
+        if self.faces.min() < 0 or self.faces.max() >= count:
+            raise CharacterError(f"{self.name}: a face uses vertex {int(self.faces.max())} but there are only {count}; the file is broken")
+        bad = int((~np.isfinite(self.vertices).all(axis=1)).sum())
+        if bad:
+            raise CharacterError(f"{self.name}: {bad} vertices have coordinates that are not numbers; clean the mesh and export it again")
+        if float(np.ptp(self.vertices, axis=0).max()) <= 0:
+            raise CharacterError(f"{self.name}: all vertices are at one point; there is nothing to animate")
+        if self.colors is not None:
+            object.__setattr__(self, "colors", _frozen(self.colors, np.uint8, (count, 3), "colors"))
+        if self.rig is not None and len(self.rig.indices) != count:
+            raise CharacterError(f"{self.name}: the rig weights {len(self.rig.indices)} vertices but the mesh has {count}")
+
+    @cached_property
+    def surface(self) -> np.ndarray:
+        """Which vertices have faces, shape (V,), bool. Files bring stray ones; nobody sees them, so nothing is measured by them."""
+        used = np.zeros(len(self.vertices), bool)
+        used[self.faces] = True
+        used.flags.writeable = False
+        return used
+
+    @property
+    def height(self) -> float:
+        """Extent of the surface along +Y [m]; the largest extent for something flat."""
+        extent = np.ptp(self.vertices[self.surface], axis=0)
+        return float(extent[1] if extent[1] > 1e-3 * extent.max() else extent.max())
+
+
+@dataclass(frozen=True)
+class Handles:
+    """The K handles of a character (section 3.1 of TapMo); handle 0 is the root.
+
+    Args:
+        positions: Handle positions h in the rest pose [m], shape (K, 3).
+        weights: Skinning weights s, shape (V, K), rows sum to 1.
+        features: The mesh deformation feature f_phi, shape (448,), when the predictor made the handles.
+        roles: The handle whose part each handle plays, shape (K,), where spare handles move further limbs: the second left knee of
+            a spider plays that of the left knee. None where each plays its own.
+
+    Raises:
+        CharacterError: Shapes disagree, a value is not finite, rows do not sum to 1, or a role is that of no handle or the root's.
+    """
+
+    positions: np.ndarray
+    weights: np.ndarray
+    features: np.ndarray | None = None
+    roles: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "positions", _frozen(self.positions, np.float32, (None, 3), "handle positions"))
+        object.__setattr__(self, "weights", _frozen(self.weights, np.float32, (None, len(self.positions)), "handle weights"))
+        if not np.isfinite(self.weights).all() or not np.isfinite(self.positions).all():
+            raise CharacterError("handles must be finite")
+        if np.abs(self.weights.sum(axis=1) - 1).max(initial=0) > 1e-3:
+            raise CharacterError("the handle weights of each vertex must sum to 1")
+        if self.roles is not None:
+            count = len(self.positions)
+            object.__setattr__(self, "roles", _frozen(self.roles, np.int64, (count,), "handle roles"))
+            if count and (self.roles[0] != 0 or self.roles[1:].min(initial=1) < 1 or self.roles.max() >= count):
+                raise CharacterError("handle 0 plays the root, and every other handle the part of one that exists and is not the root")
+
+    @property
+    def played(self) -> np.ndarray:
+        """The handle whose part each handle plays, shape (K,): its own where `roles` says nothing."""
+        return np.arange(len(self.positions)) if self.roles is None else self.roles
+
+    def top(self, count: int = 4) -> Handles:
+        """The same handles with only the largest `count` weights of each vertex kept and renormalised, as viewers read them."""
+        indices, shares = top_influences(self.weights, count)
+        kept = np.zeros_like(self.weights)
+        np.put_along_axis(kept, indices, shares, axis=1)
+        return Handles(self.positions, kept, self.features, self.roles)
+
+
+def top_influences(weights: np.ndarray, count: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """The largest weights of each vertex, renormalised, largest first.
+
+    Args:
+        weights: Skinning weights, shape (V, K).
+        count: How many to keep, C.
+
+    Returns:
+        Indices (V, C) int64 and shares (V, C) float32 whose rows sum to 1. Where K < C, both have K columns.
+    """
+    count = min(count, weights.shape[1])
+    indices = np.argpartition(weights, weights.shape[1] - count, axis=1)[:, weights.shape[1] - count :]
+    shares = np.take_along_axis(weights, indices, axis=1)
+    order = np.argsort(-shares, axis=1, kind="stable")
+    indices, shares = np.take_along_axis(indices, order, axis=1), np.take_along_axis(shares, order, axis=1)
+    total = shares.sum(axis=1, keepdims=True)
+    return indices, (shares / np.where(total > 0, total, 1)).astype(np.float32)

@@ -1,0 +1,205 @@
+"""Motions: of a skeleton, and of mesh handles (Eq. 3 of TapMo)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bunraku.errors import MotionError
+
+__all__ = ["HandleMotion", "SkeletalMotion", "Skeleton", "line_up", "local_rotations"]
+
+
+def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
+    out = np.ascontiguousarray(value, dtype=dtype)
+    if out.ndim != len(shape) or any(want is not None and have != want for have, want in zip(out.shape, shape, strict=True)):
+        raise MotionError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
+    if not np.isfinite(out).all():
+        raise MotionError(f"{what} holds values that are not numbers")
+    if out is value:
+        out = out.view()
+    out.flags.writeable = False
+    return out
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Joints with their parents before them.
+
+    Args:
+        names: Joint names, length J.
+        parents: Parent of each joint, shape (J,); -1 for the root, which is joint 0.
+        offsets: Rest position of each joint from its parent's [m], shape (J, 3).
+    """
+
+    names: tuple[str, ...]
+    parents: np.ndarray
+    offsets: np.ndarray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "parents", _array(self.parents, (len(self.names),), "skeleton parents", np.int64))
+        object.__setattr__(self, "offsets", _array(self.offsets, (len(self.names), 3), "skeleton offsets"))
+        if not len(self.names) or self.parents[0] != -1 or (self.parents[1:] >= np.arange(1, len(self.names))).any() or (self.parents[1:] < 0).any():
+            raise MotionError("a skeleton needs one root, first, and every parent before its children")
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Joint positions in the rest pose [m], shape (J, 3)."""
+        out = self.offsets.copy()
+        for joint in range(1, len(self.names)):
+            out[joint] += out[self.parents[joint]]
+        return out
+
+
+def line_up(joint: int, parents: Sequence[int] | np.ndarray) -> list[int]:
+    """A joint and those above it, the root last."""
+    out = [joint]
+    while parents[out[-1]] >= 0:
+        out.append(int(parents[out[-1]]))
+    return out
+
+
+def local_rotations(world: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """Rotations in the frames of the parents from those in the world, shape (N, J, 3, 3).
+
+    Args:
+        world: Of all joints, shape (N, J, 3, 3).
+        parents: Of a `Skeleton`, shape (J,); the root is joint 0.
+    """
+    out = world.copy()
+    out[:, 1:] = np.swapaxes(world[:, parents[1:]], -1, -2) @ world[:, 1:]
+    return out
+
+
+@dataclass(frozen=True)
+class SkeletalMotion:
+    """Local joint rotations and a root translation per frame.
+
+    Args:
+        skeleton: The J joints.
+        rotations: Rotation of each joint in its parent's frame, shape (N, J, 3, 3).
+        root_translation: Position of the root joint [m], shape (N, 3).
+        fps: Frames a second [1/s].
+    """
+
+    skeleton: Skeleton
+    rotations: np.ndarray
+    root_translation: np.ndarray
+    fps: float = 20.0
+
+    def __post_init__(self) -> None:
+        joints = len(self.skeleton.names)
+        object.__setattr__(self, "rotations", _array(self.rotations, (None, joints, 3, 3), "joint rotations"))
+        object.__setattr__(self, "root_translation", _array(self.root_translation, (len(self.rotations), 3), "root translation"))
+        if not 0 < self.fps < math.inf:
+            raise MotionError("frames a second must be positive and finite")
+
+    def __len__(self) -> int:
+        return len(self.rotations)
+
+    def world(self) -> tuple[np.ndarray, np.ndarray]:
+        """Forward kinematics: world rotations (N, J, 3, 3) and joint positions [m] (N, J, 3)."""
+        rotations = np.empty_like(self.rotations)
+        positions = np.empty((*self.rotations.shape[:2], 3), np.float32)
+        rotations[:, 0], positions[:, 0] = self.rotations[:, 0], self.root_translation
+        for joint in range(1, self.rotations.shape[1]):
+            parent = self.skeleton.parents[joint]
+            rotations[:, joint] = rotations[:, parent] @ self.rotations[:, joint]
+            positions[:, joint] = positions[:, parent] + rotations[:, parent] @ self.skeleton.offsets[joint]
+        return rotations, positions
+
+    def save(self, path: str | Path, **options: Any) -> Path:
+        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see `bunraku.formats.save_motion`)."""
+        from bunraku.io import save_motion
+
+        return save_motion(self, path, **options)
+
+
+@dataclass(frozen=True)
+class HandleMotion:
+    """Motion of K mesh handles: x0 = {tau_l, r_l, tau_g, r_g} of TapMo, section 3.1.
+
+    A vertex v of weights s goes to `R_g (sum_k s_k (R_k (v - h_k) + h_k + t_k) - h_0) + h_0 + t_g` (Eq. 3, with the root's
+    own share kept: handle 0 has the identity as its local transform).
+
+    Args:
+        translations: Local translations t_k in the root's frame [m], shape (N, K, 3); handle 0 is zero.
+        rotations: Local rotations R_k in the root's frame, shape (N, K, 3, 3); handle 0 is the identity.
+        root_translation: Global translation t_g [m], shape (N, 3).
+        root_rotation: Global rotation R_g, shape (N, 3, 3).
+        fps: Frames a second [1/s].
+
+    Raises:
+        MotionError: Shapes disagree, a value is not finite, or handle 0 moves locally.
+    """
+
+    translations: np.ndarray
+    rotations: np.ndarray
+    root_translation: np.ndarray
+    root_rotation: np.ndarray
+    fps: float = 20.0
+
+    arrays: ClassVar[tuple[str, ...]] = ("translations", "rotations", "root_translation", "root_rotation")
+    """Names of what has a value for each frame."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "translations", _array(self.translations, (None, None, 3), "handle translations"))
+        frames, handles = self.translations.shape[:2]
+        object.__setattr__(self, "rotations", _array(self.rotations, (frames, handles, 3, 3), "handle rotations"))
+        object.__setattr__(self, "root_translation", _array(self.root_translation, (frames, 3), "root translation"))
+        object.__setattr__(self, "root_rotation", _array(self.root_rotation, (frames, 3, 3), "root rotation"))
+        if frames == 0:
+            raise MotionError("a motion needs at least one frame")
+        if not 0 < self.fps < math.inf:
+            raise MotionError("frames a second must be positive and finite")
+        if np.abs(self.translations[:, 0]).max() > 1e-5 or np.abs(self.rotations[:, 0] - np.eye(3)).max() > 1e-5:
+            raise MotionError("handle 0 is the root: its local transform must be the identity")
+
+    def __len__(self) -> int:
+        return len(self.translations)
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return len(self) / self.fps
+
+    def take(self, frames: slice | np.ndarray) -> HandleMotion:
+        """The motion of some of the frames: a slice, or indices of shape (M,)."""
+        return replace(self, **{name: getattr(self, name)[frames] for name in self.arrays})
+
+    @classmethod
+    def joined(cls, parts: Sequence[HandleMotion]) -> HandleMotion:
+        """Motions of the same handles one after the other, at the rate of the first."""
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.arrays}
+        return replace(parts[0], **arrays)
+
+    def transforms(self, positions: np.ndarray) -> np.ndarray:
+        """World transform of each handle as Eq. 3 applies it to rest positions.
+
+        Args:
+            positions: Handle positions h [m], shape (K, 3).
+
+        Returns:
+            Affine transforms [A | b], shape (N, K, 3, 4), float32: a vertex wholly of handle k goes to A v + b.
+        """
+        h = np.asarray(positions, np.float32)
+        local = h + self.translations - np.einsum("nkij,kj->nki", self.rotations, h)
+        out = np.empty((*self.translations.shape[:2], 3, 4), np.float32)
+        out[..., :3] = self.root_rotation[:, None] @ self.rotations
+        out[..., 3] = np.einsum("nij,nkj->nki", self.root_rotation, local - h[0]) + h[0] + self.root_translation[:, None]
+        return out
+
+    def save(self, path: str | Path, **options: Any) -> Path:
+        """Write a motion of the reference body in the format that the file's suffix names, and return the path.
+
+        .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do (see `bunraku.formats.save_motion`).
+        """
+        from bunraku.io import save_motion
+
+        return save_motion(self, path, **options)

@@ -1,0 +1,150 @@
+"""The table of the Mesh Handle Predictor: `bunraku evaluate handles`. Definitions are in `docs/evaluation.md`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.errors import BunrakuError, OptionError
+from bunraku.evaluation.handles.subjects import Subject, find_files, load_subject, subject, subject_name
+from bunraku.evaluation.handles.trials import Predict, Reference, measure_subject, prediction_seconds, resolution_differences
+from bunraku.handles.predict import predict_handles
+
+__all__ = ["BARS", "Bar", "code_made_subjects", "evaluate_handles", "folder_subjects"]
+
+RESAMPLED = 30
+"""Characters on which resolutions are compared, evenly over the list."""
+SPEEDS = {"seconds_5k": 5_000, "seconds_200k": 200_000}
+
+Load = Callable[[], Subject]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """What a measure should reach.
+
+    Args:
+        title: The measure in words.
+        bar: The value to reach; None for rows that are only shown.
+        high: Whether more is better.
+        seconds: Whether it is a time and not a share.
+    """
+
+    title: str
+    bar: float | None = None
+    high: bool = False
+    seconds: bool = False
+
+    def reached(self, value: float | None) -> bool | None:
+        """Whether a value reaches the bar; None where there is no bar or no value."""
+        if self.bar is None or value is None:
+            return None
+        return value >= self.bar if self.high else value <= self.bar
+
+
+BARS: dict[str, Bar] = {
+    "root_error": Bar("root: first handle to the root joint, over the height", 0.03),
+    "part_purity": Bar("part purity: vertices of a part that share its main handle", 0.9, high=True),
+    "same_meaning": Bar("same meaning: named parts whose main handle is the reference body's", 0.9, high=True),
+    "same_meaning_vertices": Bar("  the same, vertex by vertex"),
+    "pose_error": Bar("pose error: random poses, over the height", 0.015),
+    "pose_error_clusters": Bar("  of 30 geodesic k-means clusters"),
+    "pose_error_bone_heat": Bar("  of bone heat on an embedded skeleton"),
+    "pose_error_together": Bar("  of the handles, their motions fitted to one another"),
+    "pose_error_bone_heat_together": Bar("  of bone heat, fitted so"),
+    "resolution_l1": Bar("resolution: L1 difference of weights at 1k, 5k and 50k vertices", 0.05),
+    "rest_pose_agreement": Bar("rest pose: main handle unchanged in A, arms down and sitting", 0.9, high=True),
+    "top4_error": Bar("top 4: error of four weights a vertex in motion, over the height", 0.001),
+    "seconds_5k": Bar("speed: 5,000 vertices [s]", 0.3, seconds=True),
+    "seconds_200k": Bar("speed: 200,000 vertices [s]", 4.0, seconds=True),
+}
+"""The measures in the order of the table."""
+
+
+def folder_subjects(folder: Path, everything: bool = False) -> dict[str, Load]:
+    """How to load each character of a folder (see `bunraku.evaluation.handles.subjects.find_files`), by name."""
+    return {subject_name(folder, file): partial(load_subject, file, subject_name(folder, file)) for file in find_files(folder, everything)}
+
+
+def code_made_subjects(count: int = 30) -> dict[str, Load]:
+    """How to make each of the characters made by code that no training sees, by name."""
+    from bunraku.synthetic.families import EVALUATION_SEED, code_made_character, code_made_names
+
+    def make(family: str, seed: int) -> Subject:
+        return subject(code_made_character(family, seed), f"code_made/{family}_{seed}")
+
+    return {f"code_made/{family}_{seed}": partial(make, family, seed) for family, seed in code_made_names(count, EVALUATION_SEED)}
+
+
+def _spread(names: list[str], count: int) -> set[str]:
+    return {names[i] for i in np.unique(np.linspace(0, len(names) - 1, count).round().astype(int))}
+
+
+def _mean(rows: Iterable[dict[str, Any]], key: str) -> float | None:
+    values = [row[key] for row in rows if row.get(key) is not None]
+    return float(np.mean(values)) if values else None
+
+
+def evaluate_handles(
+    subjects: dict[str, Load],
+    *,
+    checkpoint: str | Path | None = None,
+    baselines: bool = True,
+    speed: bool = True,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> dict[str, Any]:
+    """Measure the predictor on characters.
+
+    Args:
+        subjects: How to load each character, by name (`folder_subjects`, `code_made_subjects`).
+        checkpoint: Weights of the predictor; the shipped ones when None.
+        baselines: Also pose the characters by clusters and by bone heat.
+        speed: Also take the time of predictions.
+        seed: Of the random poses and of the clusters.
+        progress: Called with a stage's name and the share done.
+
+    Returns:
+        Numbers and lists that JSON can say: the measures of `BARS` (shares, or seconds; None where no character fits one), "bars",
+        "reached", "counts", "left_out" (name: reason) and "characters" with a row for each.
+
+    Raises:
+        OptionError: None of the characters can be measured.
+        WeightsError: The checkpoint is missing or does not fit.
+    """
+    report = progress or (lambda stage, share: None)
+    predict: Predict = partial(predict_handles, checkpoint=checkpoint)
+    reference = Reference.of(predict)
+    rows: list[dict[str, Any]] = []
+    left_out: dict[str, str] = {}
+    for number, (name, load) in enumerate(subjects.items()):
+        try:
+            rows.append(measure_subject(load(), predict, reference, baselines, seed))
+        except BunrakuError as error:
+            left_out[name] = str(error)
+        report("characters", (number + 1) / len(subjects))
+    if not rows:
+        raise OptionError(f"none of the {len(subjects)} characters can be measured ({next(iter(left_out.values()), 'there are none')})")
+    chosen = _spread([row["name"] for row in rows], RESAMPLED)
+    for number, row in enumerate(row for row in rows if row["name"] in chosen):
+        row["resolutions"] = resolution_differences(subjects[row["name"]](), predict)
+        row["resolution_l1"] = float(np.mean(list(row["resolutions"].values())))
+        report("resolutions", (number + 1) / len(chosen))
+    result: dict[str, Any] = {key: _mean(rows, key) for key in BARS if not BARS[key].seconds}
+    for number, (key, count) in enumerate(SPEEDS.items()):
+        result[key] = prediction_seconds(count, predict) if speed else None
+        report("speed", (number + 1) / len(SPEEDS))
+    parts = [right for row in rows for right in row.get("parts", {}).values()]
+    result["same_meaning"] = float(np.mean(parts)) if parts else None
+    result["bars"] = {key: bar.bar for key, bar in BARS.items() if bar.bar is not None}
+    result["reached"] = {key: BARS[key].reached(result[key]) for key in result["bars"]}
+    rivals = [result[key] for key in ("pose_error_clusters", "pose_error_bone_heat") if result[key] is not None]
+    if rivals and result["reached"]["pose_error"]:
+        result["reached"]["pose_error"] = bool(result["pose_error"] < min(rivals))
+    result["counts"] = {"characters": len(rows), "humanoids": sum(row["humanoid"] for row in rows), "resampled": len(chosen)}
+    return result | {"left_out": left_out, "characters": rows}

@@ -1,0 +1,221 @@
+"""The feature extractor of the motion table: motions and sentences in one space (Guo et al. 2022, section A.2 of TapMo).
+
+A motion encoder and a text encoder give vectors of the same size, trained so that a motion lies near its own sentence and
+far from others. The frames are folded four to a token, a small transformer mixes them, their mean is the motion's vector;
+the sentence comes from the frozen text encoder's tokens. Vectors have the length 10, so distances run from 0 to 20.
+
+The corrected protocol. MDM's evaluation embedded the captions of generated motions with the number of padded tokens in
+place of the number of words, while real motions got the right number, so the same caption had two different vectors and
+generated rows looked worse (its issue 182, mended in January 2024). Here there is one path for all rows: sentences are
+embedded by `embed_sentences` alone, each once, with the tokenizer's own mask, and neither padding nor the rest of the
+batch can change a vector. The same holds for motions: `embed_motions` masks what lies behind a motion's end. Tests hold both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from bunraku.diffusion.features import FEATURE_SIZE, feature_weights
+from bunraku.errors import WeightsError
+from bunraku.language.encoders import MiniLMEncoder, TextBatch, TextEncoder
+from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+
+__all__ = ["RADIUS", "Extractor", "ExtractorConfig", "embed_motions", "embed_sentences", "load_extractor", "save_extractor"]
+
+KIND = "extractor"
+RADIUS = 10.0
+FARTHEST = 8.0  # standard deviations, as in training of the denoiser
+
+
+@dataclass(frozen=True)
+class ExtractorConfig:
+    """All that builds an extractor; a checkpoint carries it.
+
+    Args:
+        width: Size of a token.
+        layers: Transformer layers of the motion encoder.
+        heads: Attention heads.
+        feedforward: Inner size of the feed-forward blocks.
+        embedding: Size of the common space. The covariance that FID needs has its square, so it stays small.
+        frames_per_token: Frames that share a token.
+        features: Numbers a frame, D.
+        text_encoder: Name of the text encoder.
+        text_size: Size of its tokens.
+        pooled_size: Size of its sentence vector.
+        dropout: Share of units left out while training.
+    """
+
+    width: int = 192
+    layers: int = 3
+    heads: int = 4
+    feedforward: int = 384
+    embedding: int = 64
+    frames_per_token: int = 4
+    features: int = FEATURE_SIZE
+    text_encoder: str = MiniLMEncoder.name
+    text_size: int = 384
+    pooled_size: int = 384
+    dropout: float = 0.1
+
+
+def _layers(config: ExtractorConfig, count: int) -> nn.ModuleList:
+    return nn.ModuleList(_Layer(config.width, config.heads, config.feedforward, config.dropout) for _ in range(count))
+
+
+class _Layer(nn.Module):
+    """A pre-norm transformer layer."""
+
+    def __init__(self, width: int, heads: int, feedforward: int, dropout: float):
+        super().__init__()
+        self.heads = heads
+        self.norm_a, self.norm_b = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.inside, self.outside = nn.Linear(width, 3 * width), nn.Linear(width, width)
+        self.wide, self.narrow = nn.Linear(width, feedforward), nn.Linear(feedforward, width)
+        self.drop = nn.Dropout(dropout)
+
+    def forward(self, x: Tensor, mask: Tensor) -> Tensor:
+        """x (B, T, d), mask (B, T), True where real."""
+        query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in self.inside(self.norm_a(x)).chunk(3, dim=-1))
+        # written out: torch's fused backward takes most of a step on a CPU
+        scores = ((query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)).masked_fill(~mask[:, None, None], -1e4)
+        mixed = torch.softmax(scores, dim=-1, dtype=scores.dtype) @ value
+        x = x + self.drop(self.outside(mixed.transpose(1, 2).flatten(2)))
+        return x + self.drop(self.narrow(F.gelu(self.wide(self.norm_b(x)))))
+
+
+def _mean(x: Tensor, mask: Tensor) -> Tensor:
+    share = mask[..., None].to(x.dtype)
+    return (x * share).sum(1) / share.sum(1).clamp(min=1)
+
+
+class Extractor(nn.Module):
+    """Embeds motions and sentences. Statistics of the training features travel with the weights as buffers."""
+
+    mean: Tensor
+    std: Tensor
+    weights: Tensor
+    rates: Tensor
+
+    def __init__(self, config: ExtractorConfig):
+        super().__init__()
+        self.config = config
+        self.notes: dict[str, Any] = {}
+        width, drop = config.width, config.dropout
+        self.register_buffer("mean", torch.zeros(config.features))
+        self.register_buffer("std", torch.ones(config.features))
+        weights = feature_weights() if config.features == FEATURE_SIZE else np.ones(config.features, np.float32)
+        self.register_buffer("weights", torch.from_numpy(np.sqrt(weights)))  # idle handles count less, as in the denoiser's loss
+        self.register_buffer("rates", 1000.0 ** (-torch.arange(0, width, 2) / width), persistent=False)
+        self.motion_in = nn.Linear(config.features * config.frames_per_token, width)
+        self.motion_layers = _layers(config, config.layers)
+        self.motion_norm = nn.LayerNorm(2 * width)
+        self.motion_out = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Dropout(drop), nn.Linear(width, config.embedding))
+        self.text_in = nn.Linear(config.text_size, width)
+        self.text_layers = _layers(config, 1)
+        self.pooled_in = nn.Linear(config.pooled_size, width)
+        self.text_norm = nn.LayerNorm(2 * width)
+        self.text_out = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Dropout(drop), nn.Linear(width, config.embedding))
+        self.log_scale = nn.Parameter(torch.tensor(2.7))  # of the cosines in the loss
+
+    def _places(self, tokens: int, device: torch.device) -> Tensor:
+        angle = torch.arange(tokens, device=device)[:, None] * self.rates
+        return 0.5 * torch.cat([angle.cos(), angle.sin()], dim=-1)
+
+    def motion(self, features: Tensor, lengths: Tensor) -> Tensor:
+        """Vectors of motions.
+
+        Args:
+            features: In the data's units, anything behind a motion's end, shape (B, N, D).
+            lengths: Real frames, shape (B,).
+
+        Returns:
+            Shape (B, E), of length `RADIUS`.
+        """
+        batch, frames, _ = features.shape
+        patch = self.config.frames_per_token
+        tokens = -(-frames // patch)
+        x = ((features - self.mean) / self.std).clamp(-FARTHEST, FARTHEST) * self.weights
+        real = torch.arange(tokens * patch, device=x.device) < lengths[:, None]
+        x = F.pad(x, (0, 0, 0, tokens * patch - frames)).masked_fill(~real[..., None], 0)
+        mask = real.view(batch, tokens, patch).any(-1)
+        h = self.motion_in(x.reshape(batch, tokens, -1))
+        h = h + self._places(tokens, h.device).to(h.dtype)
+        for layer in self.motion_layers:
+            h = layer(h, mask)
+        most = h.masked_fill(~mask[..., None], -1e4).amax(1)  # a short event in a long motion survives in the maximum
+        return RADIUS * F.normalize(self.motion_out(self.motion_norm(torch.cat([_mean(h, mask), most], dim=-1))).float(), dim=-1)
+
+    def text(self, text: TextBatch) -> Tensor:
+        """Vectors of sentences, shape (B, E), of length `RADIUS`."""
+        h = self.text_in(text.tokens)
+        for layer in self.text_layers:
+            h = layer(h, text.mask)
+        pooled = self.pooled_in(text.pooled * self.config.pooled_size**0.5)
+        return RADIUS * F.normalize(self.text_out(self.text_norm(torch.cat([_mean(h, text.mask), pooled.to(h.dtype)], dim=-1))).float(), dim=-1)
+
+
+@torch.inference_mode()
+def embed_motions(extractor: Extractor, motions: Sequence[np.ndarray], batch: int = 64) -> np.ndarray:
+    """Vectors of motions, in their order.
+
+    Args:
+        extractor: The network.
+        motions: Features in the data's units, each of shape (N, 271).
+        batch: Motions in one pass; it does not change the vectors.
+
+    Returns:
+        Shape (B, E), float64.
+    """
+    order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
+    out = np.zeros((len(motions), extractor.config.embedding))
+    for start in range(0, len(order), batch):
+        part = order[start : start + batch]
+        lengths = torch.tensor([len(motions[index]) for index in part])
+        values = torch.zeros(len(part), int(lengths.max()), extractor.config.features)
+        for row, index in enumerate(part):
+            values[row, : len(motions[index])] = torch.from_numpy(np.asarray(motions[index], np.float32))
+        device = extractor.mean.device
+        out[part] = extractor.motion(values.to(device), lengths.to(device)).double().cpu().numpy()
+    return out
+
+
+@torch.inference_mode()
+def embed_sentences(extractor: Extractor, encoder: TextEncoder, sentences: Sequence[str]) -> dict[str, np.ndarray]:
+    """The vector of each sentence, float64, shape (E,): one for all rows of a table."""
+    distinct = sorted(set(sentences))
+    found: dict[str, np.ndarray] = {}
+    for start in range(0, len(distinct), 256):
+        part = distinct[start : start + 256]
+        vectors = extractor.text(encoder.encode(part).to(extractor.mean.device)).double().cpu().numpy()
+        found.update(zip(part, vectors, strict=True))
+    return found
+
+
+def save_extractor(path: str | Path, model: Extractor, notes: dict[str, Any] | None = None) -> Path:
+    """Write an extractor in half precision with its config."""
+    return save_checkpoint(path, model.state_dict(), asdict(model.config) | {"notes": notes or {}}, KIND, half=True)
+
+
+def load_extractor(path: str | Path, device: str | torch.device = "cpu") -> Extractor:
+    """Read an extractor, ready for use.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
+    """
+    state, config = load_checkpoint(path, KIND)
+    notes = config.pop("notes", None)
+    try:
+        model = Extractor(ExtractorConfig(**config))
+        model.load_state_dict(state)
+        model.notes = dict(notes or {})
+    except Exception as error:
+        raise WeightsError(f"{path}: the config and the weights of this extractor disagree ({str(error).splitlines()[0]}); train it again") from error
+    return model.to(device).eval().requires_grad_(False)

@@ -1,0 +1,267 @@
+"""Meshes of a glTF document in its default pose: positions, triangles and skin of each primitive, in world space."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bunraku.formats.gltf.document import Document
+from bunraku.formats.gltf.nodes import NodeTree, SkinJoints
+from bunraku.formats.mesh.skins import borrow_weights
+
+__all__ = ["MeshPart", "PrimitiveData", "check_size", "primitive_groups", "primitive_triangles", "read_part", "skin_matrices"]
+
+MAX_VERTICES, MAX_TRIANGLES, MAX_PRIMITIVES = 20_000_000, 40_000_000, 50_000
+
+
+@dataclass(frozen=True)
+class PrimitiveData:
+    """The vertices that one or several primitives of a mesh share.
+
+    Args:
+        primitives: Indices of the primitives in their mesh.
+        vertices: Default-pose positions in world space [m], shape (V, 3), float64.
+        triangles: For each primitive, vertex indices, shape (F, 3).
+        joints: Joints of the merged list, shape (V, M).
+        weights: Their shares, rows sum to 1, shape (V, M); empty where there is no rig.
+        repaired: How many vertices had weights that had to be mended.
+    """
+
+    primitives: tuple[int, ...]
+    vertices: np.ndarray
+    triangles: tuple[np.ndarray, ...]
+    joints: np.ndarray
+    weights: np.ndarray
+    repaired: int
+
+
+@dataclass(frozen=True)
+class MeshPart:
+    """A mesh where a node places it.
+
+    Args:
+        node: The node.
+        mesh: Its mesh.
+        transform: What takes raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its rest pose.
+        mirrored: Whether the transform turns the triangles inside out; those of the groups are turned back.
+        groups: Its vertices.
+    """
+
+    node: int
+    mesh: int
+    transform: np.ndarray | None
+    mirrored: bool
+    groups: tuple[PrimitiveData, ...]
+
+
+def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
+    """Primitives of a mesh that share their positions and skin, with the attributes that they share."""
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    primitives = document.objects(document.item("meshes", mesh), "primitives")
+    for index, primitive in enumerate(primitives):
+        attributes = primitive.get("attributes")
+        if not isinstance(attributes, dict):
+            document.fail(f"meshes[{mesh}] has a primitive without attributes; the file is broken, export it again")
+        if "POSITION" not in attributes:
+            if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
+                document.fail("its meshes are compressed with KHR_draco_mesh_compression, which is not read; export it again without that")
+            continue  # glTF lets extensions bring positions; there is nothing to draw without one
+        key = tuple(repr(attributes.get(name)) for name in ("POSITION", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1"))
+        groups.setdefault((*key, repr(primitive.get("targets"))), []).append(index)
+    for members in groups.values():
+        yield tuple(members), primitives[members[0]]["attributes"]
+
+
+def primitive_triangles(document: Document, primitive: dict[str, Any], count: int) -> np.ndarray:
+    """Vertex indices of the triangles of a primitive: lists, strips and fans; none for points and lines, shape (F, 3)."""
+    mode = document.integer(primitive, "mode", 4, high=6)
+    if mode < 4:
+        return np.zeros((0, 3), np.int64)
+    if "indices" in primitive:
+        order = document.accessor(primitive["indices"], ("SCALAR",), raw=True)[:, 0]
+        if order.dtype.kind != "u":
+            document.fail("the indices of a mesh are not unsigned whole numbers; the file is broken, export it again")
+        order = order.astype(np.int64)
+        if len(order) and int(order.max()) >= count:
+            document.fail(f"a triangle uses vertex {int(order.max())} but its mesh has {count}; the file is broken, export it again")
+    else:
+        order = np.arange(count)
+    if mode == 4:
+        return order[: len(order) - len(order) % 3].reshape(-1, 3)
+    if len(order) < 3:
+        return np.zeros((0, 3), np.int64)
+    if mode == 6:
+        return np.stack([order[1:-1], order[2:], np.full(len(order) - 2, order[0])], axis=1)
+    strip = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
+    strip[1::2, 1:] = strip[1::2, 2:0:-1]
+    return strip
+
+
+def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int) -> MeshPart:
+    """A mesh in world space, in the default pose of its node or of its skin.
+
+    Args:
+        document: The document.
+        tree: Its nodes.
+        skins: Its joints.
+        node: A node with a mesh.
+
+    Raises:
+        FormatError: An index, a count or a type is wrong.
+    """
+    entry = document.items("nodes")[node]
+    mesh = document.integer(entry, "mesh")
+    document.item("meshes", mesh)
+    skin = document.integer(entry, "skin") if "skin" in entry else None
+    if skin is not None and skin >= len(skins.slots):
+        document.fail(f"node {node} uses a skin that does not exist; the file is broken, export it again")
+    groups: list[PrimitiveData] = []
+    transforms: list[np.ndarray | None] = []
+    mirrored = bool(np.linalg.det((tree.world[node] if skin is None else skins.bind[skin].mean(axis=0))[:3, :3]) < 0)
+    rigid = _rigid_joint(tree, skins, node)
+    for members, attributes in primitive_groups(document, mesh):
+        primitives = document.items("meshes")[mesh]["primitives"]
+        raw = rest_positions(document, entry, mesh, primitives[members[0]])
+        triangles = tuple(primitive_triangles(document, primitives[member], len(raw)) for member in members)
+        if mirrored:
+            triangles = tuple(np.ascontiguousarray(some[:, [0, 2, 1]]) for some in triangles)
+        if skin is not None and "JOINTS_0" in attributes and "WEIGHTS_0" in attributes:
+            slots, weights, repaired = _influences(document, attributes, raw, len(skins.slots[skin]))
+            vertices, transform = _skinned(raw, slots, weights, skins.bind[skin])
+            joints = skins.slots[skin][slots]
+        else:
+            transform, repaired = tree.world[node], 0
+            vertices = raw @ transform[:3, :3].T + transform[:3, 3]
+            joints = np.full((len(raw), 1), rigid if rigid is not None else 0)
+            weights = np.ones((len(raw), 1))
+        groups.append(PrimitiveData(members, vertices, triangles, joints, weights, repaired))
+        transforms.append(transform)
+    return MeshPart(node, mesh, _common(transforms), mirrored, tuple(groups))
+
+
+def skin_matrices(document: Document, tree: NodeTree, skins: SkinJoints, part: MeshPart, group: int) -> np.ndarray:
+    """What takes each raw vertex of a group to its rest position, shape (V, 4, 4)."""
+    entry = document.items("nodes")[part.node]
+    primitive = document.items("meshes")[part.mesh]["primitives"][part.groups[group].primitives[0]]
+    attributes = primitive["attributes"]
+    if "skin" in entry and "JOINTS_0" in attributes and "WEIGHTS_0" in attributes:
+        bind = skins.bind[entry["skin"]]
+        raw = rest_positions(document, entry, part.mesh, primitive)
+        slots, weights, _ = _influences(document, attributes, raw, len(bind))
+        return np.einsum("vm,vmij->vij", weights, bind[slots])
+    return np.broadcast_to(tree.world[part.node], (len(part.groups[group].vertices), 4, 4))
+
+
+def rest_positions(document: Document, node: dict[str, Any], mesh: int, primitive: dict[str, Any]) -> np.ndarray:
+    """Raw positions of a primitive with the default weights of its morph targets applied, shape (V, 3), float64."""
+    raw = document.accessor(primitive["attributes"]["POSITION"], ("VEC3",)).astype(float)
+    entry = document.items("meshes")[mesh]
+    weights = node.get("weights", entry.get("weights", []))
+    targets = document.objects(primitive, "targets")
+    if isinstance(weights, list) and all(type(weight) in (int, float) for weight in weights):
+        for weight, target in zip(weights, targets, strict=False):
+            if weight and np.isfinite(weight) and "POSITION" in target and document.count(target["POSITION"]) == len(raw):
+                raw += weight * document.accessor(target["POSITION"], ("VEC3",))
+    return raw
+
+
+def check_size(document: Document, nodes: list[int]) -> None:
+    """Refuse a document whose nodes place more than can be worked with; many may place one mesh, so the file's size is no bound.
+
+    Raises:
+        FormatError: There are too many vertices, triangles or primitives.
+    """
+    sizes: dict[Any, tuple[int, int, int]] = {}
+    total = np.zeros(3, dtype=object)
+    for node in nodes:
+        mesh = document.items("nodes")[node].get("mesh")
+        if mesh is None:
+            continue
+        entry = document.item("meshes", mesh)
+        if mesh not in sizes:
+            vertices = corners = 0
+            primitives = document.objects(entry, "primitives")
+            shared: set[Any] = set()
+            for primitive in primitives:
+                attributes = primitive.get("attributes")
+                position = attributes.get("POSITION") if isinstance(attributes, dict) else None
+                count = document.count(position) if position is not None else 0
+                vertices += 0 if position in shared else count
+                shared.add(position)
+                corners += document.count(primitive["indices"]) if "indices" in primitive else count
+            sizes[mesh] = vertices, corners, len(primitives)
+        total += sizes[mesh]
+    if total[0] > MAX_VERTICES or total[1] > 3 * MAX_TRIANGLES or total[2] > MAX_PRIMITIVES:
+        limits = f"{MAX_VERTICES:,} vertices, {MAX_TRIANGLES:,} triangles or {MAX_PRIMITIVES:,} pieces"
+        document.fail(f"it has more than {limits}; simplify the mesh first")
+
+
+def _rigid_joint(tree: NodeTree, skins: SkinJoints, node: int) -> int | None:
+    """The joint that carries an unskinned mesh: its nearest ancestor joint, else the first joint that no joint carries."""
+    if not skins.nodes:
+        return None
+    chosen = {joint_node: joint for joint, joint_node in enumerate(skins.nodes)}
+    above = tree.ancestor_in(node, chosen)
+    if above is not None:
+        return chosen[above]
+    return next((j for j, n in enumerate(skins.nodes) if tree.parents[n] < 0 or tree.ancestor_in(int(tree.parents[n]), chosen) is None), 0)
+
+
+def _influences(document: Document, attributes: dict[str, Any], raw: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Slots and weights of each vertex with broken weights mended, and how many were."""
+    joints, weights = [], []
+    for name in ("0", "1"):
+        if f"JOINTS_{name}" in attributes and f"WEIGHTS_{name}" in attributes:
+            joints.append(document.accessor(attributes[f"JOINTS_{name}"], ("VEC4",), raw=True))
+            weights.append(document.accessor(attributes[f"WEIGHTS_{name}"], ("VEC4",)).astype(float))
+            if len(joints[-1]) != len(raw) or len(weights[-1]) != len(raw) or joints[-1].dtype.kind != "u":
+                document.fail("the skin of a mesh weighs another number of vertices than it has; the file is broken, export it again")
+    indices, shares = np.concatenate(joints, 1).astype(np.int64), np.concatenate(weights, 1)
+    shares = np.where(np.isfinite(shares) & (shares > 0), shares, 0)
+    indices[shares == 0] = 0
+    if len(indices) and int(indices.max()) >= slots:
+        document.fail(f"a vertex is weighted to joint {int(indices.max())} of a skin with {slots}; the file is broken, export it again")
+    total = shares.sum(axis=1)
+    lost = np.flatnonzero(~(total > 1e-9))
+    if len(lost):
+        borrow_weights(raw, indices, shares, lost)
+        total = shares.sum(axis=1)
+    return indices, shares / total[:, None], len(lost)
+
+
+def _skinned(raw: np.ndarray, slots: np.ndarray, weights: np.ndarray, bind: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Default-pose positions of a skinned mesh, and the one matrix that gives them where one does."""
+    used = np.unique(slots[weights > 0])
+    mean = bind[used].mean(axis=0) if len(used) else np.eye(4)
+    finite = np.isfinite(raw).all(axis=1)
+    reach = np.abs(raw[finite]).max(axis=0, initial=0)
+    extent = float(np.ptp(raw[finite], axis=0).max()) if finite.any() else 0.0
+    tolerance = 1e-5 * max(extent, 1e-12) * max(float(np.abs(mean[:3, :3]).max()), 1e-12)
+    spread = np.abs(bind[used] - mean)
+    if (spread[:, :3, :3] @ reach + spread[:, :3, 3:].reshape(-1, 3)).max(initial=0) <= tolerance:
+        return raw @ mean[:3, :3].T + mean[:3, 3], mean
+    vertices = np.zeros_like(raw)
+    for column in range(slots.shape[1]):
+        if weights[:, column].any():
+            matrices = bind[slots[:, column]]
+            vertices += weights[:, column, None] * (np.einsum("vij,vj->vi", matrices[:, :3, :3], raw) + matrices[:, :3, 3])
+    if not finite.all() or not np.isfinite(vertices).all():
+        return vertices, None
+    fit, _, rank, _ = np.linalg.lstsq(np.c_[raw, np.ones(len(raw))], vertices, rcond=1e-7)
+    affine = raw @ fit[:3] + fit[3]
+    if rank < 4 or float(np.abs(vertices - affine).max(initial=0)) > tolerance:
+        return vertices, None
+    transform = np.eye(4)
+    transform[:3] = fit.T
+    return affine, transform
+
+
+def _common(transforms: list[np.ndarray | None]) -> np.ndarray | None:
+    """The matrix that all groups of a mesh share, None where they differ: a node has one skin."""
+    first = transforms[0] if transforms else None
+    if first is None or any(other is None or not np.allclose(other, first, rtol=1e-6, atol=1e-9) for other in transforms):
+        return None
+    return first

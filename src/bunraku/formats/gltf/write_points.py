@@ -1,0 +1,165 @@
+"""Write GLB where vertices move on their own: the skin for what it can say, and morph targets for the rest.
+
+glTF adds morph targets before it skins, so each displacement is taken back through the skin of its frame. Targets hold only the
+vertices that leave their skin (sparse accessors), and as few shapes as a tolerance allows.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bunraku.errors import OptionError
+from bunraku.formats.gltf.builder import GltfBuilder
+from bunraku.formats.gltf.handle_channels import add_motion, checked_fps
+from bunraku.formats.gltf.morph_targets import Shapes, key_shapes, mixed_shapes
+from bunraku.formats.gltf.write import build_document, document_of, finish_document, joint_attributes, keeps_positions
+
+if TYPE_CHECKING:
+    from bunraku.core.point_animation import PointAnimation
+
+__all__ = ["write_point_animation"]
+
+TOLERANCE = 5e-4  # of the character's height
+FLATTEST = 0.1  # skin that squeezes a vertex's surroundings more than to this share is not taken back further
+CHUNK = 32  # frames at once
+ZERO = {"componentType": 5126, "type": "VEC3"}
+
+
+def write_point_animation(
+    animation: PointAnimation, path: Path, *, fps: float | None = None, name: str | None = None, tolerance: float | None = None, shapes: str = "mixed"
+) -> Path:
+    """Write an animation whose vertices also move on their own as GLB.
+
+    Args:
+        animation: The animation.
+        path: The file.
+        fps: Frames a second [1/s]; those of the motion by default.
+        name: The clip's name; the file's by default.
+        tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
+        shapes: "mixed" takes the fewest shapes that all frames are mixed of; "keys" the shapes of some frames, of which two at most show
+            at any time, for players that cannot mix many. Those files are larger, by far where cloth moves fast.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: An option makes no sense.
+    """
+    if shapes not in ("keys", "mixed"):
+        raise OptionError(f"shapes are 'keys' or 'mixed', not {shapes!r}")
+    character = animation.character
+    limit = TOLERANCE * character.height if tolerance is None else float(tolerance)
+    if not 0 < limit < np.inf:
+        raise OptionError(f"the tolerance must be a length over 0, not {tolerance!r}")
+    moved = animation.at(checked_fps(fps, animation.motion.fps))
+    motion, handles = moved.motion, moved.animation.handles
+    moving = np.flatnonzero((np.linalg.norm(moved.offsets, axis=-1) > 0.5 * limit).any(axis=0))
+    builder, joints = build_document(character, handles, path)
+    add_motion(builder, joints, handles.positions, motion, str(name) if name else path.stem)
+    if len(moving):
+        local = _before_skin(moved, moving)
+        found = (key_shapes if shapes == "keys" else mixed_shapes)(local, 0.95 * limit)
+        if len(found.shapes):
+            _add_targets(builder, moved, moving, found)
+    return finish_document(builder, path)
+
+
+def _before_skin(moved: PointAnimation, moving: np.ndarray) -> np.ndarray:
+    """Displacements of some vertices in the rest pose that the four weights of the file take to where they are [m], shape (N, M, 3)."""
+    handles, rest = moved.animation.handles, moved.character.vertices[moving].astype(np.float64)
+    joints, shares = joint_attributes(handles.weights[moving])
+    transforms = moved.motion.transforms(handles.positions)
+    out = np.empty((len(moved.motion), len(moving), 3), np.float32)
+    for start in range(0, len(moved.motion), CHUNK):
+        cut = slice(start, start + CHUNK)
+        some = transforms[cut].astype(np.float64)
+        blend = np.zeros((len(some), len(moving), 3, 4))
+        for column in range(joints.shape[1]):
+            blend += some[:, joints[:, column]] * shares[:, column, None, None].astype(np.float64)
+        left = moved.vertices(cut)[:, moving] - (blend[..., :3] @ rest[..., None])[..., 0] - blend[..., 3]
+        out[cut] = (_inverses(blend[..., :3]) @ left[..., None])[..., 0]
+    return out
+
+
+def _inverses(matrices: np.ndarray) -> np.ndarray:
+    """Inverses that stretch nothing beyond 1 / `FLATTEST`."""
+    good = np.abs(np.linalg.det(matrices)) > FLATTEST
+    out = np.empty_like(matrices)
+    out[good] = np.linalg.inv(matrices[good])
+    if not good.all():
+        u, s, vt = np.linalg.svd(matrices[~good])
+        out[~good] = (np.swapaxes(vt, -1, -2) / np.maximum(s, FLATTEST)[:, None, :]) @ np.swapaxes(u, -1, -2)
+    return out
+
+
+def _add_targets(builder: GltfBuilder, moved: PointAnimation, moving: np.ndarray, found: Shapes) -> None:
+    """Add the shapes to the meshes that have such vertices, and their weights to the clip."""
+    source, character = document_of(moved.character), moved.character
+    place = np.full(len(character.vertices), -1)
+    place[moving] = np.arange(len(moving))
+    times = builder.array((found.frames / moved.motion.fps).astype(np.float32)[:, None], bounds=True)
+    nodes = builder.tree["scenes"][0]["nodes"][1:]
+    clip = builder.tree["animations"][-1]
+    start, number = 0, 0
+    for part in source.parts:
+        stop = start + sum(len(group.vertices) for group in part.groups)
+        index, first = source.index[start:stop], start
+        start = stop
+        if not len(index):
+            continue
+        node = nodes[number]
+        number += 1
+        if (place[index] < 0).all():
+            continue
+        kept = keeps_positions(part, character.vertices[index], character) and part.transform is not None
+        back = np.linalg.inv(part.transform[:3, :3]) if kept and part.transform is not None else np.eye(3)
+        mesh = builder.tree["meshes"][builder.tree["nodes"][node]["mesh"]]
+        own = {member: group for group in part.groups for member in group.primitives}
+        older = max((len(primitive.get("targets", [])) for primitive in mesh["primitives"]), default=0)
+        targets: dict[int, list[dict[str, int]]] = {}
+        at = first
+        for group in part.groups:
+            targets[id(group)] = _targets(builder, place[source.index[at : at + len(group.vertices)]], found.shapes @ back.T)
+            at += len(group.vertices)
+        present = [primitive for primitive in mesh["primitives"] if primitive]
+        for member, primitive in zip(sorted(own), present, strict=True):
+            primitive["targets"] = [*primitive.get("targets", []), *targets[id(own[member])]]
+        names = mesh.get("extras", {}).get("targetNames") if isinstance(mesh.get("extras"), dict) else None
+        if isinstance(names, list) and len(names) == older:  # programs pass over lists of another length
+            mesh["extras"]["targetNames"] = [*names, *(f"move_{shape}" for shape in range(len(found.shapes)))]
+        mesh["weights"] = [*mesh.get("weights", [0.0] * older), *found.weights[0].tolist()]
+        weights = np.tile(np.array(mesh["weights"], np.float32), (len(found.frames), 1))
+        weights[:, older:] = found.weights
+        clip["channels"].append({"sampler": len(clip["samplers"]), "target": {"node": node, "path": "weights"}})
+        clip["samplers"].append({"input": times, "output": builder.array(weights.reshape(-1, 1)), "interpolation": "LINEAR"})
+
+
+def _targets(builder: GltfBuilder, place: np.ndarray, shapes: np.ndarray) -> list[dict[str, int]]:
+    """Morph targets of a group of vertices.
+
+    Args:
+        builder: The document.
+        place: Which of the moving vertices each vertex of the group is, shape (V,), -1 for none.
+        shapes: Displacements of the moving ones, shape (T, M, 3).
+    """
+    rows = np.flatnonzero(place >= 0)
+    total = len(place)
+    if not len(rows):
+        accessor = builder.zeros({**ZERO, "count": total, "min": [0.0] * 3, "max": [0.0] * 3})
+        return [{"POSITION": accessor} for _ in shapes]
+    code, kind = (5121, np.uint8) if total <= 256 else (5123, "<u2") if total <= 65536 else (5125, "<u4")
+    where = {"bufferView": builder.view(rows.astype(kind).tobytes()), "componentType": code}
+    out = []
+    for shape in shapes:
+        values = np.ascontiguousarray(shape[place[rows]], "<f4")
+        low, high = values.min(axis=0), values.max(axis=0)
+        if len(rows) < total:
+            low, high = np.minimum(low, 0), np.maximum(high, 0)
+        entry: dict[str, Any] = {**ZERO, "count": total, "min": low.tolist(), "max": high.tolist()}
+        entry["sparse"] = {"count": len(rows), "indices": where, "values": {"bufferView": builder.view(values.tobytes())}}
+        out.append({"POSITION": builder.zeros(entry)})
+    return out

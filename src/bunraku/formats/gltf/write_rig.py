@@ -1,0 +1,253 @@
+"""Write a rig's animation as GLB: the file's own nodes, skins, materials and meshes with one animation.
+
+Nodes keep their order, names and extras, so extensions that name them (those of VRM avatars) still mean the same. Meshes and images are
+carried over value by value (see `gltf_carry`); joints and weights are those that were read, which are whole where the file's were not. Files
+without a skin of their own kind get a plain one, made of the character's rig.
+"""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import FormatError
+from bunraku.formats.files import check_output_folder
+from bunraku.formats.gltf.builder import ARRAY_BUFFER, GltfBuilder
+from bunraku.formats.gltf.bunraku_clip import drop_clip
+from bunraku.formats.gltf.carry import MeshCarrier, carry_images, carry_tree
+from bunraku.formats.gltf.handle_channels import checked_fps
+from bunraku.formats.gltf.mesh import MeshPart
+from bunraku.formats.gltf.nodes import read_nodes
+from bunraku.formats.gltf.read import Source
+from bunraku.formats.gltf.rig_clip import add_bone_clip
+from bunraku.formats.gltf.write import document_of, finish_document
+
+__all__ = ["save_rig_animation"]
+
+_KEPT = ("asset", "nodes", "scene", "scenes", "cameras", "extensions", "extras", "extensionsUsed", "extensionsRequired")
+
+
+def save_rig_animation(animation: RigAnimation, path: str | Path, *, fps: float | None = None, name: str | None = None) -> Path:
+    """Write the animation as GLB.
+
+    Args:
+        animation: The animation.
+        path: The file.
+        fps: Frames a second of the channels [1/s]; those of the motion by default.
+        name: The clip's name; the file's by default.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: `fps` is no number from 1 to 1000.
+    """
+    path = Path(path)
+    rate = checked_fps(fps, animation.fps)
+    check_output_folder(path)
+    source = animation.character.source
+    try:
+        own = isinstance(source, Source) and _fits(source, animation)
+        builder, joints, local = _own_rig(source, animation) if own else _plain_rig(animation)
+        add_bone_clip(builder, joints, local, animation.fps, rate, str(name) if name else path.stem)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {str(error)[:80]}"
+        raise FormatError(path, f"{animation.character.name} is too broken to be written ({reason}); export it again") from error
+    return finish_document(builder, path)
+
+
+def _fits(source: Source, animation: RigAnimation) -> bool:
+    """Whether the document's joints are the rig's bones."""
+    rig = animation.character.rig
+    assert rig is not None
+    return len(source.skins.nodes) == len(rig.names) and len(source.index) > 0 and int(source.index.max()) + 1 == len(animation.character.vertices)
+
+
+def _own_rig(source: Source, animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndarray]:
+    """The document with its own nodes; also the nodes of the bones, and their transforms in their parents, shape (N, J, 4, 4)."""
+    document = source.document
+    tree = carry_tree(document)
+    tree.update({key: copy.deepcopy(document.tree[key]) for key in _KEPT if key in document.tree})
+    tree["asset"] = {**tree["asset"], "version": "2.0", "generator": "bunraku"}
+    builder = GltfBuilder(drop_clip(tree))
+    carry_images(document, builder)
+    carrier = MeshCarrier(source, builder)
+    parts = {part.mesh: part for part in reversed(source.parts)}
+    tree.pop("meshes", None)
+    for number in range(len(document.items("meshes"))):
+        builder.add("meshes", _mesh(carrier, number, parts.get(number)))
+    for skin, matrices in zip(document.items("skins"), source.skins.inverse, strict=True):
+        entry: dict[str, Any] = {key: copy.deepcopy(skin[key]) for key in ("name", "joints", "skeleton", "extras") if key in skin}
+        if "inverseBindMatrices" in skin:
+            entry["inverseBindMatrices"] = builder.array(matrices.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
+        builder.add("skins", entry)
+    for node in tree.get("nodes", []):
+        if isinstance(node.get("extensions"), dict):
+            node["extensions"].pop("EXT_mesh_gpu_instancing", None)  # it names accessors
+            if not node["extensions"]:
+                del node["extensions"]
+    _lift_skinned(tree)
+    return builder, source.skins.nodes, _local(source, animation, builder)
+
+
+def _lift_skinned(tree: dict[str, Any]) -> None:
+    """Put nodes with a skinned mesh on top of the scene, without a place of their own: what is above them moves nothing, by glTF's rule."""
+    nodes = tree.get("nodes", [])
+    lifted = {number for number, node in enumerate(nodes) if "mesh" in node and "skin" in node and not node.get("children")}
+    above = {int(child): node for node in nodes for child in node.get("children", [])}
+    for scene in tree.get("scenes", []):
+        stack, shown = list(scene.get("nodes", [])), set()
+        while stack:
+            number = stack.pop()
+            if number not in shown:
+                shown.add(number)
+                stack.extend(nodes[number].get("children", []))
+        scene["nodes"] = scene.get("nodes", []) + sorted(number for number in lifted & shown if number in above)
+    for number in lifted:
+        for key in ("matrix", "translation", "rotation", "scale"):
+            nodes[number].pop(key, None)
+        if number in above:
+            above[number]["children"].remove(number)
+            if not above[number]["children"]:
+                del above[number]["children"]
+
+
+def _local(source: Source, animation: RigAnimation, builder: GltfBuilder) -> np.ndarray:
+    """Transform of each bone's node in its parent, shape (N, J, 4, 4). A character that was turned upright gets a node above all."""
+    rig = animation.character.rig
+    assert rig is not None
+    file = read_nodes(source.document)  # turned to the front where the file is a VRM 0.x
+    raw = np.eye(4)
+    extensions = source.document.tree.get("extensions")
+    if isinstance(extensions, dict) and "VRM" in extensions:
+        raw = np.diag([-1.0, 1, -1, 1])
+    roots = np.flatnonzero(source.tree.parents < 0)
+    turn = source.tree.local[roots[0]] @ np.linalg.inv(file.local[roots[0]]) if len(roots) else np.eye(4)
+    turn = np.round(turn) if np.allclose(turn, np.round(turn), atol=1e-6) else np.eye(4)
+    above_all = turn @ raw  # from the space of the file's scene to ours
+    moved = animation.transforms().astype(np.float64)
+    bones = {node: bone for bone, node in enumerate(source.skins.nodes)}
+    frames = len(moved)
+    world: dict[int, np.ndarray] = {}
+    out = np.empty((frames, len(bones), 4, 4))
+    for node in source.tree.order():
+        parent = int(source.tree.parents[node])
+        above = world[parent] if parent >= 0 else above_all
+        bone = bones.get(node)
+        if bone is None:
+            world[node] = world[parent] @ source.tree.local[node] if parent >= 0 else source.tree.local[node]
+            continue
+        here = np.zeros((frames, 4, 4))
+        here[:, :3] = moved[:, bone, :, :3] @ rig.transforms[bone][:3]
+        here[:, :3, 3] += moved[:, bone, :, 3]
+        here[:, 3, 3] = 1
+        world[node], out[:, bone] = here, np.linalg.pinv(above) @ here
+    if not np.array_equal(turn, np.eye(4)):
+        nodes = builder.tree["nodes"]
+        for scene in builder.tree.get("scenes", []):
+            free = [node for node in scene.get("nodes", []) if "skin" in nodes[node] and not nodes[node].get("children")]
+            below = [node for node in scene.get("nodes", []) if node not in free]
+            if below:
+                scene["nodes"] = [*free, builder.add("nodes", {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below})]
+    return out
+
+
+def _mesh(carrier: MeshCarrier, number: int, part: MeshPart | None) -> dict[str, Any]:
+    document, builder = carrier.document, carrier.builder
+    old = document.items("meshes")[number]
+    if part is None:  # in no scene: kept without vertices of its own skin
+        part = MeshPart(-1, number, np.eye(4), False, ())
+    mesh: dict[str, Any] = {key: copy.deepcopy(old[key]) for key in ("name", "extras") if key in old}
+    slots = _slots(carrier.source, part)
+    primitives: list[dict[str, Any]] = []
+    influences: dict[int, dict[str, int]] = {}
+    for group in part.groups:
+        if slots is not None:
+            influences |= dict.fromkeys(group.primitives, _influences(builder, group.joints, group.weights, slots))
+    for index, primitive in enumerate(document.objects(old, "primitives")):
+        entry = carrier.primitive(primitive, document.count(primitive["attributes"]["POSITION"]))
+        entry["attributes"].update(influences.get(index, {}))
+        primitives.append(entry)
+    mesh["primitives"] = primitives
+    if "weights" in old and all("targets" in primitive for primitive in primitives):
+        mesh["weights"] = copy.deepcopy(old["weights"])
+    return mesh
+
+
+def _slots(source: Source, part: MeshPart) -> np.ndarray | None:
+    """Slot in the skin of a mesh of each joint of all skins, -1 for none; None where the mesh has no skin."""
+    skin = source.document.items("nodes")[part.node].get("skin") if part.node >= 0 else None
+    if type(skin) is not int or not 0 <= skin < len(source.skins.slots):
+        return None
+    out = np.full(len(source.skins.nodes), -1)
+    own = source.skins.slots[skin]
+    out[own[::-1]] = np.arange(len(own))[::-1]
+    return out
+
+
+def _influences(builder: GltfBuilder, joints: np.ndarray, weights: np.ndarray, slots: np.ndarray) -> dict[str, int]:
+    if not len(joints):
+        return {}
+    width = -(-joints.shape[1] // 4) * 4
+    where, shares = np.zeros((len(joints), width), np.int64), np.zeros((len(joints), width))
+    where[:, : joints.shape[1]], shares[:, : joints.shape[1]] = slots[joints], weights
+    shares[where < 0] = 0
+    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1e-12)
+    stored = np.where(shares > 1e-7, shares, 0).astype(np.float32)
+    first = stored.argmax(axis=1)
+    rows = np.arange(len(stored))
+    stored[rows, first] += (1 - stored.sum(axis=1, dtype=np.float64)).astype(np.float32)
+    where[stored <= 0] = 0
+    kind = np.uint8 if len(slots) <= 256 else "<u2"
+    out = {}
+    for number in range(width // 4):
+        cut = slice(4 * number, 4 * number + 4)
+        if number and not stored[:, cut].any():
+            break
+        out[f"JOINTS_{number}"] = builder.array(where[:, cut].astype(kind), ARRAY_BUFFER)
+        out[f"WEIGHTS_{number}"] = builder.array(np.ascontiguousarray(stored[:, cut]), ARRAY_BUFFER)
+    return out
+
+
+def _plain_rig(animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndarray]:
+    """The meshes with one skin made of the rig, whose bones turn in the world's axes where they rest; the rest as `_own_rig`."""
+    character, rig = animation.character, animation.character.rig
+    assert rig is not None
+    source = document_of(character)
+    builder = GltfBuilder(drop_clip(carry_tree(source.document)))
+    carry_images(source.document, builder)
+    rest = rig.positions
+    for bone, label in enumerate(rig.names):
+        parent = int(rig.parents[bone])
+        place = rest[bone] - (rest[parent] if parent >= 0 else 0)
+        entry: dict[str, Any] = {"name": label, "translation": place.astype(np.float32).tolist()}
+        children = [int(child) for child in np.flatnonzero(rig.parents == bone)]
+        builder.add("nodes", {**entry, "children": children} if children else entry)
+    nodes = list(range(len(rest)))
+    inverse = np.tile(np.eye(4), (len(rest), 1, 1))
+    inverse[:, 3, :3] = -rest  # column after column
+    skin = builder.add("skins", {"joints": nodes, "inverseBindMatrices": builder.array(inverse.reshape(-1, 16).astype(np.float32))})
+    carrier, start = MeshCarrier(source, builder), 0
+    roots = [bone for bone in nodes if rig.parents[bone] < 0]
+    slots = np.arange(len(rest))
+    for part in source.parts:
+        index = source.index[start : start + sum(len(group.vertices) for group in part.groups)]
+        start += len(index)
+        if not len(index):
+            continue
+        mesh, first = carrier.mesh(part, character.vertices[index]), 0
+        for group in part.groups:
+            own = index[first : first + len(group.vertices)]
+            first += len(own)
+            added = _influences(builder, rig.indices[own], rig.weights[own], slots)
+            for member in group.primitives:
+                mesh["primitives"][member]["attributes"].update(added)
+        label = str(source.document.items("nodes")[part.node].get("name") or f"mesh_{part.mesh}")
+        roots.append(builder.add("nodes", {"name": label, "mesh": builder.add("meshes", mesh), "skin": skin}))
+    builder.tree["scenes"][0]["nodes"] = roots
+    local = np.tile(np.eye(4), (len(animation), len(rest), 1, 1))
+    local[..., :3, :3] = animation.rotations
+    local[..., :3, 3] = rest - np.where(rig.parents[:, None] >= 0, rest[rig.parents], 0) + animation.translations
+    return builder, nodes, local

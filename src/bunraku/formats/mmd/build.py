@@ -1,0 +1,198 @@
+"""From what a PMX or PMD file says to a character: indices checked, loops cut, materials, a rig, and the model beside it.
+
+Broken parts without which the file is still good are left out and named in the model's warnings; indices that the mesh itself needs
+are errors.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.core.character import Character
+from bunraku.errors import FormatError
+from bunraku.formats.gltf.read import character_from_document
+from bunraku.formats.mmd.document import MmdMaterial, model_document
+from bunraku.formats.mmd.model import MmdBody, MmdBone, MmdIkLink, MmdJoint, MmdModel, MmdMorph, MmdSdef, mmd_points
+from bunraku.formats.mmd.physics import check_physics
+
+__all__ = ["MAX_BODIES", "MAX_BONES", "MAX_JOINTS", "MmdFile", "MmdMaterial", "mmd_character"]
+
+MAX_BONES, MAX_BODIES, MAX_JOINTS = 10_000, 10_000, 20_000
+MAX_LOOPS, MAX_LINKS = 1_000, 256  # of inverse kinematics; MMD itself stops at 255 loops
+_AGAIN = "save the model again"
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class MmdFile:
+    """What a file says: the mesh in MMD's frame and unit, bones, bodies and joints in ours. Its indices are not checked.
+
+    Args:
+        version: "PMX 2.0", "PMX 2.1" or "PMD".
+        name, english: Names of the model.
+        positions, normals: Of the vertices, shape (V, 3).
+        uvs: With v downwards, shape (V, 2).
+        deforms: 0 BDEF1, 1 BDEF2, 2 BDEF4, 3 SDEF, 4 QDEF, shape (V,).
+        indices, weights: Bones of each vertex, -1 for none, and their shares, shape (V, 4).
+        sdef: C, R0 and R1 of those that are SDEF, shape (V, 3, 3).
+        triangles: Shape (F, 3).
+        materials: In the order of the triangles.
+        bones: Those whose tail is a bone have it in `tails`, by their index.
+        morphs, bodies, joints: As in the file.
+        warnings: What is wrong, with the names of what it is wrong with.
+    """
+
+    version: str
+    name: str
+    english: str = ""
+    positions: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    uvs: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    deforms: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint8))
+    indices: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.int64))
+    weights: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    sdef: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    materials: list[MmdMaterial] = field(default_factory=list)
+    bones: list[MmdBone] = field(default_factory=list)
+    tails: dict[int, int] = field(default_factory=dict)
+    morphs: list[MmdMorph] = field(default_factory=list)
+    bodies: list[MmdBody] = field(default_factory=list)
+    joints: list[MmdJoint] = field(default_factory=list)
+    warnings: dict[str, list[str]] = field(default_factory=dict)
+
+    def note(self, problem: str, name: str = "") -> None:
+        """Remember something that is wrong: a whole sentence, or what is wrong with the thing of this name."""
+        self.warnings.setdefault(problem, []).append(name)
+
+
+def mmd_character(path: Path, file: MmdFile) -> Character:
+    """The character that a file holds, its model at `mmd_model(character)`.
+
+    Args:
+        path: The file; textures are looked for in its folder and below, nowhere else.
+        file: What it says.
+
+    Raises:
+        FormatError: A triangle, a weight or a parent is of a vertex or bone that does not exist, or a bone is nowhere.
+        CharacterError: What it holds is no character.
+    """
+    _check_mesh(path, file)
+    bones = _check_bones(path, file)
+    bodies, joints = check_physics(file.bodies, file.joints, len(bones), file.note)
+    indices, weights = _check_weights(path, file)
+    document = model_document(path, file.name or path.stem, file.materials, _mesh(file), (indices, weights), bones, file.note)
+    character = character_from_document(document, path.stem, None, path.suffix.lower() or ".pmx")
+    model = MmdModel(
+        file.name, file.english, file.version, bones, tuple(file.morphs), bodies, joints, file.deforms.copy(), _sdef(file), _sentences(file.warnings)
+    )  # fmt: skip
+    for warning in model.warnings:
+        _log.warning("%s: %s", path, warning)
+    return replace(character, source=replace(character.source, model=model))
+
+
+def _check_mesh(path: Path, file: MmdFile) -> None:
+    count = len(file.positions)
+    if len(file.triangles) and not 0 <= int(file.triangles.min()) <= int(file.triangles.max()) < count:
+        worst = int(file.triangles.max()) if file.triangles.max() >= count else int(file.triangles.min())
+        raise FormatError(path, f"a triangle uses vertex {worst} but there are {count}; {_AGAIN}")
+    covered = sum(max(material.corners, 0) for material in file.materials)
+    if file.materials and covered != 3 * len(file.triangles):
+        file.note(f"its materials are for {covered // 3:,} of its {len(file.triangles):,} triangles")
+
+
+def _mesh(file: MmdFile) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Positions [m], normals, UVs and triangles in our frame; triangles wind the other way round in a left-handed one."""
+    return mmd_points(file.positions), file.normals * [1, 1, -1], file.uvs, file.triangles[:, ::-1]
+
+
+def _check_weights(path: Path, file: MmdFile) -> tuple[np.ndarray, np.ndarray]:
+    """Bones and shares of each vertex, shape (V, 4); rows sum to 1."""
+    count, indices = len(file.bones), file.indices
+    weights = np.where(np.isfinite(file.weights) & (file.weights > 0) & (indices >= 0), file.weights, 0)
+    beyond = np.where(weights > 0, indices, -1).max(initial=-1)
+    if beyond >= count and (count or beyond > 0):  # a model without bones weighs all to the first
+        raise FormatError(path, f"a vertex is weighted to bone {beyond} but there are {count}; {_AGAIN}")
+    for later in range(1, 4):  # glTF names a bone once for a vertex
+        for earlier in range(later):
+            again = (indices[:, later] == indices[:, earlier]) & (weights[:, later] > 0) & (weights[:, earlier] > 0)
+            weights[again, earlier] += weights[again, later]
+            weights[again, later] = 0
+    total = weights.sum(axis=1, keepdims=True)
+    lost = int((total[:, 0] <= 1e-9).sum())
+    if lost and count:
+        file.note(f"{lost:,} of its {len(indices):,} vertices are weighted to no bone; they take their neighbours' weights")
+    return np.where(weights > 0, indices, 0), weights / np.where(total > 1e-9, total, 1)
+
+
+def _check_bones(path: Path, file: MmdFile) -> tuple[MmdBone, ...]:
+    count, out = len(file.bones), []
+    for index, bone in enumerate(file.bones):
+        if not np.isfinite(bone.position).all() or np.abs(bone.position).max() > 1e6:
+            raise FormatError(path, f"bone {index} is at no place that is a number; {_AGAIN}")
+        if not -1 <= bone.parent < count:
+            raise FormatError(path, f"bone {index} has the parent {bone.parent} but there are {count} bones; {_AGAIN}")
+        tail = file.tails.get(index)
+        if tail is not None:
+            there = file.bones[tail].position if 0 <= tail < count else bone.position
+            bone = replace(bone, tail=there - bone.position)
+        if bone.append is not None and (not 0 <= bone.append.bone < count or bone.append.bone == index or not np.isfinite(bone.append.ratio)):
+            file.note("bones take over the motion of a bone that does not exist, which is left out", bone.name)
+            bone = replace(bone, append=None)
+        ik = bone.ik
+        if ik is not None:
+            good = 0 <= ik.target < count and all(0 <= link.bone < count and _limits(link) for link in ik.links) and np.isfinite(ik.limit)
+            if not good or len(ik.links) > MAX_LINKS:
+                file.note("bones have inverse kinematics of bones or with limits that do not exist, which are left out", bone.name)
+                bone = replace(bone, ik=None)
+            else:
+                bone = replace(bone, ik=replace(ik, loops=min(max(ik.loops, 0), MAX_LOOPS)))
+        out.append(bone)
+    for index in _loops([bone.parent for bone in out]):
+        file.note("bones are their own parents, by a loop that is cut there", out[index].name)
+        out[index] = replace(out[index], parent=-1)
+    for index in _loops([-1 if bone.append is None else bone.append.bone for bone in out]):
+        file.note("bones take over their own motion, by a loop that is cut there", out[index].name)
+        out[index] = replace(out[index], append=None)
+    return tuple(out)
+
+
+def _limits(link: MmdIkLink) -> bool:
+    """Whether the limits of a link are numbers, if it has any."""
+    return link.lower is None or link.upper is None or bool(np.isfinite([link.lower, link.upper]).all())
+
+
+def _loops(above: list[int]) -> list[int]:
+    """One member of each loop that a table of parents has."""
+    state, out = [0] * len(above), []  # 0 not seen, 1 on this walk, 2 known to be good
+    for start in range(len(above)):
+        walk, at = [], start
+        while at >= 0 and state[at] == 0:
+            state[at] = 1
+            walk.append(at)
+            at = above[at]
+        if at >= 0 and state[at] == 1:
+            out.append(at)
+        for member in walk:
+            state[member] = 2
+    return out
+
+
+def _sdef(file: MmdFile) -> MmdSdef:
+    chosen = np.flatnonzero(file.deforms == 3)
+    constants = mmd_points(file.sdef[chosen])
+    return MmdSdef(chosen, constants[:, 0], constants[:, 1], constants[:, 2])
+
+
+def _sentences(warnings: dict[str, list[str]]) -> tuple[str, ...]:
+    """One line for each thing that is wrong, however often it is."""
+    out = []
+    for problem, names in warnings.items():
+        some = ", ".join(" ".join(name.split())[:40] for name in names[:3] if name)
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        out.append(f"{problem}: {some}{more}" if some else problem)
+    return tuple(out)

@@ -1,0 +1,221 @@
+"""Write USD: the mesh with the handles as a UsdSkel skeleton and their motion, or its points in every frame.
+
+A skeleton is what engines and 3D programs edit; all weights of a vertex are written, not four, so it plays exactly. A point cache is
+for programs that read no skeleton, and the only way where vertices move on their own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bunraku.errors import FormatError, MissingExtraError, OptionError
+from bunraku.formats.files import check_output_folder
+from bunraku.formats.frames import UNITS, FileFrame
+from bunraku.formats.gltf.handle_channels import checked_fps, handle_names
+from bunraku.formats.usd.look import Look, add_mesh, pieces, prim_name
+from bunraku.geometry.rotations import quaternion_from_matrix
+
+if TYPE_CHECKING:
+    from bunraku.core.animation import Animation
+    from bunraku.core.character import Handles
+    from bunraku.core.motion import HandleMotion
+    from bunraku.core.point_animation import PointAnimation
+
+__all__ = ["check_available", "write_points", "write_usd"]
+
+SMALL = 1e-5  # weights under this move nothing that is seen
+CHUNK = 32  # frames posed at once
+
+
+def write_usd(animation: Animation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m", points: bool = False) -> Path:
+    """Write an animation as USD.
+
+    Args:
+        animation: The animation.
+        path: The file: .usd and .usdc are binary, .usda is text, .usdz is a package.
+        fps: Frames a second [1/s]; those of the motion by default.
+        up: "+y", as USD has it by default, or "+z"; the stage's `upAxis` says which.
+        unit: Unit of lengths, one of `bunraku.formats.frames.UNITS`; the stage's `metersPerUnit` says which.
+        points: Write the place of every vertex in every frame instead of a skeleton.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: The file cannot be written.
+        MissingExtraError: The extra `usd` is not installed.
+        OptionError: An option makes no sense.
+    """
+    if points:
+        return write_points(animation, path, fps=fps, up=up, unit=unit)
+    usd, frame = _library(), FileFrame.of(up, unit)
+    moved = animation.at(checked_fps(fps, animation.motion.fps))
+    stage, name = _stage(usd, moved.motion, up, unit), prim_name(animation.character.name)
+    root = usd["UsdSkel"].Root.Define(stage, f"/{name}")
+    look = Look(usd, stage, f"/{name}", _texture_folder(path))
+    _skinned(usd, stage, f"/{name}", moved, frame, look)
+    stage.SetDefaultPrim(root.GetPrim())
+    return _export(usd, stage, path, look)
+
+
+def write_points(animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m") -> Path:
+    """Write where every vertex is in every frame as USD; arguments are those of `write_usd`."""
+    usd, frame = _library(), FileFrame.of(up, unit)
+    moved = animation.at(checked_fps(fps, animation.motion.fps))
+    stage, name = _stage(usd, moved.motion, up, unit), prim_name(animation.character.name)
+    root = usd["UsdGeom"].Xform.Define(stage, f"/{name}")
+    look, rest, array = (
+        Look(usd, stage, f"/{name}", _texture_folder(path)),
+        frame.points(animation.character.vertices),
+        usd["Vt"].Vec3fArray.FromNumpy,
+    )
+    meshes = []
+    for piece in pieces(animation.character):
+        mesh = add_mesh(usd, stage, f"/{name}/{piece.name}", piece, animation.character, np.ascontiguousarray(rest[piece.index]), look)
+        meshes.append((piece, mesh.GetPointsAttr(), mesh.GetExtentAttr()))
+    for start in range(0, len(moved.motion), CHUNK):
+        for number, posed in enumerate(moved.vertices(slice(start, start + CHUNK)), start):
+            places = np.ascontiguousarray(frame.points(posed), np.float32)
+            for piece, points, extent in meshes:
+                own = np.ascontiguousarray(places[piece.index])
+                points.Set(array(own), number)
+                extent.Set(array(np.stack([own.min(axis=0), own.max(axis=0)])), number)
+    stage.SetDefaultPrim(root.GetPrim())
+    return _export(usd, stage, path, look)
+
+
+def check_available() -> None:
+    """Raise MissingExtraError unless USD is installed."""
+    _library()
+
+
+def _library() -> dict[str, Any]:
+    try:
+        return {name: import_module(f"pxr.{name}") for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdShade", "UsdSkel", "UsdUtils", "Vt")}
+    except ImportError as error:
+        raise MissingExtraError("usd-core", "usd", "writing USD") from error
+
+
+def _stage(usd: dict[str, Any], motion: HandleMotion, up: str, unit: str) -> Any:
+    stage = usd["Usd"].Stage.CreateInMemory()
+    usd["UsdGeom"].SetStageUpAxis(stage, up[1:].upper())
+    usd["UsdGeom"].SetStageMetersPerUnit(stage, UNITS[unit])
+    stage.SetTimeCodesPerSecond(motion.fps)
+    stage.SetFramesPerSecond(motion.fps)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(len(motion) - 1)
+    stage.GetRootLayer().documentation = "bunraku"
+    return stage
+
+
+def _skinned(usd: dict[str, Any], stage: Any, root: str, animation: Animation, frame: FileFrame, look: Look) -> None:
+    Gf, UsdSkel, Vt = usd["Gf"], usd["UsdSkel"], usd["Vt"]
+    handles, motion = animation.handles, animation.motion
+    names = [prim_name(name) for name in handle_names(handles)]
+    joints = [names[0], *(f"{names[0]}/{name}" for name in names[1:])]
+    h = frame.points(handles.positions.astype(np.float64))
+    local = h - h[0]
+    local[0] = h[0]
+
+    skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
+    skeleton.CreateJointsAttr(joints)
+    for make, places in ((skeleton.CreateBindTransformsAttr, h), (skeleton.CreateRestTransformsAttr, local)):
+        make(Vt.Matrix4dArray([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*place)) for place in places.tolist()]))
+    clip = UsdSkel.Animation.Define(stage, f"{root}/Skeleton/Animation")
+    clip.CreateJointsAttr(joints)
+    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([clip.GetPath()])
+    clip.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(joints)))
+    translations, rotations = _channels(handles, motion, frame)
+    moved, turned = clip.CreateTranslationsAttr(), clip.CreateRotationsAttr()
+    for number in range(len(motion)):
+        moved.Set(Vt.Vec3fArray.FromNumpy(translations[number]), number)
+        turned.Set(Vt.QuatfArray.FromNumpy(rotations[number]), number)
+
+    rest = frame.points(animation.character.vertices)
+    indices, weights = _influences(handles.weights)
+    for piece in pieces(animation.character):
+        mesh = add_mesh(usd, stage, f"{root}/{piece.name}", piece, animation.character, np.ascontiguousarray(rest[piece.index]), look)
+        binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+        binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+        binding.CreateJointIndicesPrimvar(False, indices.shape[1]).Set(Vt.IntArray.FromNumpy(indices[piece.index].reshape(-1)))
+        binding.CreateJointWeightsPrimvar(False, indices.shape[1]).Set(Vt.FloatArray.FromNumpy(weights[piece.index].reshape(-1)))
+        binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
+
+
+def _channels(handles: Handles, motion: HandleMotion, frame: FileFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Translations (N, K, 3) and xyzw rotations (N, K, 4) of the joints of Eq. 3 in the file's frame, float32."""
+    h = handles.positions.astype(np.float64)
+    translations = h + motion.translations
+    translations[:, 1:] -= h[0]
+    translations[:, 0] = h[0] + motion.root_translation
+    matrices = motion.rotations.astype(np.float64)
+    matrices[:, 0] = motion.root_rotation
+    rotations = quaternion_from_matrix(frame.turn @ matrices @ frame.turn.T)
+    flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
+    rotations[1:] *= np.cumprod(flips, axis=0)[..., None]  # an interpolated quaternion must not change its sign on the way
+    return np.ascontiguousarray(frame.points(translations), np.float32), np.ascontiguousarray(rotations, np.float32)
+
+
+def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, as many columns as any vertex needs."""
+    from bunraku.core.character import top_influences
+
+    most = max(int((weights > SMALL).sum(axis=1).max()), 1)
+    indices, shares = top_influences(np.where(weights > SMALL, weights, 0), most)
+    return np.ascontiguousarray(indices, np.int32), np.ascontiguousarray(shares, np.float32)
+
+
+def _texture_folder(path: Path) -> str:
+    """Where the textures of a file are: in the package, or in a folder beside the file."""
+    return "textures" if path.suffix.lower() == ".usdz" else f"{prim_name(path.stem, 'usd')}_textures"
+
+
+def _check_textures(path: Path, look: Look) -> None:
+    """Raise FormatError where the folder for the textures holds anything but earlier ones."""
+    folder = path.parent / look.folder
+    if path.suffix.lower() == ".usdz" or not look.textures or not folder.exists():
+        return
+    if not folder.is_dir() or any(not re.fullmatch(r"image_\d+\.(png|jpg)", entry.name) for entry in folder.iterdir()):
+        raise FormatError(path, f"{folder} exists and holds other files; choose another name for the USD file")
+
+
+def _export(usd: dict[str, Any], stage: Any, path: Path, look: Look) -> Path:
+    """Write the stage and its textures to a folder beside the target, from which they take their places when they are whole."""
+    check_output_folder(path)
+    _check_textures(path, look)
+    suffix = path.suffix.lower()
+    if suffix not in (".usd", ".usda", ".usdc", ".usdz"):
+        raise OptionError(f"USD is written to .usd, .usda, .usdc or .usdz, not {suffix}")
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent) as folder:
+            layer, images = Path(folder, f"{prim_name(path.stem)}{'.usda' if suffix == '.usda' else '.usdc'}"), Path(folder, look.folder)
+            written = bool(stage.GetRootLayer().Export(str(layer)))
+            if look.textures:
+                images.mkdir()
+                for name, data in look.textures.items():
+                    (images / name).write_bytes(data)
+            if written and suffix == ".usdz":
+                package = layer.with_suffix(".usdz")
+                written = bool(usd["UsdUtils"].CreateNewUsdzPackage(str(layer), str(package)))
+                layer = package
+            if not written:
+                raise FormatError(path, "USD cannot write the file; choose another place or free some space")
+            mask = os.umask(0)
+            os.umask(mask)
+            os.chmod(layer, 0o666 & ~mask)
+            if look.textures and suffix != ".usdz":
+                shutil.rmtree(path.parent / look.folder, ignore_errors=True)
+                os.replace(images, path.parent / look.folder)
+            os.replace(layer, path)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise FormatError(path, f"the file cannot be written ({reason}); choose another place or free some space") from None
+    return path

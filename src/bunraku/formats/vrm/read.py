@@ -1,0 +1,280 @@
+"""What a VRM file holds beside its meshes: which node is which bone of a person, and spring bones with their colliders.
+
+VRM 0.x keeps them in the extension VRM, VRM 1.0 in VRMC_vrm and VRMC_springBone. Both become the same here: a spring is a chain of nodes,
+each below the one before. In VRM 0.x a group names the first nodes only, and all below them swing; a branch becomes a chain of its own.
+Offsets of colliders are in their nodes' axes; those of VRM 0.x were written by a left-handed program and have z turned round. Directions of
+gravity are in our frame, where VRM 0.x avatars have been turned to face +Z.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import Any
+
+import numpy as np
+
+from bunraku.core.character import Character
+from bunraku.formats.gltf.document import Document
+from bunraku.formats.gltf.nodes import NodeTree, read_nodes
+from bunraku.formats.vrm.model import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
+
+__all__ = ["read_vrm", "vrm_model"]
+
+MOST = 10_000  # joints of springs, and colliders: more are no avatar's
+_log = logging.getLogger(__name__)
+
+
+def vrm_model(character: Character) -> VrmModel | None:
+    """What the VRM file of a character holds beside its meshes, None where it comes from no VRM file.
+
+    Raises:
+        FormatError: The nodes of the file are broken.
+    """
+    document = getattr(character.source, "document", None)
+    return read_vrm(document) if isinstance(document, Document) else None
+
+
+def read_vrm(document: Document) -> VrmModel | None:
+    """What a document with VRM's extensions holds, None where it has none.
+
+    Broken springs and colliders are left out with a warning.
+
+    Raises:
+        FormatError: The nodes of the document are broken.
+    """
+    extensions = document.tree.get("extensions")
+    if not isinstance(extensions, dict) or not {"VRM", "VRMC_vrm"} & set(extensions):
+        return None
+    reader = _Reader(document, read_nodes(document))
+    found = reader.first(extensions["VRM"]) if "VRM" in extensions else reader.second(extensions)
+    for warning in found.warnings:
+        _log.warning("%s: %s", document.path, warning)
+    return found
+
+
+class _Reader:
+    """Takes the extensions apart; what makes no sense is noted, and left out."""
+
+    def __init__(self, document: Document, tree: NodeTree):
+        self.nodes = document.items("nodes")
+        self.tree = tree
+        self.below: list[list[int]] = [[] for _ in self.nodes]
+        for node, parent in enumerate(tree.parents):
+            if parent >= 0:
+                self.below[int(parent)].append(node)
+        self.notes: dict[str, list[str]] = {}
+        self.entered, self.last = self._visits()
+
+    def _visits(self) -> tuple[list[int], list[int]]:
+        """When a walk down the tree comes to each node, and to the last one below it."""
+        entered = [0] * len(self.nodes)
+        order: list[int] = []
+        stack = [node for node, parent in enumerate(self.tree.parents) if parent < 0]
+        while stack:
+            node = stack.pop()
+            entered[node] = len(order)
+            order.append(node)
+            stack += self.below[node]
+        last = list(entered)
+        for node in reversed(order):
+            parent = int(self.tree.parents[node])
+            if parent >= 0:
+                last[parent] = max(last[parent], last[node])
+        return entered, last
+
+    def note(self, problem: str, name: object = "") -> None:
+        self.notes.setdefault(problem, []).append(" ".join(str(name).split())[:40])
+
+    def node(self, value: Any) -> int:
+        """A node's index, -1 where there is no such node."""
+        return value if type(value) is int and 0 <= value < len(self.nodes) else -1
+
+    def called(self, node: int) -> str:
+        return str(self.nodes[node].get("name") or f"node {node}")
+
+    def model(
+        self,
+        version: str,
+        title: Any,
+        humanoid: dict[str, int],
+        springs: list[VrmSpring],
+        colliders: list[VrmCollider],
+        groups: list[tuple[int, ...]],
+    ) -> VrmModel:
+        sentences = []
+        for problem, names in self.notes.items():
+            some = ", ".join(name for name in names[:3] if name)
+            sentences.append(f"{problem}: {some}{f' and {len(names) - 3} more' if len(names) > 3 else ''}" if some else problem)
+        return VrmModel(version, str(title or "")[:200], humanoid, tuple(springs), tuple(colliders), tuple(groups), tuple(sentences))
+
+    def first(self, data: Any) -> VrmModel:
+        """VRM 0.x."""
+        data = _object(data)
+        humanoid: dict[str, int] = {}
+        for entry in _objects(_object(data.get("humanoid")).get("humanBones")):
+            self.bone(humanoid, entry.get("bone"), entry.get("node"))
+        swings = _object(data.get("secondaryAnimation"))
+        colliders: list[VrmCollider] = []
+        groups: list[tuple[int, ...]] = []
+        for group in _objects(swings.get("colliderGroups")):
+            start = len(colliders)
+            for entry in _objects(group.get("colliders")):
+                offset = _point(entry.get("offset"), 0.0) * [1, 1, -1]
+                self.collider(colliders, VrmCollider(self.node(group.get("node")), "sphere", offset, _number(entry, "radius", 0.0)))
+            groups.append(tuple(range(start, len(colliders))))
+        springs: list[VrmSpring] = []
+        taken: set[int] = set()
+        for group in _objects(swings.get("boneGroups")):
+            direction = _point(group.get("gravityDir"), 0.0) if "gravityDir" in group else np.array([0.0, -1, 0])
+            values = (
+                _number(group, "stiffiness", 1.0), _number(group, "gravityPower", 0.0), direction * [-1, 1, 1], _number(group, "dragForce", 0.4),
+                _number(group, "hitRadius", 0.02),
+            )  # fmt: skip
+            own = self.group_numbers(group.get("colliderGroups"), len(groups), group.get("comment", ""))
+            for root in _list(group.get("bones")):
+                if self.node(root) < 0:
+                    self.note("springs begin at nodes that do not exist and are left out", root)
+                    continue
+                for chain in self.chains(root, taken):
+                    joints = tuple(VrmSpringJoint(node, *values) for node in chain)
+                    spring = VrmSpring(str(group.get("comment") or ""), joints, own, self.node(group.get("center")), True)
+                    self.spring(springs, spring)
+        return self.model("0.x", _object(data.get("meta")).get("title"), humanoid, springs, colliders, groups)
+
+    def second(self, extensions: dict[str, Any]) -> VrmModel:
+        """VRM 1.0."""
+        data, swings = _object(extensions.get("VRMC_vrm")), _object(extensions.get("VRMC_springBone"))
+        humanoid: dict[str, int] = {}
+        for name, entry in _object(_object(data.get("humanoid")).get("humanBones")).items():
+            self.bone(humanoid, name, _object(entry).get("node"))
+        colliders: list[VrmCollider] = []
+        number: dict[int, int] = {}
+        for index, entry in enumerate(_objects(swings.get("colliders"))):
+            if self.collider(colliders, self.shape(entry)):
+                number[index] = len(colliders) - 1
+        groups = []
+        for group in _objects(swings.get("colliderGroups")):
+            members = [value for value in _list(group.get("colliders")) if type(value) is int]
+            groups.append(tuple(number[member] for member in members if member in number))
+        springs: list[VrmSpring] = []
+        for entry in _objects(swings.get("springs")):
+            name = str(entry.get("name") or "")
+            joints = self.joints(_objects(entry.get("joints")), name)
+            own = self.group_numbers(entry.get("colliderGroups"), len(groups), name)
+            self.spring(springs, VrmSpring(name, joints, own, self.node(entry.get("center", -1))))
+        return self.model("1.0", _object(data.get("meta")).get("name"), humanoid, springs, colliders, groups)
+
+    def bone(self, humanoid: dict[str, int], name: Any, node: Any) -> None:
+        if self.node(node) < 0 or not isinstance(name, str):
+            self.note("bones of the person are nodes that do not exist and are left out", name)
+        else:
+            humanoid.setdefault(name[:40], node)
+
+    def shape(self, entry: dict[str, Any]) -> VrmCollider:
+        node, shape = self.node(entry.get("node")), _object(entry.get("shape"))
+        extended = _object(_object(entry.get("extensions")).get("VRMC_springBone_extended_collider")).get("shape")
+        shape = _object(extended) or shape
+        if "plane" in shape:
+            plane = _object(shape["plane"])
+            return VrmCollider(node, "plane", _point(plane.get("offset"), 0.0), 0.0, _point(plane.get("normal", [0, 0, 1]), 0.0))
+        kind = "capsule" if "capsule" in shape else "sphere"
+        body = _object(shape.get(kind))
+        tail = _point(body.get("tail"), 0.0) if kind == "capsule" else None
+        return VrmCollider(node, kind, _point(body.get("offset"), 0.0), _number(body, "radius", 0.0), tail, body.get("inside") is True)
+
+    def collider(self, colliders: list[VrmCollider], new: VrmCollider) -> bool:
+        """Keep a collider that can be used."""
+        numbers = [new.radius, *new.offset, *([] if new.tail is None else new.tail)]
+        if new.node < 0:
+            self.note("colliders are on nodes that do not exist and are left out")
+        elif not all(map(math.isfinite, numbers)) or new.radius < 0:
+            self.note("colliders have a size that is negative or no number and are left out", self.called(new.node))
+        elif len(colliders) >= MOST:
+            self.note(f"more than {MOST:,} colliders are left out")
+        else:
+            colliders.append(new)
+            return True
+        return False
+
+    def spring(self, springs: list[VrmSpring], new: VrmSpring) -> None:
+        """Keep a spring that can be used."""
+        name = new.name or (self.called(new.joints[0].node) if new.joints else "")
+        numbers = [[joint.stiffness, joint.gravity, joint.drag, joint.radius, *joint.gravity_direction] for joint in new.joints]
+        if not new.joints or (len(new.joints) < 2 and not new.ends_free):
+            self.note("springs have no chain of nodes and are left out", name)
+        elif not np.isfinite(numbers).all() or min(joint.radius for joint in new.joints) < 0:
+            self.note("springs hold values that are negative or no numbers and are left out", name)
+        elif sum(len(spring.joints) for spring in springs) + len(new.joints) > MOST:
+            self.note(f"springs beyond {MOST:,} joints are left out")
+        else:
+            springs.append(new)
+
+    def joints(self, entries: list[dict[str, Any]], name: str) -> tuple[VrmSpringJoint, ...]:
+        """The joints of a spring of VRM 1.0, up to one that is not below the one before."""
+        out: list[VrmSpringJoint] = []
+        for entry in entries:
+            node = self.node(entry.get("node"))
+            if node < 0 or (out and not self.is_below(node, out[-1].node)):
+                self.note("springs go on at nodes that are not below and are cut there", name or entry.get("node"))
+                break
+            direction = _point(entry.get("gravityDir", [0, -1, 0]), 0.0)
+            stiffness, drag, radius = _number(entry, "stiffness", 1.0), _number(entry, "dragForce", 0.5), _number(entry, "hitRadius", 0.0)
+            out.append(VrmSpringJoint(node, stiffness, _number(entry, "gravityPower", 0.0), direction, drag, radius))
+        return tuple(out)
+
+    def is_below(self, node: int, other: int) -> bool:
+        return self.entered[other] < self.entered[node] <= self.last[other]
+
+    def chains(self, root: int, taken: set[int]) -> list[list[int]]:
+        """All nodes at and below one as chains, a branch as one of its own; a node swings once only."""
+        out: list[list[int]] = []
+        starts = [root]
+        while starts:
+            node = starts.pop()
+            chain = []
+            while node >= 0 and node not in taken:
+                taken.add(node)
+                chain.append(node)
+                starts += self.below[node][:0:-1]
+                node = self.below[node][0] if self.below[node] else -1
+            if chain:
+                out.append(chain)
+        return out
+
+    def group_numbers(self, values: Any, count: int, name: Any) -> tuple[int, ...]:
+        found = _list(values)
+        good = tuple(value for value in found if type(value) is int and 0 <= value < count)
+        if len(good) < len(found):
+            self.note("springs name groups of colliders that do not exist", name)
+        return good
+
+
+def _object(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _objects(value: Any) -> list[dict[str, Any]]:
+    return [item for item in _list(value) if isinstance(item, dict)]
+
+
+def _number(owner: dict[str, Any], key: str, default: float) -> float:
+    """A number, NaN where it is none."""
+    value = owner.get(key, default)
+    try:
+        return float(value) if type(value) in (int, float) else math.nan
+    except OverflowError:
+        return math.nan
+
+
+def _point(value: Any, default: float) -> np.ndarray:
+    """Three numbers from a list or from x, y, z; NaN where they are none."""
+    if isinstance(value, list) and len(value) == 3:
+        value = dict(zip("xyz", value, strict=True))
+    if value is None:
+        return np.full(3, default)
+    return np.array([_number(value, axis, default) for axis in "xyz"]) if isinstance(value, dict) else np.full(3, np.nan)

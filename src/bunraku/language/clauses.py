@@ -1,0 +1,157 @@
+"""What happens one after the other in a sentence: "a person walks, then waves" is "a person walks" and "a person waves".
+
+Each clause is generated from its own words, as the prompts of a sequence are: the network hears "then" but often does only one of
+both. Words that say order part a sentence, and commas between verbs; "walks and waves" is for `voices`.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+
+from bunraku.language.captions import known_clauses, known_verbs
+from bunraku.language.grammar import conjugate
+
+__all__ = ["SHORTEST_CLAUSE", "split_clauses", "subject_of", "timed_clauses", "with_subject"]
+
+SHORTEST_CLAUSE = 1.0
+"""Seconds under which clauses are too short to be done one by one; the sentence stays whole then."""
+
+_LATER = r"(?:then|after\s+that|after\s+this|after\s+which|afterwards?|finally|lastly|next(?!\s+to)|subsequently)"
+_ORDER = re.compile(
+    rf"\s*[.!]+\s+(?:(?:and\s+)?{_LATER}\b,?\s+)?(?=[a-z])"  # "He walks. Then he jumps."
+    rf"|\s*,?\s*(?<!now)(?<!now )\b(?:and|but)\s+{_LATER}\b\s*,?\s*"  # "walks and then jumps"
+    rf"|\s*,\s*{_LATER}\b\s*,?\s*"  # "walks, then jumps"
+    r"|\s*(?<!now and)(?<!\bor)(?<!\beven)(?<!\buntil)(?<!\bsince)(?<!\bback)(?<!\bby)\s+then\s+"  # "walks then jumps"
+    r"|\s*,?\s*\bfollowed\s+by\s+",
+    re.IGNORECASE,
+)
+_OPENING = re.compile(rf"^(?:(?:at\s+)?first(?:ly)?\b|{_LATER}\b|to\s+begin\s+with\b)\s*,?\s*", re.IGNORECASE)
+_BEGINS = re.compile(r"\b(?:starts|begins|start|begin)\s+(?:off\s+)?by\s+(?=\w+ing\b)", re.IGNORECASE)
+_AFTER_FIRST = re.compile(r"^after\s+(?:having\s+)?(?P<earlier>[^,]+?),\s*(?P<later>.+)$", re.IGNORECASE | re.DOTALL)
+_HINGE = re.compile(r"\s*,?\s+(?P<word>before|after)\s+(?:having\s+)?(?P<rest>(?!landing|being).+)$", re.IGNORECASE | re.DOTALL)
+_COMMA = re.compile(r"\s*,\s*(?:and\s+)?", re.IGNORECASE)
+_NOUN = (
+    r"(?:(?:a|an|the|one|this|that|my|our|his|her|their|its)\s+(?:(?!(?:and|or)\b)[\w'-]+\s+){1,3}?"
+    r"|(?:someone|somebody|he|she|it|they)\s+)"
+)
+_MORE_VERBS = (
+    "approach", "bark", "brush", "chase", "comb", "cook", "cough", "cross", "cry", "descend", "dig", "draw", "enter", "escape", "flee", "growl",
+    "grow", "hiss", "howl", "hug", "hunt", "kiss", "knock", "pour", "pray", "read", "relax", "scream", "search", "shiver", "shout", "sigh", "smile",
+    "sneeze", "sniff", "speed", "stalk", "stir", "tremble", "try", "type", "wake", "weep", "write", "yawn", "yell",
+)  # fmt: skip
+_NO_VERB = re.compile(
+    r"(?:left|right|forwards?|backwards?|back(?!\s+(?:up|away|off))|sideways|to|towards?|into|onto|in|on|at|around|up|down|away|out|off|again|over|with|from"
+    r"|the\s+other|another|some|for|once|twice|faster|slower|more|less|higher|lower)\b",
+    re.IGNORECASE,
+)
+_ADVERBS = r"(?:(?:\w+ly|also|again)\s+)*"
+
+
+@functools.cache
+def _forms() -> tuple[str, str, str]:
+    """Patterns of a verb in the third person, as a gerund, and plain."""
+
+    def pattern(words: set[str]) -> str:
+        return r"(?:" + "|".join(sorted(map(re.escape, words), key=len, reverse=True)) + r")\b"
+
+    verbs = known_verbs() | set(_MORE_VERBS)
+    third, gerund = ({conjugate(f"{{{verb}}}", form) for verb in verbs} for form in ("third", "gerund"))
+    return pattern(third), pattern(gerund), pattern(set(verbs))
+
+
+@functools.cache
+def _patterns() -> dict[str, re.Pattern[str]]:
+    """What begins a clause: a "subject", a verb in the "third" person, as a "gerund" or "plain", any "clause", or a "finite" one."""
+    third, gerund, plain = _forms()
+    texts = {
+        "subject": rf"(?P<subject>{_NOUN})(?={_ADVERBS}(?:{third}|{gerund}|is\s+|are\s+))",
+        "third": rf"{_ADVERBS}{third}",
+        "gerund": rf"{_ADVERBS}{gerund}",
+        "clause": rf"(?:{_NOUN})?{_ADVERBS}(?:{third}|{gerund}|{plain}|is\s|are\s)",
+        "plain": rf"{_ADVERBS}{plain}",
+        "finite": rf"{_NOUN}{_ADVERBS}(?:{third}|is\s|are\s)",
+    }
+    return {name: re.compile(text, re.IGNORECASE) for name, text in texts.items()}
+
+
+def split_clauses(sentence: str) -> list[str]:
+    """What a sentence says in order of time, one clause each; the sentence alone where nothing in it says order.
+
+    A clause without a subject gets that of the one before, so that "a horse gallops, then eats" stays with the horse.
+
+    Args:
+        sentence: A prompt in English.
+    """
+    text = " ".join(sentence.replace('"', " ").split())
+    if subject_of(text)[1].lower().removeprefix("is ").rstrip(" .") in known_clauses():
+        return [sentence]  # training knows it as it is
+    parts = _ORDER.split(_BEGINS.sub("", text))
+    pieces = [piece for part in parts for piece in _hinged(part)]
+    clauses: list[str] = []
+    for item in (item for piece in pieces for item in _listed(piece, len(pieces) > 1)):
+        clause = _OPENING.sub("", item).strip(" ,.;!")
+        if clauses and clause and (_NO_VERB.match(clause) or not clause[0].isalpha()):
+            clauses[-1] += f", then {clause}"  # "runs left, then right"
+        elif clause:
+            clauses.append(clause)
+    if len(clauses) < 2:
+        return [sentence]
+    subject, named = "", []
+    for clause in clauses:
+        own = subject_of(clause)[0]
+        subject = own or subject
+        named.append(clause if own else with_subject(clause, subject))
+    return named
+
+
+def subject_of(clause: str) -> tuple[str, str]:
+    """Its subject, "" where it has none, and the rest."""
+    found = _patterns()["subject"].match(clause)
+    return (found["subject"].strip(), clause[found.end() :]) if found else ("", clause)
+
+
+def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
+    """The clauses of a sentence with even shares of its seconds; the sentence itself where a share is under a second."""
+    clauses = split_clauses(sentence)
+    share = seconds / len(clauses)
+    return [(clause, share) for clause in clauses] if share >= SHORTEST_CLAUSE else [(sentence, seconds)]
+
+
+def _hinged(piece: str) -> list[str]:
+    """A piece parted at "before" and "after", in the order in which things happen."""
+    clause = _patterns()
+    found = _AFTER_FIRST.match(piece)
+    if found and clause["gerund"].match(found["earlier"]) and clause["clause"].match(found["later"]):
+        return [found["earlier"], *_hinged(found["later"])]
+    for found in re.finditer(_HINGE, piece):
+        rest = found["rest"]
+        if found.start() and (clause["gerund"].match(rest) or clause["finite"].match(rest)):
+            head = piece[: found.start()]
+            return [head, *_hinged(rest)] if found["word"].lower() == "before" else [*_hinged(rest), head]
+    return [piece]
+
+
+def _listed(piece: str, ordered: bool) -> list[str]:
+    """A list such as "a man walks, turns around and waves" as its clauses, where each begins with a verb of one form ("walks, looking down" does
+    not). Only commas make a list: "walks and waves" is none. Nouns may look like verbs ("dances with steps, turns and jumps"), so where nothing else
+    in the sentence says order, a list after "with" or "of" is none either."""
+    first, *others = _COMMA.split(piece)
+    if not ordered and re.search(r"\b(?:with|of)\b|:", first):
+        return [piece]
+    begin = subject_of(_OPENING.sub("", first))[1]
+    for form in ("third", "gerund", "plain") if others else ():
+        verb = _patterns()[form]
+        if all(verb.match(item) for item in (begin, *others)):
+            head, _, last = others[-1].rpartition(" and ")
+            return [first, *others[:-1], head, last] if head and verb.match(last) else [first, *others]
+    return [piece]
+
+
+def with_subject(clause: str, subject: str) -> str:
+    """A clause that begins with its verb as one of this subject; others, and all without a subject, stay as they are."""
+    if not subject:
+        return clause
+    if _patterns()["third"].match(clause):
+        return f"{subject} {clause}"
+    return f"{subject} is {clause}" if _patterns()["gerund"].match(clause) else clause

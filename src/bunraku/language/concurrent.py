@@ -1,0 +1,115 @@
+"""What happens at the same time in a sentence: "walks while waving" is walking, and arms that wave.
+
+Hardly any capture shows a gesture of the arms or the head on the way, so the network does one of both. Where a sentence joins a movement of
+the legs and one of the arms or the head, two motions are denoised side by side. The first hears of the legs. The second hears of the gesture
+and is given all but the gesture's handles by the first, at each step, as an edit that keeps them is (section A.3 of TapMo).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bunraku.body.parts import feature_mask, kept_handles
+from bunraku.language.clauses import subject_of, with_subject
+from bunraku.language.grammar import conjugate
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["Twin", "Voice", "voices"]
+
+_LEGS = (
+    "walk", "run", "jog", "sprint", "march", "sneak", "tiptoe", "skip", "stroll", "stride", "hop", "jump", "trot", "stomp", "wander", "sit", "kneel",
+)  # fmt: skip
+_ARMS = ("wave", "clap", "applaud", "salute", "cheer", "point", "beckon", "drink", "greet")
+_HEAD = ("nod",)
+_LIMB = re.compile(r"\b(?:hands?|arms?|fists?)\b", re.IGNORECASE)
+_JOINTS = tuple(re.compile(joint, re.IGNORECASE) for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!then\b)", r"\s*,\s*(?=\w+ing\b)"))
+
+
+@dataclass(frozen=True, eq=False)
+class Voice:
+    """A sentence, and the handles that listen to it.
+
+    Args:
+        sentence: In English.
+        handles: Shape (K,), bool; None for all that no other voice of the sentence has.
+    """
+
+    sentence: str
+    handles: np.ndarray | None = None
+
+
+def voices(sentence: str) -> tuple[Voice, ...]:
+    """The sentence alone, or what it says of the legs and what of the arms or the head, which listen to their own half.
+
+    Args:
+        sentence: A prompt in English, of one clause.
+    """
+    text = " ".join(sentence.split())
+    for joint in _JOINTS:
+        halves = [half.strip(" ,.;!") for half in joint.split(text)]
+        if len(halves) != 2 or not all(halves):
+            continue
+        first, second = halves[0], with_subject(halves[1], subject_of(halves[0])[0])
+        parts = [_part(half) for half in (first, second)]
+        if sorted(parts) in (["arms", "legs"], ["head", "legs"]):
+            body, gesture = (first, second) if parts[0] == "legs" else (second, first)
+            return Voice(body), Voice(gesture, kept_handles(next(part for part in parts if part != "legs")))
+    return (Voice(sentence),)
+
+
+def _part(clause: str) -> str:
+    """What its verb moves: "legs", "arms", "head", or "" for neither or all."""
+    words = subject_of(clause)[1].lower().split()
+    words = words[1:] if words and words[0] in ("is", "are") else words
+    while words and words[0].endswith("ly"):
+        words = words[1:]
+    verb = words[0] if words else ""
+    for part, verbs in (("legs", _LEGS), ("arms", _ARMS), ("head", _HEAD)):
+        if any(verb in (plain, conjugate(f"{{{plain}}}", "third"), conjugate(f"{{{plain}}}", "gerund")) for plain in verbs):
+            return part
+    if verb in ("raise", "raises", "raising", "lift", "lifts", "lifting", "swing", "swings", "swinging") and _LIMB.search(clause):
+        return "arms"
+    return "head" if verb in ("shake", "shakes", "shaking") and "head" in words else ""
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A second time line for a motion in which something happens at the same time: it hears the gestures, and moves as the first one else.
+
+    The first does not see the second: a walk whose arms wave would soon stand still, as people do who wave.
+
+    Args:
+        motion: Which motion of the batch it belongs to.
+        sentences: What it hears, a sentence for each of the motion's.
+        handles: The handles that are its own, shape (K,), bool.
+    """
+
+    motion: int
+    sentences: tuple[str, ...]
+    handles: np.ndarray
+
+    @classmethod
+    def of(cls, motion: int, heard: Sequence[tuple[Voice, ...]]) -> Twin | None:
+        """The second time line of a motion with these voices for each sentence; None where all have one."""
+        own = [voice.handles for some in heard for voice in some[1:] if voice.handles is not None]
+        return cls(motion, tuple(some[-1].sentence for some in heard), np.any(own, axis=0)) if own else None
+
+    def follow(self, first: Tensor, second: Tensor) -> Tensor:
+        """The second time line's features, shape (N, 271), with all that is not its own as in the first."""
+        import torch
+
+        own = torch.as_tensor(feature_mask(self.handles), device=first.device)
+        return torch.where(own, second, first)
+
+    def adapt(self, first: Tensor, second: Tensor) -> Tensor:
+        """The same of the adaptation, shape (N, K, 3)."""
+        import torch
+
+        return torch.where(torch.as_tensor(self.handles, device=first.device)[:, None], second, first)

@@ -1,0 +1,119 @@
+"""A generated motion on a character, and the way back from an animation to what was generated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.retarget.fit import Stages, fit_motion
+
+__all__ = ["PERFORM_STAGES", "fit_performed", "perform", "perform_dressed", "reference_of"]
+
+Progress = Callable[[str, float], None]
+PERFORM_STAGES = Stages(shape=True)
+"""The stages that run by default."""
+
+
+def perform(
+    motion: HandleMotion,
+    character: Character,
+    handles: Handles,
+    *,
+    loop: bool = False,
+    in_place: bool = False,
+    after: HandleMotion | Animation | None = None,
+    stages: Stages | None = None,
+    progress: Progress | None = None,
+) -> Animation:
+    """A motion of the reference body, as `generate` makes them, on a character.
+
+    Args:
+        motion: N frames.
+        character: +Y up and facing +Z.
+        handles: Its handles.
+        loop: Whether the motion is a loop.
+        in_place: Take the way over the ground out.
+        after: Start in the last pose of this; a motion of the reference body is one that `motion` already follows.
+        stages: Which stages fit the motion to the character; `PERFORM_STAGES` when None.
+        progress: Called with a stage's name and the share done, 0 to 1.
+    """
+    if progress:
+        progress("fit", 0.0)
+    stages = stages or PERFORM_STAGES
+    if isinstance(after, Animation) and after.reference is None:  # what the stage did to that clip is in the way back from it already
+        stages = replace(stages, shape=False)
+    fitted = fit_performed(motion, character, handles, stages, loop)
+    if isinstance(after, Animation):
+        from bunraku.diffusion.editing import follow
+
+        fitted = follow(fitted, after.motion)
+    if in_place:
+        from bunraku.diffusion.root_path import in_place as on_the_spot
+
+        fitted = on_the_spot(fitted, loop)
+    if progress:
+        progress("fit", 1.0)
+    return Animation(character, handles, fitted, motion)
+
+
+def perform_dressed(
+    motion: HandleMotion,
+    character: Character,
+    *,
+    in_place: bool = False,
+    stages: Stages | None = None,
+    fps: float = 30.0,
+    progress: Progress | None = None,
+) -> RigAnimation:
+    """A motion of the reference body on the bones of a character, whose hair and clothes its file's physics move.
+
+    Args:
+        motion: N frames.
+        character: With a rig and physics, +Y up and facing +Z.
+        in_place: Take the way over the ground out; apparel then hangs as on a treadmill.
+        stages: Which stages fit the motion to the rig; all when None.
+        fps: Frames a second of the result [1/s]; apparel swings faster than 20 can show.
+        progress: Called with a stage's name and the share done, 0 to 1.
+
+    Raises:
+        CharacterError: There is no physics in the file, or the names of its bones do not tell their parts.
+    """
+    from bunraku.diffusion.root_path import in_place as on_the_spot
+    from bunraku.formats.gltf.handle_channels import resample
+    from bunraku.physics.animated import simulated
+    from bunraku.retarget.to_rig import fit_rig
+
+    tell = progress or (lambda stage, done: None)
+    tell("fit", 0.0)
+    if in_place:  # feet that are held would carry the character away
+        motion, stages = on_the_spot(motion), replace(stages or Stages(), feet=False)
+    moved = fit_rig(resample(motion, fps), character, stages)
+    tell("fit", 1.0)
+    return simulated(moved, progress)
+
+
+def fit_performed(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False) -> HandleMotion:
+    """`fit_motion`, with the rounds before and after a loop in sight, so that no stage treats its ends as ends."""
+    from bunraku.diffusion.generate import load_generator
+
+    native = handles.features is not None and bool(load_generator()[0].notes.get("creatures"))
+    if not loop or len(motion) < 3:
+        return fit_motion(motion, character, handles, stages, native=native)
+    from bunraku.diffusion.root_path import closed_loop, repeated
+
+    margin = round(2 * motion.fps)
+    fitted = fit_motion(repeated(motion, margin, margin), character, handles, stages, native=native)
+    return closed_loop(fitted.take(slice(margin, margin + len(motion))), motion)
+
+
+def reference_of(animation: Animation) -> HandleMotion:
+    """The motion of the reference body that an animation plays: the one that it was fitted from, or the way back from its own."""
+    if animation.reference is not None:
+        return animation.reference
+    from bunraku.retarget.reference import motion_to_reference
+
+    return motion_to_reference(animation.motion, animation.character, animation.handles)

@@ -1,0 +1,183 @@
+"""Motion of any kind: read from any file that holds one, and taken to the reference body.
+
+A skeleton goes there by the meaning of its joints, a clip of a character by its rig or its handles, a moving mesh by registration of its
+handles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_COUNT
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
+from bunraku.core.mesh_motion import MeshMotion, load_mesh_motion
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import CharacterError, FormatError, MotionError
+from bunraku.geometry.rotations import nearest_rotation
+
+__all__ = ["Motion", "bone_turns", "load_any_motion", "reference_motion"]
+
+Motion = SkeletalMotion | HandleMotion | Animation | RigAnimation | MeshMotion
+CLIPS = (".glb", ".gltf", ".vrm", ".fbx")
+_CHUNK = 200  # frames registered at once: bounds memory
+
+
+def load_any_motion(path: str | Path, *, fps: float = 20.0, clip: int | str = 0) -> Motion:
+    """Read a motion from any file that holds one, or a moving mesh from a folder.
+
+    Args:
+        path: The file; or a folder of .obj or .ply files, one a frame.
+        fps: Frames a second of clips that are sampled, and of folders [1/s].
+        clip: Number or name of the clip of a file with several.
+
+    Raises:
+        FormatError: It cannot be read, or holds no motion.
+        OptionError: There is no such clip.
+    """
+    from bunraku.io import load_motion
+
+    path = Path(path)
+    if path.is_dir():
+        return load_mesh_motion(path, fps)
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        motion = load_motion(path)
+        if isinstance(motion, SkeletalMotion):
+            return motion
+        from bunraku.io.clips import load_clip
+
+        return load_clip(path).of_the_reference_body()
+    if suffix == ".vmd":
+        from bunraku.retarget.mmd.standard import vmd_motion
+
+        return vmd_motion(path, fps=fps)
+    if suffix not in CLIPS:
+        return load_motion(path)
+    if suffix == ".glb":
+        own = _own_clip(path)
+        if own is not None:
+            return own
+    if suffix == ".fbx":
+        from bunraku.formats.fbx.motion import load_fbx_motion
+        from bunraku.skeletons.skeleton_map import map_skeleton
+
+        try:  # of a person a skeleton is enough
+            motion = load_fbx_motion(path, clip or None, fps)
+            map_skeleton(motion.skeleton)
+            return motion
+        except (MotionError, FormatError):
+            pass
+    from bunraku.io.play import load_animation
+
+    return load_animation(path, clip, fps)
+
+
+def _own_clip(path: Path) -> Animation | HandleMotion | None:
+    """The clip of a GLB that Bunraku wrote, None for other files."""
+    from bunraku.io.clips import load_clip, load_clip_animation
+
+    try:
+        found = load_clip(path)
+    except (FormatError, MotionError):
+        return None
+    return found.reference if found.reference is not None else load_clip_animation(path)
+
+
+def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, str] | None = None) -> HandleMotion:
+    """Any motion as handle motion of the reference body.
+
+    Args:
+        motion: Motion of a skeleton; handle motion of the reference body; an animated character; or a moving mesh.
+        fps: Frames a second of the result [1/s].
+        names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
+
+    Raises:
+        MotionError: No pelvis and legs are found in the skeleton, or a handle motion is of something else.
+        CharacterError: The character of a clip has no usable mesh.
+    """
+    from bunraku.formats.gltf.handle_channels import resample
+
+    if isinstance(motion, SkeletalMotion):
+        return _of_skeleton(motion, fps, names)
+    if isinstance(motion, RigAnimation):
+        known = motion.reference or _of_rig(motion.character, *motion.world(), motion.fps)
+    elif isinstance(motion, MeshMotion):
+        known = _of_mesh(Character(motion.name, motion.vertices[0], motion.faces), motion.vertices, motion.fps)
+    elif isinstance(motion, Animation):
+        known = motion.reference or _of_animation(motion)
+    else:
+        known = motion
+        if known.translations.shape[1] != HANDLE_COUNT:
+            raise MotionError(f"a motion of the reference body has {HANDLE_COUNT} handles, not {known.translations.shape[1]}")
+    return resample(known, fps)
+
+
+def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | None) -> HandleMotion:
+    from bunraku.core.resample import resample_motion
+    from bunraku.retarget.body_motion import body_handle_motion
+    from bunraku.skeletons.skeleton_map import map_skeleton
+    from bunraku.skeletons.to_smpl import to_smpl
+
+    found = map_skeleton(motion.skeleton, names)
+    return body_handle_motion(to_smpl(resample_motion(motion, fps), found))
+
+
+def _of_animation(animation: Animation) -> HandleMotion:
+    """Of a clip that a file brings, whose handles are its bones; or of handles that have the reference body's meaning."""
+    from bunraku.retarget.reference import motion_to_reference
+
+    character, rig = animation.character, animation.character.rig
+    bones = 0 if rig is None else len(rig.names)
+    if len(animation.handles.positions) == HANDLE_COUNT != bones + 1:
+        return motion_to_reference(animation.motion, character, animation.handles)
+    if rig is not None and len(animation.handles.positions) == bones + 1:
+        try:
+            return _of_rig(character, *bone_turns(animation), animation.motion.fps)
+        except CharacterError:
+            pass  # names that say nothing
+    return _of_mesh(replace(character, rig=None), animation.vertices(), animation.motion.fps)
+
+
+def _of_rig(character: Character, turns: np.ndarray, places: np.ndarray, fps: float) -> HandleMotion:
+    from bunraku.formats.turning import turned
+    from bunraku.geometry.axes import upright_rotation
+    from bunraku.retarget.rig_motion import rig_to_reference
+    from bunraku.retarget.rig_parts import RigParts
+    from bunraku.skeletons.rig_axes import rig_axes
+
+    rig = character.rig
+    assert rig is not None
+    axes = rig_axes(rig.names, rig.parents, rig.positions)
+    if axes is not None and axes != ("+y", "+z"):
+        turn = upright_rotation(*axes)
+        character, turns, places = turned(replace(character, source=None), *axes), turn @ turns @ turn.T, places @ turn.T
+    return rig_to_reference(RigParts.of(character), turns, places, fps, native=True)
+
+
+def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
+    """Of a moving mesh: its handles are predicted, registered (section A.2 of TapMo) and taken to the reference body."""
+    from bunraku.datasets.motions.build import handle_motion_of_mesh
+    from bunraku.geometry.areas import vertex_areas
+    from bunraku.pipelines.animate import rig
+    from bunraku.retarget.reference import motion_to_reference
+
+    handles = rig(rest)
+    areas = vertex_areas(rest.vertices, rest.faces)
+    parts = [
+        handle_motion_of_mesh(rest.vertices, np.asarray(vertices[start : start + _CHUNK]), handles.weights, handles.positions, areas, fps)
+        for start in range(0, len(vertices), _CHUNK)
+    ]
+    return motion_to_reference(HandleMotion.joined(parts), rest, handles)
+
+
+def bone_turns(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
+    """World turns (N, J, 3, 3) and heads [m] (N, J, 3) of the bones of a clip whose handles they are."""
+    assert animation.character.rig is not None
+    affine = animation.motion.transforms(animation.handles.positions)[:, 1:].astype(np.float64)
+    return nearest_rotation(affine[..., :3]), np.einsum("njab,jb->nja", affine[..., :3], animation.character.rig.positions) + affine[..., 3]

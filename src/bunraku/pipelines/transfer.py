@@ -1,0 +1,176 @@
+"""`transfer`: motion that exists already, put on any character.
+
+Every motion becomes one of the reference body first (`any_motion`). From there it goes to the handles of the character (TapMo, section
+3.2) or to its own rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import CharacterError, OptionError
+from bunraku.pipelines.to_reference import Motion, bone_turns, load_any_motion, reference_motion
+from bunraku.retarget.fit import Stages, fit_motion
+
+__all__ = ["TRANSFER_STAGES", "perform_transfer", "played_by_mmd", "same_skeleton", "transfer"]
+
+Progress = Callable[[str, float], None]
+TRANSFER_STAGES = Stages(hands=True, shape=True)
+"""The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its shape."""
+
+
+def transfer(
+    character: Character,
+    motion: Motion | str | Path,
+    *,
+    onto: Literal["auto", "handles", "rig"] = "auto",
+    handles: Handles | Literal["predict", "rig"] = "predict",
+    apparel: Literal["rigid", "simulate"] = "rigid",
+    stages: Stages | None = None,
+    fps: float = 20.0,
+    names: Mapping[str, str] | None = None,
+    clip: int | str = 0,
+    progress: Progress | None = None,
+) -> Animation | RigAnimation:
+    """Put a motion on a character.
+
+    Args:
+        character: Any mesh, +Y up and facing +Z.
+        motion: Motion of any skeleton; handle motion of the reference body; an animated character; a moving mesh; or a file of one of these.
+        onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a humanoid that has one
+            and handles otherwise.
+        handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
+        apparel: "rigid" moves hair and clothes with the body, "simulate" by the rigid bodies or springs of an MMD or VRM file.
+        stages: Which stages run; `TRANSFER_STAGES` when None.
+        fps: Frames a second of the result [1/s].
+        names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
+        clip: Number or name of the clip of a file with several.
+        progress: Called with a stage's name and the share done, 0 to 1.
+
+    Returns:
+        An `Animation`, or a `RigAnimation` where the rig is moved. A clip of a character with the same skeleton is copied bone by bone,
+        at its own rate, unless handles are asked for.
+
+    Raises:
+        OptionError: `onto` is none of the three, or `fps` is not from 1 to 240.
+        CharacterError: The rig is to be moved, and there is none, or the names of its bones do not tell their parts.
+        MotionError: No pelvis and legs are found in the skeleton.
+        FormatError: The file cannot be read.
+    """
+    from bunraku.physics.animated import check_apparel, with_apparel
+
+    if onto not in ("auto", "handles", "rig"):
+        raise OptionError(f"a motion goes onto 'handles', 'rig' or 'auto', not '{onto}'; choose one of the three")
+    if not 1 <= fps <= 240:
+        raise OptionError(f"frames a second must be from 1 to 240, not {fps:g}")
+    if apparel not in ("rigid", "simulate"):
+        raise OptionError(f"apparel moves by 'rigid' or 'simulate', not '{apparel}'; choose one of the two")
+    if apparel == "simulate":
+        if onto == "handles":
+            raise OptionError("apparel is simulated on the bones of a character's rig; leave out onto='handles'")
+        check_apparel(character)  # before the work
+    result = _transferred(character, motion, onto, handles, stages, fps, names, clip, progress)
+    return with_apparel(result, apparel, progress)
+
+
+def _transferred(
+    character: Character,
+    motion: Motion | str | Path,
+    onto: Literal["auto", "handles", "rig"],
+    handles: Handles | Literal["predict", "rig"],
+    stages: Stages | None,
+    fps: float,
+    names: Mapping[str, str] | None,
+    clip: int | str,
+    progress: Progress | None,
+) -> Animation | RigAnimation:
+    tell = progress or (lambda stage, done: None)
+    tell("read", 0.0)
+    if isinstance(motion, str | Path):
+        played = None if onto == "handles" or isinstance(handles, Handles) else played_by_mmd(character, motion, fps)
+        if played is not None:
+            return played
+        motion = load_any_motion(motion, fps=fps, clip=clip)
+    same = None if onto == "handles" or isinstance(handles, Handles) else same_skeleton(character, motion)
+    if same is not None:
+        tell("read", 1.0)
+        return same
+    reference = reference_motion(motion, fps=fps, names=names)
+    tell("read", 1.0)
+    return perform_transfer(character, reference, onto=onto, handles=handles, stages=stages, progress=progress)
+
+
+def perform_transfer(
+    character: Character,
+    reference: HandleMotion,
+    *,
+    onto: Literal["auto", "handles", "rig"] = "auto",
+    handles: Handles | Literal["predict", "rig"] = "predict",
+    stages: Stages | None = None,
+    progress: Progress | None = None,
+) -> Animation | RigAnimation:
+    """`transfer` of what `reference_motion` gives; arguments are those of `transfer`."""
+    from bunraku.retarget.rig_parts import RigParts
+    from bunraku.retarget.to_rig import fit_rig
+    from bunraku.retarget.treadmill import slides_on_the_spot
+
+    tell = progress or (lambda stage, done: None)
+    stages = stages or TRANSFER_STAGES
+    if stages.feet and slides_on_the_spot(reference):
+        stages = replace(stages, feet=False)  # feet that are held would carry the character away
+    parts = None
+    if onto == "rig":
+        parts = RigParts.of(character)
+    elif onto == "auto" and character.rig is not None and not isinstance(handles, Handles):
+        try:
+            parts = RigParts.of(character)
+            parts = parts if parts.humanoid else None
+        except CharacterError:
+            parts = None
+    tell("fit", 0.0)
+    if parts is not None:
+        result: Animation | RigAnimation = fit_rig(reference, parts, stages)
+    else:
+        if not isinstance(handles, Handles):
+            from bunraku.pipelines.animate import rig
+
+            handles = rig(character, handles=handles, progress=progress)
+        result = Animation(character, handles, fit_motion(reference, character, handles, stages), reference)
+    tell("fit", 1.0)
+    return result
+
+
+def same_skeleton(character: Character, motion: Motion) -> RigAnimation | None:
+    """The clip of a character that has the same skeleton, bone by bone; None for other motions."""
+    from bunraku.retarget.same_rig import copied_bones
+
+    if character.rig is None or not isinstance(motion, Animation | RigAnimation) or motion.character.rig is None:
+        return None
+    if isinstance(motion, RigAnimation):
+        return copied_bones(motion.character, *motion.world(), motion.fps, character)
+    if len(motion.handles.positions) != len(motion.character.rig.names) + 1:
+        return None
+    return copied_bones(motion.character, *bone_turns(motion), motion.motion.fps, character)
+
+
+def played_by_mmd(character: Character, path: str | Path, fps: float) -> RigAnimation | None:
+    """A VMD on the bones of an MMD model, which it was made for; None for other files and characters.
+
+    Raises:
+        FormatError: The file cannot be read.
+        MotionError: It moves none of the model's bones.
+    """
+    if Path(path).suffix.lower() != ".vmd":
+        return None
+    from bunraku.formats.mmd.model import mmd_model
+    from bunraku.formats.mmd.vmd import load_vmd
+    from bunraku.retarget.mmd.play import mmd_animation
+
+    return None if mmd_model(character) is None else mmd_animation(character, load_vmd(path), fps)

@@ -1,0 +1,131 @@
+"""Edges keep their lengths: the ARAP objective of Eq. 10 of TapMo, solved for the very character and motion.
+
+The learned adaptation has seen many characters but not this one. Here its last step is made once more, on the mesh itself: an edge (i, j)
+goes, in the root's frame, from `base_ij` to `base_ij + sum_k (s_ik - s_jk) t_k`, which is linear in the local translations t, so the squared
+changes of length, with the squared move of the handles beside them, make a small least-squares problem of each frame on its own.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from bunraku.core.character import Character, Handles
+from bunraku.geometry.resampling import Resampling
+
+__all__ = ["edges_kept"]
+
+LOOKED_AT = 20_000
+EDGES = 600
+"""Edges among which those are found that can change, and how many of them count: samples, where a mesh has more."""
+STRENGTH = 0.2
+"""How much the squared changes of length count beside the squared move of the handles [m^2 of the reference body]."""
+CALM = 0.15
+"""ARAP-Loss that a character may have before the strength is taken back, so that one that distorts a lot by nature is not pulled about."""
+LONGEST = 0.04
+"""No handle is moved farther [m of the reference body]."""
+STEPS = 2
+STRIDE = 2
+"""Every so many frames are solved; the moves between them are blended."""
+CHUNK = 32
+
+
+def edges_kept(rotations: np.ndarray, translations: np.ndarray, character: Character, handles: Handles, scale: float) -> np.ndarray:
+    """What to add to local translations so that the mesh is stretched less, shape (N, K, 3) [m]; the root's share is zero.
+
+    Args:
+        rotations: Local rotations of the handles, shape (N, K, 3, 3).
+        translations: Their local translations [m], shape (N, K, 3).
+        character: The character.
+        handles: Its handles.
+        scale: The character's size over the reference body's.
+    """
+    system = _System.of(character, handles)
+    if system is None:
+        return np.zeros(translations.shape)
+    frames = np.append(np.arange(0, len(translations) - 1, STRIDE), len(translations) - 1)
+    parts = [frames[start : start + CHUNK] for start in range(0, len(frames), CHUNK)]
+    with _libraries().limit(limits=1, user_api="blas"):  # small products: where a core is busy, threads would wait for each other
+        moved = np.concatenate([system.solved(rotations[part], translations[part], handles.positions, scale) for part in parts])
+    at = np.interp(np.arange(len(translations)), frames, np.arange(len(frames)))
+    low = at.astype(int)
+    high = np.minimum(low + 1, len(frames) - 1)
+    return Resampling(low, high, at - low).linear(moved.astype(float))
+
+
+@functools.cache
+def _libraries() -> ThreadpoolController:
+    """The libraries that numpy multiplies with; looking for them takes longer than to set their threads."""
+    return ThreadpoolController()
+
+
+class _System:
+    """Sampled edges of a character."""
+
+    def __init__(self, ends: np.ndarray, weights: np.ndarray, share: float, size: float):
+        self.apart = weights[:, 0] - weights[:, 1]  # (S, K)
+        moments = weights[..., None] * ends[:, :, None]
+        self.moments = (moments[:, 0] - moments[:, 1]).reshape(len(ends), -1)  # (S, 3K)
+        self.rest = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=-1) / size
+        self.share, self.size = share, size
+        self.slope = self.apart / size
+
+    @classmethod
+    def of(cls, character: Character, handles: Handles) -> _System | None:
+        """The edges whose ends are moved differently, None where there are none."""
+        edges, count = _some_edges(character)
+        apart = np.abs(handles.weights[edges[:, 0]] - handles.weights[edges[:, 1]]).sum(axis=1) > 1e-3
+        total = count * apart.mean()
+        edges = edges[apart][:EDGES]
+        if not len(edges):
+            return None
+        size = float(np.ptp(character.vertices[character.surface], axis=0).max())
+        return cls(character.vertices[edges].astype(float), handles.weights[edges].astype(float), total / len(edges), size)
+
+    def solved(self, rotations: np.ndarray, translations: np.ndarray, positions: np.ndarray, scale: float) -> np.ndarray:
+        """Gauss-Newton steps from no move at all, each frame on its own."""
+        frames, handles = translations.shape[:2]
+        offset = positions + translations - np.einsum("nkij,kj->nki", rotations, positions)
+        left = rotations.transpose(0, 2, 1, 3).reshape(frames * 3, handles * 3)
+        base = (left @ self.moments.T).reshape(frames, 3, -1).transpose(0, 2, 1) + self.apart @ offset
+        base = (base / self.size).astype(np.float32)
+        moved = np.zeros((frames, handles, 3), np.float32)
+        slope, weight = self.slope.astype(np.float32), None
+        eye = np.eye(3 * handles) / scale**2
+        for _ in range(STEPS):
+            edges = base + slope @ moved
+            length = np.sqrt(np.square(edges).sum(-1) + 1e-12)
+            change = length - self.rest.astype(np.float32)
+            if weight is None:
+                loss = np.square(change).sum(-1).mean() * self.share
+                weight = STRENGTH / (loss + CALM) * self.share
+            rows = ((edges / length[..., None])[:, :, None] * slope[..., None]).reshape(frames, len(slope), -1)
+            turned = rows.transpose(0, 2, 1)
+            square = (turned @ rows) * weight + eye
+            side = (turned @ change[..., None])[..., 0] * weight + moved.reshape(frames, -1) / scale**2
+            moved = moved - np.linalg.solve(square, side[..., None])[..., 0].reshape(moved.shape)
+            far = np.linalg.norm(moved, axis=-1, keepdims=True)
+            moved = (moved * np.minimum(LONGEST * scale / np.maximum(far, 1e-12), 1)).astype(np.float32)
+            moved[:, 0] = 0
+        return moved
+
+
+def _some_edges(character: Character) -> tuple[np.ndarray, int]:
+    """At most LOOKED_AT edges, and how many there are; edges at the same place count once.
+
+    They are drawn by a hash of the place of their middle, so neither seams nor the order of vertices and faces make a difference.
+    """
+    edges = character.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    used = character.vertices[character.surface]
+    fine = 2**13 / float(np.ptp(used, axis=0).max())  # coarse enough that rounding of coordinates hardly ever matters
+    middle = (character.vertices[edges[:, 0]] + character.vertices[edges[:, 1]]) / 2 - used.min(axis=0)
+    middle = np.floor(middle * fine + 0.37).astype(np.int64).astype(np.uint64)
+    place = (middle * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(axis=1, dtype=np.uint64)
+    place ^= place >> np.uint64(29)  # as in the finishing steps of splitmix64
+    place *= np.uint64(0xBF58476D1CE4E5B9)
+    place ^= place >> np.uint64(32)
+    first = np.unique(place, return_index=True)[1]
+    return edges[first[:LOOKED_AT]], len(first)

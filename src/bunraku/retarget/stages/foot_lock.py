@@ -1,0 +1,205 @@
+"""Feet that stand do not slide: the stage `feet` of fitting.
+
+1. Contacts: where the sole of each leg is low and slow, with hysteresis, in units of the leg's length.
+2. The root's path is bent so that what stands does not slide in the mean: most of a generated motion's sliding is a path that
+   disagrees with its steps. Between contacts the correction fades, so jumps keep their speed.
+3. What is left is taken out by bending the legs: an offset of each foot that holds it in place while it stands and is smooth between.
+
+Both corrections are the solution of a sparse least-squares problem over all frames: velocities of standing feet are cancelled, and
+the correction's own acceleration and size are small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.geometry.easing import smooth_step
+from bunraku.retarget.legs import Leg, foot_points, move_feet
+from bunraku.retarget.stages.joints import Joints
+
+__all__ = ["Contacts", "add_bending", "find_contacts", "foot_motion", "locked"]
+
+LOW, HIGH = 0.05, 0.08  # height of a foot that comes to stand, and of one that no longer does, over the leg's length
+SLOW, FAST = 0.5, 1.0  # likewise its speed along the ground, in leg lengths a second
+ROLL = 0.012  # points of a sole so much higher than its lowest, over the leg's length, count half for where it is
+SHORT = 3  # pairs of frames: shorter contacts are none, and shorter gaps between them are closed
+APART = 0.25  # a foot that is so much faster than the slowest that stands, in leg lengths a second, counts half for the path
+HURRY = 2.0  # likewise one that is so fast itself
+ROUNDS = 6  # the path's correction and the contacts, which need one another, are found in turns; contacts from the middle on
+SITS, KNEELS = 0.25, 0.35  # who has a hip, or a knee, lower than this share of the leg from there on does not stand on it
+MOST = 0.15  # how far a foot is moved at the most, over the leg's length; what slides farther means to
+FREE, ROOT_SMOOTH = 0.05, 2.0  # the path's correction: its size and its change from step to step, over a foot's slide
+HOLD, PULL = 100.0, 0.05  # a foot's offset: its slide, and its size while it does not stand, over its acceleration
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """How feet move along the ground, from each frame to the next.
+
+    Args:
+        steps: How far the lowest part of each sole moves along x and z [m], shape (N - 1, L, 2).
+        heights: Its height over the ground, mean of the two frames [m], shape (N - 1, L).
+        stands: How much the foot stands, 0 to 1, shape (N - 1, L).
+    """
+
+    steps: np.ndarray
+    heights: np.ndarray
+    stands: np.ndarray
+
+
+def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarray, np.ndarray]:
+    """Steps (N - 1, 2) and heights (N - 1,) of a sole whose points are known (N, m, 3): of its lowest part, so rolling is no step.
+
+    Args:
+        points: Where they are [m].
+        floor: Height of the ground [m].
+        soft: How much higher than the lowest a point must be to count little [m].
+    """
+    height = 0.5 * (points[1:, :, 1] + points[:-1, :, 1])
+    lowest = height.min(axis=1)
+    share = np.exp(-((height - lowest[:, None]) / soft))
+    share /= share.sum(axis=1, keepdims=True)
+    steps = np.einsum("nm,nmi->ni", share, np.diff(points[..., [0, 2]], axis=0))
+    return steps, lowest - floor
+
+
+def find_contacts(motion: HandleMotion, character: Character, handles: Handles, legs: list[Leg], floor: float) -> tuple[Contacts, np.ndarray]:
+    """The contacts of a motion, and the root's steps that are missing for standing feet to stay where they are in the mean.
+
+    A foot on which nobody can stand, because its knee or hip is near the ground as in crawling, kneeling and sitting, has no contacts.
+
+    Args:
+        motion: Of the character.
+        character: In its rest pose.
+        handles: Its handles.
+        legs: Its legs, L.
+        floor: Height of the ground [m].
+
+    Returns:
+        Contacts with steps that are still without the correction, and the correction along x and z of each step [m], shape (N - 1, 2).
+    """
+    world = motion.transforms(handles.positions)
+    steps, heights, raised = [], [], []
+    for leg in legs:
+        step, height = foot_motion(foot_points(leg, character, handles, world), floor, ROLL * leg.length)
+        steps.append(step)
+        heights.append(height)
+        up = np.ones(len(step), bool)
+        for handle, joint, least in zip((leg.upper, leg.lower), leg.joints[:2], (SITS, KNEELS), strict=True):
+            height = world[:, handle, 1, :3] @ joint + world[:, handle, 1, 3] - floor
+            up &= 0.5 * (height[1:] + height[:-1]) > least * leg.reach(joint)
+        raised.append(up)
+    step, height, standing = np.stack(steps, axis=1), np.stack(heights, axis=1), np.stack(raised, axis=1)
+    lengths = np.array([leg.length for leg in legs])
+    unit = motion.fps / lengths
+    share = height / lengths
+    trust = np.exp(-((np.maximum(share, 0) / LOW) ** 2)) * standing
+    missing = np.zeros((len(step), 2))
+    for number in range(ROUNDS):
+        speed = np.linalg.norm(step + missing[:, None], axis=-1) * unit
+        if number >= ROUNDS // 2:
+            enters, stays = (share < LOW) & (speed < SLOW) & standing, (share < HIGH) & (speed < FAST) & standing
+            trust = (
+                np.stack([_held(enters[:, leg], stays[:, leg]) for leg in range(len(legs))], axis=1)
+                * smooth_step(speed, FAST, SLOW)
+                * smooth_step(share, HIGH, LOW)
+            )
+        slowest = np.take_along_axis(step, (speed + HURRY * (1 - trust)).argmin(axis=1)[:, None, None], axis=1)
+        beside = np.linalg.norm(step - slowest, axis=-1) * unit
+        missing = _root_steps(step, trust / (1 + (beside / APART) ** 4) / (1 + (speed / HURRY) ** 2))
+    return Contacts(step, height, trust), missing
+
+
+def _held(enters: np.ndarray, stays: np.ndarray) -> np.ndarray:
+    """Where a foot stands, shape (n,), bool: from where it enters until it no longer stays, forwards and backwards in time."""
+    label = np.cumsum(np.diff(stays.astype(int), prepend=0) == 1) * stays
+    held = np.isin(label, np.unique(label[enters & stays])) & stays
+    for value in (False, True):
+        _drop_short(held, value)
+    return held
+
+
+def _drop_short(held: np.ndarray, value: bool) -> None:
+    """Flip runs of a value that are short, in place; not those at the clip's ends."""
+    edges = np.flatnonzero(np.diff(held.astype(int))) + 1
+    for start, end in zip(edges[:-1], edges[1:], strict=True):
+        if held[start] == value and end - start < SHORT:
+            held[start:end] = not value
+
+
+def _root_steps(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
+    """Steps of the root that cancel those of standing feet, smooth in time, shape (N - 1, 2)."""
+    total = trust.sum(axis=1)
+    count = len(steps)
+    band = np.zeros((2, count))
+    band[1] = total + FREE
+    band[1, :-1] += ROOT_SMOOTH
+    band[1, 1:] += ROOT_SMOOTH
+    band[0, 1:] = -ROOT_SMOOTH
+    return np.asarray(solveh_banded(band, -np.einsum("nl,nli->ni", trust, steps)))
+
+
+def add_bending(band: np.ndarray) -> None:
+    """Add the squared second differences of a curve to a banded matrix (3, N), in place; in upper form, its diagonal in row 2."""
+    count = band.shape[1]
+    for offset, weight in zip((0, 1, 2), (1.0, -2.0, 1.0), strict=True):
+        band[2, offset : count - 2 + offset] += weight * weight
+    band[1, 1 : count - 1] -= 2
+    band[1, 2:count] -= 2
+    band[0, 2:] += 1
+
+
+def _offsets(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
+    """Offsets of one foot that cancel its steps where it stands, smooth and small elsewhere, shape (N, 2).
+
+    Args:
+        steps: Shape (N - 1, 2).
+        trust: How much it stands, shape (N - 1,).
+    """
+    count = len(steps) + 1
+    band = np.zeros((3, count))
+    free = np.ones(count)
+    free[:-1] -= 0.5 * trust
+    free[1:] -= 0.5 * trust
+    band[2] = PULL * free + 1e-4
+    held = HOLD * trust
+    band[2, :-1] += held
+    band[2, 1:] += held
+    band[1, 1:] -= held
+    add_bending(band)
+    right = np.zeros((count, 2))
+    right[:-1] += held[:, None] * steps
+    right[1:] -= held[:, None] * steps
+    return np.asarray(solveh_banded(band, right))
+
+
+def locked(
+    motion: HandleMotion, character: Character, handles: Handles, joints: Joints, legs: list[Leg], floor: float
+) -> tuple[HandleMotion, Contacts | None]:
+    """The motion with standing feet held in place, and its contacts; None of who has no legs.
+
+    Args:
+        motion: Of the character, on the ground.
+        character: In its rest pose.
+        handles: Its handles.
+        joints: Where they meet.
+        legs: Its legs, L.
+        floor: Height of the ground [m].
+    """
+    if not legs or len(motion) < 3:
+        return motion, None
+    contacts, missing = find_contacts(motion, character, handles, legs, floor)
+    path = motion.root_translation.astype(np.float64)
+    path[1:, [0, 2]] += np.cumsum(missing, axis=0)
+    motion = replace(motion, root_translation=path)
+    shifts = np.zeros((len(motion), len(legs), 3))
+    for number, leg in enumerate(legs):
+        offsets, most = _offsets(contacts.steps[:, number] + missing, contacts.stands[:, number]), MOST * leg.length
+        away = np.linalg.norm(offsets, axis=1, keepdims=True) / most
+        shifts[:, number][:, [0, 2]] = offsets * np.tanh(away) / np.maximum(away, 1e-9)
+    return move_feet(motion, handles, joints, legs, shifts), contacts

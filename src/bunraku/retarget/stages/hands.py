@@ -1,0 +1,178 @@
+"""Hands that touch the body stay near it: the stage `hands` of fitting.
+
+Proportions differ, so a hand that lay on the hip ends beside it, or inside it. Where a hand of the reference body is near its head,
+chest, hips, a thigh or the other hand, the character's hand is brought to the same place of the same part, by bending the arm. A place
+is told in the box of a part: within it in shares of the box, outside of it as a gap in the character's scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import cKDTree
+
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.geometry.easing import smooth_step
+from bunraku.retarget.legs import Leg, move_feet
+from bunraku.retarget.stages.joints import Joints, attached
+from bunraku.retarget.stages.rest_pose import upright
+
+__all__ = ["hands_kept"]
+
+NEAR, TOUCHES = 0.12, 0.05  # distance from a palm's middle to the body at which it begins to count, and counts wholly [m of the reference body]
+RESTS, PASSES = 0.3, 0.8  # speed of a palm along a part below which it may touch it, and over which it only passes by [m/s of the reference body]
+CLOSE = 0.04  # a hand that is off its place by less than this stays where it is [m of the reference body]
+BLEND = 0.08  # deviation of the smoothing in time [s]
+MOST = 0.5  # how far a hand is moved at the most, over the arm's length
+PALM = 0.45  # what of a hand is this near to its wrist, over the arm's length, is no tool that it holds
+BOX = 0.02  # of a part's surface that may stick out of its box on each side
+_PARTS = {"head": ("head", "head_top", "face"), "spine3": ("spine2", "spine3", "left_wing", "right_wing"), "pelvis": ("pelvis", "spine1"),
+          "left_hip": ("left_hip",), "right_hip": ("right_hip",)}  # fmt: skip
+_H = {name: index for index, name in enumerate(HANDLE_NAMES)}
+_WRISTS = (_H["left_wrist"], _H["right_wrist"])
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A part of a body that hands touch: its handle, and its surface's box in the stance [m]."""
+
+    handle: int
+    middle: np.ndarray
+    half: np.ndarray
+    points: np.ndarray
+
+
+def hands_kept(
+    motion: HandleMotion,
+    fitted: HandleMotion,
+    character: Character,
+    handles: Handles,
+    joints: Joints,
+    turns: np.ndarray,
+    arms: list[Leg],
+    scale: float,
+) -> HandleMotion:
+    """The fitted motion with hands where the reference body's hands touch it.
+
+    Args:
+        motion: Of the reference body.
+        fitted: Of the character.
+        character: In its rest pose.
+        handles: Its handles.
+        joints: Where they meet.
+        turns: From its rest pose into the reference body's stance, shape (K, 3, 3).
+        arms: Its arms.
+        scale: Its size over the reference body's.
+    """
+    arms = [arm for arm in arms if int(handles.played[arm.foot[0]]) in _WRISTS] if upright(handles) else []
+    if not arms or len(fitted) < 2:
+        return fitted
+    body = reference_body()
+    known = _parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
+    stance = _stance(handles, joints, turns)
+    world, theirs = fitted.transforms(handles.positions).astype(np.float64), motion.transforms(body.handles.positions).astype(np.float64)
+    posed = np.einsum("vk,kij->vij", handles.weights, stance)
+    vertices = np.einsum("vij,vj->vi", posed[..., :3], character.vertices) + posed[..., 3]
+    own = _parts(vertices[character.surface], handles.weights[character.surface], handles.played)
+    palms = {wrist: _palm(body.vertices, body.handle_weights[:, [wrist, wrist + 2]].sum(axis=1)) for wrist in _WRISTS}
+    shifts = np.zeros((len(fitted), len(arms), 3))
+    places = []  # of each arm: the reference's palm and the character's in each frame
+    for number, arm in enumerate(arms):
+        wrist = int(handles.played[arm.foot[0]])
+        source = _applied(theirs[:, wrist], palms[wrist])
+        away = np.linalg.norm(character.vertices[arm.foot_area] - arm.joints[2], axis=1)
+        near = arm.foot_area[away < PALM * arm.length]
+        palm = character.vertices[near if len(near) else arm.foot_area].mean(axis=0).astype(np.float64)
+        present = _applied(world[:, arm.foot[0]], palm)
+        places.append((wrist, source, present))
+        total, want = np.zeros(len(fitted)), np.zeros((len(fitted), 3))
+        closest = np.zeros(len(fitted))
+        for name, part in known.items():
+            if name not in own:
+                continue
+            local = _unapplied(theirs[:, part.handle], source)
+            share = smooth_step(cKDTree(part.points).query(local)[0], NEAR, TOUCHES) * _rest(local, motion.fps)
+            there = own[name]
+            goal = _placed(local, part, there, scale)
+            frame = world[:, there.handle] @ _square(np.linalg.inv(_square(stance[there.handle])))
+            want += (share**4)[:, None] * (_applied(frame, goal) - present)
+            total += share**4
+            closest = np.maximum(closest, share)
+        shifts[:, number] = want / np.maximum(total, 1e-9)[:, None] * closest[:, None]
+    if len(places) == 2 and {place[0] for place in places} == set(_WRISTS):
+        _joined(places, shifts, motion, fitted, scale)
+    for number, arm in enumerate(arms):
+        off = np.linalg.norm(shifts[:, number], axis=1, keepdims=True)
+        shifts[:, number] *= np.maximum(1 - CLOSE * scale / np.maximum(off, 1e-9), 0)
+        smooth = gaussian_filter1d(shifts[:, number], BLEND * fitted.fps, axis=0, mode="nearest")
+        far = np.linalg.norm(smooth, axis=1, keepdims=True) / (MOST * arm.length)
+        shifts[:, number] = smooth * np.tanh(far) / np.maximum(far, 1e-9)
+    return move_feet(fitted, handles, joints, arms, shifts)
+
+
+def _joined(places: list[tuple[int, np.ndarray, np.ndarray]], shifts: np.ndarray, motion: HandleMotion, fitted: HandleMotion, scale: float) -> None:
+    """Bring hands together that touch each other, in place: each goes half of the way."""
+    between = places[0][1] - places[1][1]
+    share = smooth_step(np.linalg.norm(between, axis=1) - NEAR / 2, NEAR, TOUCHES)  # palms' middles are apart by two hands
+    turn = fitted.root_rotation.astype(np.float64) @ np.swapaxes(motion.root_rotation, -1, -2)
+    want = np.einsum("nij,nj->ni", turn, between) * scale
+    have = places[0][2] + shifts[:, 0] - places[1][2] - shifts[:, 1]
+    half = 0.5 * share[:, None] * (want - have)
+    shifts[:, 0] += half
+    shifts[:, 1] -= half
+
+
+def _rest(local: np.ndarray, fps: float) -> np.ndarray:
+    """How much a palm rests on a part, 0 to 1, by its places in the part's frame (N, 3)."""
+    speed = np.linalg.norm(np.gradient(local, axis=0), axis=1) * fps
+    return smooth_step(gaussian_filter1d(speed, BLEND * fps, mode="nearest"), PASSES, RESTS)
+
+
+def _placed(local: np.ndarray, part: _Part, there: _Part, scale: float) -> np.ndarray:
+    """Points (N, 3) of one part's stance as those of another's."""
+    away = local - part.middle
+    inside = np.clip(away, -part.half, part.half)
+    return np.asarray(there.middle + inside * (there.half / np.maximum(part.half, 1e-6)) + (away - inside) * scale)
+
+
+def _parts(vertices: np.ndarray, weights: np.ndarray, played: np.ndarray) -> dict[str, _Part]:
+    out = {}
+    for name, members in _PARTS.items():
+        columns = np.isin(played, [_H[member] for member in members])
+        points = vertices[weights[:, columns].sum(axis=1) > 0.5].astype(np.float64)
+        handle = np.flatnonzero(played == _H[name])
+        if len(points) < 4 or not len(handle) or not (weights[:, handle[0]] > 0.1).any():
+            continue
+        low, high = np.quantile(points, [BOX, 1 - BOX], axis=0)
+        out[name] = _Part(int(handle[0]), (low + high) / 2, (high - low) / 2, points[:: max(1, len(points) // 400)])
+    return out
+
+
+def _stance(handles: Handles, joints: Joints, turns: np.ndarray) -> np.ndarray:
+    """Transforms of the handles from the rest pose into the stance, shape (K, 3, 4)."""
+    rotations, translations = attached(turns[None].astype(np.float64), handles, joints)
+    still = HandleMotion(translations, rotations, np.zeros((1, 3)), np.eye(3)[None])
+    return still.transforms(handles.positions)[0].astype(np.float64)
+
+
+def _palm(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    own = weights > 0.5
+    return np.asarray(vertices[own].mean(axis=0), np.float64)
+
+
+def _square(affine: np.ndarray) -> np.ndarray:
+    return np.concatenate([affine, [[0.0, 0, 0, 1]]]) if affine.shape == (3, 4) else affine
+
+
+def _applied(transforms: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (3,) or (N, 3) under affine transforms (N, 3, 4)."""
+    return np.asarray(np.einsum("nij,nj->ni", transforms[..., :3], np.broadcast_to(points, (len(transforms), 3))) + transforms[..., 3])
+
+
+def _unapplied(transforms: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return np.asarray(np.einsum("nji,nj->ni", transforms[..., :3], points - transforms[..., 3]))

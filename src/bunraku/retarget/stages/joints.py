@@ -1,0 +1,214 @@
+"""Where handles meet: the joints that skinning weights imply."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.rotations import axis_angle_from_matrix
+
+__all__ = ["Joints", "attached", "capped", "downwards", "estimated_reference_joints", "find_joints", "reference_joints", "refined_joints"]
+
+PRESENT = 2e-3  # share of the surface under which a handle counts as absent and follows its parent
+LOOSE, LOOSE_ON_PEOPLE = 0.5, 0.05  # how far parts may leave their joints [m of the reference body]
+GROUP = 4000  # vertices of a part looked at to find where it meets another
+HIP_BY_THIGH = 0.75  # how far a bent hip follows the thigh instead of the overlap of weights; by archive humanoids made to sit
+CLOSE = 0.1  # how fast closeness fades, as a share of a part's size
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Where handles meet their parents, in the rest pose.
+
+    Args:
+        positions: Joint between each handle and its parent [m], shape (K, 3); for the root the handle itself.
+        parents: Nearest ancestor that is present, shape (K,); -1 for the root.
+        present: Whether a handle has vertices of its own, shape (K,).
+    """
+
+    positions: np.ndarray
+    parents: np.ndarray
+    present: np.ndarray
+
+
+def find_joints(character: Character, handles: Handles) -> Joints:
+    """Joints between neighbouring handles, where both weights are large.
+
+    The joint of k and p is the mean of the vertices weighted by area times s_k times s_p. Where the weights do not overlap
+    (loose parts), it is half way between the two nearest groups of vertices.
+    """
+    areas = vertex_areas(character.vertices, character.faces)
+    mass = handles.weights * areas[:, None]
+    share = mass.sum(axis=0) / max(areas.sum(), 1e-30)
+    present = share > PRESENT
+    present[0] = True
+    vertices = character.vertices.astype(np.float64)
+    positions = handles.positions.astype(np.float64)
+    parents = np.full(len(positions), -1)
+    for handle in range(1, len(positions)):
+        parent = HANDLE_PARENTS[handle]
+        while parent > 0 and not present[parent]:
+            parent = HANDLE_PARENTS[parent]
+        parents[handle] = parent
+        if not present[handle]:
+            continue
+        overlap = mass[:, handle] * handles.weights[:, parent]
+        total = float(overlap.sum())
+        if total > 1e-4 * float(mass[:, handle].sum()):
+            positions[handle] = overlap @ vertices / total
+        else:
+            positions[handle] = _between(vertices, mass[:, handle], mass[:, parent]) if mass[:, parent].any() else positions[parent]
+    return Joints(positions, parents, present)
+
+
+def _between(vertices: np.ndarray, mass: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Where two groups of vertices are closest to each other, shape (3,): the mean over both of what is nearest to the other.
+
+    Which vertices those are hardly depends on how a hinge is bent.
+    """
+    groups = [np.flatnonzero(some > 0.2 * some.max()) for some in (mass, other)]
+    groups = [group[:: max(1, len(group) // GROUP)] for group in groups]
+    points = [vertices[group] for group in groups]
+    sides = []
+    for own, far, group, some in ((points[0], points[1], groups[0], mass), (points[1], points[0], groups[1], other)):
+        gap = cKDTree(far).query(own)[0]
+        softness = CLOSE * max(float(np.sqrt(((own - own.mean(axis=0)) ** 2).sum(axis=1).mean())), 1e-12)
+        share = some[group] * np.exp((gap.min() - gap) / softness)
+        sides.append(share @ own / share.sum())
+    return np.asarray(0.5 * (sides[0] + sides[1]))
+
+
+def refined_joints(character: Character, handles: Handles, joints: Joints, turns: np.ndarray) -> Joints:
+    """Joints as they are where the rest pose has been bent: estimates of `find_joints` rid of what the bend and the estimate add.
+
+    Where the weights of two handles overlap, skinning has taken a vertex p of the unbent surface to `j + M (p - j')`, where
+    M = (1 - s) R_p^T + s R_k^T blends what undoes the turns of both. Bent back, the overlap's centre lies from the joint where
+    it lies on the reference body, whose true joints are known, in each part's own scale; that fixes j.
+
+    Args:
+        character: In its rest pose.
+        handles: Its handles.
+        joints: The estimate.
+        turns: Turn of each handle from the rest pose to the reference body's, shape (K, 3, 3).
+    """
+    body, estimated = reference_body(), estimated_reference_joints()
+    centres = body.handles.positions
+    areas = vertex_areas(character.vertices, character.faces)
+    positions = joints.positions.copy()
+    h = handles.positions.astype(np.float64)
+    for handle in range(1, len(body.joints)):
+        parent = int(joints.parents[handle])
+        if not joints.present[handle] or parent != HANDLE_PARENTS[handle]:
+            continue
+        j = joints.positions[handle]
+        own = turns[handle] @ (h[handle] - j) + turns[parent] @ (j - h[parent])
+        size = float(np.linalg.norm(own) / np.linalg.norm(centres[handle] - centres[parent]))
+        offset = (estimated.positions[handle] - body.joints[handle]) * size
+        unbent = _unbent(character, handles, areas, (handle, parent), turns, j)
+        if unbent is None:  # the parts do not overlap
+            positions[handle] -= 0.5 * (turns[handle] + turns[parent]).T @ offset
+            continue
+        where, unbend, mass = unbent
+        unbend *= (mass / mass.sum())[:, None, None]
+        centre = np.einsum("vij,vj->i", unbend, character.vertices[where].astype(np.float64))
+        positions[handle] = np.linalg.solve(unbend.sum(axis=0), centre - offset)
+    return replace(joints, positions=_bent_hips(positions, joints.present, h, turns))
+
+
+def _bent_hips(positions: np.ndarray, present: np.ndarray, h: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Joint positions with hips that are bent put most of the way to where the thigh, from its knee to its middle, says that they are, shape (K, 3).
+
+    The estimate by overlap is off by some per cent of the height where clothes or wide hips make the overlap large, which shows as
+    shorter legs once a bent hip is straightened.
+    """
+    out, body = positions.copy(), reference_body()
+    centres = body.handles.positions
+    for side in ("left", "right"):
+        hip, knee = HANDLE_NAMES.index(f"{side}_hip"), HANDLE_NAMES.index(f"{side}_knee")
+        if present[[hip, knee]].all():
+            bend = np.degrees(np.linalg.norm(axis_angle_from_matrix(turns[hip])))
+            size = np.linalg.norm(h[hip] - positions[knee]) / np.linalg.norm(centres[hip] - body.joints[knee])
+            thigh = positions[knee] + turns[hip].T @ (body.joints[hip] - body.joints[knee]) * size
+            out[hip] += HIP_BY_THIGH * np.interp(bend, [30, 60], [0, 1]) * (thigh - positions[hip])
+    return out
+
+
+def _unbent(
+    character: Character, handles: Handles, areas: np.ndarray, pair: tuple[int, int], turns: np.ndarray, joint: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """The vertices of which a handle and its parent both hold a share, shape (n,), what bends each of them back, shape (n, 3, 3), and the mass of
+    each in the overlap, by the area that it has when bent back, shape (n,). None where there is no overlap.
+    """
+    handle, parent = pair
+    own, above = handles.weights[:, handle].astype(np.float64), handles.weights[:, parent].astype(np.float64)
+    both = own * above
+    if both @ areas <= 1e-4 * (own @ areas):
+        return None
+    near = both > 1e-3 * both.max()
+    share = np.divide(own, own + above, out=np.zeros_like(own), where=near)
+    faces = character.faces[near[character.faces].any(axis=1)]
+    touched = np.unique(faces)
+    share[touched] = np.where(near[touched], share[touched], own[touched] > above[touched])
+    blend = (1 - share[touched])[:, None, None] * turns[parent].T + share[touched][:, None, None] * turns[handle].T
+    unbend = np.linalg.inv(blend + 1e-9 * np.eye(3))
+    flat = np.zeros((len(own), 3))
+    flat[touched] = np.einsum("vij,vj->vi", unbend, character.vertices[touched] - joint)
+    kept = near[touched]
+    where = touched[kept]
+    return where, unbend[kept], both[where] * vertex_areas(flat, faces)[where]
+
+
+def attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
+    """Local rotations and translations in which every joint holds; absent handles move with their parents."""
+    rotations = rotations.copy()
+    translations = np.zeros((*rotations.shape[:2], 3))
+    h = handles.positions.astype(np.float64)
+    for handle in downwards(joints.parents)[1:]:
+        parent = int(joints.parents[handle])
+        if not joints.present[handle]:
+            rotations[:, handle] = rotations[:, parent]
+        joint = joints.positions[handle]
+        place = np.einsum("nij,j->ni", rotations[:, parent], joint - h[parent]) + h[parent] + translations[:, parent]
+        translations[:, handle] = place - np.einsum("nij,j->ni", rotations[:, handle], joint - h[handle]) - h[handle]
+    return rotations, translations
+
+
+def capped(residual: np.ndarray, native: bool) -> np.ndarray:
+    """What local translations hold beyond stiff joints, cut to what parts may leave them by, in the reference's metres (..., 3).
+
+    On people, 5 cm and more are errors of the generator, not motion; soft bodies and loose parts (`native`) go farther.
+    """
+    length = np.linalg.norm(residual, axis=-1, keepdims=True)
+    return np.asarray(residual * np.minimum(1, (LOOSE if native else LOOSE_ON_PEOPLE) / np.maximum(length, 1e-9)))
+
+
+def downwards(parents: Sequence[int] | np.ndarray) -> list[int]:
+    """All handles, every parent before its children."""
+    depth = np.zeros(len(parents), int)
+    for handle, parent in enumerate(parents):
+        while parent >= 0:
+            depth[handle], parent = depth[handle] + 1, parents[parent]
+    return [int(handle) for handle in np.argsort(depth, kind="stable")]
+
+
+@lru_cache(maxsize=1)
+def reference_joints() -> Joints:
+    """The reference body's handles with its true joints, positions [m] of shape (30, 3)."""
+    body = reference_body()
+    estimated = find_joints(body.character(), body.handles)
+    return replace(estimated, positions=np.concatenate([body.joints, estimated.positions[len(body.joints) :]]))
+
+
+@lru_cache(maxsize=1)
+def estimated_reference_joints() -> Joints:
+    """The reference body's joints as `find_joints` sees them, to compare with those of other characters [m], shape (30, 3)."""
+    body = reference_body()
+    return find_joints(body.character(), body.handles)

@@ -1,0 +1,114 @@
+"""Rest poses reconciled: limbs turned from where they rest to where the reference body's rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.character import Handles
+from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
+from bunraku.retarget.stages.joints import Joints
+
+__all__ = ["rest_rotations", "upright"]
+
+_LIMB_ENDS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
+_FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") for part in ("wrist", "fingers")}
+_BUILT_BENT = ([30, 45, 70, 80], [1, 0, 0, 1])  # how far a bent leg is straightened, by its angle [degrees]
+_KNEE = ([20, 40], [0, 1])  # how far the parts of a leg turn on their own, by the bend of the knee [degrees]
+_SITS, _CROUCHES = ([55, 65], [0, 1]), ([30, 40], [0, 1])  # how far a thigh takes its shin with it; without arms and with them
+WIDE = 30.0  # legs that point farther outwards are turned down [degrees]
+SHORTEST = 0.02  # limbs shorter than this share of the height have no direction worth a turn
+
+
+_Limb = tuple[np.ndarray, np.ndarray]  # where it points and where the reference body's does, shape (3,) each
+
+
+def rest_rotations(handles: Handles, joints: Joints, reference: Handles, reference_joints: Joints, height: float) -> np.ndarray:
+    """Rotation of each handle that turns the character's rest direction of a limb into the reference body's, shape (K, 3, 3).
+
+    Arms, and the front legs of animals, are turned wholly: a forearm goes along with its upper arm and is then straightened, and
+    hands follow their forearms. Legs of upright characters keep their stance, but do not sit or crouch (see `_leg_turns`); hind
+    legs of animals are left as they are. Everything else keeps the identity.
+    """
+    out = np.tile(np.eye(3), (len(handles.positions), 1, 1))
+    stands = upright(handles)
+    armed = bool(joints.present[[HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]].all())
+
+    def direction(part: str, side: str) -> _Limb | None:
+        """Of a limb; None where it is absent or too short."""
+        handle, child = HANDLE_NAMES.index(f"{side}_{part}"), HANDLE_NAMES.index(f"{side}_{_LIMB_ENDS[part]}")
+        if not joints.present[handle]:
+            return None
+        if joints.present[child]:
+            own, want = joints.positions[child] - joints.positions[handle], reference_joints.positions[child] - reference_joints.positions[handle]
+        else:
+            own, want = handles.positions[handle] - joints.positions[handle], reference.positions[handle] - reference_joints.positions[handle]
+        return None if np.linalg.norm(own) < SHORTEST * height else (own, want)
+
+    for side in ("left", "right"):
+        above = np.eye(3)
+        for part in ("shoulder", "elbow"):
+            limb = direction(part, side)
+            if limb is not None:
+                above = rotation_between(above @ limb[0], limb[1]) @ above
+            elif part == "elbow" and joints.present[HANDLE_NAMES.index(f"{side}_{part}")]:
+                above = np.eye(3)
+            out[HANDLE_NAMES.index(f"{side}_{part}")] = above
+        if stands:
+            hip, knee, ankle = (HANDLE_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle"))
+            thigh, leg = direction("hip", side), None
+            if thigh is not None and joints.present[knee]:  # a hip sits deep in the body: the middle of the thigh is found more surely
+                thigh = joints.positions[knee] - handles.positions[hip], reference_joints.positions[knee] - reference.positions[hip]
+            if joints.present[[hip, ankle]].all():
+                leg = joints.positions[ankle] - joints.positions[hip], reference_joints.positions[ankle] - reference_joints.positions[hip]
+            out[[hip, knee]] = _leg_turns(thigh, direction("knee", side), leg, armed)
+    for name, lead in _FOLLOWERS.items():
+        out[HANDLE_NAMES.index(name)] = out[HANDLE_NAMES.index(lead)]
+    return out
+
+
+def upright(handles: Handles) -> bool:
+    """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to stand on."""
+    if handles.roles is not None:
+        return False
+    spine = handles.positions[HANDLE_NAMES.index("head")] - handles.positions[0]
+    return bool(spine[1] > abs(spine[2]))
+
+
+def _leg_turns(thigh: _Limb | None, shin: _Limb | None, leg: _Limb | None, armed: bool) -> np.ndarray:
+    """Turns of a thigh and a shin, shape (2, 3, 3), from where each and the whole leg point and where the reference body's do.
+
+    Standing wide is style and stays: legs turn about the axis from left to right. Who has arms stands on straight thighs, so bent ones
+    idle, sit or crouch and are straightened, with their shins. Legs without a body that has arms may be built bent, as those of birds
+    and walking machines are, so a thigh or a shin that is bent by more than an idle pose and less than sitting stays. A leg whose knee is
+    hardly bent turns as one, because estimates of single joints are not exact enough to bend a knee by.
+    """
+    out = np.tile(np.eye(3), (2, 1, 1))
+    for number, limb in enumerate((thigh, shin)):
+        if limb is not None and np.degrees(np.arctan2(abs(limb[0][0]), np.hypot(limb[0][1], limb[0][2]))) > WIDE:
+            out[number] = rotation_between(*limb)
+            if number == 0:
+                return np.stack([out[0], out[0] if shin is None else rotation_between(*shin)])
+    whole = _forward(leg)
+    upper, lower = (whole if limb is None else _forward(limb) for limb in (thigh, shin))
+    bent = float(np.interp(np.degrees(abs(upper - lower)), *_KNEE)) if leg is not None else 1.0
+    upper, lower = bent * upper + (1 - bent) * whole, bent * lower + (1 - bent) * whole
+    first, second = (float(np.interp(np.degrees(abs(angle)), *_BUILT_BENT)) for angle in (upper, lower))
+    sits = float(np.interp(np.degrees(abs(upper)), *(_CROUCHES if armed else _SITS)))
+    first = 1.0 if armed else max(first, sits)
+    if thigh is not None:
+        out[0] = matrix_from_axis_angle(np.array([first * upper, 0, 0]))
+    if shin is None:
+        out[1] = out[0]
+    elif np.allclose(out[1], np.eye(3)):
+        out[1] = matrix_from_axis_angle(np.array([max(second, sits) * lower, 0, 0]))
+    return out
+
+
+def _forward(limb: _Limb | None) -> float:
+    """How much farther forward a leg points than the reference body's [rad], from -pi to pi; 0 for none."""
+    if limb is None:
+        return 0.0
+    own, want = limb
+    forward = np.arctan2(own[2], -own[1]) - np.arctan2(want[2], -want[1])
+    return float((forward + np.pi) % (2 * np.pi) - np.pi)

@@ -1,0 +1,83 @@
+"""A character in the reference body's stance: where its limbs are turned to before a motion is applied."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
+from bunraku.geometry.areas import vertex_areas
+from bunraku.retarget.limbs import by_limb
+from bunraku.retarget.stages.joints import Joints, attached, estimated_reference_joints, find_joints, reference_joints, refined_joints
+from bunraku.retarget.stages.rest_pose import rest_rotations
+
+__all__ = ["flat_feet", "neutral_pose", "rest_turns"]
+
+PASSES = 2  # turns need joints and joints need turns; both settle at once
+SOLE = 0.08  # what is this near to the lowest point, as a share of the foot's length, stands on the ground
+FLATTER = 1.2  # how much more of a foot must stand before the foot is turned
+
+
+def rest_turns(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
+    """How a rest pose differs from the reference body's.
+
+    Returns:
+        The turn of each handle that makes up for it (see `rest_rotations`), shape (K, 3, 3), and the joints in the rest pose.
+    """
+    return by_limb(handles, lambda plain: _rest_turns(character, plain))
+
+
+def _rest_turns(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
+    reference, found = reference_body().handles, find_joints(character, handles)
+    turns = rest_rotations(handles, found, reference, estimated_reference_joints(), character.height)
+    for _ in range(PASSES):
+        joints = refined_joints(character, handles, found, turns)
+        turns = rest_rotations(handles, joints, reference, reference_joints(), character.height)
+    turns = flat_feet(character, handles, turns)
+    return turns, refined_joints(character, handles, found, turns)
+
+
+def neutral_pose(character: Character, handles: Handles, joints: Joints, turns: np.ndarray) -> tuple[Character, Handles]:
+    """The character with every handle turned, every joint held and its root where it was, and its handles as they are there.
+
+    Args:
+        character: In its rest pose.
+        handles: Its handles.
+        joints: Where they meet.
+        turns: Turn of each handle, the identity for the root, shape (K, 3, 3).
+    """
+    rotations, translations = attached(turns[None].astype(np.float64), handles, joints)
+    still = np.zeros((1, 3)), np.eye(3)[None]
+    motion = HandleMotion(translations, rotations, *still)
+    vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]
+    positions = handle_positions(vertices, handles.weights, vertex_areas(vertices, character.faces))
+    return replace(character, vertices=vertices, rig=None, source=None), Handles(positions, handles.weights, roles=handles.roles)
+
+
+def flat_feet(character: Character, handles: Handles, turns: np.ndarray) -> np.ndarray:
+    """The turns with feet that go along with their shins where that, and not their rest pose, makes them stand flat, shape (K, 3, 3).
+
+    Who crouches on the toes has feet that belong to the shins; who sits, or crouches on flat feet, has them on the ground already.
+    """
+    out = turns.copy()
+    areas = vertex_areas(character.vertices, character.faces)
+    for side in ("left", "right"):
+        foot = [HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot")]
+        shin = turns[HANDLE_NAMES.index(f"{side}_knee")]
+        own = character.surface & (handles.weights[:, foot].sum(axis=1) > 0.5)
+        if own.sum() < 4 or np.allclose(shin, np.eye(3)):
+            continue
+        points = character.vertices[own].astype(np.float64)
+        if _standing_area(points @ shin.T, areas[own]) > FLATTER * _standing_area(points, areas[own]):
+            out[foot] = shin
+    return out
+
+
+def _standing_area(points: np.ndarray, areas: np.ndarray) -> float:
+    heights = points[:, 1] - points[:, 1].min()
+    return float(areas[heights < SOLE * np.ptp(points, axis=0).max()].sum())

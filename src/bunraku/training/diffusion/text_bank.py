@@ -1,0 +1,80 @@
+"""All sentences of a training run encoded once and kept in a file of the run folder."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import torch
+
+from bunraku.errors import WeightsError
+from bunraku.language.encoders import TextBatch, TextEncoder
+from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+
+__all__ = ["TextBank"]
+
+
+class TextBank:
+    """Encoded sentences by text; those it does not know are encoded when asked for.
+
+    Args:
+        encoder: Encodes them.
+        sentences: What to keep.
+        cache: File to keep them in between runs; written again when the sentences or the encoder change.
+        progress: Called with (done, total) while encoding.
+    """
+
+    def __init__(
+        self, encoder: TextEncoder, sentences: Sequence[str], cache: str | Path | None = None, progress: Callable[[int, int], None] | None = None
+    ):
+        self._encoder = encoder
+        sentences = sorted(set(sentences))
+        self._rows = {sentence: row for row, sentence in enumerate(sentences)}
+        digest = hashlib.sha256("\n".join([encoder.name, *sentences]).encode()).hexdigest()
+        if cache is not None and Path(cache).is_file():
+            try:
+                state, config = load_checkpoint(cache, "text-bank")
+                if config.get("digest") == digest:
+                    self._tokens, self._offsets, self._pooled = state["tokens"].half(), state["offsets"], state["pooled"]
+                    return
+            except WeightsError:
+                pass  # a broken cache is made again
+        tokens, lengths, pooled = [], [], []
+        for start in range(0, len(sentences), 256):
+            part = encoder.encode(sentences[start : start + 256])
+            tokens.append(part.tokens[part.mask].half())
+            lengths.append(part.mask.sum(1))
+            pooled.append(part.pooled)
+            if progress is not None:
+                progress(min(start + 256, len(sentences)), len(sentences))
+        self._tokens = torch.cat(tokens) if tokens else torch.zeros(0, encoder.token_size, dtype=torch.float16)
+        self._offsets = torch.cat([torch.zeros(1, dtype=torch.long), torch.cat(lengths).cumsum(0) if lengths else torch.zeros(0, dtype=torch.long)])
+        self._pooled = torch.cat(pooled) if pooled else torch.zeros(0, encoder.pooled_size)
+        if cache is not None:
+            state = {"tokens": self._tokens, "offsets": self._offsets, "pooled": self._pooled}
+            save_checkpoint(cache, state, {"digest": digest}, "text-bank", half=True)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __call__(self, sentences: Sequence[str]) -> TextBatch:
+        """The sentences, encoded, padded to the longest of them."""
+        new = [sentence for sentence in dict.fromkeys(sentences) if sentence not in self._rows]
+        fresh = self._encoder.encode(new) if new else None
+        rows = []
+        for sentence in sentences:
+            row = self._rows.get(sentence)
+            if row is not None:
+                rows.append((self._tokens[self._offsets[row] : self._offsets[row + 1]].float(), self._pooled[row]))
+            else:
+                assert fresh is not None
+                place = new.index(sentence)
+                rows.append((fresh.tokens[place][fresh.mask[place]], fresh.pooled[place]))
+        longest = max(len(values) for values, _ in rows)
+        tokens = torch.zeros(len(rows), longest, self._encoder.token_size)
+        mask = torch.zeros(len(rows), longest, dtype=torch.bool)
+        for index, (values, _) in enumerate(rows):
+            tokens[index, : len(values)] = values
+            mask[index, : len(values)] = True
+        return TextBatch(tokens, mask, torch.stack([vector for _, vector in rows]))

@@ -1,0 +1,136 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.core.motion import HandleMotion
+from bunraku.diffusion.denoiser import Denoiser
+from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.diffusion.features import decode, encode
+from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
+from bunraku.language.encoders import TextBatch
+
+
+class WordEncoder:
+    """A small text encoder: each word is a random vector of its own."""
+
+    name, token_size, pooled_size = "words", 8, 8
+
+    def encode(self, sentences):
+        rows = [[torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()] for text in sentences]
+        length = max(map(len, rows))
+        tokens, mask = torch.zeros(len(rows), length, 8), torch.zeros(len(rows), length, dtype=torch.bool)
+        for index, row in enumerate(rows):
+            tokens[index, : len(row)], mask[index, : len(row)] = torch.stack(row), True
+        return TextBatch(tokens, mask, torch.nn.functional.normalize(tokens.sum(1), dim=-1))
+
+
+def tiny_config(**changes):
+    sizes = {"width": 16, "layers": 2, "heads": 2, "feedforward": 32, "frames": 60, "mesh_features": 12, "text_size": 8, "pooled_size": 8}
+    return DenoiserConfig(**{**sizes, "text_encoder": "words", **changes})
+
+
+def tiny_denoiser(seed=0, **changes):
+    """A denoiser with random weights everywhere, so that each input has an effect."""
+    torch.manual_seed(seed)
+    model = Denoiser(tiny_config(**changes)).eval().requires_grad_(False)
+    for value in model.parameters():
+        value.copy_(torch.randn(value.shape) * (0.3 if value.ndim < 2 else value.shape[-1] ** -0.5))
+    return model
+
+
+def swing(handle, frames=60, height=0.9, period=20):
+    """A handle that turns to and fro about its z axis, the root standing still."""
+    vectors = np.zeros((frames, HANDLE_COUNT, 3))
+    vectors[:, HANDLE_NAMES.index(handle), 2] = height * np.sin(np.arange(frames) * 2 * np.pi / period)
+    still = np.zeros((frames, 3))
+    return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(vectors), still, matrix_from_axis_angle(still))
+
+
+def write_motions(folder, motions):
+    """Clips as `bunraku data motions` writes them, from {name: (motion, caption, split)}."""
+    folder.mkdir()
+    index = {}
+    for name, (motion, text, split) in motions.items():
+        np.savez(
+            folder / f"{name}.npz", translations=motion.translations, rotations6d=matrix_to_6d(motion.rotations),
+            root_translation=motion.root_translation, root_rotation6d=matrix_to_6d(motion.root_rotation), fps=motion.fps,
+        )  # fmt: skip
+        index[name] = {"texts": [text], "split": split, "frames": len(motion)}
+    (folder / "index.json").write_text(json.dumps({"fps": 20, "clips": index}))
+    return folder
+
+
+@pytest.fixture
+def encoder():
+    return WordEncoder()
+
+
+@pytest.fixture(scope="session")
+def denoiser():
+    return tiny_denoiser
+
+
+@pytest.fixture
+def config():
+    return tiny_config
+
+
+@pytest.fixture
+def swings(tmp_path):
+    """A folder of four motions that differ in the handle that moves, three clips each, two to train on and one held out."""
+    parts = {"left_elbow": "waves", "right_knee": "kicks", "spine1": "bows", "head": "nods"}
+    motions = {
+        f"{verb}_{number}": (swing(part, 60, 0.8 + 0.1 * number), f"the figure {verb}", "test" if number == 2 else "val" if number == 1 else "train")
+        for part, verb in parts.items()
+        for number in range(3)
+    }
+    return write_motions(tmp_path / "motions", motions)
+
+
+@pytest.fixture
+def features():
+    """Features of one swinging handle."""
+    return lambda handle, **how: encode(swing(handle, **how))
+
+
+@pytest.fixture
+def motion_of():
+    return decode
+
+
+@pytest.fixture(scope="session")
+def bank_path(tmp_path_factory):
+    """A bank of characters as `bunraku data character-bank` writes it: the reference body, a dancer, a dog and a person, with f_phi of 12 numbers."""
+    from dataclasses import replace
+
+    from bunraku.datasets.characters.character_bank import bank_row, write_rows
+    from bunraku.handles.from_rig import rig_handles
+    from bunraku.synthetic.samples import sample_character
+
+    random, rows = np.random.default_rng(0), []
+    for name in ("dancer", "dog", "person"):
+        character = sample_character(name, 0.5, rigged=True)
+        handles = replace(rig_handles(character).top(4), features=random.normal(size=12).astype(np.float32))
+        rows.append(bank_row(character, f"samples/{name}", lambda plain, handles=handles: handles))
+    return write_rows(tmp_path_factory.mktemp("bank") / "bank.npz", rows, np.zeros(12, np.float32))
+
+
+@pytest.fixture(scope="session")
+def bank(bank_path):
+    from bunraku.retarget.character_bank import load_character_bank
+
+    return load_character_bank(bank_path)
+
+
+@pytest.fixture
+def gesture():
+    """Local rotations (1, N, 30, 3, 3) and translations (1, N, 30, 3) of a swinging handle."""
+
+    def make(handle, frames, height=0.9):
+        motion = swing(handle, frames, height, period=2 * frames)
+        return tuple(torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations))
+
+    return make

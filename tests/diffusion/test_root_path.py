@@ -1,0 +1,97 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.body.layout import HANDLE_COUNT
+from bunraku.core.motion import HandleMotion
+from bunraku.diffusion.features import FEATURE_SIZE, decode
+from bunraku.diffusion.root_path import arrive, closed_loop, in_place, moved, placed_at, repeated
+from bunraku.evaluation.motion.seams import handle_places
+from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
+
+FPS = 20.0
+
+
+def walk(frames=61, turn=0.0, speed=1.0, sway=0.05, period=20):
+    """A walk along +Z that turns at a rate [rad/s] and sways once a period; 20 frames more give the same pose."""
+    time = np.arange(frames) / FPS
+    angle = turn * time
+    way = np.cumsum(np.stack([np.sin(angle), 0 * time, np.cos(angle)], -1) * speed / FPS, axis=0)
+    way += np.einsum("nij,j->ni", matrix_y(angle), [1.0, 0, 0]) * (sway * np.sin(2 * math.pi * np.arange(frames) / period))[:, None]
+    bend = np.zeros((frames, HANDLE_COUNT, 3))
+    bend[:, 5, 0] = 0.5 * np.sin(2 * math.pi * np.arange(frames) / period)
+    return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(bend), way, matrix_y(angle), FPS)
+
+
+def places(root):
+    """Where root velocities lead, by `decode`, with a frame before them."""
+    features = np.zeros((len(root) + 1, FEATURE_SIZE))
+    features[:, [4, 8]] = 1
+    features[:, 10:].reshape(len(root) + 1, -1, 9)[..., [3, 7]] = 1
+    features[1:, :3] = root
+    motion = decode(features, FPS)
+    return motion.root_translation[-1, [0, 2]], motion.root_rotation[-1]
+
+
+@pytest.mark.parametrize(("turn", "travel"), [(0.0, (0.0, 0.0)), (1.2, (0.5, -1.0)), (-2.0, (3.0, 0.1))])
+def test_velocities_lead_where_they_should(turn, travel):
+    root = torch.randn(30, 3, generator=torch.Generator().manual_seed(0))
+    place, rotation = places(arrive(root, FPS, turn, travel).numpy())
+    np.testing.assert_allclose(place, travel, atol=1e-4)
+    np.testing.assert_allclose(rotation, matrix_y(np.array([turn]))[0], atol=1e-4)
+
+
+def test_who_is_there_already_is_left_alone():
+    root = torch.randn(30, 3, generator=torch.Generator().manual_seed(1))
+    once = arrive(root, FPS, 0.4, (1.0, 2.0))
+    torch.testing.assert_close(arrive(once, FPS, 0.4, (1.0, 2.0)), once, atol=1e-4, rtol=1e-4)
+
+
+def test_a_loop_ends_facing_as_it_starts_and_travels_only_on_purpose():
+    slow, fast = torch.zeros(40, 3), torch.zeros(40, 3)
+    slow[:, 0], slow[:, 2], fast[:, 0], fast[:, 2] = 0.1, 0.1, 3.0, 2.0
+    place, rotation = places(arrive(slow, FPS, None, None).numpy())
+    np.testing.assert_allclose(place, 0, atol=1e-5)
+    np.testing.assert_allclose(rotation, np.eye(3), atol=1e-5)
+    slow[:, 2] = 1.0
+    place, rotation = places(arrive(slow, FPS, None, None).numpy())
+    assert place[1] > 1.9
+    _, rotation = places(arrive(fast, FPS, None, None).numpy())  # 6 rad become one whole turn
+    np.testing.assert_allclose(rotation, np.eye(3), atol=1e-5)
+
+
+def test_moving_keeps_the_motion_and_puts_it_in_place():
+    motion = walk()
+    other = moved(motion, 0.7, np.array([3.0, 0.0, -2.0]))
+    apart = np.linalg.norm(np.diff(handle_places(motion), axis=0), axis=-1)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(handle_places(other), axis=0), axis=-1), apart, atol=1e-5)
+    back = placed_at(other, 4, motion, 4)
+    np.testing.assert_allclose(back.root_translation, motion.root_translation, atol=1e-5)
+    np.testing.assert_allclose(back.root_rotation, motion.root_rotation, atol=1e-5)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.8])
+def test_rounds_of_a_loop_go_on_from_each_other(turn):
+    longer = walk(201, turn)
+    whole = longer.take(slice(60, 121))  # three rounds of the sway
+    found = repeated(whole, 60, 80)
+    np.testing.assert_allclose(handle_places(found), handle_places(longer), atol=2e-4)
+
+
+def test_a_nearly_closed_loop_is_closed():
+    nearly = walk(58, 0.0, speed=0.02)
+    found = closed_loop(nearly, walk(61, 0.0, speed=0.0))
+    assert np.array_equal(found.rotations[0], found.rotations[-1]) and np.array_equal(found.translations[0], found.translations[-1])
+    np.testing.assert_allclose(found.root_translation[-1], found.root_translation[0], atol=1e-6)
+    np.testing.assert_allclose(found.rotations[:40], nearly.rotations[:40], atol=1e-6)
+
+
+@pytest.mark.parametrize("loop", [False, True])
+def test_on_the_spot_the_way_goes_and_the_sway_stays(loop):
+    found = in_place(walk(121), loop).root_translation
+    assert np.ptp(found[:, 2]) < 0.02  # two metres and more before
+    assert 0.08 < np.ptp(found[:, 0]) <= 0.11
+    if loop:
+        np.testing.assert_allclose(found[0], found[-1], atol=1e-5)

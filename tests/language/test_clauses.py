@@ -1,0 +1,72 @@
+import pytest
+
+from bunraku.language.clauses import split_clauses, timed_clauses
+
+
+@pytest.mark.parametrize(
+    ("sentence", "clauses"),
+    [
+        ("walks forward, then waves with the left hand", ["walks forward", "waves with the left hand"]),
+        ("a person walks and then sits down", ["a person walks", "a person sits down"]),
+        ("turns left twice then runs", ["turns left twice", "runs"]),
+        ("A horse gallops, then slowly eats", ["A horse gallops", "A horse slowly eats"]),
+        ("He walks. Then he jumps.", ["He walks", "he jumps"]),
+        ("a man walks, turns around and finally waves", ["a man walks", "a man turns around", "a man waves"]),
+        ("first the old woman bows, then she dances", ["the old woman bows", "she dances"]),
+        ("a person starts by walking, then is jumping", ["a person walking", "a person is jumping"]),
+        ("after bowing, she walks and then sits", ["bowing", "she walks", "she sits"]),
+        ("after jumping twice, a person waves", ["jumping twice", "a person waves"]),
+        ("a person waves after jumping twice", ["jumping twice", "a person waves"]),
+        ("a person stands still before running away", ["a person stands still", "a person is running away"]),
+        ("she walks before she sits down", ["she walks", "she sits down"]),
+        ("a kick followed by a jump", ["a kick", "a jump"]),
+        ("walk, then jump, then wave", ["walk", "jump", "wave"]),
+        ("steps forward, watching the ground, and then backs up", ["steps forward, watching the ground", "backs up"]),
+        ("walks, jumps, waves", ["walks", "jumps", "waves"]),
+        ("a dragon flies up, roars and lands", ["a dragon flies up", "a dragon roars", "a dragon lands"]),
+        ("Walk to the left, turn around, walk back", ["Walk to the left", "turn around", "walk back"]),
+        ("she walks slowly, then faster, and finally runs", ["she walks slowly, then faster", "she runs"]),
+        ('"walks", then "runs"', ["walks", "runs"]),
+    ],
+)
+def test_clauses_come_in_the_order_of_time(sentence, clauses):
+    assert split_clauses(sentence) == clauses
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "walks and waves",
+        "walks slowly, carefully",
+        "walks forward, waving",
+        "a man strides along, lifting the legs high, with swinging arms",
+        "a person jumps now and then",
+        "a person runs, stops and runs again",  # a caption of training
+        "walking backwards, then turning around",
+        "dances with quick steps, turns and jumps",
+        "every now and then he kicks the ball",
+        "bows before the king",
+        "runs after a thief",
+        "walks next to a wall",
+        "stands and moves the arms and legs one after the other",
+        "leaps up and twists the body before landing",
+        "staggers back after being hit",
+        "runs left, then right around an obstacle",
+        "steps forward and then back again",
+        "falls after a deadly hit and lies still",
+        "then",
+        "",
+    ],
+)
+def test_what_says_no_order_stays_whole(sentence):
+    assert split_clauses(sentence) == [sentence]
+
+
+def test_an_end_without_a_clause_is_left_out():
+    assert split_clauses("walks, then") == ["walks, then"]
+    assert split_clauses("walks, then jumps, then") == ["walks", "jumps"]
+
+
+def test_clauses_share_the_time_and_short_ones_stay_together():
+    assert timed_clauses("walks, then waves", 5.0) == [("walks", 2.5), ("waves", 2.5)]
+    assert timed_clauses("walks, then waves", 1.5) == [("walks, then waves", 1.5)]

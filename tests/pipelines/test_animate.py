@@ -1,0 +1,172 @@
+"""The main job with the shipped weights: a mesh and a sentence give an animation, whatever the mesh's size, place or order."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import bunraku
+from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.pipelines.animate import animate, rig
+from bunraku.synthetic.samples import sample_character
+
+pytestmark = pytest.mark.skipif(
+    not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()),
+    reason="the shipped weights are not there",
+)
+PROMPT = "a person walks forward"
+
+
+@pytest.fixture(scope="module")
+def person():
+    return sample_character("person", 0.5)
+
+
+@pytest.fixture(scope="module")
+def walk(person):
+    return animate(person, PROMPT, seconds=2.0)
+
+
+def difference(one, other, height):
+    """Largest distance between two sets of vertices over the height."""
+    return float(np.linalg.norm(one - other, axis=-1).max()) / height
+
+
+def test_a_walk_moves_forward_on_the_ground(person, walk):
+    vertices = walk.vertices()
+    assert len(walk.motion) == 40 and np.isfinite(vertices).all()
+    path = walk.motion.root_translation
+    assert np.linalg.norm(path[-1, [0, 2]] - path[0, [0, 2]]) > 0.3
+    assert path[-1, 2] - path[0, 2] > 0.2  # forward is +Z
+    assert np.abs(vertices[..., 1].min(axis=1)).max() < 0.05 * person.height
+
+
+def test_the_same_seed_gives_the_same_animation(person, walk):
+    again = animate(person, PROMPT, seconds=2.0)
+    other = animate(person, PROMPT, seconds=2.0, seed=1)
+    assert np.array_equal(again.vertices(), walk.vertices())
+    assert difference(other.vertices(), walk.vertices(), person.height) > 0.05
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(0.01, (0, 0, 0)), (128.0, (0, 0, 0)), (1.0, (3.0, 4.0, -2.0))])
+def test_scale_and_place_change_the_animation_by_rounding_only(person, walk, scale, shift):
+    moved = dataclasses.replace(person, vertices=person.vertices * np.float32(scale) + np.float32(shift))
+    got = animate(moved, PROMPT, seconds=2.0).vertices()
+    assert difference((got - np.float32(shift)) / scale, walk.vertices(), person.height) < 2e-3
+
+
+def test_the_order_of_vertices_and_faces_does_not_matter(person, walk):
+    rng = np.random.default_rng(0)
+    order, faces = rng.permutation(len(person.vertices)), rng.permutation(len(person.faces))
+    place = np.argsort(order)
+    mixed = dataclasses.replace(person, vertices=person.vertices[order], faces=place[person.faces[faces]], colors=None)
+    got = animate(mixed, PROMPT, seconds=2.0).vertices()
+    assert difference(got[:, place], walk.vertices(), person.height) < 0.01
+
+
+def test_open_seams_do_not_matter(person, walk):
+    soup = dataclasses.replace(
+        person, vertices=person.vertices[person.faces].reshape(-1, 3), faces=np.arange(3 * len(person.faces)).reshape(-1, 3), colors=None
+    )
+    got = animate(soup, PROMPT, seconds=2.0).vertices()
+    assert difference(got, walk.vertices()[:, person.faces.ravel()], person.height) < 0.01
+
+
+def test_handles_are_as_viewers_read_them(person):
+    handles = rig(person)
+    assert (handles.weights > 0).sum(axis=1).max() <= 4
+    np.testing.assert_allclose(handles.weights.sum(axis=1), 1, atol=1e-5)
+    assert handles.features.shape == (448,)
+
+
+@pytest.mark.parametrize("name", ["dog", "mushroom", "dragon"])
+def test_other_bodies_move_and_hold_together(name):
+    character = sample_character(name, 0.5)
+    animation = animate(character, "a person waves", seconds=1.0)
+    faces = character.faces
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    rest = np.linalg.norm(character.vertices[edges[:, 0]] - character.vertices[edges[:, 1]], axis=1)
+    posed = animation.vertices()
+    now = np.linalg.norm(posed[:, edges[:, 0]] - posed[:, edges[:, 1]], axis=-1)
+    long = rest > 0.005 * character.height
+    assert np.quantile(now[:, long] / rest[long], 0.95) < 1.6
+    assert difference(posed[1:], posed[:-1], character.height) > 1e-3
+
+
+@pytest.mark.parametrize("seconds", [0, -1, 600, float("nan"), float("inf")])
+def test_impossible_lengths_are_one_sentence(person, seconds):
+    with pytest.raises(bunraku.OptionError, match="lasts 0.5 to 120 seconds"):
+        animate(person, PROMPT, seconds=seconds, handles=None)
+
+
+@pytest.mark.parametrize("prompt", ["", "   ", "walk " * 2000])
+def test_impossible_prompts_are_one_sentence(person, prompt):
+    with pytest.raises(bunraku.OptionError):
+        animate(person, prompt, seconds=1.0)
+
+
+@pytest.mark.parametrize(("shape", "count"), [("box", 24), ("plane", 121), ("ball", 162)])
+def test_shapes_that_are_no_characters_still_animate(shape, count):
+    import trimesh
+
+    if shape == "box":
+        mesh = trimesh.creation.box().subdivide()
+    elif shape == "ball":
+        mesh = trimesh.creation.icosphere(2)
+    else:
+        grid = np.stack(np.meshgrid(np.arange(11), [0], np.arange(11), indexing="ij"), -1).reshape(-1, 3)
+        cells = np.array([[i * 11 + j, i * 11 + j + 1, i * 11 + j + 11] for i in range(10) for j in range(10)])
+        mesh = trimesh.Trimesh(grid, cells, process=False)
+    assert len(mesh.vertices) >= count
+    animation = animate(bunraku.Character(shape, mesh.vertices, mesh.faces), PROMPT, seconds=0.5)
+    assert np.isfinite(animation.vertices()).all() and len(animation.motion) == 10
+
+
+def test_a_loop_on_a_character_closes(person):
+    loop = animate(person, PROMPT, seconds=2.0, loop=True, in_place=True, steps=4).motion
+    assert len(loop) == 41 and np.array_equal(loop.rotations[0], loop.rotations[-1]) and np.array_equal(loop.translations[0], loop.translations[-1])
+    np.testing.assert_allclose(loop.root_translation[0], loop.root_translation[-1], atol=1e-4)
+    assert np.ptp(loop.root_translation[:, 2]) < 0.3
+
+
+def test_an_edit_keeps_the_legs_of_an_animation(person, walk):
+    from bunraku.body.parts import kept_handles
+
+    found, legs = bunraku.edit(walk, "a person waves", keep="legs", steps=4), kept_handles("legs")
+    for name in ("translations", "rotations"):
+        assert np.array_equal(getattr(found.motion, name)[:, legs], getattr(walk.motion, name)[:, legs])
+        assert np.array_equal(getattr(found.reference, name)[:, legs], getattr(walk.reference, name)[:, legs])
+    assert np.array_equal(found.motion.root_translation, walk.motion.root_translation)
+    assert not np.array_equal(found.motion.rotations, walk.motion.rotations)
+
+
+def test_an_animation_without_its_reference_is_edited_too(walk):
+    bare = dataclasses.replace(walk, reference=None)
+    found = bunraku.edit(bare, "a person waves", span=(0.5, 1.5), steps=4)
+    outside = np.r_[0:10, 30:40]
+    assert np.array_equal(found.motion.rotations[outside], walk.motion.rotations[outside])
+    assert np.array_equal(found.motion.root_translation[outside], walk.motion.root_translation[outside])
+
+
+def test_an_animation_goes_on_from_another(person, walk):
+    found = animate(person, "a person jumps", seconds=1.0, after=walk, steps=4)
+    for name in ("translations", "rotations", "root_translation", "root_rotation"):
+        assert np.array_equal(getattr(found.motion, name)[0], getattr(walk.motion, name)[-1])
+
+
+def test_lists_of_prompts_and_what_is_refused(walk):
+    found = bunraku.generate([PROMPT, "a person jumps: 1; a person waves: 1"], seconds=1.0, steps=2)
+    assert [len(motion) for motion in found] == [20, 40] and len(bunraku.generate(PROMPT, seconds=1.0, steps=2)) == 20
+    with pytest.raises(bunraku.OptionError, match="cannot follow"):
+        bunraku.generate(PROMPT, loop=True, after=walk.reference)
+    with pytest.raises(bunraku.OptionError, match="no words"):
+        bunraku.generate([PROMPT, "..."])
+
+
+def test_what_does_not_fit_together_is_refused(walk):
+    reference = walk.reference
+    with pytest.raises(bunraku.OptionError, match="need as many seeds, not 1"):
+        bunraku.generate(["walks", "runs"], after=reference, seed=[1])
+    cut = dataclasses.replace(walk, reference=reference.take(slice(0, len(reference) - 1)))
+    with pytest.raises(bunraku.MotionError, match="save it again"):
+        bunraku.edit(cut, "waves", keep="legs", steps=1)
