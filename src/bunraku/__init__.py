@@ -14,6 +14,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from bunraku.core.saving import set_writer
 from bunraku.errors import (
     BunrakuError,
     CharacterError,
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
     from bunraku.core.rig_animation import RigAnimation
     from bunraku.handles.orientation import Orientation, guess_orientation, upright
     from bunraku.io import load_character, load_motion, save_character
-    from bunraku.pipelines.animate import animate, edit, generate, rig
+    from bunraku.pipelines.animate import animate, generate, rig
+    from bunraku.pipelines.edit import edit
     from bunraku.pipelines.transfer import transfer
 
 __version__ = "0.1.0"
@@ -77,7 +79,7 @@ _HOME = {
     "SkeletalMotion": "bunraku.core.motion",
     "Skeleton": "bunraku.core.motion",
     "animate": "bunraku.pipelines.animate",
-    "edit": "bunraku.pipelines.animate",
+    "edit": "bunraku.pipelines.edit",
     "generate": "bunraku.pipelines.animate",
     "guess_orientation": "bunraku.handles.orientation",
     "load_character": "bunraku.io",
@@ -89,6 +91,13 @@ _HOME = {
 }
 
 
+def _write(thing: Any, path: Any, **options: Any) -> Any:
+    return import_module("bunraku.io.registry").save(thing, path, **options)
+
+
+set_writer(_write)
+
+
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'bunraku' has no attribute '{name}'")
@@ -98,4 +107,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(set(globals()) | set(__all__))
+    return sorted(__all__)

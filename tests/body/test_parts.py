@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.body.parts import PARTS, feature_mask, kept_handles
+from bunraku.body.parts import PARTS, kept_handles
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import encode
+from bunraku.diffusion.features import encode, feature_mask
 from bunraku.errors import OptionError
 
 

@@ -13,7 +13,8 @@ from bunraku.cli.verbs.inspect import describe
 from bunraku.errors import WeightsError
 from bunraku.geometry.axes import upright_rotation
 from bunraku.handles.orientation import Orientation, Settled
-from bunraku.io import load_character, load_motion, save_character
+from bunraku.io import load_character, save_character
+from bunraku.io.registry import read_motion
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.synthetic.samples import sample_character
 
@@ -76,7 +77,7 @@ def test_animations_of_both_are_the_same_motion(stls, tmp_path):
     for path, axes in zip(stls, (("y", "z"), ("z", "-y")), strict=True):
         out = tmp_path / f"{path.stem}.npz"
         assert main(["animate", str(path), *options, "-o", str(out), "--up", axes[0], "--front", axes[1]]) == 0
-        motions.append(load_motion(out))
+        motions.append(read_motion(out))
     assert np.abs(motions[0].rotations - motions[1].rotations).max() < 2e-3
     assert np.abs(motions[0].root_translation - motions[1].root_translation / 1000).max() < 2e-3
 

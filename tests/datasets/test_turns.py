@@ -8,8 +8,8 @@ import pytest
 from bunraku.core.motion import HandleMotion
 from bunraku.datasets.motions.clips import load_clip, write_clip
 from bunraku.datasets.motions.turns import add_turns, find_turn
-from bunraku.diffusion.features import heading
 from bunraku.errors import FormatError
+from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import matrix_y
 
 

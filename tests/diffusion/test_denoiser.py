@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from bunraku.diffusion.denoiser import load_denoiser, save_denoiser
+from bunraku.diffusion.checkpoint import load_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import PRESETS
 from bunraku.errors import WeightsError
 

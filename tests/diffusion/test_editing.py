@@ -6,8 +6,9 @@ import torch
 
 from bunraku.body.parts import kept_handles
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.denoiser import save_denoiser
-from bunraku.diffusion.editing import continue_motion, edit_motion, follow, put_back, span_frames
+from bunraku.core.travel import follow, put_back
+from bunraku.diffusion.checkpoint import save_denoiser
+from bunraku.diffusion.editing import continue_motion, edit_motion, span_frames
 from bunraku.diffusion.features import encode
 from bunraku.diffusion.generate import generate_motion, generate_motions
 from bunraku.errors import MotionError, OptionError

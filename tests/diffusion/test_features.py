@@ -4,8 +4,9 @@ import pytest
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_weights, heading, mirror
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_weights, mirror
 from bunraku.errors import MotionError
+from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 
 

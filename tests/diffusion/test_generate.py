@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.diffusion.denoiser import save_denoiser
+from bunraku.diffusion.checkpoint import save_denoiser
 from bunraku.diffusion.generate import adapt, generate_motion
 from bunraku.errors import OptionError, WeightsError
 from bunraku.nn.checkpoints import shipped_checkpoint

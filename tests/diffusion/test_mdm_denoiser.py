@@ -3,7 +3,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from bunraku.diffusion.denoiser import Denoiser, build_denoiser, load_denoiser, save_denoiser
+from bunraku.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
+from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import PRESETS
 from bunraku.diffusion.mdm_denoiser import EncoderDenoiser
 from bunraku.diffusion.sampler import sample

@@ -6,8 +6,9 @@ import torch
 
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.motion import HandleMotion
+from bunraku.core.travel import closed_loop, in_place, moved, placed_at, repeated
 from bunraku.diffusion.features import FEATURE_SIZE, decode
-from bunraku.diffusion.root_path import arrive, closed_loop, in_place, moved, placed_at, repeated
+from bunraku.diffusion.root_path import arrive
 from bunraku.evaluation.motion.seams import handle_places
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 

@@ -10,7 +10,8 @@ from bunraku.body.reference import reference_body
 from bunraku.cli import main
 from bunraku.datasets.motions.clips import write_clip, write_index
 from bunraku.diffusion import generate
-from bunraku.diffusion.denoiser import Denoiser, build_denoiser, save_denoiser
+from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import encode
 from bunraku.errors import OptionError

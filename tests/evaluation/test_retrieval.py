@@ -6,7 +6,7 @@ from swings import PARTS, WordEncoder
 
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.diffusion import generate
-from bunraku.diffusion.denoiser import load_denoiser, save_denoiser
+from bunraku.diffusion.checkpoint import load_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import FormatError, OptionError
 from bunraku.evaluation.motion.retrieval import draw_candidates, retrieval, wilson_interval

@@ -10,8 +10,9 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.errors import FormatError, MotionError
 from bunraku.formats.gltf.bunraku_clip import KEY
-from bunraku.io import load_motion, save_character
+from bunraku.io import save_character
 from bunraku.io.clips import load_clip, load_clip_animation
+from bunraku.io.registry import read_motion
 
 ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")
 
@@ -31,7 +32,7 @@ def same(one, other):
 def test_motions_come_back_bit_for_bit(animation, tmp_path, suffix):
     path = animation.save(tmp_path / f"clip.{suffix}", **({"fps": 30} if suffix == "glb" else {}))
     clip = load_clip(path)
-    assert same(clip.motion, animation.motion) and same(clip.reference, animation.reference) and same(load_motion(path), animation.motion)
+    assert same(clip.motion, animation.motion) and same(clip.reference, animation.reference) and same(read_motion(path), animation.motion)
     assert clip.is_of(animation.handles) and clip.on(animation.character, animation.handles).reference is clip.reference
     again = Animation(animation.character, animation.handles, clip.motion, clip.reference).save(tmp_path / f"again.{suffix}")
     assert same(load_clip(again).motion, animation.motion)
@@ -66,7 +67,7 @@ def test_whose_motion_it_is(animation, tmp_path):
 
 def test_files_without_a_motion_of_ours(animation, tmp_path):
     rigged = save_character(animation.character, tmp_path / "rigged.glb", animation.handles)
-    for call in (load_clip, load_motion, load_clip_animation):
+    for call in (load_clip, read_motion, load_clip_animation):
         with pytest.raises(FormatError, match="no handle motion of Bunraku"):
             call(rigged)
     (tmp_path / "clip.bvh").write_text("HIERARCHY")

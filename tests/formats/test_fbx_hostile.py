@@ -13,7 +13,7 @@ from fbx_files import HEAD, Scene, binary, node, text
 
 from bunraku import BunrakuError, FormatError, load_character
 from bunraku.formats.fbx.motion import load_fbx_motion
-from bunraku.formats.fbx.tree import Allowance, FbxArray
+from bunraku.formats.fbx.nodes import Allowance, FbxArray
 
 DATA = Path(__file__).parent / "data"
 SQUARE = [[-1.0, 0, 0], [1, 0, 0], [1, 2, 0], [-1, 2, 0]]

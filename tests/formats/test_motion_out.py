@@ -16,7 +16,8 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.formats.vrm.vrma import VRM_BONES
-from bunraku.io import load_character, load_motion
+from bunraku.io import load_character
+from bunraku.io.registry import read_motion
 from bunraku.skeletons.to_smpl import to_smpl
 
 
@@ -42,7 +43,7 @@ def handles(motion):
 
 @pytest.mark.parametrize("options", [{}, {"unit": "m", "up": "+z", "order": "xyz"}])
 def test_a_handle_motion_as_bvh(handles, tmp_path, options):
-    read = load_motion(handles.save(tmp_path / "walk.bvh", **options))
+    read = read_motion(handles.save(tmp_path / "walk.bvh", **options))
     want = skeleton_from_handles(handles)
     order = matched(read, want.skeleton.names)
     assert read.fps == pytest.approx(20)
@@ -55,13 +56,13 @@ def test_a_handle_motion_as_bvh(handles, tmp_path, options):
 
 
 def test_a_handle_motion_as_npz_is_itself(handles, motion, tmp_path):
-    assert np.array_equal(load_motion(handles.save(tmp_path / "walk.npz")).rotations, handles.rotations)
+    assert np.array_equal(read_motion(handles.save(tmp_path / "walk.npz")).rotations, handles.rotations)
     with pytest.raises(OptionError, match="of a skeleton"):
         motion.save(tmp_path / "walk.npz")
 
 
 def test_vrma_written_and_read_again(motion, tmp_path):
-    read = load_motion(motion.save(tmp_path / "walk.vrma"))
+    read = read_motion(motion.save(tmp_path / "walk.vrma"))
     order = matched(read, [VRM_BONES[name] for name in motion.skeleton.names])
     assert read.fps == 20 and len(read) == len(motion)
     assert degrees(read.world()[0][:, order], motion.world()[0]).max() < 0.01
@@ -116,7 +117,7 @@ def vrma(turn, bones=("hips", "leftUpperLeg", "rightUpperLeg", "leftLowerLeg", "
 @pytest.mark.parametrize("turn", [[0.0, 0, 0], [0.3, -1.2, 2.0]])
 def test_nodes_turned_at_rest_say_the_same(tmp_path, turn):
     (tmp_path / "bend.vrma").write_bytes(vrma(turn))
-    read = load_motion(tmp_path / "bend.vrma")
+    read = read_motion(tmp_path / "bend.vrma")
     assert set(read.skeleton.names) == {"hips", "leftUpperLeg", "rightUpperLeg", "leftLowerLeg", "rightLowerLeg"}
     assert read.fps == 2 and len(read) == 2 and np.allclose(read.root_translation, [0, 0.9, 0], atol=1e-6)
     world, places = read.world()
@@ -139,7 +140,7 @@ def test_nodes_turned_at_rest_say_the_same(tmp_path, turn):
 def test_broken_vrma(tmp_path, broken, says):
     (tmp_path / "bad.vrma").write_bytes(vrma([0.0, 0, 0], **broken))
     with pytest.raises(FormatError, match=says):
-        load_motion(tmp_path / "bad.vrma")
+        read_motion(tmp_path / "bad.vrma")
 
 
 def test_other_skeletons_become_smpls(motion, tmp_path):
@@ -148,7 +149,7 @@ def test_other_skeletons_become_smpls(motion, tmp_path):
         "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "LeftHand", "RightHand"))  # fmt: skip
     skeleton = type(motion.skeleton)(names, motion.skeleton.parents, motion.skeleton.offsets)
     other = SkeletalMotion(skeleton, motion.rotations, motion.root_translation, motion.fps)
-    read = load_motion(other.save(tmp_path / "walk.vrma"))
+    read = read_motion(other.save(tmp_path / "walk.vrma"))
     order = matched(read, [VRM_BONES[name] for name in motion.skeleton.names])
     assert degrees(read.world()[0][:, order], motion.world()[0]).max() < 0.1
 
@@ -169,7 +170,7 @@ def test_flipped_and_missing_bytes_give_a_motion_or_one_sentence(motion, tmp_pat
             broken[int(rng.integers(0, text if trial % 2 else len(data)))] = int(rng.integers(0, 256))
         path.write_bytes(broken if trial % 4 else data[: int(rng.integers(1, len(data)))])
         with suppress(BunrakuError):
-            load_motion(path)
+            read_motion(path)
 
 
 def test_a_vrma_that_means_harm_gets_one_sentence(tmp_path, monkeypatch):
@@ -178,7 +179,7 @@ def test_a_vrma_that_means_harm_gets_one_sentence(tmp_path, monkeypatch):
         clip = {"channels": channels, "samplers": samplers}
         (tmp_path / "bad.vrma").write_bytes(maker.glb(nodes=nodes, animations=[clip], extensions={"VRMC_vrm_animation": {"humanoid": humanoid}}))
         with pytest.raises(FormatError, match=match):
-            load_motion(tmp_path / "bad.vrma")
+            read_motion(tmp_path / "bad.vrma")
 
     maker, deep = Maker(), 3000  # of 18,001 frames, 7 GB
     keys, values = maker.add(np.array([0, 1, 5, 600], np.float32), bounds=True), maker.add(np.zeros((4, 3), np.float32))

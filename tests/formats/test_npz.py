@@ -11,7 +11,7 @@ from gltf_files import CUBE, CUBE_FACES, made_up_handles, made_up_motion
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError, FormatError, MotionError
-from bunraku.io import load_motion
+from bunraku.io.registry import read_motion
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def animation():
 
 def test_there_and_back(animation, tmp_path):
     path = animation.save(tmp_path / "motion.npz")
-    motion = load_motion(path)
+    motion = read_motion(path)
     for name in ("translations", "rotations", "root_translation", "root_rotation"):
         assert np.allclose(getattr(motion, name), getattr(animation.motion, name), atol=1e-6)
     assert motion.fps == animation.motion.fps
@@ -35,7 +35,7 @@ def test_matrices_are_read_too(animation, tmp_path):
     motion = animation.motion
     parts = {name: getattr(motion, name) for name in ("translations", "rotations", "root_translation", "root_rotation", "fps")}
     np.savez(tmp_path / "m.npz", **parts)
-    assert np.array_equal(load_motion(tmp_path / "m.npz").rotations, motion.rotations)
+    assert np.array_equal(read_motion(tmp_path / "m.npz").rotations, motion.rotations)
 
 
 def test_broken_and_hostile_files(animation, tmp_path):
@@ -44,7 +44,7 @@ def test_broken_and_hostile_files(animation, tmp_path):
     def refused(data, match):
         path.write_bytes(data)
         with pytest.raises((FormatError, MotionError), match=match):
-            load_motion(path)
+            read_motion(path)
 
     for length in range(1, len(whole), len(whole) // 40):
         refused(whole[:length], "bad.npz: ")
@@ -54,7 +54,7 @@ def test_broken_and_hostile_files(animation, tmp_path):
         data[rng.integers(len(data))] = rng.integers(256)
         path.write_bytes(data)
         try:
-            load_motion(path)
+            read_motion(path)
         except BunrakuError as error:
             assert "\n" not in str(error)
     motion = animation.motion
@@ -93,7 +93,7 @@ def test_numbers_that_make_no_motion_name_the_file(animation, tmp_path, name, va
     parts[name] = np.zeros_like(parts[name]) if value is None else np.float32(value)
     np.savez(tmp_path / "odd.npz", **parts)
     with pytest.raises((FormatError, MotionError), match=f"odd.npz.*{match}"):
-        load_motion(tmp_path / "odd.npz")
+        read_motion(tmp_path / "odd.npz")
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_headers_that_are_no_header(tmp_path, header):
             archive.writestr(f"{name}.npy", array)
     for name in ("bad.npy", "bad.npz"):
         with pytest.raises(FormatError, match=name):
-            load_motion(tmp_path / name)
+            read_motion(tmp_path / name)
 
 
 def test_only_what_numpy_packs_is_unpacked(animation, tmp_path):
@@ -117,4 +117,4 @@ def test_only_what_numpy_packs_is_unpacked(animation, tmp_path):
         for name in good.namelist():
             bad.writestr(name, good.read(name))
     with pytest.raises(FormatError, match=r"bad\.npz"):
-        load_motion(tmp_path / "bad.npz")
+        read_motion(tmp_path / "bad.npz")

@@ -11,7 +11,8 @@ from gltf_files import CUBE, CUBE_FACES, cube_glb, glb_bytes, made_up_handles, m
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.io import load_character, load_motion
+from bunraku.io import load_character
+from bunraku.io.registry import read_motion
 
 
 @pytest.mark.parametrize("name", ["cube.glb", "cube.txt", "cube.obj", "cube", "cube.GLB", "cube.ply", "cube.vrm"])
@@ -36,7 +37,7 @@ def test_unknown_and_wrong_suffixes(tmp_path):
     path = tmp_path / "thing.glb"
     path.write_bytes(cube_glb())
     with pytest.raises(FormatError, match="no handle motion of Bunraku"):
-        load_motion(path)
+        read_motion(path)
 
 
 def test_files_that_are_none(tmp_path):

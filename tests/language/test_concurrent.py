@@ -5,8 +5,9 @@ import torch
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.parts import PARTS
 from bunraku.body.reference import reference_body
+from bunraku.diffusion.composition import Twin
 from bunraku.diffusion.generate import generate_motions
-from bunraku.language.concurrent import Twin, voices
+from bunraku.language.concurrent import voices
 from bunraku.nn.checkpoints import shipped_checkpoint
 
 ARMS = np.isin(np.arange(30), PARTS["arms"])

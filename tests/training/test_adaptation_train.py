@@ -9,7 +9,8 @@ import torch
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.adaptation_head import AdaptationHead, label_distance, whitening
-from bunraku.diffusion.denoiser import joint_offsets, load_denoiser, save_denoiser
+from bunraku.diffusion.checkpoint import load_denoiser, save_denoiser
+from bunraku.diffusion.denoiser import joint_offsets
 from bunraku.diffusion.features import encode
 from bunraku.errors import OptionError
 from bunraku.nn.checkpoints import load_training_state

@@ -4,7 +4,7 @@ import signal
 import pytest
 import torch
 
-from bunraku.diffusion.denoiser import load_denoiser
+from bunraku.diffusion.checkpoint import load_denoiser
 from bunraku.errors import FormatError, OptionError
 from bunraku.nn.checkpoints import load_training_state
 from bunraku.training.diffusion.train import TrainingConfig, train_diffusion

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from bunraku.diffusion.denoiser import build_denoiser, save_denoiser
+from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import OptionError
 from bunraku.training.diffusion.warm_start import rescaled, start_from

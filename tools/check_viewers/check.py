@@ -20,8 +20,9 @@ from viewers import blender_missing, blender_vertices, three_missing, three_vert
 import bunraku
 from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import BunrakuError
-from bunraku.pipelines.to_reference import load_any_motion, reference_motion
-from bunraku.pipelines.transfer import perform_transfer
+from bunraku.io.motions import load_motion
+from bunraku.pipelines.to_reference import reference_motion
+from bunraku.pipelines.transfer import apply_transfer
 from bunraku.retarget.rig_parts import is_humanoid_rig
 
 SECONDS = 3.0
@@ -43,8 +44,8 @@ def written(path: Path, motion: Any, folder: Path) -> Iterator[tuple[str, Path, 
     handles = bunraku.rig(character)
     made: dict[str, Any] = {}
     if is_humanoid_rig(character):
-        made["rig"] = perform_transfer(character, motion, onto="rig")
-    made["handles"] = perform_transfer(character, motion, onto="handles", handles=handles)
+        made["rig"] = apply_transfer(character, motion, onto="rig")
+    made["handles"] = apply_transfer(character, motion, onto="handles", handles=handles)
     made["points"] = waving(made["handles"])
     for kind, animation in made.items():
         frames = [len(motion) // 4, len(motion) // 2, len(motion) - 1]
@@ -64,7 +65,7 @@ def main() -> None:
     for name, reason in asked.items():
         if reason:
             print(f"{name} is left out: {reason}")
-    motion = reference_motion(load_any_motion(arguments.motion))
+    motion = reference_motion(load_motion(arguments.motion))
     motion = motion.take(slice(0, round(SECONDS * motion.fps)))
     with tempfile.TemporaryDirectory() as folder:
         made = []

@@ -10,6 +10,8 @@ from bunraku.core.character import Character
 from bunraku.errors import FormatError
 from bunraku.formats.arrays.npy import read_npy
 from bunraku.formats.files import read_bounded
+from bunraku.formats.gltf.read import read_gltf
+from bunraku.formats.mesh.ply import read_ply
 
 __all__ = ["artist_mask", "artist_mask_file", "read_artist_mask"]
 
@@ -79,9 +81,7 @@ def _painted(path: Path, character: Character) -> np.ndarray:
     """Vertices of a character that lie where another mesh is red."""
     from scipy.spatial import cKDTree
 
-    from bunraku.io.registry import load_character
-
-    painted = load_character(path)
+    painted = (read_ply if path.suffix.lower() == ".ply" else read_gltf)(path, read_bounded(path))
     if painted.colors is None:
         raise FormatError(path, "its vertices have no colours; paint apparel red")
     distance, nearest = cKDTree(painted.vertices).query(character.vertices[character.surface])

@@ -17,6 +17,7 @@ import numpy as np
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
+from bunraku.core.skinning import posed_points
 from bunraku.errors import MotionError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
@@ -120,8 +121,8 @@ def joint_errors(motion: HandleMotion, found: SkeletalMotion) -> np.ndarray:
     """
     body = reference_body()
     transforms = motion.transforms(body.handles.positions)[:, :JOINT_COUNT].astype(float)
-    own = np.einsum("njab,jb->nja", transforms[..., :3], body.joints) + transforms[..., 3]
+    own = posed_points(transforms, body.joints)
     above = np.maximum(_PARENTS, 0)
     upper = transforms[:, above]
-    other = np.einsum("njab,jb->nja", upper[..., :3], body.joints) + upper[..., 3]
+    other = posed_points(upper, body.joints)
     return np.asarray(np.linalg.norm((own + other) / 2 - found.world()[1], axis=-1).mean(axis=0))

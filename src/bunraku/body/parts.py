@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.diffusion.features import HANDLE_SIZE, ROOT_SIZE
 from bunraku.errors import OptionError
 
-__all__ = ["PARTS", "feature_mask", "kept_handles"]
+__all__ = ["PARTS", "kept_handles"]
 
 
 def _named(*endings: str, side: str = "") -> tuple[int, ...]:
@@ -64,8 +63,3 @@ def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
     if out.all():
         raise OptionError("all handles are kept, so there is nothing to generate; keep fewer")
     return out
-
-
-def feature_mask(handles: np.ndarray) -> np.ndarray:
-    """Which features the handles decide, shape (271,), bool: ten numbers for the root and nine for each other (see `features`)."""
-    return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])

@@ -10,15 +10,15 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from bunraku.errors import FormatError, OptionError
+from bunraku.language.prompts import check_prompt
 from bunraku.language.sequence import LONGEST, SHORTEST, parse_sequence, timed_sequence
 
 __all__ = [
-    "check_different", "check_folder", "check_input", "check_output", "check_prompt", "check_range", "check_seconds", "check_sequence",
+    "check_different", "check_folder", "check_input", "check_output", "check_range", "check_seconds", "check_sequence",
     "check_source", "make_folder", "slug",
 ]  # fmt: skip
 
 SECONDS = (SHORTEST, LONGEST)
-PROMPT_LENGTH = 1000
 SEQUENCES = (".obj", ".ply")
 """Outputs that are folders with one mesh a frame."""
 NEEDY = (".usd", ".usda", ".usdc", ".usdz", ".fbx")
@@ -34,16 +34,6 @@ def check_range(option: str, value: float | None, low: float, high: float) -> No
 def check_seconds(seconds: float) -> None:
     """Raise OptionError unless a clip of this length [s] can be made."""
     check_range("--seconds", seconds, *SECONDS)
-
-
-def check_prompt(prompt: str) -> None:
-    """Raise OptionError unless this is a sentence of a sane length."""
-    if not prompt.strip():
-        raise OptionError('the prompt is empty; say what the character does, for example "walks forward"')
-    if len(prompt) > PROMPT_LENGTH:
-        raise OptionError(f"the prompt has {len(prompt):,} characters; say it in {PROMPT_LENGTH:,} or fewer (about 30 words are read)")
-    if not any(letter.isalnum() for letter in prompt):
-        raise OptionError('the prompt has no words; say what the character does, for example "walks forward"')
 
 
 def check_sequence(prompt: str, seconds: float) -> None:

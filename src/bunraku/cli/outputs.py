@@ -9,37 +9,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_different, check_output, check_range, make_folder
+from bunraku.cli.checks import check_different, check_output, make_folder
 from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.progress import Report
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
-    from bunraku.core.animation import Animation
-    from bunraku.core.rig_animation import RigAnimation
+    from bunraku.core.animated import AnimatedCharacter
     from bunraku.retarget.fit import Stages
 
-__all__ = [
-    "PREVIEWS", "GuidanceOption", "OutputOption", "PreviewOption", "StepsOption", "WithoutOption", "check_outputs", "check_sampling", "check_stages",
-    "fitting_stages", "save_all",
-]  # fmt: skip
+__all__ = ["PREVIEWS", "OutputOption", "PreviewOption", "WithoutOption", "check_outputs", "check_stages", "fitting_stages", "save_all"]
 
 PREVIEWS = (".mp4", ".webp", ".gif", ".png")
 OUTPUTS = (".glb", ".npz", ".bvh", ".vrma", ".vmd", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".obj", ".ply", *PREVIEWS)
 
 OutputOption = Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction]
 PreviewOption = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction]
-StepsOption = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")]
-GuidanceOption = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")]
 WithoutOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction]
-
-
-def check_sampling(seed: int, steps: int | None, guidance: float | None, fps: float) -> None:
-    """Raise OptionError unless a motion can be generated with these."""
-    check_range("--seed", seed, 0, 2**63 - 1)
-    check_range("--steps", steps, 1, 1000)
-    check_range("--guidance", guidance, 0, 20)
-    check_range("--fps", fps, 1, 120)
 
 
 def check_outputs(outputs: Sequence[Path], previews: Sequence[Path], inputs: Sequence[Path], suffixes: Sequence[str] = OUTPUTS) -> None:
@@ -59,7 +45,7 @@ def check_outputs(outputs: Sequence[Path], previews: Sequence[Path], inputs: Seq
 
 
 def save_all(
-    animation: Animation | RigAnimation,
+    animation: AnimatedCharacter,
     outputs: Sequence[Path],
     previews: Sequence[Path],
     fps: float,
@@ -84,11 +70,11 @@ def save_all(
             written.append(animation.save(path, **(rate if options is None else options)))
         report("write", 1.0)
         for path in previews:
-            from bunraku.core.rig_animation import RigAnimation
+            from bunraku.core.animation import Animation
             from bunraku.render import save_preview
 
             make_folder(path)
-            shown = animation.animation() if isinstance(animation, RigAnimation) else animation
+            shown = Animation(animation.character, animation.handles, animation.motion)
             written.append(save_preview(shown, path, fps=fps, progress=lambda done, total: report("preview", done / total)))
     finally:  # what is whole stays
         for path in written:

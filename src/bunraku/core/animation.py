@@ -10,6 +10,8 @@ import numpy as np
 
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.resample import resample
+from bunraku.core.saving import save
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, MotionError
 
@@ -42,6 +44,11 @@ class Animation:
         if self.motion.translations.shape[1] != len(self.handles.positions):
             raise MotionError(f"the motion has {self.motion.translations.shape[1]} handles but the character has {len(self.handles.positions)}")
 
+    @property
+    def fps(self) -> float:
+        """Frames a second [1/s]."""
+        return self.motion.fps
+
     def vertices(self, frames: slice | list[int] | np.ndarray | None = None) -> np.ndarray:
         """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named (Eq. 3)."""
         transforms = self.motion.transforms(self.handles.positions)
@@ -49,8 +56,6 @@ class Animation:
 
     def at(self, fps: float) -> Animation:
         """The same at another rate [1/s]; the motion that it was fitted from is left out, as it stays at its own."""
-        from bunraku.formats.gltf.handle_channels import resample
-
         return self if fps == self.motion.fps else Animation(self.character, self.handles, resample(self.motion, fps))
 
     def save(self, path: str | Path, **options: Any) -> Path:
@@ -59,6 +64,4 @@ class Animation:
         Raises:
             FormatError: The suffix is unknown, or the file cannot be written.
         """
-        from bunraku.io import save_animation
-
-        return save_animation(self, path, **options)
+        return save(self, path, **options)

@@ -10,6 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from bunraku.core.saving import save
+from bunraku.core.skinning import handle_offsets
 from bunraku.errors import MotionError
 
 __all__ = ["HandleMotion", "SkeletalMotion", "Skeleton", "line_up", "local_rotations"]
@@ -115,18 +117,15 @@ class SkeletalMotion:
         return rotations, positions
 
     def save(self, path: str | Path, **options: Any) -> Path:
-        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see `bunraku.formats.save_motion`)."""
-        from bunraku.io import save_motion
-
-        return save_motion(self, path, **options)
+        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see `bunraku.io.save_motion`)."""
+        return save(self, path, **options)
 
 
 @dataclass(frozen=True)
 class HandleMotion:
     """Motion of K mesh handles: x0 = {tau_l, r_l, tau_g, r_g} of TapMo, section 3.1.
 
-    A vertex v of weights s goes to `R_g (sum_k s_k (R_k (v - h_k) + h_k + t_k) - h_0) + h_0 + t_g` (Eq. 3, with the root's
-    own share kept: handle 0 has the identity as its local transform).
+    What it does to a vertex is Eq. 3 (`core.skinning`): handle 0 has the identity as its local transform.
 
     Args:
         translations: Local translations t_k in the root's frame [m], shape (N, K, 3); handle 0 is zero.
@@ -134,6 +133,8 @@ class HandleMotion:
         root_translation: Global translation t_g [m], shape (N, 3).
         root_rotation: Global rotation R_g, shape (N, 3, 3).
         fps: Frames a second [1/s].
+        native: A motion of the reference body that was generated for one body of its own kind, by weights that know creatures: it brings
+            its height over the floor, lying bodies keep the pelvis' tilt, and soft ones bend farther than people. `fit_motion` reads it.
 
     Raises:
         MotionError: Shapes disagree, a value is not finite, or handle 0 moves locally.
@@ -144,6 +145,7 @@ class HandleMotion:
     root_translation: np.ndarray
     root_rotation: np.ndarray
     fps: float = 20.0
+    native: bool = False
 
     arrays: ClassVar[tuple[str, ...]] = ("translations", "rotations", "root_translation", "root_rotation")
     """Names of what has a value for each frame."""
@@ -189,7 +191,7 @@ class HandleMotion:
             Affine transforms [A | b], shape (N, K, 3, 4), float32: a vertex wholly of handle k goes to A v + b.
         """
         h = np.asarray(positions, np.float32)
-        local = h + self.translations - np.einsum("nkij,kj->nki", self.rotations, h)
+        local = handle_offsets(h, self.translations, self.rotations)
         out = np.empty((*self.translations.shape[:2], 3, 4), np.float32)
         out[..., :3] = self.root_rotation[:, None] @ self.rotations
         out[..., 3] = np.einsum("nij,nkj->nki", self.root_rotation, local - h[0]) + h[0] + self.root_translation[:, None]
@@ -198,8 +200,6 @@ class HandleMotion:
     def save(self, path: str | Path, **options: Any) -> Path:
         """Write a motion of the reference body in the format that the file's suffix names, and return the path.
 
-        .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do (see `bunraku.formats.save_motion`).
+        .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do (see `bunraku.io.save_motion`).
         """
-        from bunraku.io import save_motion
-
-        return save_motion(self, path, **options)
+        return save(self, path, **options)

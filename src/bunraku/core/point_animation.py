@@ -11,6 +11,7 @@ import numpy as np
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
+from bunraku.core.saving import save
 from bunraku.errors import MotionError
 from bunraku.geometry.resampling import Resampling
 
@@ -60,6 +61,11 @@ class PointAnimation:
         """The motion of the skinned part."""
         return self.animation.motion
 
+    @property
+    def fps(self) -> float:
+        """Frames a second [1/s]."""
+        return self.motion.fps
+
     def vertices(self, frames: slice | list[int] | np.ndarray | None = None) -> np.ndarray:
         """Posed vertices [m], shape (N, V, 3), float32, of all frames or of those named."""
         return np.asarray(self.animation.vertices(frames) + (self.offsets if frames is None else self.offsets[frames]))
@@ -80,6 +86,4 @@ class PointAnimation:
         Raises:
             FormatError: The suffix is unknown, or the file cannot be written.
         """
-        from bunraku.io.registry import save_points
-
-        return save_points(self, path, **options)
+        return save(self, path, **options)

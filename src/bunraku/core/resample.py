@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-from bunraku.core.motion import SkeletalMotion
-from bunraku.errors import MotionError
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.errors import MotionError, OptionError
 from bunraku.geometry.resampling import Resampling
 
-__all__ = ["cut_motion", "resample_motion"]
+__all__ = ["checked_fps", "cut_motion", "resample", "resample_motion"]
 
 
 def resample_motion(motion: SkeletalMotion, fps: float) -> SkeletalMotion:
@@ -42,3 +43,34 @@ def cut_motion(motion: SkeletalMotion, start: float, end: float) -> SkeletalMoti
     if stop <= first:
         raise MotionError(f"no frame lies between {start:g} s and {end:g} s of a motion of {len(motion) / motion.fps:.2f} s")
     return SkeletalMotion(motion.skeleton, motion.rotations[first:stop], motion.root_translation[first:stop], motion.fps)
+
+
+def checked_fps(fps: float | None, default: float) -> float:
+    """Frames a second of an output [1/s].
+
+    Raises:
+        OptionError: They are not a number from 1 to 1000.
+    """
+    if fps is None:
+        return float(default)
+    try:
+        value = float(fps)
+    except (TypeError, ValueError):
+        raise OptionError(f"fps must be a number from 1 to 1000, not {fps!r}") from None
+    if not 1 <= value <= 1000:
+        raise OptionError(f"fps must be a number from 1 to 1000, not {fps!r}")
+    return value
+
+
+def resample(motion: HandleMotion, fps: float) -> HandleMotion:
+    """The motion at another frame rate: translations linear, rotations along the shortest arc.
+
+    Args:
+        motion: The motion, frame n at n / motion.fps seconds.
+        fps: Frames a second of the result [1/s]; frame m is at m / fps seconds, as far as the motion reaches.
+    """
+    if abs(fps - motion.fps) < 1e-6 or len(motion) == 1:
+        return motion if len(motion) > 1 else replace(motion, fps=fps)
+    between = Resampling.of(len(motion), motion.fps, fps)
+    moves, path = (between.linear(values.astype(float)) for values in (motion.translations, motion.root_translation))
+    return HandleMotion(moves, between.rotations(motion.rotations), path, between.rotations(motion.root_rotation), fps, motion.native)

@@ -12,8 +12,10 @@ import numpy as np
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.saving import save
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, MotionError
+from bunraku.geometry.resampling import Resampling
 
 __all__ = ["RigAnimation", "bone_order"]
 
@@ -156,6 +158,14 @@ class RigAnimation:
         transforms = self.motion.transforms(self.handles.positions)
         return skin(self.character.vertices, self.handles.weights, transforms if frames is None else transforms[frames])
 
+    def at(self, fps: float) -> RigAnimation:
+        """The same at another rate [1/s]; the motion that it was fitted from is left out, as it stays at its own."""
+        if abs(fps - self.fps) < 1e-6:
+            return self
+        between = Resampling.of(len(self.rotations), self.fps, fps)
+        moved = between.linear(self.translations.astype(float))
+        return RigAnimation(self.character, between.rotations(self.rotations), moved, fps)
+
     def save(self, path: str | Path, **options: Any) -> Path:
         """Write the animation: a .glb keeps the file's own nodes, skins and materials, a .vmd the bones of an MMD model.
 
@@ -164,19 +174,7 @@ class RigAnimation:
         Raises:
             FormatError: The suffix is unknown, or the file cannot be written.
         """
-        from bunraku.io import save_animation
-
-        if Path(path).suffix.lower() == ".glb":
-            from bunraku.formats.gltf.write_rig import save_rig_animation
-
-            return save_rig_animation(self, path, **options)
-        if Path(path).suffix.lower() in (".bvh", ".vrma", ".npz"):  # these speak of a person's parts, not of a rig's bones
-            from bunraku.retarget.rig_motion import handle_animation
-
-            return save_animation(handle_animation(self), path, **options)
-        if Path(path).suffix.lower() == ".vmd":
-            return save_animation(self, path, **options)
-        return save_animation(self.animation(), path, **options)
+        return save(self, path, **options)
 
 
 def bone_order(parents: np.ndarray) -> list[int]:

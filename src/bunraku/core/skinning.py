@@ -1,14 +1,57 @@
-"""Linear blend skinning of all frames as one matrix product, with the readable reference beside it."""
+"""Eq. 3 of TapMo, its only home: the affine transforms of handles, and linear blend skinning of all frames as one matrix product.
+
+`v' = R_g (sum_k s_k (R_k (v - h_k) + h_k + t_k) - h_0) + h_0 + t_g`. Handle 0 is the root and has the identity as its local transform, so its share
+of the weights is not lost. The readable reference of the product stands beside it.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-__all__ = ["skin", "skin_reference"]
+__all__ = ["handle_offsets", "posed_points", "skin", "skin_reference"]
+
+Array = Any  # numpy.ndarray or torch.Tensor
+
+
+def _product(matrices: Array, points: Array) -> Array:
+    if isinstance(matrices, np.ndarray):
+        return np.einsum("...ij,...j->...i", matrices, points)
+    import torch
+
+    return torch.einsum("...ij,...j->...i", matrices, points)
+
+
+def handle_offsets(positions: Array, translations: Array, rotations: Array) -> Array:
+    """What a handle's local transform adds to a rotated vertex, `R (v - h) + h + t = R v + (h + t - R h)`; numpy arrays or torch tensors.
+
+    Args:
+        positions: Rest positions h of the handles [m], shape (..., K, 3).
+        translations: Local translations t [m], shape (..., K, 3).
+        rotations: Local rotations R, shape (..., K, 3, 3).
+
+    Returns:
+        Shape (..., K, 3).
+    """
+    return positions + translations - _product(rotations, positions)
+
+
+def posed_points(transforms: Array, points: Array) -> Array:
+    """Where affine transforms take a point each, `A p + b`; numpy arrays or torch tensors.
+
+    Args:
+        transforms: [A | b], shape (..., K, 3, 4).
+        points: Rest positions [m], shape (..., K, 3).
+
+    Returns:
+        Shape (..., K, 3).
+    """
+    return _product(transforms[..., :3], points) + transforms[..., 3]
 
 
 def skin(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:
-    """Blend-skin every vertex in every frame as one GEMM, (3N, 4K) @ (4K, V).
+    """Blend-skin every vertex in every frame [TapMo 3] as one GEMM, (3N, 4K) @ (4K, V).
 
     Args:
         vertices: Rest positions [m], shape (V, 3).

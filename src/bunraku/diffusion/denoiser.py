@@ -10,8 +10,6 @@ the same. A token holds `frames_per_token` frames, which lets the small preset t
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -19,16 +17,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bunraku.body.layout import HANDLE_PARENTS
-from bunraku.diffusion.denoiser_config import ARCHITECTURES, DenoiserConfig
+from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import ROOT_SIZE
-from bunraku.errors import WeightsError
 from bunraku.geometry.rotations import matrix_from_6d
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.retarget.batched_fit import capped
 
-__all__ = ["Denoiser", "build_denoiser", "joint_offsets", "load_denoiser", "save_denoiser"]
-
-KIND = "diffusion"
+__all__ = ["Denoiser", "joint_offsets"]
 
 
 def _rotary(length: int, size: int, device: torch.device) -> tuple[Tensor, Tensor]:
@@ -188,7 +182,7 @@ class Denoiser(nn.Module):
         return torch.cat([part.to(memory[-1].dtype) for part in memory], dim=1), torch.cat(mask, dim=1)[:, None, None], sentence
 
     def forward(self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """Clean motion and adaptation (Eq. 2).
+        """Clean motion and adaptation [TapMo 2].
 
         Args:
             x: Noisy motion in network units, shape (B, N, D).
@@ -239,43 +233,3 @@ class Denoiser(nn.Module):
 def drawn(value: Tensor, deviation: float) -> Tensor:
     """The tensor, filled with normal noise; one on the meta device stays as it is, since torch takes two seconds to load what would fill it."""
     return value if value.is_meta else nn.init.normal_(value, std=deviation)
-
-
-def build_denoiser(config: DenoiserConfig) -> Denoiser:
-    """The denoiser that a config describes; both kinds are called alike.
-
-    Raises:
-        WeightsError: The architecture is unknown.
-    """
-    if config.architecture == "decoder":
-        return Denoiser(config)
-    if config.architecture == "encoder":
-        from bunraku.diffusion.mdm_denoiser import EncoderDenoiser
-
-        model: Denoiser = EncoderDenoiser(config)
-        return model
-    raise WeightsError(f"the architecture '{config.architecture}' is unknown; there are {' and '.join(ARCHITECTURES)}")
-
-
-def save_denoiser(path: str | Path, model: Denoiser, notes: dict[str, Any] | None = None, half: bool = True) -> Path:
-    """Write a denoiser with its config; `notes` (data, steps, time) go into the config's "notes"."""
-    return save_checkpoint(path, model.state_dict(), asdict(model.config) | {"notes": notes or {}}, KIND, half=half)
-
-
-def load_denoiser(path: str | Path, device: str | torch.device = "cpu") -> Denoiser:
-    """Read a denoiser, ready for sampling.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
-    """
-    state, config = load_checkpoint(path, KIND)
-    notes = config.pop("notes", None)
-    try:
-        built = DenoiserConfig(**config)
-        with torch.device("meta"):
-            model = build_denoiser(built)
-        model.load_state_dict(state, assign=True)
-        model.notes = dict(notes or {})
-    except Exception as error:
-        raise WeightsError(f"{path}: the config and the weights of this denoiser disagree ({str(error).splitlines()[0]}); train it again") from error
-    return model.to(device).eval().requires_grad_(False)

@@ -10,29 +10,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bunraku.body.layout import HANDLE_COUNT
-from bunraku.body.parts import feature_mask, kept_handles
+from bunraku.body.parts import kept_handles
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode
+from bunraku.core.travel import FADE, _fade, placed_at, put_back
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_mask
 from bunraku.diffusion.generate import Sampling, adapt, frames_of, load_generator
-from bunraku.diffusion.root_path import arrive, placed_at
+from bunraku.diffusion.root_path import arrive
 from bunraku.errors import MotionError, OptionError
-from bunraku.geometry.easing import smooth_step
-from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.language.encoders import check_prompt
+from bunraku.language.prompts import check_prompt
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from bunraku.diffusion.denoiser import Denoiser
 
-__all__ = ["continue_motion", "edit_motion", "follow", "put_back", "span_frames"]
+__all__ = ["continue_motion", "edit_motion", "span_frames"]
 
-FADE = 8  # frames over which a difference at the edge of a span fades out
 AROUND = 60  # kept frames on either side of a span that the model sees
 HISTORY = 20  # frames of another clip that its continuation is made to follow
 
@@ -93,7 +92,7 @@ def edit_motion(
     anchor = high - low - 1 if first == low and after < high else 0  # a kept frame where there is one
     made = placed_at(made, anchor, part, anchor)
     whole = made.take(np.clip(np.arange(len(motion)) - low, 0, len(made) - 1))  # what is kept beyond the part comes next
-    return put_back(whole, motion, handles, first, after, fade=0)
+    return replace(put_back(whole, motion, handles, first, after, fade=0), native=motion.native)
 
 
 def continue_motion(motion: HandleMotion, script: Sequence[tuple[str, float]], *, seed: int = 0, **sampling: Any) -> HandleMotion:
@@ -126,59 +125,6 @@ def continue_motion(motion: HandleMotion, script: Sequence[tuple[str, float]], *
     made = _generate(still, past, len(frames), np.zeros(HANDLE_COUNT, bool), prompts, lengths, seed, how)
     made = placed_at(made, past - 1, history, past - 1).take(slice(past - 1, len(made)))
     return put_back(made, still.take(slice(past - 1, len(still))), np.zeros(HANDLE_COUNT, bool), 1, len(made), fade=0)
-
-
-def follow(motion: HandleMotion, before: HandleMotion) -> HandleMotion:
-    """A motion that goes on from another nearly, moved and bent so that its first frame is the other's last, bit for bit."""
-    still = before.take(np.full(len(motion), len(before) - 1))
-    none = np.zeros(motion.translations.shape[1], bool)
-    return put_back(placed_at(motion, 0, before, len(before) - 1), still, none, 1, len(motion))
-
-
-def put_back(made: HandleMotion, original: HandleMotion, handles: np.ndarray, first: int, after: int, fade: int = FADE) -> HandleMotion:
-    """The made motion with what is kept of the original, bit for bit.
-
-    Args:
-        made: N frames.
-        original: N frames.
-        handles: Handles that are kept in all frames, shape (K,), bool; handle 0 stands for the root's path.
-        first: First frame that was made; all before it are kept.
-        after: The frame after the last that was made.
-        fade: Frames at the edges of the span over which a difference between the two at the next kept frame fades out; one in the
-            root's place on the ground fades over the whole span, so that no foot slides for it. 0 leaves differences as they are.
-    """
-    count = len(original)
-    arrays = {name: np.array(getattr(made, name)) for name in HandleMotion.arrays}
-    edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < count)
-    for edge, way in edges if fade else ():
-        frames = edge + way * np.arange(1, min(fade, after - first) + 1)
-        share = _fade(len(frames))
-        for name, array in arrays.items():
-            there = getattr(original, name)[edge].astype(float)
-            if name.endswith(("translation", "translations")):
-                off = there - array[edge]
-                if name.startswith("root"):
-                    wide = _fade(after - first) if len(edges) == 2 else np.ones(after - first)
-                    array[edge + way * np.arange(1, after - first + 1)] += (wide[:, None] * off * [1, 0, 1]).astype(np.float32)
-                    off = off * [0, 1, 0]
-                array[frames] += (share.reshape(-1, *[1] * there.ndim) * off).astype(np.float32)
-            else:
-                off = axis_angle_from_matrix(there @ np.swapaxes(array[edge], -1, -2).astype(float))
-                array[frames] = matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ array[frames].astype(float)
-    kept = np.ones(count, bool)
-    kept[first:after] = False
-    for name, array in arrays.items():
-        array[kept] = getattr(original, name)[kept]
-        if not name.startswith("root"):
-            array[:, handles] = getattr(original, name)[:, handles]
-        elif handles[0]:
-            array[:] = getattr(original, name)
-    return HandleMotion(**arrays, fps=original.fps)
-
-
-def _fade(length: int) -> np.ndarray:
-    """From nearly 1 smoothly to nearly 0, shape (length,)."""
-    return smooth_step(1 - np.arange(1, length + 1) / (length + 1))
 
 
 def _check(motion: HandleMotion, model: Denoiser) -> None:
@@ -234,7 +180,7 @@ def _generate(
         reach = edge + way * np.arange(1, min(FADE, after - first) + 1)
         adaptation[reach] *= (1 - _fade(len(reach)))[:, None, None]
     adaptation[:, handles] = 0
-    return adapt(decode(made, model.config.fps), adaptation)
+    return adapt(replace(decode(made, model.config.fps), native=how.native(model)), adaptation)
 
 
 def _goal(features: np.ndarray, first: int, after: int, fps: float) -> tuple[float, tuple[float, float]]:

@@ -19,45 +19,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import MotionError
-from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d, matrix_y, quaternion_from_matrix
+from bunraku.geometry.heading import heading
+from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d, matrix_y
 
-__all__ = [
-    "FEATURE_SIZE", "HANDLE_SIZE", "ROOT_SIZE", "FeatureStatistics", "decode", "encode", "feature_weights", "heading", "mirror",
-]  # fmt: skip
+__all__ = ["decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics", "HANDLE_SIZE", "mirror", "ROOT_SIZE"]
 
 ROOT_SIZE, HANDLE_SIZE = 10, 9
 FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)
 _SIX_SIGNS = np.array([1, -1, -1, -1, 1, 1], np.float32)
-
-
-def heading(root_rotation: np.ndarray, fps: float = 20.0) -> np.ndarray:
-    """Where the root faces: its turn about +Y, unwrapped and smooth.
-
-    The turn is the twist of the rotation about +Y, which stays well defined for a body lying on its back, front or side,
-    unlike the projection of +Z, with which it agrees when upright. It is lost only upside down: each frame counts by how
-    well defined it is in a Gaussian mean over 0.1 s, and stretches without any are bridged.
-
-    Args:
-        root_rotation: Rotations, shape (N, 3, 3).
-        fps: Frames a second [1/s].
-
-    Returns:
-        Angles [rad], shape (N,), float64; 0 faces +Z, positive turns towards +X. Always finite.
-    """
-    quaternion = quaternion_from_matrix(np.asarray(root_rotation, float))
-    y, w = quaternion[:, 1], quaternion[:, 3]
-    vector = np.stack([w * w - y * y, 2 * w * y], -1)  # (cos, sin) of the twist times w^2 + y^2
-    vector = gaussian_filter1d(vector, 0.1 * fps, axis=0, mode="nearest")
-    sure = np.hypot(vector[:, 0], vector[:, 1]) > 0.05
-    if not sure.any():
-        return np.zeros(len(vector))
-    frames = np.arange(len(vector))
-    return np.interp(frames, frames[sure], np.unwrap(np.arctan2(vector[sure, 1], vector[sure, 0])))
 
 
 def encode(motion: HandleMotion) -> np.ndarray:
@@ -190,3 +163,8 @@ class FeatureStatistics:
     def restore(self, values: np.ndarray) -> np.ndarray:
         """Network units back to features, shape [..., 271]."""
         return values * self.std + self.mean
+
+
+def feature_mask(handles: np.ndarray) -> np.ndarray:
+    """Which features the handles decide, shape (271,), bool: ten numbers for the root and nine for each other (see `features`)."""
+    return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])

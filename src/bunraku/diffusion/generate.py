@@ -15,7 +15,8 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FeatureStatistics, decode
 from bunraku.errors import OptionError
-from bunraku.language.encoders import TextEncoder, check_prompt, text_encoder
+from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.language.prompts import check_prompt
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -55,6 +56,10 @@ class Sampling:
             raise OptionError(f"sampling takes 1 to 1,000 steps, not {self.steps}")
         if self.guidance is not None and not (math.isfinite(self.guidance) and 0 <= self.guidance <= 20):
             raise OptionError(f"the guidance scale must be from 0 to 20, not {self.guidance:g}")
+
+    def native(self, model: Denoiser) -> bool:
+        """Whether what is drawn is a body's own motion: see `HandleMotion`."""
+        return self.mesh_feature is not None and bool(model.notes.get("creatures"))
 
     def options(self, model: Denoiser, rows: int) -> dict[str, Any]:
         """Options of `sample_windows` for this many sentences."""
@@ -117,8 +122,9 @@ def generate_motions(
 
     import torch
 
+    from bunraku.diffusion.composition import Twin
     from bunraku.diffusion.windows import drawn_noise, plan_windows, sample_plans
-    from bunraku.language.concurrent import Twin, voices
+    from bunraku.language.concurrent import voices
     from bunraku.nn.threads import fitting_threads
 
     if how.progress:
@@ -149,7 +155,8 @@ def generate_motions(
     for part, length in zip(found[: len(scripts)], lengths, strict=True):
         frames = np.arange(sum(length) + loop) % len(part.values)
         features = statistics.restore(part.values.cpu().numpy()[frames])
-        motions.append(adapt(decode(features, model.config.fps), part.adaptation.cpu().numpy()[frames]))
+        made = replace(decode(features, model.config.fps), native=how.native(model))
+        motions.append(adapt(made, part.adaptation.cpu().numpy()[frames]))
     return motions
 
 
@@ -182,7 +189,7 @@ def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:
         return motion
     translations = motion.translations + adaptation
     translations[:, 0] = 0
-    return HandleMotion(translations, motion.rotations, motion.root_translation, motion.root_rotation, motion.fps)
+    return replace(motion, translations=translations)
 
 
 def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, TextEncoder]:
@@ -205,7 +212,7 @@ def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, Text
 
 @functools.lru_cache(maxsize=2)
 def _load(path: Path, changed: int) -> tuple[Denoiser, TextEncoder]:
-    from bunraku.diffusion.denoiser import load_denoiser
+    from bunraku.diffusion.checkpoint import load_denoiser
 
     model = load_denoiser(path)
     name = model.config.text_encoder

@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
-
-import numpy as np
-from scipy.ndimage import gaussian_filter1d
-
-from bunraku.core.motion import HandleMotion
-from bunraku.geometry.easing import smooth_step
-from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["arrive", "closed_loop", "in_place", "moved", "placed_at", "repeated"]
+__all__ = ["arrive"]
 
 STILL = 0.3  # m/s; a loop whose root goes no faster than this, all in all, is meant to stay where it is
-SWAY = 0.5  # s; what the root does faster than this stays in a motion on the spot
 
 
 def arrive(root: Tensor, fps: float, turn: float | None, travel: tuple[float, float] | None) -> Tensor:
@@ -54,114 +45,3 @@ def arrive(root: Tensor, fps: float, turn: float | None, travel: tuple[float, fl
         travel = way if math.hypot(*way) > STILL * count / fps else (0.0, 0.0)
     x, z = x + (travel[0] - way[0]) * fps * weight, z + (travel[1] - way[1]) * fps * weight
     return torch.stack([yaw, x * cos - z * sin, z * cos + x * sin], -1)
-
-
-def _turn(first: np.ndarray, last: np.ndarray) -> float:
-    """The turn about +Y [rad] that comes closest to taking one rotation to another."""
-    between = last.astype(float) @ first.astype(float).T
-    return math.atan2(between[0, 2] - between[2, 0], between[0, 0] + between[2, 2])
-
-
-def moved(motion: HandleMotion, angle: float, place: np.ndarray) -> HandleMotion:
-    """The motion turned about +Y through the origin and then moved.
-
-    Args:
-        motion: N frames.
-        angle: Turn [rad], +Z towards +X.
-        place: Way [m], shape (3,).
-    """
-    turn = matrix_y(np.array([angle]))[0]
-    path = motion.root_translation @ turn.T + place
-    return replace(motion, root_translation=path, root_rotation=turn @ motion.root_rotation)
-
-
-def placed_at(motion: HandleMotion, frame: int, like: HandleMotion, there: int) -> HandleMotion:
-    """The motion moved over the ground and turned so that in one frame its root is, and faces, as that of another in a frame of its own."""
-    turned = moved(motion, _turn(motion.root_rotation[frame], like.root_rotation[there]), np.zeros(3))
-    way = like.root_translation[there].astype(float) - turned.root_translation[frame]
-    way[1] = 0
-    return moved(turned, 0.0, way)
-
-
-def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
-    """A loop with frames of other rounds before its first and after its last, each round going on where the one before ended.
-
-    Args:
-        motion: N + 1 frames of which the last is the first of the next round.
-        before: Frames to add at the start.
-        after: Frames to add at the end.
-    """
-    last = len(motion) - 1
-    if last < 1:
-        return motion
-    whole = np.arange(-before, last + after + 1)
-    rounds, frames = np.divmod(whole, last)
-    step = matrix_y(np.array([_turn(motion.root_rotation[0], motion.root_rotation[-1])]))[0]
-    way = motion.root_translation[-1].astype(float) - step @ motion.root_translation[0]
-    places, turns = {0: np.zeros(3)}, {0: np.eye(3)}
-    for index in range(1, max(int(rounds.max()), 0) + 1):
-        turns[index], places[index] = step @ turns[index - 1], step @ places[index - 1] + way
-    for index in range(-1, min(int(rounds.min()), 0) - 1, -1):
-        turns[index], places[index] = step.T @ turns[index + 1], step.T @ (places[index + 1] - way)
-    turned, moves = np.stack([turns[index] for index in rounds.tolist()]), np.stack([places[index] for index in rounds.tolist()])
-    return HandleMotion(
-        motion.translations[frames],
-        motion.rotations[frames],
-        np.einsum("nij,nj->ni", turned, motion.root_translation[frames]) + moves,
-        turned @ motion.root_rotation[frames],
-        motion.fps,
-    )
-
-
-def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> HandleMotion:
-    """A nearly closed loop, closed: the last pose is the first one, moved as a round of another loop moves it.
-
-    Args:
-        motion: N + 1 frames.
-        like: The loop that it was made from; where its round neither turns nor travels, neither does the result's.
-        fade: Frames at the end over which the difference fades in.
-    """
-    turns = abs(_turn(like.root_rotation[0], like.root_rotation[-1])) > 1e-4
-    travels = bool(np.abs(like.root_translation[-1] - like.root_translation[0])[[0, 2]].max() > 1e-4)
-    angle = _turn(motion.root_rotation[0], motion.root_rotation[-1]) if turns else 0.0
-    goal_rotation = matrix_y(np.array([angle]))[0] @ motion.root_rotation[0]
-    goal = motion.root_translation[-1 if travels else 0].astype(float)
-    goal[1] = motion.root_translation[0, 1]
-    count = len(motion)
-    share = smooth_step(np.arange(count), count - 1 - min(fade, count - 1), count - 1)
-    path, all_along = motion.root_translation.astype(float), np.arange(count) / (count - 1)
-    off = goal - path[-1]
-    path[:, [0, 2]] += all_along[:, None] * off[[0, 2]]
-    path[:, 1] += share * off[1]
-
-    def turned(rotations: np.ndarray, there: np.ndarray) -> np.ndarray:
-        off = axis_angle_from_matrix(there.astype(float) @ np.swapaxes(rotations[-1], -1, -2).astype(float))
-        out = (matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ rotations.astype(float)).astype(np.float32)
-        out[-1] = there
-        return out
-
-    translations = motion.translations + (share[:, None, None] * (motion.translations[0] - motion.translations[-1])).astype(np.float32)
-    translations[-1] = motion.translations[0]
-    return HandleMotion(translations, turned(motion.rotations, motion.rotations[0]), path, turned(motion.root_rotation, goal_rotation), motion.fps)
-
-
-def in_place(motion: HandleMotion, loop: bool = False) -> HandleMotion:
-    """The motion without its way over the ground: the swaying of the root stays, the travelling goes.
-
-    Args:
-        motion: N frames.
-        loop: Whether the last frame is the first of the next round; then the result's is too.
-    """
-    if len(motion) < 3:
-        return motion
-    margin = round(4 * SWAY * motion.fps)
-    path = motion.root_translation.astype(float)
-    if loop:
-        longer = repeated(motion, margin, margin).root_translation.astype(float)
-    else:
-        longer = np.pad(path, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    way = gaussian_filter1d(longer, SWAY * motion.fps, axis=0, mode="nearest")[margin : margin + len(path)]
-    out = path - way
-    out[:, [0, 2]] += path[0, [0, 2]] - out[0, [0, 2]]
-    out[:, 1] = path[:, 1]
-    return replace(motion, root_translation=out)

@@ -121,6 +121,8 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", suffix=".tmp", dir=path.parent)
         with os.fdopen(descriptor, "wb") as file:
             yield file
+            file.flush()
+            os.fsync(file.fileno())  # a name never stands for what is not on the disk yet
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes files that only their owner can read
@@ -135,3 +137,8 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
 
 def _reason(error: Exception) -> str:
     return (getattr(error, "strerror", None) or str(error)).lower()
+
+
+def weights_folder() -> Path:
+    """Where the shipped checkpoints lie: in the folder that the environment variable BUNRAKU_WEIGHTS names, or in the package."""
+    return Path(os.environ.get("BUNRAKU_WEIGHTS") or Path(__file__).resolve().parents[1] / "weights")

@@ -83,7 +83,7 @@ def _load(checkpoint: str | Path | None) -> HandlePredictor:
 
 
 def predict_handles(character: Character, checkpoint: str | Path | None = None) -> Handles:
-    """The handles of a character (Eq. 1 of TapMo): positions, skinning weights of every vertex, and the feature f_phi.
+    """The handles of a character [TapMo 1]: positions, skinning weights of every vertex, and the feature f_phi.
 
     The network sees the normalised network mesh, in three tessellations, each also mirrored, and the mean of what it says counts: its
     answers differ a little with the tessellation, and the mean does so less. The weights are smoothed over that mesh, made one

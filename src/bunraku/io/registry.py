@@ -6,28 +6,27 @@ import os
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.core.point_animation import PointAnimation
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError
 from bunraku.formats.files import check_input, check_output_folder, read_bounded
 from bunraku.geometry.axes import axis_name, default_orientation
 from bunraku.io.table import FORMATS, Format
 
-if TYPE_CHECKING:
-    from bunraku.core.animation import Animation
-    from bunraku.core.character import Character, Handles
-    from bunraku.core.motion import HandleMotion, SkeletalMotion
-    from bunraku.core.point_animation import PointAnimation
-    from bunraku.core.rig_animation import RigAnimation
-
 __all__ = [
     "check_writer",
     "detect",
     "load_character",
-    "load_motion",
+    "read_motion",
     "load_with_clips",
+    "save",
     "save_animation",
     "save_character",
     "save_motion",
@@ -35,11 +34,12 @@ __all__ = [
 ]
 
 
-_CHECKED = ("usd", "fbx_export")
+_CHECKED = ("bunraku.formats.usd.write", "bunraku.formats.fbx.export")
 _ABILITIES = {
     "character": "characters are read from",
     "motion": "motions are read from",
     "animation": "animations are written to",
+    "bones": "animations of rigs are written to",
     "moved": "motions are written to",
     "points": "vertices that move on their own are written to",
     "rigged": "characters are written to",
@@ -152,7 +152,7 @@ def load_with_clips(path: str | Path, fps: float) -> Character:
     return character
 
 
-def load_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
+def read_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
     """Read a motion: a handle motion that `Animation.save` wrote to NPZ, or a skeletal one of BVH, VRMA, AMASS (.npz), HumanML3D (.npy),
     or the first clip of FBX.
 
@@ -169,7 +169,35 @@ def load_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
     return motion
 
 
-def save_animation(animation: Animation | RigAnimation, path: str | Path, **options: Any) -> Path:
+def save(thing: Animation | RigAnimation | PointAnimation | HandleMotion | SkeletalMotion, path: str | Path, **options: Any) -> Path:
+    """Write a motion or an animation of any kind in the format that the suffix names; `.save()` of all types ends here.
+
+    An animation of a character's own rig goes to .glb with the file's own nodes, skins and materials, to .vmd as the bones of an MMD model,
+    to the formats that speak of a person's parts as that of its 30 handles, and to all others as its bones move the mesh.
+
+    Raises:
+        FormatError: The suffix is unknown, or the file cannot be written.
+        OptionError: The format has no such option, or its value makes no sense.
+    """
+    if isinstance(thing, RigAnimation):
+        return _save_rig_animation(thing, path, options)
+    if isinstance(thing, PointAnimation):
+        return save_points(thing, path, **options)
+    return save_motion(thing, path, **options) if isinstance(thing, HandleMotion | SkeletalMotion) else save_animation(thing, path, **options)
+
+
+def _save_rig_animation(animation: RigAnimation, path: str | Path, options: dict[str, Any]) -> Path:
+    found = detect(Path(path), b"", "animation")
+    if found.bones:
+        return _write("bones", path, options, animation)
+    if found.parts:
+        from bunraku.retarget.rig_motion import handle_animation
+
+        return _write("animation", path, options, handle_animation(animation))
+    return _write("animation", path, options, animation.animation())
+
+
+def save_animation(animation: Animation, path: str | Path, **options: Any) -> Path:
     """Write an animation in the format that the suffix names.
 
     .glb, .usd, .usda, .usdc, .usdz and .fbx hold the character with its skin and motion, .obj and .ply a sequence of meshes, .bvh and
@@ -177,7 +205,7 @@ def save_animation(animation: Animation | RigAnimation, path: str | Path, **opti
     contact sheet.
 
     Args:
-        animation: The animation; one of a rig only for .vmd, see `RigAnimation.save`.
+        animation: The animation.
         path: The file. `walk.obj` becomes a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on.
         **options: `fps`, frames a second of the output [1/s], for all but .npz and .vmd; `up` ("+y" or "+z") and `unit` ("m", "cm", ...) for
             USD, .obj, .ply and .bvh; and what the writers of single formats have besides (docs/formats.md).

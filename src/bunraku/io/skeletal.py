@@ -25,8 +25,8 @@ def write_motion_bvh(
     motion: HandleMotion | SkeletalMotion, path: Path, *, fps: float | None = None, unit: str = "cm", up: str = "+y", order: str = "zxy"
 ) -> Path:
     """Write a motion as BVH; see `write_bvh`."""
+    from bunraku.core.resample import checked_fps
     from bunraku.formats.bvh.write import write_bvh
-    from bunraku.formats.gltf.handle_channels import checked_fps
 
     skeletal = as_skeletal(motion)
     return write_bvh(skeletal, path, fps=checked_fps(fps, skeletal.fps), unit=unit, up=up, order=order)

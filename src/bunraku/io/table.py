@@ -24,6 +24,8 @@ class Format:
         motion: "module:function" that makes a motion of a path and its bytes.
         animation: "module:function" that writes an animation to a path.
         moved: "module:function" that writes a motion without a character to a path.
+        bones: "module:function" that writes an animation of a character's own rig to a path, where that is another.
+        parts: It speaks of a person's parts: an animation of a rig is written as that of its 30 handles.
         points: "module:function" that writes an animation whose vertices also move on their own to a path.
         rigged: "module:function" that writes a character with or without handles to a path.
         largest: Largest file that is opened at all [bytes].
@@ -36,6 +38,8 @@ class Format:
     motion: str = ""
     animation: str = ""
     moved: str = ""
+    bones: str = ""
+    parts: bool = False
     points: str = ""
     rigged: str = ""
     largest: int = MAX_BYTES
@@ -49,6 +53,7 @@ FORMATS: tuple[Format, ...] = (
         character="bunraku.formats.gltf.read:read_gltf",
         motion="bunraku.formats.vrm.vrma:read_glb_motion",
         animation="bunraku.formats.gltf.write:write_animation",
+        bones="bunraku.formats.gltf.write_rig:save_rig_animation",
         points="bunraku.formats.gltf.write_points:write_point_animation",
         rigged="bunraku.formats.gltf.write:write_character",
     ),
@@ -79,6 +84,7 @@ FORMATS: tuple[Format, ...] = (
         (b"PK\x03\x04",),
         motion="bunraku.formats.arrays.npz:read_any_motion",
         animation="bunraku.formats.arrays.npz:write_animation",
+        parts=True,
         moved="bunraku.io.skeletal:write_motion_npz",
     ),
     Format("HumanML3D", (".npy",), (b"\x93NUMPY",), motion="bunraku.formats.arrays.humanml3d:read_humanml3d"),
@@ -88,6 +94,7 @@ FORMATS: tuple[Format, ...] = (
         (b"HIERARCHY",),
         motion="bunraku.formats.bvh.read:read_bvh",
         animation="bunraku.io.humanoid:write_humanoid_bvh",
+        parts=True,
         moved="bunraku.io.skeletal:write_motion_bvh",
         largest=MAX_TEXT_BYTES,
     ),
@@ -97,6 +104,7 @@ FORMATS: tuple[Format, ...] = (
         (b"glTF",),
         motion="bunraku.formats.vrm.vrma:read_vrma",
         animation="bunraku.io.humanoid:write_humanoid_vrma",
+        parts=True,
         moved="bunraku.io.skeletal:write_motion_vrma",
     ),
     Format(
@@ -107,7 +115,13 @@ FORMATS: tuple[Format, ...] = (
         motion="bunraku.formats.fbx.motion:read_motion",
         animation="bunraku.formats.fbx.export:write_fbx",
     ),
-    Format("VMD", (".vmd",), (b"Vocaloid Motion Data",), animation="bunraku.io.mmd_motion:write_character_vmd"),
+    Format(
+        "VMD",
+        (".vmd",),
+        (b"Vocaloid Motion Data",),
+        animation="bunraku.io.mmd_motion:write_character_vmd",
+        bones="bunraku.io.mmd_motion:write_character_vmd",
+    ),
     Format("PMX", (".pmx",), (b"PMX ",), character="bunraku.formats.mmd.pmx:read_pmx"),
     Format("PMD", (".pmd",), (b"Pmd",), character="bunraku.formats.mmd.pmd:read_pmd"),
     Format("RigNet", (".txt",), character="bunraku.formats.mesh.rignet:read_rignet"),

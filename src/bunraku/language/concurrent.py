@@ -8,20 +8,19 @@ and is given all but the gesture's handles by the first, at each step, as an edi
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.body.parts import feature_mask, kept_handles
+from bunraku.body.parts import kept_handles
 from bunraku.language.clauses import subject_of, with_subject
 from bunraku.language.grammar import conjugate
 
 if TYPE_CHECKING:
-    from torch import Tensor
+    pass
 
-__all__ = ["Twin", "Voice", "voices"]
+__all__ = ["Voice", "voices"]
 
 _LEGS = (
     "walk", "run", "jog", "sprint", "march", "sneak", "tiptoe", "skip", "stroll", "stride", "hop", "jump", "trot", "stomp", "wander", "sit", "kneel",
@@ -77,39 +76,3 @@ def _part(clause: str) -> str:
     if verb in ("raise", "raises", "raising", "lift", "lifts", "lifting", "swing", "swings", "swinging") and _LIMB.search(clause):
         return "arms"
     return "head" if verb in ("shake", "shakes", "shaking") and "head" in words else ""
-
-
-@dataclass(frozen=True)
-class Twin:
-    """A second time line for a motion in which something happens at the same time: it hears the gestures, and moves as the first one else.
-
-    The first does not see the second: a walk whose arms wave would soon stand still, as people do who wave.
-
-    Args:
-        motion: Which motion of the batch it belongs to.
-        sentences: What it hears, a sentence for each of the motion's.
-        handles: The handles that are its own, shape (K,), bool.
-    """
-
-    motion: int
-    sentences: tuple[str, ...]
-    handles: np.ndarray
-
-    @classmethod
-    def of(cls, motion: int, heard: Sequence[tuple[Voice, ...]]) -> Twin | None:
-        """The second time line of a motion with these voices for each sentence; None where all have one."""
-        own = [voice.handles for some in heard for voice in some[1:] if voice.handles is not None]
-        return cls(motion, tuple(some[-1].sentence for some in heard), np.any(own, axis=0)) if own else None
-
-    def follow(self, first: Tensor, second: Tensor) -> Tensor:
-        """The second time line's features, shape (N, 271), with all that is not its own as in the first."""
-        import torch
-
-        own = torch.as_tensor(feature_mask(self.handles), device=first.device)
-        return torch.where(own, second, first)
-
-    def adapt(self, first: Tensor, second: Tensor) -> Tensor:
-        """The same of the adaptation, shape (N, K, 3)."""
-        import torch
-
-        return torch.where(torch.as_tensor(self.handles, device=first.device)[:, None], second, first)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import unicodedata
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,12 +18,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from bunraku.errors import MissingExtraError, OptionError, WeightsError
+from bunraku.errors import MissingExtraError, WeightsError
 
-__all__ = ["TEXT_LENGTH", "CLIPEncoder", "MiniLMEncoder", "TextBatch", "TextEncoder", "check_prompt", "text_encoder"]
+__all__ = ["TEXT_LENGTH", "CLIPEncoder", "MiniLMEncoder", "TextBatch", "TextEncoder", "text_encoder"]
 
 TEXT_LENGTH = 30
-PROMPT_LIMIT = 1000
 
 
 @dataclass(frozen=True)
@@ -55,25 +53,6 @@ class TextEncoder(Protocol):
     def encode(self, sentences: Sequence[str]) -> TextBatch:
         """Encode sentences, float32, on the CPU."""
         ...
-
-
-def check_prompt(prompt: str) -> str:
-    """The prompt with plain single spaces and no full stop, as the training captions are.
-
-    Raises:
-        OptionError: It is empty, has no letters or digits, or is longer than 1,000 characters.
-    """
-    if not isinstance(prompt, str):
-        raise OptionError("the prompt must be a sentence")
-    if len(prompt) > PROMPT_LIMIT:
-        raise OptionError(f"the prompt has {len(prompt):,} characters; say it in at most {PROMPT_LIMIT:,}")
-    plain = " ".join("".join(" " if unicodedata.category(letter)[0] in "CZ" else letter for letter in prompt).split())
-    if not plain:
-        raise OptionError("the prompt is empty; say what the character should do, for example 'a person walks forward'")
-    plain = plain.rstrip(" .") or plain
-    if not any(letter.isalnum() for letter in plain):
-        raise OptionError("the prompt has no words; say what the character should do, for example 'a person walks forward'")
-    return plain
 
 
 class _Cache:

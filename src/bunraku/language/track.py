@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import heading
+from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import matrix_y
 
 __all__ = ["SIDES", "Phrase", "Track", "runs", "smooth"]

@@ -7,8 +7,6 @@ so a file by that name is always whole.
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,9 +15,10 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
-from bunraku.errors import WeightsError
+from bunraku.errors import FormatError, WeightsError
+from bunraku.formats.files import atomic_write, weights_folder
 from bunraku.nn.threads import one_thread
 
 __all__ = ["TrainingState", "load_checkpoint", "load_training_state", "save_checkpoint", "save_training_state", "shipped_checkpoint"]
@@ -29,27 +28,13 @@ _LARGE = 1024
 
 
 def _write(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
-    """Write beside the target, reach the disk, rename; on any failure the old file is untouched and nothing is left over."""
-    temporary = None
+    """Write beside the target and rename; on any failure the old file is untouched and nothing is left over."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        os.close(handle)
-        save_file(tensors, temporary, metadata=metadata)
-        with open(temporary, "rb+") as file:
-            os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
-        temporary = None
-    except OSError as error:
-        raise WeightsError(f"{path}: the checkpoint cannot be written ({error.strerror or error}); check the folder and the free space") from error
-    except Exception as error:  # safetensors wraps a full disk in its own error type
-        raise WeightsError(f"{path}: the checkpoint cannot be written ({error})") from error
-    finally:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
+        with atomic_write(path) as file:
+            file.write(save(tensors, metadata=metadata))
+    except (OSError, FormatError) as error:
+        raise WeightsError(f"{path}: the checkpoint cannot be written ({error}); check the folder and the free space") from error
 
 
 def _read(path: Path, kind: str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -127,8 +112,7 @@ def shipped_checkpoint(name: str) -> Path:
     Raises:
         WeightsError: It is not there.
     """
-    folder = Path(os.environ.get("BUNRAKU_WEIGHTS") or Path(__file__).resolve().parents[1] / "weights")
-    path = folder / f"{name}.safetensors"
+    path = weights_folder() / f"{name}.safetensors"
     if not path.is_file():
         raise WeightsError(f"{path}: the '{name}' weights are missing; install Bunraku again, train them, or set BUNRAKU_WEIGHTS to their folder")
     return path

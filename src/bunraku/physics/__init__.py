@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from bunraku.physics.apparel_rig import ApparelRig, apparel_rig
+from bunraku.physics.apparel_rig import ApparelRig
+from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.settings import PhysicsSettings
 from bunraku.physics.simulate import Recovery, Simulation, SimulationReport, simulate
 

@@ -9,7 +9,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
-from bunraku.physics.apparel_rig import apparel_rig
+from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.simulate import simulate
 
 __all__ = ["check_apparel", "simulated", "with_apparel"]

@@ -13,11 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.core.character import Character
-from bunraku.formats.mmd.model import MmdBody, MmdJoint, mmd_model
-from bunraku.formats.vrm.read import vrm_model
+from bunraku.formats.mmd.model import MmdBody, MmdJoint
 
-__all__ = ["ApparelRig", "apparel_rig"]
+__all__ = ["ApparelRig"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,27 +48,3 @@ class ApparelRig:
             for index in self.dynamic
             if (body := self.bodies[index]).mask and not any(body.mask >> group & 1 and mask >> body.group & 1 for group, mask in still)
         )
-
-
-def apparel_rig(character: Character) -> ApparelRig | None:
-    """What physics move of a character; None where its file says nothing of physics, or nothing of it can be used.
-
-    Args:
-        character: An MMD model or a VRM avatar, with its rig.
-
-    Raises:
-        FormatError: The nodes of its file are broken.
-    """
-    if character.rig is None:
-        return None
-    model = mmd_model(character)
-    if model is not None:
-        found = ApparelRig(model.bodies, model.joints)
-    else:
-        avatar = vrm_model(character)
-        if avatar is None:
-            return None
-        from bunraku.physics.vrm_chains import vrm_rig
-
-        found = vrm_rig(character, avatar)
-    return found if found.dynamic else None

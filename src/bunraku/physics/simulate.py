@@ -11,7 +11,8 @@ import numpy as np
 
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, MotionError, OptionError
-from bunraku.physics.apparel_rig import ApparelRig, apparel_rig
+from bunraku.physics.apparel_rig import ApparelRig
+from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.limbs import body_limbs
 from bunraku.physics.posing import joints_moved, posed, stretched
 from bunraku.physics.settings import PhysicsSettings

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Literal, TypeVar, cast, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 
-from bunraku.core.animation import Animation
+from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.core.rig_animation import RigAnimation
-from bunraku.errors import MotionError, OptionError
-from bunraku.pipelines.apply import fit_performed, perform, perform_dressed, reference_of
+from bunraku.errors import OptionError
+from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of
+from bunraku.pipelines.together import check_together
 from bunraku.retarget.fit import Stages
 
-__all__ = ["animate", "edit", "generate", "rig"]
+__all__ = ["animate", "animate_each", "generate", "rig"]
 
 Progress = Callable[[str, float], None]
+AT_ONCE = 8
+"""Prompts in one pass of the network."""
 
 
 def rig(character: Character, *, handles: Literal["predict", "rig"] = "predict", progress: Progress | None = None) -> Handles:
@@ -51,7 +53,7 @@ def rig(character: Character, *, handles: Literal["predict", "rig"] = "predict",
 def _scripts(prompts: Sequence[str], seconds: float) -> list[list[tuple[str, float]]]:
     """The clauses of each prompt with their seconds; what cannot be generated is refused before anything is loaded."""
     from bunraku.language.clauses import timed_clauses
-    from bunraku.language.encoders import check_prompt
+    from bunraku.language.prompts import check_prompt
     from bunraku.language.sequence import parse_sequence, timed_sequence
 
     scripts = []
@@ -127,8 +129,7 @@ def generate(
     """
     prompts = [prompt] if isinstance(prompt, str) else list(prompt)
     scripts = _scripts(prompts, seconds)
-    if loop and after is not None:
-        raise OptionError("a loop ends where it starts, so it cannot follow another motion; leave one of the two out")
+    check_together("rigid", loop=loop, after=after is not None)
     how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "progress": progress}
     from bunraku.diffusion.generate import generate_motions
 
@@ -144,41 +145,6 @@ def generate(
     return motions[0] if isinstance(prompt, str) else motions
 
 
-@overload
-def animate(
-    character: Character,
-    prompt: str,
-    *,
-    seconds: float = ...,
-    seed: int = ...,
-    steps: int | None = ...,
-    guidance: float | None = ...,
-    handles: Handles | Literal["predict", "rig"] = ...,
-    apparel: Literal["rigid"] = ...,
-    loop: bool = ...,
-    in_place: bool = ...,
-    after: HandleMotion | Animation | None = ...,
-    stages: Stages | None = ...,
-    progress: Progress | None = ...,
-) -> Animation: ...
-
-
-@overload
-def animate(
-    character: Character,
-    prompt: str,
-    *,
-    seconds: float = ...,
-    seed: int = ...,
-    steps: int | None = ...,
-    guidance: float | None = ...,
-    apparel: Literal["simulate"],
-    in_place: bool = ...,
-    stages: Stages | None = ...,
-    progress: Progress | None = ...,
-) -> RigAnimation: ...
-
-
 def animate(
     character: Character,
     prompt: str,
@@ -191,10 +157,10 @@ def animate(
     apparel: Literal["rigid", "simulate"] = "rigid",
     loop: bool = False,
     in_place: bool = False,
-    after: HandleMotion | Animation | None = None,
+    after: HandleMotion | AnimatedCharacter | None = None,
     stages: Stages | None = None,
     progress: Progress | None = None,
-) -> Animation | RigAnimation:
+) -> AnimatedCharacter:
     """Make a character do what a sentence says.
 
     Args:
@@ -210,11 +176,11 @@ def animate(
         loop: Make a loop: the last pose is the first again, at another place where the motion travels.
         in_place: Take the way over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
-        stages: Which stages fit the motion to the character; `retarget.perform.PERFORM_STAGES` when None.
+        stages: Which stages fit the motion to the character; `pipelines.apply.GENERATED_STAGES` when None.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
-        The animation at 20 frames a second, or at 30 where apparel is simulated.
+        An `Animation` at 20 frames a second, or a `RigAnimation` at 30 where apparel is simulated.
 
     Raises:
         OptionError: The prompt is empty or too long, the length is out of range, a loop is to follow another clip, or simulated apparel is
@@ -222,90 +188,58 @@ def animate(
         CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """
-    _scripts([prompt], seconds)
-    if apparel not in ("rigid", "simulate"):
-        raise OptionError(f"apparel moves by 'rigid' or 'simulate', not '{apparel}'; choose one of the two")
-    if apparel == "simulate":
-        if loop or after is not None:
-            raise OptionError("simulated apparel starts from the rest pose, so it neither loops nor follows another clip; leave that out")
-        if handles != "predict":
-            raise OptionError("apparel is simulated on the bones of a character's rig; leave handles out")
+    return next(
+        animate_each(
+            character, [prompt], seconds=seconds, seed=seed, steps=steps, guidance=guidance, handles=handles, apparel=apparel, loop=loop,
+            in_place=in_place, after=after, stages=stages, progress=progress,
+        )
+    )  # fmt: skip
+
+
+def animate_each(
+    character: Character,
+    prompts: Sequence[str],
+    *,
+    seconds: float = 6.0,
+    seed: int = 0,
+    steps: int | None = None,
+    guidance: float | None = None,
+    handles: Handles | Literal["predict", "rig"] = "predict",
+    apparel: Literal["rigid", "simulate"] = "rigid",
+    loop: bool = False,
+    in_place: bool = False,
+    after: HandleMotion | AnimatedCharacter | None = None,
+    stages: Stages | None = None,
+    progress: Progress | None = None,
+) -> Iterator[AnimatedCharacter]:
+    """One animation for each prompt, as `animate` makes them, several in one pass of the network.
+
+    Each has the same seed, so that it does not depend on those beside it. Arguments, results and errors are those of `animate`.
+    """
+    _scripts(prompts, seconds)
+    check_together(apparel, loop=loop, after=after is not None, handles=handles != "predict")
+    simulated = apparel == "simulate"
+    if simulated:
         from bunraku.handles.predict import mesh_feature
         from bunraku.physics.animated import check_apparel
 
         check_apparel(character)  # before the work
-        found = mesh_feature(character)
-        made = generate(prompt, seconds=seconds, seed=seed, steps=steps, guidance=guidance, mesh_feature=found, progress=progress)
-        return perform_dressed(made, character, in_place=in_place, stages=stages, progress=progress)
-    if not isinstance(handles, Handles):
-        handles = rig(character, handles=handles or "predict", progress=progress)
+        feature: np.ndarray | None = mesh_feature(character)
+    else:
+        if not isinstance(handles, Handles):
+            handles = rig(character, handles=handles or "predict", progress=progress)
+        feature = handles.features
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
-    motion = generate(
-        prompt, seconds=seconds, seed=seed, steps=steps, guidance=guidance, mesh_feature=handles.features, loop=loop, after=before, progress=progress
-    )  # fmt: skip
-    return perform(motion, character, handles, loop=loop, in_place=in_place, after=after, stages=stages, progress=progress)
-
-
-Clip = TypeVar("Clip", bound=HandleMotion | Animation)
-
-
-def edit(
-    clip: Clip,
-    prompt: str,
-    *,
-    keep: str | Sequence[str] = (),
-    span: tuple[float, float] | None = None,
-    seed: int = 0,
-    steps: int | None = None,
-    guidance: float | None = None,
-    stages: Stages | None = None,
-    progress: Progress | None = None,
-) -> Clip:
-    """Keep chosen handles, or all but a span of seconds, and generate the rest from a sentence (section A.3 of TapMo).
-
-    Args:
-        clip: An animation, or a motion of the reference body at 20 frames a second.
-        prompt: What is done instead, in English.
-        keep: What stays as it is: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or single
-            handles such as left_wrist; a list, or one text with commas.
-        span: Seconds from and to which is generated; all of the clip by default.
-        seed: The same seed and version give the same motion.
-        steps: Sampling steps; None takes the default.
-        guidance: Classifier-free guidance scale; None takes the default.
-        stages: Which stages fit an animation's new motion to its character; all when None.
-        progress: Called with a stage's name and the share done, 0 to 1.
-
-    Returns:
-        As many frames. What is kept holds the same arrays bit for bit: those of the animation's own motion, and of its `reference`.
-
-    Raises:
-        OptionError: Nothing is kept, or everything; the prompt is empty or too long; or the span is outside the clip.
-        MotionError: The motion is not that of 30 handles at 20 frames a second.
-        WeightsError: The shipped weights are missing or broken.
-    """
-    from bunraku.body.parts import kept_handles
-    from bunraku.diffusion.editing import edit_motion, put_back, span_frames
-
-    how: dict[str, Any] = {"keep": keep, "span": span, "seed": seed, "steps": steps, "guidance": guidance, "progress": progress}
-    if isinstance(clip, HandleMotion):
-        return cast(Clip, edit_motion(clip, prompt, **how))
-    assert isinstance(clip, Animation)
-    handles = clip.handles
-    if handles.features is None:
-        from bunraku.handles.predict import mesh_feature
-
-        handles = replace(handles, features=mesh_feature(clip.character))
-    reference = reference_of(clip)
-    if len(reference) != len(clip.motion):
-        raise MotionError(f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it again")
-    made = edit_motion(reference, prompt, mesh_feature=handles.features, **how)
-    if progress:
-        progress("fit", 0.0)
-    kept = np.zeros(len(handles.positions), bool)
-    if keep:
-        kept = kept_handles(keep)[handles.played]  # a spare handle that plays a kept part is kept with it
-    first, after = (0, len(made)) if span is None else span_frames(span, len(made), made.fps)
-    fitted = put_back(fit_performed(made, clip.character, handles, stages), clip.motion, kept, first, after)
-    if progress:
-        progress("fit", 1.0)
-    return cast(Clip, Animation(clip.character, clip.handles, fitted, made))
+    for start in range(0, len(prompts), AT_ONCE):
+        some = prompts[start : start + AT_ONCE]
+        motions = generate(
+            list(some), seconds=seconds, seed=[seed] * len(some), steps=steps, guidance=guidance, mesh_feature=feature, loop=loop, after=before,
+            progress=progress,
+        )  # fmt: skip
+        for motion in motions:
+            if simulated or not isinstance(handles, Handles):
+                yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
+            else:
+                yield apply_motion(
+                    motion, character, handles, loop=loop, in_place=in_place, after=after, stages=stages, progress=progress
+                )  # fmt: skip

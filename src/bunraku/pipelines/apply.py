@@ -5,27 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.retarget.fit import Stages, fit_motion
 
-__all__ = ["PERFORM_STAGES", "fit_performed", "perform", "perform_dressed", "reference_of"]
+__all__ = ["GENERATED_STAGES", "apply_motion", "apply_simulated", "fitted_motion", "reference_of"]
 
 Progress = Callable[[str, float], None]
-PERFORM_STAGES = Stages(shape=True)
+GENERATED_STAGES = Stages(shape=True)
 """The stages that run by default."""
 
 
-def perform(
+def apply_motion(
     motion: HandleMotion,
     character: Character,
     handles: Handles,
     *,
     loop: bool = False,
     in_place: bool = False,
-    after: HandleMotion | Animation | None = None,
+    after: HandleMotion | AnimatedCharacter | None = None,
     stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> Animation:
@@ -38,29 +39,31 @@ def perform(
         loop: Whether the motion is a loop.
         in_place: Take the way over the ground out.
         after: Start in the last pose of this; a motion of the reference body is one that `motion` already follows.
-        stages: Which stages fit the motion to the character; `PERFORM_STAGES` when None.
+        stages: Which stages fit the motion to the character; `GENERATED_STAGES` when None.
         progress: Called with a stage's name and the share done, 0 to 1.
     """
     if progress:
         progress("fit", 0.0)
-    stages = stages or PERFORM_STAGES
-    if isinstance(after, Animation) and after.reference is None:  # what the stage did to that clip is in the way back from it already
+    stages = stages or GENERATED_STAGES
+    if (
+        after is not None and not isinstance(after, HandleMotion) and after.reference is None
+    ):  # what the stage did to that clip is in the way back from it already
         stages = replace(stages, shape=False)
-    fitted = fit_performed(motion, character, handles, stages, loop)
-    if isinstance(after, Animation):
-        from bunraku.diffusion.editing import follow
+    fitted = fitted_motion(motion, character, handles, stages, loop)
+    if after is not None and not isinstance(after, HandleMotion):
+        from bunraku.core.travel import follow
 
         fitted = follow(fitted, after.motion)
     if in_place:
-        from bunraku.diffusion.root_path import in_place as on_the_spot
+        from bunraku.core.travel import in_place as in_place_motion
 
-        fitted = on_the_spot(fitted, loop)
+        fitted = in_place_motion(fitted, loop)
     if progress:
         progress("fit", 1.0)
     return Animation(character, handles, fitted, motion)
 
 
-def perform_dressed(
+def apply_simulated(
     motion: HandleMotion,
     character: Character,
     *,
@@ -82,35 +85,32 @@ def perform_dressed(
     Raises:
         CharacterError: There is no physics in the file, or the names of its bones do not tell their parts.
     """
-    from bunraku.diffusion.root_path import in_place as on_the_spot
-    from bunraku.formats.gltf.handle_channels import resample
+    from bunraku.core.resample import resample
+    from bunraku.core.travel import in_place as in_place_motion
     from bunraku.physics.animated import simulated
     from bunraku.retarget.to_rig import fit_rig
 
     tell = progress or (lambda stage, done: None)
     tell("fit", 0.0)
     if in_place:  # feet that are held would carry the character away
-        motion, stages = on_the_spot(motion), replace(stages or Stages(), feet=False)
+        motion, stages = in_place_motion(motion), replace(stages or Stages(), feet=False)
     moved = fit_rig(resample(motion, fps), character, stages)
     tell("fit", 1.0)
     return simulated(moved, progress)
 
 
-def fit_performed(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False) -> HandleMotion:
+def fitted_motion(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False) -> HandleMotion:
     """`fit_motion`, with the rounds before and after a loop in sight, so that no stage treats its ends as ends."""
-    from bunraku.diffusion.generate import load_generator
-
-    native = handles.features is not None and bool(load_generator()[0].notes.get("creatures"))
     if not loop or len(motion) < 3:
-        return fit_motion(motion, character, handles, stages, native=native)
-    from bunraku.diffusion.root_path import closed_loop, repeated
+        return fit_motion(motion, character, handles, stages)
+    from bunraku.core.travel import closed_loop, repeated
 
     margin = round(2 * motion.fps)
-    fitted = fit_motion(repeated(motion, margin, margin), character, handles, stages, native=native)
+    fitted = fit_motion(repeated(motion, margin, margin), character, handles, stages)
     return closed_loop(fitted.take(slice(margin, margin + len(motion))), motion)
 
 
-def reference_of(animation: Animation) -> HandleMotion:
+def reference_of(animation: AnimatedCharacter) -> HandleMotion:
     """The motion of the reference body that an animation plays: the one that it was fitted from, or the way back from its own."""
     if animation.reference is not None:
         return animation.reference

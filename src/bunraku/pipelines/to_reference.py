@@ -8,85 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
-from bunraku.core.mesh_motion import MeshMotion, load_mesh_motion
+from bunraku.core.mesh_motion import MeshMotion
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.errors import CharacterError, FormatError, MotionError
+from bunraku.core.skinning import posed_points
+from bunraku.errors import CharacterError, MotionError
 from bunraku.geometry.rotations import nearest_rotation
+from bunraku.io.motions import Motion
 
-__all__ = ["Motion", "bone_turns", "load_any_motion", "reference_motion"]
+__all__ = ["bone_turns", "reference_motion"]
 
-Motion = SkeletalMotion | HandleMotion | Animation | RigAnimation | MeshMotion
-CLIPS = (".glb", ".gltf", ".vrm", ".fbx")
 _CHUNK = 200  # frames registered at once: bounds memory
-
-
-def load_any_motion(path: str | Path, *, fps: float = 20.0, clip: int | str = 0) -> Motion:
-    """Read a motion from any file that holds one, or a moving mesh from a folder.
-
-    Args:
-        path: The file; or a folder of .obj or .ply files, one a frame.
-        fps: Frames a second of clips that are sampled, and of folders [1/s].
-        clip: Number or name of the clip of a file with several.
-
-    Raises:
-        FormatError: It cannot be read, or holds no motion.
-        OptionError: There is no such clip.
-    """
-    from bunraku.io import load_motion
-
-    path = Path(path)
-    if path.is_dir():
-        return load_mesh_motion(path, fps)
-    suffix = path.suffix.lower()
-    if suffix == ".npz":
-        motion = load_motion(path)
-        if isinstance(motion, SkeletalMotion):
-            return motion
-        from bunraku.io.clips import load_clip
-
-        return load_clip(path).of_the_reference_body()
-    if suffix == ".vmd":
-        from bunraku.retarget.mmd.standard import vmd_motion
-
-        return vmd_motion(path, fps=fps)
-    if suffix not in CLIPS:
-        return load_motion(path)
-    if suffix == ".glb":
-        own = _own_clip(path)
-        if own is not None:
-            return own
-    if suffix == ".fbx":
-        from bunraku.formats.fbx.motion import load_fbx_motion
-        from bunraku.skeletons.skeleton_map import map_skeleton
-
-        try:  # of a person a skeleton is enough
-            motion = load_fbx_motion(path, clip or None, fps)
-            map_skeleton(motion.skeleton)
-            return motion
-        except (MotionError, FormatError):
-            pass
-    from bunraku.io.play import load_animation
-
-    return load_animation(path, clip, fps)
-
-
-def _own_clip(path: Path) -> Animation | HandleMotion | None:
-    """The clip of a GLB that Bunraku wrote, None for other files."""
-    from bunraku.io.clips import load_clip, load_clip_animation
-
-    try:
-        found = load_clip(path)
-    except (FormatError, MotionError):
-        return None
-    return found.reference if found.reference is not None else load_clip_animation(path)
 
 
 def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, str] | None = None) -> HandleMotion:
@@ -101,7 +39,7 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
         MotionError: No pelvis and legs are found in the skeleton, or a handle motion is of something else.
         CharacterError: The character of a clip has no usable mesh.
     """
-    from bunraku.formats.gltf.handle_channels import resample
+    from bunraku.core.resample import resample
 
     if isinstance(motion, SkeletalMotion):
         return _of_skeleton(motion, fps, names)
@@ -162,9 +100,9 @@ def _of_rig(character: Character, turns: np.ndarray, places: np.ndarray, fps: fl
 
 def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
     """Of a moving mesh: its handles are predicted, registered (section A.2 of TapMo) and taken to the reference body."""
-    from bunraku.datasets.motions.build import handle_motion_of_mesh
     from bunraku.geometry.areas import vertex_areas
     from bunraku.pipelines.animate import rig
+    from bunraku.retarget.from_mesh import handle_motion_of_mesh
     from bunraku.retarget.reference import motion_to_reference
 
     handles = rig(rest)
@@ -180,4 +118,4 @@ def bone_turns(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
     """World turns (N, J, 3, 3) and heads [m] (N, J, 3) of the bones of a clip whose handles they are."""
     assert animation.character.rig is not None
     affine = animation.motion.transforms(animation.handles.positions)[:, 1:].astype(np.float64)
-    return nearest_rotation(affine[..., :3]), np.einsum("njab,jb->nja", affine[..., :3], animation.character.rig.positions) + affine[..., 3]
+    return nearest_rotation(affine[..., :3]), posed_points(affine, animation.character.rig.positions)

@@ -7,43 +7,81 @@ Every motion becomes one of the reference body first (`any_motion`). From there 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, OptionError
-from bunraku.pipelines.to_reference import Motion, bone_turns, load_any_motion, reference_motion
+from bunraku.io.motions import Motion, load_motion
+from bunraku.pipelines.to_reference import bone_turns, reference_motion
 from bunraku.retarget.fit import Stages, fit_motion
 
-__all__ = ["TRANSFER_STAGES", "perform_transfer", "played_by_mmd", "same_skeleton", "transfer"]
+__all__ = ["RATE", "TRANSFER_STAGES", "Source", "apply_transfer", "played_by_mmd", "same_skeleton", "transfer"]
 
 Progress = Callable[[str, float], None]
+RATE = 30.0
+"""Frames a second [1/s] of what is transferred, unless another rate is asked for."""
 TRANSFER_STAGES = Stages(hands=True, shape=True)
 """The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its shape."""
 
 
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A motion to be transferred, read and taken to the reference body once, however many characters get it.
+
+    Args:
+        given: The motion, or its file.
+        fps: Frames a second of the result [1/s].
+        names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
+        clip: Number or name of the clip of a file with several.
+    """
+
+    given: Motion | str | Path
+    fps: float = RATE
+    names: Mapping[str, str] | None = None
+    clip: int | str = 0
+
+    @property
+    def path(self) -> Path | None:
+        """The file, None where the motion itself was given."""
+        return Path(self.given) if isinstance(self.given, str | Path) else None
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The motion as its file has it."""
+        return load_motion(self.given, fps=self.fps, clip=self.clip) if isinstance(self.given, str | Path) else self.given
+
+    @cached_property
+    def reference(self) -> HandleMotion:
+        """The motion of the reference body."""
+        return reference_motion(self.motion, fps=self.fps, names=self.names)
+
+
 def transfer(
     character: Character,
-    motion: Motion | str | Path,
+    motion: Motion | Source | str | Path,
     *,
     onto: Literal["auto", "handles", "rig"] = "auto",
     handles: Handles | Literal["predict", "rig"] = "predict",
     apparel: Literal["rigid", "simulate"] = "rigid",
     stages: Stages | None = None,
-    fps: float = 20.0,
+    fps: float = RATE,
     names: Mapping[str, str] | None = None,
     clip: int | str = 0,
     progress: Progress | None = None,
-) -> Animation | RigAnimation:
-    """Put a motion on a character.
+) -> AnimatedCharacter:
+    """Put a motion on a character: F(V, J, T) of [MMDMC 1].
 
     Args:
         character: Any mesh, +Y up and facing +Z.
         motion: Motion of any skeleton; handle motion of the reference body; an animated character; a moving mesh; or a file of one of these.
+            A `Source` brings its own `fps`, `names` and `clip`.
         onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a humanoid that has one
             and handles otherwise.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
@@ -76,38 +114,21 @@ def transfer(
         if onto == "handles":
             raise OptionError("apparel is simulated on the bones of a character's rig; leave out onto='handles'")
         check_apparel(character)  # before the work
-    result = _transferred(character, motion, onto, handles, stages, fps, names, clip, progress)
+    source = motion if isinstance(motion, Source) else Source(motion, fps, names, clip)
+    tell = progress or (lambda stage, done: None)
+    tell("read", 0.0)
+    result: Animation | RigAnimation | None = None
+    if onto != "handles" and not isinstance(handles, Handles):
+        result = None if source.path is None else played_by_mmd(character, source.path, source.fps)
+        result = result or same_skeleton(character, source.motion)
+    if result is None:
+        reference = source.reference
+        tell("read", 1.0)
+        result = apply_transfer(character, reference, onto=onto, handles=handles, stages=stages, progress=progress)
     return with_apparel(result, apparel, progress)
 
 
-def _transferred(
-    character: Character,
-    motion: Motion | str | Path,
-    onto: Literal["auto", "handles", "rig"],
-    handles: Handles | Literal["predict", "rig"],
-    stages: Stages | None,
-    fps: float,
-    names: Mapping[str, str] | None,
-    clip: int | str,
-    progress: Progress | None,
-) -> Animation | RigAnimation:
-    tell = progress or (lambda stage, done: None)
-    tell("read", 0.0)
-    if isinstance(motion, str | Path):
-        played = None if onto == "handles" or isinstance(handles, Handles) else played_by_mmd(character, motion, fps)
-        if played is not None:
-            return played
-        motion = load_any_motion(motion, fps=fps, clip=clip)
-    same = None if onto == "handles" or isinstance(handles, Handles) else same_skeleton(character, motion)
-    if same is not None:
-        tell("read", 1.0)
-        return same
-    reference = reference_motion(motion, fps=fps, names=names)
-    tell("read", 1.0)
-    return perform_transfer(character, reference, onto=onto, handles=handles, stages=stages, progress=progress)
-
-
-def perform_transfer(
+def apply_transfer(
     character: Character,
     reference: HandleMotion,
     *,
@@ -135,6 +156,7 @@ def perform_transfer(
         except CharacterError:
             parts = None
     tell("fit", 0.0)
+    reference = replace(reference, native=False)  # generated for another body, or for none
     if parts is not None:
         result: Animation | RigAnimation = fit_rig(reference, parts, stages)
     else:

@@ -1,7 +1,7 @@
 """The fitting of a motion to characters in torch, batched: what losses on the adaptation delta need of `fit_motion`.
 
 Rigid motion changes no distance, so everything here is local, in the root's frame: a handle k of a character goes from h_k to
-`h_k + t_k`, and a vertex to `sum_k s_k (R_k (v - h_k) + h_k + t_k)` (Eq. 3 of TapMo without its global part). The translations
+`h_k + t_k`, and a vertex as `core.skinning` says, without the global part. The translations
 t_k are those that hold the joints, plus the residual of the motion and delta, both in the reference body's metres.
 """
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from bunraku.core.skinning import handle_offsets
 from bunraku.retarget.character_bank import CharacterBank
 
 __all__ = ["LONGEST", "Fitted", "bone_places", "capped", "fit_locals", "handle_places", "move_points"]
@@ -112,7 +113,7 @@ def move_points(points: Tensor, index: Tensor, weights: Tensor, rotations: Tenso
         translations: Shape (B, N, K, 3).
     """
     # sum_k s_k (R_k v + b_k) with b_k = h_k + t_k - R_k h_k: one matrix product a frame with the weights made dense
-    offset = handles[:, None] + translations - torch.einsum("bnkij,bkj->bnki", rotations, handles)
+    offset = handle_offsets(handles[:, None], translations, rotations)
     dense = points.new_zeros(*points.shape[:2], handles.shape[1]).scatter_add_(2, index, weights)
     return _turned(dense, points, rotations) + torch.einsum("bpk,bnki->bnpi", dense, offset)
 

@@ -27,8 +27,8 @@ import numpy as np
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import heading
 from bunraku.errors import CharacterError
+from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.decimate import lighter
 from bunraku.retarget.legs import find_arms, find_legs
@@ -76,19 +76,16 @@ def fit_motion(
     character: Character,
     handles: Handles,
     stages: Stages | None = None,
-    native: bool = False,
     rest: tuple[np.ndarray, Joints] | None = None,
 ) -> HandleMotion:
     """A handle motion of the reference body, fitted to a character.
 
     Args:
-        motion: Motion of the reference body's handles, feet on y = 0.
+        motion: Motion of the reference body's handles, feet on y = 0. One that is `native` is not set on the ground: a bird stays in the air.
         character: The character, facing +Z.
         handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose parts they play,
             about their own joints.
         stages: Which stages run; all but `hands` and `shape` when None.
-        native: The motion was generated for this very body, by weights that know creatures: lying bodies keep the pelvis' tilt, soft
-            ones bend farther, and the stage `ground` is left out, as the motion brings its own height over the floor.
         rest: What a rig tells of the rest pose: its turns into the reference body's, shape (K, 3, 3), and its joints. None measures them.
 
     Returns:
@@ -122,7 +119,7 @@ def fit_motion(
     if stages.attach:
         rotations, translations = attached(rotations, handles, joints)
         stiff = attached(motion.rotations.astype(np.float64), body.handles, reference_joints())[1]
-        residual = capped(motion.translations - stiff, native)  # soft bending and shrugs
+        residual = capped(motion.translations - stiff, motion.native)  # soft bending and shrugs
         translations += residual[:, handles.played] * scale * joints.present[:, None]
     else:
         translations = motion.translations[:, handles.played] * scale
@@ -133,9 +130,9 @@ def fit_motion(
     lever = handles.positions[0] - stance[1].positions[0]  # the root turns about its place in the stance, not in the rest pose
     path += (motion.root_rotation - np.eye(3)) @ lever
     fitted = replace(motion, rotations=rotations, translations=translations, root_translation=path)
-    if stages.rest_pose and not native and not upright(handles):
+    if stages.rest_pose and not motion.native and not upright(handles):
         fitted = replace(fitted, root_rotation=_levelled(motion.root_rotation, motion.fps))
-    if stages.ground and not native:  # native motion brings its own height: a bird stays in the air
+    if stages.ground and not motion.native:  # native motion brings its own height: a bird stays in the air
         fitted = grounded(motion, fitted, character, handles, scale, stands)
     if stages.feet or stages.floor or stages.hands:
         legs, contacts = find_legs(character, handles, joints), None

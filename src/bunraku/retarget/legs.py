@@ -8,7 +8,7 @@ import numpy as np
 
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import skin
+from bunraku.core.skinning import posed_points, skin
 from bunraku.geometry.extremes import extreme_points
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
@@ -231,7 +231,7 @@ def _local(world: np.ndarray, motion: HandleMotion, handles: Handles) -> HandleM
     h = handles.positions.astype(np.float64)
     root = motion.root_rotation.astype(np.float64)
     rotations = root.transpose(0, 2, 1)[:, None] @ world[..., :3]
-    centres = np.einsum("nkij,kj->nki", world[..., :3], h) + world[..., 3]
+    centres = posed_points(world, h)
     translations = np.einsum("nji,nkj->nki", root, centres - h[0] - motion.root_translation[:, None]) + h[0] - h
     rotations[:, 0], translations[:, 0] = np.eye(3), 0
     return replace(motion, rotations=rotations, translations=translations)

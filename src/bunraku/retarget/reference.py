@@ -61,7 +61,7 @@ class WayBack:
         return cls(handles, turns, joints, stride_scale(stance, there, stands), rise, lever)
 
     def motion(self, motion: HandleMotion, native: bool = True) -> HandleMotion:
-        """A handle motion of the character as the one of the reference body that `fit_motion(native=True)` without its ground
+        """A handle motion of the character as the one of the reference body that `fit_motion` of a `native` motion without its ground
         stages takes back to the character's.
 
         Limbs turn back from the character's rest directions, parts that the character lacks move with their parents, and what its

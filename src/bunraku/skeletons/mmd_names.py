@@ -12,7 +12,7 @@ import numpy as np
 
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.skeletons.bone_words import plain_name
-from bunraku.skeletons.skeleton_map import SkeletonMap
+from bunraku.skeletons.joint_map import SkeletonMap
 
 __all__ = ["MMD_CENTRES", "mmd_skeleton_map"]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,11 +15,11 @@ from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.motion import Skeleton, line_up
 from bunraku.errors import MotionError
 from bunraku.skeletons.bone_names import handle_of_joints
+from bunraku.skeletons.joint_map import _J, SkeletonMap
 from bunraku.skeletons.skeleton_structure import joints_by_structure
 
-__all__ = ["SkeletonMap", "map_skeleton"]
+__all__ = ["map_skeleton"]
 
-_J = {name: index for index, name in enumerate(JOINT_NAMES)}
 _NEEDED = ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee")
 
 # What the words of a name mean once its side and prefix are off; earlier words are taken before later ones.
@@ -50,30 +49,6 @@ _CONVENTIONS: tuple[tuple[str, str], ...] = (
     ("Poser", r"^LeftCollar$.*^LeftElbow$|^LeftHip$.*^LeftKnee$"),
     ("MotionBuilder", r"^LeftUpLeg$.*^LeftArm$|^LeftArm$.*^LeftUpLeg$|^Left_?UpLeg$"),
 )
-
-
-@dataclass(frozen=True)
-class SkeletonMap:
-    """Joints of a skeleton by SMPL's names.
-
-    Args:
-        joints: Index of the joint of each of SMPL's 22, -1 where there is none.
-        how: What each was found by: "given", "name", "rig", "hierarchy" or "structure"; "" where there is none.
-        convention: Who names joints like this, as far as that is plain; "" otherwise.
-    """
-
-    joints: tuple[int, ...]
-    how: tuple[str, ...]
-    convention: str = ""
-
-    def of(self, name: str) -> int:
-        """Index of the joint for one of SMPL's names, -1 for none."""
-        return self.joints[_J[name]]
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """SMPL's names that no joint has."""
-        return tuple(name for name, joint in zip(JOINT_NAMES, self.joints, strict=True) if joint < 0)
 
 
 def map_skeleton(skeleton: Skeleton, names: Mapping[str, str] | None = None) -> SkeletonMap:

@@ -17,7 +17,8 @@ from bunraku.body.reference import leg_length, reference_body
 from bunraku.body.smpl_rest import LIMB_CHILD
 from bunraku.core.motion import SkeletalMotion, Skeleton, local_rotations
 from bunraku.geometry.rotations import matrix_from_axis_angle, nearest_rotation, quaternion_from_matrix, rotation_between
-from bunraku.skeletons.skeleton_map import SkeletonMap, map_skeleton
+from bunraku.skeletons.joint_map import SkeletonMap
+from bunraku.skeletons.skeleton_map import map_skeleton
 
 __all__ = ["rest_is_a_pose", "to_smpl", "turns_of_rest"]
 

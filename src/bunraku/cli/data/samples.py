@@ -114,7 +114,7 @@ class Characters:
         if not files:
             raise FormatError(self.source, f"none of its {len(failed)} characters can be trained on; they need a skin with named bones")
         if self.clothes is not None and self.body_data is not None:
-            from bunraku.synthetic.dressed import build_dressed
+            from bunraku.datasets.characters.dressed import build_dressed
 
             with stages() as report:
                 files += build_dressed(

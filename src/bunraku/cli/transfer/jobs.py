@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 from bunraku.errors import BunrakuError, FormatError
 
 if TYPE_CHECKING:
-    from bunraku.core.motion import HandleMotion
+    from bunraku.core.animated import AnimatedCharacter
+    from bunraku.pipelines.transfer import Source
     from bunraku.retarget.fit import Stages
 
 __all__ = ["Pair", "Settings", "animation_of", "done_already", "holds_character", "pairs_of", "transfer_pair"]
@@ -104,30 +105,17 @@ def pairs_of(characters: Iterable[Path], motions: Iterable[Path], folder: Path, 
     return out
 
 
-def animation_of(pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None = None) -> Any:
-    """The motion of a pair on its character: an `Animation` or a `RigAnimation`, apparel and all.
+def animation_of(pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None = None) -> AnimatedCharacter:
+    """The motion of a pair on its character, apparel and all.
 
     Raises:
         BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
     """
-    from bunraku.physics.animated import check_apparel, with_apparel
-
-    if settings.apparel == "simulate":  # before the work
-        check_apparel(character_of(pair.character, settings)[0])
-    return with_apparel(_transferred(pair, settings, progress), settings.apparel, progress)
-
-
-def _transferred(pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None) -> Any:
-    from bunraku.pipelines.transfer import perform_transfer, played_by_mmd, same_skeleton
+    from bunraku.pipelines.transfer import transfer
 
     character, handles = character_of(pair.character, settings)
-    if settings.onto != "handles":
-        played = played_by_mmd(character, pair.motion, settings.fps) or same_skeleton(character, motion_of(pair.motion, settings))
-        if played is not None:
-            return played
-    reference, stages = reference_of(pair.motion, settings), stages_of(settings)
-    how: dict[str, Any] = {"onto": settings.onto, "handles": handles or settings.handles, "stages": stages, "progress": progress}
-    return perform_transfer(character, reference, **how)
+    how: dict[str, Any] = {"onto": settings.onto, "apparel": settings.apparel, "handles": handles or settings.handles, "fps": settings.fps}
+    return transfer(character, source_of(pair.motion, settings), stages=stages_of(settings), progress=progress, **how)
 
 
 def transfer_pair(pair: Pair, settings: Settings) -> str:
@@ -151,29 +139,22 @@ def transfer_pair(pair: Pair, settings: Settings) -> str:
 def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
     """A character standing upright, and its handles where its rig is not moved."""
     from bunraku.cli.orientation import stand_up
+    from bunraku.formats.mmd.model import mmd_model
     from bunraku.io import load_character
     from bunraku.pipelines.animate import rig
     from bunraku.retarget.rig_parts import is_humanoid_rig
 
     character = stand_up(load_character(path), path, settings.up, settings.front)
-    bones = settings.onto == "rig" or (settings.onto == "auto" and is_humanoid_rig(character))
+    bones = settings.onto == "rig" or (settings.onto == "auto" and (is_humanoid_rig(character) or mmd_model(character) is not None))
     return character, None if bones else rig(character, handles=settings.handles)  # type: ignore[arg-type]
 
 
-@lru_cache(maxsize=4)
-def motion_of(path: Path, settings: Settings) -> Any:
-    """A motion as its file has it."""
-    from bunraku.pipelines.to_reference import load_any_motion
-
-    return load_any_motion(path, fps=settings.fps, clip=int(settings.clip) if settings.clip.isdecimal() else settings.clip)
-
-
 @lru_cache(maxsize=16)
-def reference_of(path: Path, settings: Settings) -> HandleMotion:
-    """A motion as one of the reference body."""
-    from bunraku.pipelines.to_reference import reference_motion
+def source_of(path: Path, settings: Settings) -> Source:
+    """A motion, to be read when it is needed first."""
+    from bunraku.pipelines.transfer import Source
 
-    return reference_motion(motion_of(path, settings), fps=settings.fps, names=dict(settings.names) or None)
+    return Source(path, settings.fps, dict(settings.names) or None, int(settings.clip) if settings.clip.isdecimal() else settings.clip)
 
 
 def stages_of(settings: Settings) -> Stages:

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bunraku.cli.checks import check_folder, check_input, check_sequence, slug
 from bunraku.cli.evaluate.report import wrote
-from bunraku.cli.orientation import stand_up
-from bunraku.cli.progress import stages
+from bunraku.cli.progress import Report
 from bunraku.errors import FormatError, OptionError
 
 if TYPE_CHECKING:
-    from bunraku.cli.verbs.animate import Animate
-    from bunraku.core.animation import Animation
-    from bunraku.core.rig_animation import RigAnimation
-    from bunraku.retarget.fit import Stages
+    from bunraku.core.animated import AnimatedCharacter
 
-__all__ = ["animate_lines", "read_lines"]
+__all__ = ["clips_to_do", "read_lines", "save_clips"]
 
-AT_ONCE = 8
 LIMIT = 10_000
 
 
@@ -48,15 +44,12 @@ def read_lines(path: Path, seconds: float) -> list[str]:
     return prompts
 
 
-def animate_lines(options: Animate, prompts: list[str], fitting: Stages | None) -> None:
-    """Write a GLB for each prompt that has none yet.
+def clips_to_do(folder: Path, prompts: list[str]) -> list[tuple[Path, str]]:
+    """A file for each prompt, named after its number and words, and the prompt; without those that are there already.
 
-    Args:
-        options: Those of `bunraku animate`.
-        prompts: One for each file, which is named after its number and words.
-        fitting: Which stages fit the motions to the character.
+    Raises:
+        FormatError: The folder is a file, or cannot be written to.
     """
-    folder = options.output[0] if options.output else Path(f"{options.character.stem}-clips")
     if folder.is_file():
         raise FormatError(folder, "this is a file; name a folder with -o, where each prompt gets a file")
     check_folder(folder)
@@ -64,35 +57,19 @@ def animate_lines(options: Animate, prompts: list[str], fitting: Stages | None) 
     todo = [(path, prompt) for path, prompt in zip(files, prompts, strict=True) if not path.is_file()]
     if len(todo) < len(files):
         print(f"{len(files) - len(todo)} of {len(files)} clips are there already")
-    if not todo:
-        return
-    from bunraku.handles.predict import mesh_feature
-    from bunraku.io import load_character
-    from bunraku.physics.animated import check_apparel
-    from bunraku.pipelines.animate import generate, rig
-    from bunraku.pipelines.apply import perform, perform_dressed
+    return todo
 
-    with stages() as report:
-        report("load", 0.0)
-        character = stand_up(load_character(options.character), options.character, options.up, options.front)
-        report("load", 1.0)
-        dressed = options.apparel == "simulate"
-        if dressed:
-            check_apparel(character)
-        handles = None if dressed else rig(character, handles=options.handles, progress=report)
-        feature = mesh_feature(character) if handles is None else handles.features
-        folder.mkdir(exist_ok=True)
-        for start in range(0, len(todo), AT_ONCE):
-            some = todo[start : start + AT_ONCE]
-            motions = generate(  # the same seed for each, so that a clip does not depend on those beside it
-                [prompt for _, prompt in some], seconds=options.seconds, seed=[options.seed] * len(some), steps=options.steps,
-                guidance=options.guidance, mesh_feature=feature, loop=options.loop,
-            )  # fmt: skip
-            for done, ((path, _), motion) in enumerate(zip(some, motions, strict=True), start):
-                animation: Animation | RigAnimation
-                if handles is None:
-                    animation = perform_dressed(motion, character, in_place=options.in_place, stages=fitting)
-                else:
-                    animation = perform(motion, character, handles, loop=options.loop, in_place=options.in_place, stages=fitting)
-                wrote(animation.save(path, fps=options.fps))
-                report("clips", (done + 1) / len(todo))
+
+def save_clips(animations: Iterator[AnimatedCharacter], paths: list[Path], fps: float, report: Report) -> None:
+    """Write each animation to its file as soon as it is made.
+
+    Args:
+        animations: As many as files.
+        paths: The files.
+        fps: Frames a second [1/s].
+        report: Called with a stage's name and the share done.
+    """
+    paths[0].parent.mkdir(exist_ok=True)
+    for done, path in enumerate(paths, 1):
+        wrote(next(animations).save(path, fps=fps))
+        report("clips", done / len(paths))

@@ -137,7 +137,9 @@ def _preview() -> Iterator[Finding]:
 
 
 def _weights() -> Iterator[Finding]:
-    folder = Path(os.environ.get("BUNRAKU_WEIGHTS") or Path(__file__).resolve().parents[2] / "weights")
+    from bunraku.formats.files import weights_folder
+
+    folder = weights_folder()
     for name, cost in WEIGHTS.items():
         path = folder / f"{name}.safetensors"
         if not path.is_file():

@@ -6,25 +6,17 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_prompt, slug
-from bunraku.cli.orientation import AxisOption, check_axes, stand_up
-from bunraku.cli.outputs import (
-    GuidanceOption,
-    OutputOption,
-    PreviewOption,
-    StepsOption,
-    WithoutOption,
-    check_outputs,
-    check_sampling,
-    fitting_stages,
-    save_all,
-)
+from bunraku.cli.checks import check_input, slug
+from bunraku.cli.options import GeneratingOptions
+from bunraku.cli.orientation import stand_up
+from bunraku.cli.outputs import check_outputs, fitting_stages, save_all
 from bunraku.cli.progress import Report, stages
 from bunraku.errors import OptionError
+from bunraku.language.prompts import check_prompt
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
@@ -33,7 +25,7 @@ __all__ = ["Edit"]
 
 
 @dataclass(frozen=True)
-class Edit:
+class Edit(GeneratingOptions):
     """Keep chosen handles of a clip, or all but a span of it, and generate the rest from a sentence.
 
     The clip is a .glb or .npz file that Bunraku wrote. What is kept comes back exactly.
@@ -50,28 +42,8 @@ class Edit:
     single handle such as left_wrist. May be given more than once."""
     span: Annotated[str, tyro.conf.arg(metavar="FROM:TO")] = ""
     """Seconds from and to which is generated, such as 1.0:3.0; all outside stays. Default: the whole clip."""
-    output: OutputOption = ()
-    """File to write: .glb, .npz, .obj or .ply. May be given more than once. Default: CLIP-PROMPT in this folder, with the clip's suffix."""
-    preview: PreviewOption = ()
-    """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
     character: Path | None = None
     """The character that an .npz clip was made for; without it the clip is edited and given back as one of the reference body."""
-    seed: int = 0
-    """The same seed and version give the same motion."""
-    steps: StepsOption = None
-    """Sampling steps, 1 to 1000; more is slower. Default: 20."""
-    guidance: GuidanceOption = None
-    """How closely to follow the sentence, 0 to 20. Default: 2.5."""
-    fps: float = 30.0
-    """Frames a second of the files, 1 to 120."""
-    handles: Literal["predict", "rig"] = "predict"
-    """Where the handles of --character come from."""
-    up: AxisOption = "auto"
-    """The axis that is up in --character."""
-    front: AxisOption = "auto"
-    """The axis that --character faces."""
-    without: WithoutOption = ()
-    """Leave out a stage that fits the motion to the character: rest-pose, attach, ground, feet, smooth or floor. May be repeated."""
 
     def run(self) -> None:
         from bunraku.body.parts import kept_handles
@@ -82,8 +54,7 @@ class Edit:
             kept_handles(self.keep)
         elif span is None:
             raise OptionError("nothing is kept of the clip; name what stays (--keep legs) or the seconds that change (--span 1.0:3.0)")
-        check_sampling(self.seed, self.steps, self.guidance, self.fps)
-        check_axes(self.up, self.front)
+        self.check()
         inputs = [self.clip] + ([self.character] if self.character else [])
         for path in inputs:
             check_input(path)
@@ -96,12 +67,9 @@ class Edit:
             clip = self._animation(report)
             report("load", 1.0)
 
-            from bunraku.pipelines.animate import edit
+            from bunraku.pipelines.edit import edit
 
-            animation = edit(
-                clip, self.prompt, keep=self.keep, span=span, seed=self.seed, steps=self.steps, guidance=self.guidance, stages=fitting,
-                progress=report,
-            )  # fmt: skip
+            animation = edit(clip, self.prompt, keep=self.keep, span=span, stages=fitting, progress=report, **self.sampling)
             save_all(animation, outputs, self.preview, self.fps, report)
 
     def _animation(self, report: Report) -> Animation:
@@ -121,11 +89,11 @@ class Edit:
                 print(f"{self.clip}: edited as a motion of the reference body; name its character with --character to edit that", file=sys.stderr)
             return Animation(body.character(), body.handles, motion, motion)
         from bunraku.pipelines.animate import rig
-        from bunraku.pipelines.apply import perform
+        from bunraku.pipelines.apply import apply_motion
 
         character = stand_up(load_character(self.character), self.character, self.up, self.front)
         handles = rig(character, handles=self.handles, progress=report)
-        return clip.on(character, handles) or perform(clip.of_the_reference_body(), character, handles)
+        return clip.on(character, handles) or apply_motion(clip.of_the_reference_body(), character, handles)
 
 
 def parse_span(text: str) -> tuple[float, float]:

@@ -83,9 +83,9 @@ def _fbx(path: Path) -> dict[str, Any]:
 
 def _motion(path: Path) -> dict[str, Any]:
     from bunraku.core.motion import HandleMotion
-    from bunraku.io import load_motion
+    from bunraku.io.registry import read_motion
 
-    motion = load_motion(path)
+    motion = read_motion(path)
     facts: dict[str, Any] = {"kind": "handle motion" if isinstance(motion, HandleMotion) else "skeletal motion"}
     facts |= {"frames": len(motion), "fps": float(motion.fps), "seconds": round(len(motion) / motion.fps, 3)}
     if isinstance(motion, HandleMotion):

@@ -91,11 +91,11 @@ class Render:
     def _motion(self, report: Report) -> Animation:
         from bunraku.core.animation import Animation
         from bunraku.core.motion import HandleMotion
-        from bunraku.io import load_character, load_motion
+        from bunraku.io.registry import load_character, read_motion
         from bunraku.pipelines.animate import rig
 
         assert self.character is not None
-        motion = load_motion(self.file)
+        motion = read_motion(self.file)
         if not isinstance(motion, HandleMotion):
             raise FormatError(self.file, "this is no handle motion, whatever its suffix says; write one with `bunraku animate -o motion.npz`")
         character = stand_up(load_character(self.character), self.character, self.up, self.front)

@@ -156,7 +156,7 @@ def build_shard(folder: Path, shard: ShardPlan) -> str:
 
 def _build(folder: Path, shard: ShardPlan) -> None:
     from bunraku.apparel.mask import apparel_mask
-    from bunraku.physics.apparel_rig import apparel_rig
+    from bunraku.physics.from_file import apparel_rig
     from bunraku.physics.simulate import simulate
 
     character = _character(shard.character)
@@ -212,7 +212,7 @@ def _character(source: CharacterSource) -> Character:
 def _clip_animation(body: UnifiedBody, clip: ClipPlan) -> RigAnimation:
     """A clip on the character's rig, apparel going along with the body."""
     from bunraku.core.motion import HandleMotion
-    from bunraku.formats.gltf.handle_channels import resample
+    from bunraku.core.resample import resample
     from bunraku.pipelines.transfer import played_by_mmd
 
     path, cut = clip.motion.path, slice(round(clip.start * FPS), round((clip.start + clip.seconds) * FPS))
@@ -237,9 +237,10 @@ def _clip_animation(body: UnifiedBody, clip: ClipPlan) -> RigAnimation:
 
 @lru_cache(maxsize=8)
 def _reference(path: str) -> Any:
-    from bunraku.pipelines.to_reference import load_any_motion, reference_motion
+    from bunraku.io.motions import load_motion
+    from bunraku.pipelines.to_reference import reference_motion
 
-    return reference_motion(load_any_motion(path, fps=FPS), fps=FPS)
+    return reference_motion(load_motion(path, fps=FPS), fps=FPS)
 
 
 def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:

@@ -228,10 +228,10 @@ def _indexed(folder: Path, shortest: float) -> list[MotionSource]:
 def _length(path: Path) -> float:
     """Length of a motion [s], 0 where it cannot be read."""
     from bunraku.errors import BunrakuError
-    from bunraku.pipelines.to_reference import load_any_motion
+    from bunraku.io.motions import load_motion
 
     try:
-        motion: Any = load_any_motion(path)
+        motion: Any = load_motion(path)
     except BunrakuError:
         return 0.0
     own = getattr(motion, "motion", motion)

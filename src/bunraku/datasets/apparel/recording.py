@@ -41,7 +41,7 @@ class Recording:
 
 
 def eq4_transforms(transforms: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Affine transforms that `skin` takes, from `[R | t]` of Eq. 4, shape (N, J, 3, 4), float32.
+    """Affine transforms that `skin` takes, from `[R | t]` of [MMDMC 4], shape (N, J, 3, 4), float32.
 
     Args:
         transforms: Rotation and place of each joint [m], shape (N, J, 3, 4).

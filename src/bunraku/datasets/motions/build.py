@@ -28,10 +28,10 @@ from bunraku.datasets.motions.hinges import unrolled
 from bunraku.datasets.motions.watched import FEWEST, Stretch, load_watched
 from bunraku.errors import FormatError
 from bunraku.geometry.areas import vertex_areas
-from bunraku.geometry.registration import register
 from bunraku.geometry.rotations import matrix_from_quaternion
+from bunraku.retarget.from_mesh import handle_motion_of_mesh
 
-__all__ = ["MotionArchive", "build_motions", "handle_motion_of_body", "handle_motion_of_mesh", "split_of"]
+__all__ = ["MotionArchive", "build_motions", "handle_motion_of_body", "split_of"]
 
 QUATERNION_STEP = 8192.0  # the archive stores first differences of round(8192 q)
 CHUNK = 400  # frames posed at once: bounds memory at about 30 MB a worker
@@ -91,35 +91,6 @@ class MotionArchive:
         quaternions = np.cumsum(deltas.astype(np.int32), axis=1).T.reshape(-1, len(JOINT_NAMES), 4) / QUATERNION_STEP
         skeleton = Skeleton(JOINT_NAMES, self._parents, self._offsets[index])
         return SkeletalMotion(skeleton, matrix_from_quaternion(quaternions[..., [1, 2, 3, 0]]), self._root[start:end], 20.0)
-
-
-def handle_motion_of_mesh(
-    rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, positions: np.ndarray, areas: np.ndarray, fps: float
-) -> HandleMotion:
-    """Handle motion of a mesh that moves, by weighted rigid registration (section A.2).
-
-    The root handle's motion is the global one; it is taken off before the other handles are registered, so theirs are local.
-
-    Args:
-        rest: Rest vertices [m], shape (V, 3).
-        posed: Moved vertices of each frame [m], shape (N, V, 3).
-        weights: Handle weights, shape (V, K).
-        positions: Handle positions [m], shape (K, 3).
-        areas: Surface area that each vertex stands for, shape (V,).
-        fps: Frames a second [1/s].
-
-    Returns:
-        The motion; handles without weight stay at the identity.
-    """
-    mass = weights * areas[:, None]
-    rotations, translations = register(rest, posed, mass[:, :1], positions[:1])
-    root_rotation, root_translation = rotations[:, 0], translations[:, 0]
-    local = np.einsum("nji,nvj->nvi", root_rotation, posed - positions[0] - root_translation[:, None]) + positions[0]
-    rotations, translations = register(rest, local, mass, positions)
-    still = mass.sum(axis=0) <= 1e-6 * areas.sum()
-    still[0] = True
-    rotations[:, still], translations[:, still] = np.eye(3), 0
-    return HandleMotion(translations, rotations, root_translation, root_rotation, fps)
 
 
 def handle_motion_of_body(motion: SkeletalMotion, body: ReferenceBody | None = None) -> HandleMotion:

@@ -1,7 +1,7 @@
 """Clips of animals, monsters and machines as handle motions: `bunraku data motions --creatures`.
 
 Each character gets the handles that the shipped predictor gives its bare mesh, as those of whoever has an unrigged copy. Its clips
-are registered to them and taken to the reference body (`bunraku.retarget.reference`), from where `fit_motion(native=True)` takes them back.
+are registered to them and taken to the reference body (`bunraku.retarget.reference`), from where `fit_motion` of a `native` motion takes them back.
 `creature_clips.json` holds the species of every file and the action and the words of every label. Of people with equal clips
 one is taken, without the walking that motion capture has more of; they join as clips of any humanoid.
 """
@@ -24,11 +24,11 @@ from bunraku.core.motion import HandleMotion
 from bunraku.datasets.archive import present_files
 from bunraku.datasets.characters.build import HELD_OUT
 from bunraku.datasets.characters.known_rigs import facing_turn
-from bunraku.datasets.motions.build import handle_motion_of_mesh
 from bunraku.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 from bunraku.datasets.motions.strides import forward_speed, played_on, with_travel
 from bunraku.errors import BunrakuError, CharacterError
 from bunraku.geometry.areas import vertex_areas
+from bunraku.retarget.from_mesh import handle_motion_of_mesh
 from bunraku.retarget.reference import WayBack
 
 __all__ = [

@@ -18,11 +18,12 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
 from bunraku.datasets.archive import present_files
-from bunraku.datasets.motions.build import handle_motion_of_mesh, split_of
+from bunraku.datasets.motions.build import split_of
 from bunraku.datasets.motions.clips import load_index, write_clip, write_index
 from bunraku.errors import BunrakuError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.handles.from_rig import rig_handles
+from bunraku.retarget.from_mesh import handle_motion_of_mesh
 from bunraku.retarget.reference import motion_to_reference
 
 __all__ = ["add_game_clips", "reference_clip"]

@@ -174,9 +174,9 @@ def _words(stem: str) -> tuple[str, ...]:
 
 
 def _load(take: Take) -> SkeletalMotion:
-    from bunraku.io import load_motion
+    from bunraku.io.registry import read_motion
 
-    motion = load_motion(take.file)
+    motion = read_motion(take.file)
     if not isinstance(motion, SkeletalMotion) or motion.skeleton.names != JOINT_NAMES:
         raise FormatError(take.file, "this is no motion of SMPL's 22 joints")
     end = len(motion) / motion.fps if take.end is None else take.end

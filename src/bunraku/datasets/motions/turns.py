@@ -12,7 +12,7 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.datasets.motions.clips import load_clip, load_index, write_clip, write_index
-from bunraku.diffusion.features import heading
+from bunraku.geometry.heading import heading
 
 __all__ = ["add_turns", "find_turn"]
 

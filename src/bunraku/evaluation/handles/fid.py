@@ -14,8 +14,10 @@ import numpy as np
 
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import decode, heading
+from bunraku.core.skinning import posed_points
+from bunraku.diffusion.features import decode
 from bunraku.evaluation.motion.metrics import fid
+from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import matrix_y
 from bunraku.retarget.fit import fit_motion
 
@@ -42,7 +44,7 @@ def handle_samples(motion: HandleMotion, positions: np.ndarray, height: float) -
     centre = positions[0] + path
     centre[:, 1] = 0
     transforms = motion.transforms(positions)
-    places = np.einsum("nkij,kj->nki", transforms[..., :3], positions) + transforms[..., 3] - centre[:, None]
+    places = posed_points(transforms, positions) - centre[:, None]
     places = np.einsum("nij,nkj->nki", matrix_y(-angle), places)
     return np.asarray(places[::EVERY].reshape(-1, positions.size) / height)
 

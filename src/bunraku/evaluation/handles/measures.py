@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.core.skinning import skin
+from bunraku.core.skinning import handle_offsets, skin
 from bunraku.geometry.joint_registration import refine_registration
 from bunraku.geometry.registration import part_means, register
 
@@ -158,7 +158,7 @@ def drive(rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, rooted: bool
     handles = part_means(rest, weights)
     if rooted:
         rotations[:, 0], translations[:, 0] = np.eye(3), 0
-    offset = handles + translations - np.einsum("nkij,kj->nki", rotations, handles)
+    offset = handle_offsets(handles, translations, rotations)
     transforms = np.concatenate([rotations, offset[..., None]], axis=-1)
     if together:
         transforms = refine_registration(rest, posed, weights, transforms, fixed=(0,) if rooted else ())

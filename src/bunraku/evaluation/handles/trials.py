@@ -131,10 +131,10 @@ def _top4(one: Subject, handles: Handles) -> float:
 
 def _clips(one: Subject, handles: Handles) -> list[HandleMotion]:
     """A few of the file's clips as motions of the handles, by weighted registration (section A.2 of TapMo)."""
-    from bunraku.datasets.motions.build import handle_motion_of_mesh
     from bunraku.formats.gltf.read import Source
     from bunraku.io.play import clip_names, load_animation
     from bunraku.io.registry import load_character
+    from bunraku.retarget.from_mesh import handle_motion_of_mesh
 
     if one.path is None:
         return []

@@ -26,7 +26,7 @@ CHUNK = 50
 
 
 def arap_loss(vertices: np.ndarray, rest: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Sum over the edges of the squared change of their length, in each frame (Eq. 12), shape (N,).
+    """ARAP-Loss L_ARAP [TapMo 12]: sum over the edges of the squared change of their length, in each frame, shape (N,).
 
     The unit is the square of the rest pose's largest extent. Finer meshes have more edges that change by less, so the sum hardly
     depends on tessellation.

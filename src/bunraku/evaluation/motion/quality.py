@@ -14,7 +14,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import skin
+from bunraku.core.skinning import posed_points, skin
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.legs import find_legs
 from bunraku.retarget.stages.ground import standing
@@ -124,7 +124,7 @@ def _depths(what: Gauge, transforms: np.ndarray) -> np.ndarray:
 
 
 def _jitter(what: Gauge, transforms: np.ndarray) -> float:
-    places = np.einsum("nkij,kj->nki", transforms[..., :3], what.handles.positions) + transforms[..., 3]
+    places = posed_points(transforms, what.handles.positions)
     if len(places) < 4:
         return 0.0
     return float(np.linalg.norm(np.diff(places[:, what.present].astype(np.float64), 3, axis=0), axis=-1).mean() * what.scale)
@@ -202,15 +202,12 @@ def pooled(found: Sequence[MotionQuality]) -> MotionQuality:
     )  # fmt: skip
 
 
-def stage_effects(
-    motions: Sequence[HandleMotion], characters: Mapping[str, tuple[Character, Handles]], native: bool = False
-) -> list[dict[str, float | str]]:
+def stage_effects(motions: Sequence[HandleMotion], characters: Mapping[str, tuple[Character, Handles]]) -> list[dict[str, float | str]]:
     """What each cleaning stage does: every motion on every character with all stages, with each left out once, and with none of them.
 
     Args:
         motions: Of the reference body.
         characters: Character and handles by name.
-        native: As in `fit_motion`.
 
     Returns:
         A row for each character and case: `character` (of all together: "all"), `without` (a stage, "nothing" or "smooth, feet, floor")
@@ -225,9 +222,9 @@ def stage_effects(
     for name, (character, handles) in characters.items():
         what = gauge(character, handles)
         for motion in motions:
-            plain = fit_motion(motion, character, handles, cases[none], native)
+            plain = fit_motion(motion, character, handles, cases[none])
             for case, stages in cases.items():
-                fitted = plain if case == none else fit_motion(motion, character, handles, stages, native)
+                fitted = plain if case == none else fit_motion(motion, character, handles, stages)
                 results[case].append((name, measure(what, fitted), _moved(what, plain, fitted)))
     rows: list[dict[str, float | str]] = []
     for name in [*characters, "all"]:

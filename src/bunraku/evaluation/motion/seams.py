@@ -18,6 +18,7 @@ import numpy as np
 
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import posed_points
 
 __all__ = ["SeamReport", "handle_places", "measure_loop", "measure_seams"]
 
@@ -45,7 +46,7 @@ def handle_places(motion: HandleMotion, positions: np.ndarray | None = None) -> 
     """World positions of the handles [m], shape (N, K, 3); of the reference body's unless rest positions (K, 3) are given."""
     rest = np.asarray(reference_body().handles.positions if positions is None else positions, float)
     transforms = motion.transforms(rest).astype(float)
-    return np.asarray(np.einsum("nkij,kj->nki", transforms[..., :3], rest) + transforms[..., 3])
+    return np.asarray(posed_points(transforms, rest))
 
 
 def measure_seams(motion: HandleMotion, seams: Sequence[int], positions: np.ndarray | None = None) -> SeamReport:
@@ -79,7 +80,7 @@ def measure_loop(motion: HandleMotion, positions: np.ndarray | None = None) -> d
         `pose` [m]: mean distance of the handles between the last pose and the first; `velocity`: how much the handles' step
         changes where the rounds meet, over the median change inside the clip; `travel` [m]: the way over the ground of a round.
     """
-    from bunraku.diffusion.root_path import placed_at, repeated
+    from bunraku.core.travel import placed_at, repeated
 
     here = placed_at(motion, len(motion) - 1, motion, 0)
     first, last = handle_places(motion, positions)[0], handle_places(here, positions)[-1]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.core.skinning import skin
+from bunraku.core.skinning import posed_points, skin
 from bunraku.datasets.apparel.unified import UnifiedBody
 from bunraku.errors import CharacterError
 
@@ -123,7 +123,7 @@ def nearest_joint_vertices(body: UnifiedBody, chosen: np.ndarray, transforms: np
     points = body.parts.character.vertices[chosen]
     nearest = np.linalg.norm(points[:, None] - body.joints[None], axis=-1).argmin(axis=1)
     own = transforms[:, nearest]
-    return np.asarray(np.einsum("npab,pb->npa", own[..., :3], points) + own[..., 3])
+    return np.asarray(posed_points(own, points))
 
 
 def sample_apparel(apparel: np.ndarray, most: int = _MOST_POINTS) -> np.ndarray:

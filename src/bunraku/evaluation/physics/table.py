@@ -23,7 +23,8 @@ from bunraku.evaluation.physics.penetration import BodyVolume, deep_share, neare
 from bunraku.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
 from bunraku.evaluation.transfer.table import Bar
 from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
-from bunraku.physics.apparel_rig import ApparelRig, apparel_rig
+from bunraku.physics.apparel_rig import ApparelRig
+from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.simulate import simulate
 
 __all__ = ["PHYSICS_BARS", "evaluate_physics", "joined", "measure_physics"]
@@ -205,7 +206,8 @@ def joined(parts: Sequence[RigAnimation], blend: float = BLEND) -> tuple[RigAnim
 
 def _parts(body: UnifiedBody, motions: Sequence[str | Path], seconds: float) -> tuple[list[str], list[RigAnimation]]:
     """The motions on the character, each of its share of the time."""
-    from bunraku.pipelines.to_reference import load_any_motion, reference_motion
+    from bunraku.io.motions import load_motion
+    from bunraku.pipelines.to_reference import reference_motion
     from bunraku.pipelines.transfer import played_by_mmd
 
     if not motions:
@@ -217,7 +219,7 @@ def _parts(body: UnifiedBody, motions: Sequence[str | Path], seconds: float) -> 
     for path in map(Path, motions):
         played = played_by_mmd(body.parts.character, path, FPS)
         if played is None:
-            reference: HandleMotion = reference_motion(load_any_motion(path, fps=FPS), fps=FPS)
+            reference: HandleMotion = reference_motion(load_motion(path, fps=FPS), fps=FPS)
             played = body_animation(body, reference.take(slice(0, wanted)))
         again = 1 + max(0, int(np.ceil((wanted - len(played)) / (len(played) + round(BLEND * FPS)))))
         whole = joined([played] * again)[0]

@@ -19,6 +19,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
+from bunraku.core.skinning import posed_points
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.geometry.axes import AXES, axis_vector, upright_rotation
 from bunraku.retarget.fit import Stages
@@ -52,7 +53,7 @@ class Source:
         motion = motion.take(slice(0, round(SECONDS * motion.fps)))
         body = reference_body()
         world = motion.transforms(body.handles.positions).astype(np.float64)[:, :JOINT_COUNT]
-        return cls(motion, np.einsum("njab,jb->nja", world[..., :3], body.joints) + world[..., 3])
+        return cls(motion, posed_points(world, body.joints))
 
 
 def facing_character(path: Path, name: str) -> Character:
@@ -97,7 +98,7 @@ def measure_character(path: Path, name: str, sources: Mapping[str, Source]) -> d
 
 def _measure(path: Path, character: Character, sources: Mapping[str, Source], row: dict[str, Any]) -> None:
     from bunraku.pipelines.animate import rig
-    from bunraku.pipelines.transfer import perform_transfer
+    from bunraku.pipelines.transfer import apply_transfer
 
     try:
         parts = RigParts.of(character)
@@ -110,7 +111,7 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
     for kind, source in sources.items():
         try:
             frames = np.arange(0, len(source.motion), STRIDE)
-            result = perform_transfer(character, source.motion, onto="handles", handles=handles)
+            result = apply_transfer(character, source.motion, onto="handles", handles=handles)
             posed = result.vertices(frames)
             if not np.isfinite(posed).all():
                 raise FormatError(path, "the result holds values that are not numbers")
@@ -118,7 +119,7 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
             if humanoid:
                 assert parts is not None
                 on_handles.append(float(limb_angles(parts, _carried_heads(parts, result, frames), source.joints[frames]).mean()))
-                moved = perform_transfer(character, source.motion, onto="rig")
+                moved = apply_transfer(character, source.motion, onto="rig")
                 assert isinstance(moved, RigAnimation)
                 on_rig.append(float(limb_angles(parts, _rig_heads(parts, moved, frames), source.joints[frames]).mean()))
         except BunrakuError as error:
@@ -132,14 +133,14 @@ def _there_and_back(path: Path, character: Character, name: str) -> dict[str, fl
     """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and back; none without clips."""
     from bunraku.io.play import clip_names, load_animation
     from bunraku.pipelines.to_reference import reference_motion
-    from bunraku.pipelines.transfer import perform_transfer, same_skeleton
+    from bunraku.pipelines.transfer import apply_transfer, same_skeleton
 
     try:
         clip = load_animation(path, 0, 20.0)
         names = clip_names(clip.character.source.document)
         clip = load_animation(path, next((number for number, title in enumerate(names) if "walk" in title.lower()), 0), 20.0)
         truth, height = clip.vertices(), clip.character.height
-        back = perform_transfer(character, reference_motion(clip), onto="rig", stages=CARRIED)
+        back = apply_transfer(character, reference_motion(clip), onto="rig", stages=CARRIED)
         copied = same_skeleton(clip.character, clip)
     except BunrakuError:
         return {}

@@ -24,13 +24,13 @@ def bvh_again(path: Path) -> float | None:
     """Largest difference of a rotation after a skeletal motion is written as BVH and read again [degrees]."""
     from bunraku.formats.bvh.write import write_bvh
     from bunraku.geometry.rotations import axis_angle_from_matrix
-    from bunraku.io import load_motion
+    from bunraku.io.registry import read_motion
 
-    motion = load_motion(path)
+    motion = read_motion(path)
     if not isinstance(motion, SkeletalMotion):
         return None
     with tempfile.TemporaryDirectory() as folder:
-        again = load_motion(write_bvh(motion, Path(folder) / "again.bvh"))
+        again = read_motion(write_bvh(motion, Path(folder) / "again.bvh"))
     assert isinstance(again, SkeletalMotion)
     order = [again.skeleton.names.index(name) for name in motion.skeleton.names]
     change = np.swapaxes(again.rotations[:, order].astype(float), -1, -2) @ motion.rotations.astype(float)
@@ -87,7 +87,7 @@ def _bvh_seconds() -> float:
     """Time to read a file of 14,400 frames of 31 joints [s], the best of two."""
     from bunraku.formats.bvh.write import write_bvh
     from bunraku.geometry.rotations import matrix_from_axis_angle
-    from bunraku.io import load_motion
+    from bunraku.io.registry import read_motion
 
     random = np.random.default_rng(0)
     names = tuple(HANDLE_NAMES) + ("end",)
@@ -99,6 +99,6 @@ def _bvh_seconds() -> float:
         taken = []
         for _ in range(2):
             start = time.perf_counter()
-            load_motion(path)
+            read_motion(path)
             taken.append(time.perf_counter() - start)
     return min(taken)

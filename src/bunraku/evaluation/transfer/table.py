@@ -111,7 +111,8 @@ def evaluate_transfer(
     Raises:
         FormatError: There is no character, or a motion of some kind is missing.
     """
-    from bunraku.pipelines.to_reference import load_any_motion, reference_motion
+    from bunraku.io.motions import load_motion
+    from bunraku.pipelines.to_reference import reference_motion
 
     folder = Path(characters)
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".glb", ".gltf", ".vrm", ".fbx"))
@@ -120,7 +121,7 @@ def evaluate_transfer(
     if limit is not None and limit < len(files):
         files = [files[index] for index in np.linspace(0, len(files) - 1, limit).round().astype(int)]
     picked = pick_motions(motions)
-    sources = {kind: Source.of(reference_motion(load_any_motion(path))) for kind, path in picked.items()}
+    sources = {kind: Source.of(reference_motion(load_motion(path))) for kind, path in picked.items()}
     names = {path: path.relative_to(folder).with_suffix("").as_posix() for path in files}
     kept = _Kept(None if work is None else Path(work), picked)
     rows: list[dict[str, Any]] = []

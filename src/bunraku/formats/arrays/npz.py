@@ -41,7 +41,8 @@ def pack_animation(animation: Animation) -> bytes:
     """The NPZ of an animation's handle motion.
 
     The arrays, all float32: `translations` (N, K, 3) [m], `rotations` (N, K, 3, 3), `root_translation` (N, 3) [m],
-    `root_rotation` (N, 3, 3), `fps` () [1/s], `handle_positions` (K, 3) [m]; and `handle_names` (K,) text. Where it is known, the
+    `root_rotation` (N, 3, 3), `fps` () [1/s], `native` (), 0 or 1, `handle_positions` (K, 3) [m];
+    and `handle_names` (K,) text. Where it is known, the
     motion of the reference body that it was fitted from, under the same names with `reference_` before them.
     """
     return pack_motion(animation.motion, animation.handles, animation.reference)
@@ -59,7 +60,7 @@ def pack_motion(motion: HandleMotion, handles: Handles, reference: HandleMotion 
 
 
 def _arrays(motion: HandleMotion) -> dict[str, np.ndarray]:
-    return {name: np.asarray(getattr(motion, name), np.float32) for name in _NEEDED}
+    return {name: np.asarray(getattr(motion, name), np.float32) for name in (*_NEEDED, "native")}
 
 
 def read_any_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
@@ -93,6 +94,7 @@ def read_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
         if missing:
             raise FormatError(path, f"this NPZ lacks {', '.join(missing)}, so it is no handle motion; save one with Animation.save")
         arrays = {name: read_member(path, archive, prefix + name, len(data)) for name in _NEEDED}
+        native = prefix + "native" in npz_names(archive) and bool(np.any(read_member(path, archive, prefix + "native", len(data))))
     if arrays["fps"].size != 1:
         raise FormatError(path, "its 'fps' must be one number; save it again")
     fps = float(arrays["fps"].reshape(()))
@@ -104,6 +106,7 @@ def read_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
         arrays["root_translation"],
         _matrices(path, arrays["root_rotation"], 3),
         fps,
+        native,
     )
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.formats.fbx.nodes import BROKEN, FbxTree
 from bunraku.formats.fbx.scene import TICKS, FbxObject
-from bunraku.formats.fbx.tree import BROKEN, FbxTree
 
 __all__ = ["Curve", "read_curve"]
 

@@ -15,9 +15,9 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bunraku.core.resample import checked_fps, resample
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.formats.files import check_output_folder
-from bunraku.formats.gltf.handle_channels import checked_fps, resample
 from bunraku.formats.gltf.write import write_animation
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.formats.fbx.nodes import BROKEN, FbxNode
 from bunraku.formats.fbx.scene import FbxObject, FbxScene
-from bunraku.formats.fbx.tree import BROKEN, FbxNode
 from bunraku.formats.mesh.polygons import fans, split_corners
 from bunraku.formats.mesh.skins import strongest
 

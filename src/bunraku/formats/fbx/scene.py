@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.formats.fbx.tree import BROKEN, FbxNode, FbxTree
+from bunraku.formats.fbx.nodes import BROKEN, FbxNode, FbxTree
 
 __all__ = ["FbxObject", "FbxScene", "Frame", "read_scene"]
 

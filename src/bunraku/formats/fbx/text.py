@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.errors import FormatError
-from bunraku.formats.fbx.tree import BROKEN, MAX_DEPTH, MAX_NODES, MAX_VALUES, Allowance, FbxArray, FbxNode, FbxTree, check_version
+from bunraku.formats.fbx.nodes import BROKEN, MAX_DEPTH, MAX_NODES, MAX_VALUES, Allowance, FbxArray, FbxNode, FbxTree, check_version
 from bunraku.formats.files import check_text
 
 __all__ = ["read_text_tree"]

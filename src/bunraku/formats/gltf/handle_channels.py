@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,12 +9,10 @@ import numpy as np
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.errors import OptionError
 from bunraku.formats.gltf.builder import GltfBuilder
-from bunraku.geometry.resampling import Resampling
 from bunraku.geometry.rotations import quaternion_from_matrix
 
-__all__ = ["add_joints", "add_motion", "checked_fps", "handle_names", "resample"]
+__all__ = ["add_joints", "add_motion", "handle_names"]
 
 
 def handle_names(handles: Handles) -> tuple[str, ...]:
@@ -32,37 +29,6 @@ def handle_names(handles: Handles) -> tuple[str, ...]:
             met[role] += 1
             names[handle] = f"{HANDLE_NAMES[role]}_{met[role]}"
     return tuple(names)
-
-
-def checked_fps(fps: float | None, default: float) -> float:
-    """Frames a second of an output [1/s].
-
-    Raises:
-        OptionError: They are not a number from 1 to 1000.
-    """
-    if fps is None:
-        return float(default)
-    try:
-        value = float(fps)
-    except (TypeError, ValueError):
-        raise OptionError(f"fps must be a number from 1 to 1000, not {fps!r}") from None
-    if not 1 <= value <= 1000:
-        raise OptionError(f"fps must be a number from 1 to 1000, not {fps!r}")
-    return value
-
-
-def resample(motion: HandleMotion, fps: float) -> HandleMotion:
-    """The motion at another frame rate: translations linear, rotations along the shortest arc.
-
-    Args:
-        motion: The motion, frame n at n / motion.fps seconds.
-        fps: Frames a second of the result [1/s]; frame m is at m / fps seconds, as far as the motion reaches.
-    """
-    if abs(fps - motion.fps) < 1e-6 or len(motion) == 1:
-        return motion if len(motion) > 1 else replace(motion, fps=fps)
-    between = Resampling.of(len(motion), motion.fps, fps)
-    moves, path = (between.linear(values.astype(float)) for values in (motion.translations, motion.root_translation))
-    return HandleMotion(moves, between.rotations(motion.rotations), path, between.rotations(motion.root_rotation), fps)
 
 
 def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:

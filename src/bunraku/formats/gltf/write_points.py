@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bunraku.core.resample import checked_fps
 from bunraku.errors import OptionError
 from bunraku.formats.gltf.builder import GltfBuilder
-from bunraku.formats.gltf.handle_channels import add_motion, checked_fps
+from bunraku.formats.gltf.handle_channels import add_motion
 from bunraku.formats.gltf.morph_targets import Shapes, key_shapes, mixed_shapes
 from bunraku.formats.gltf.write import build_document, document_of, finish_document, joint_attributes, keeps_positions
 

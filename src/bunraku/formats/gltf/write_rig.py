@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.core.resample import checked_fps
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
 from bunraku.formats.files import check_output_folder
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, GltfBuilder
 from bunraku.formats.gltf.bunraku_clip import drop_clip
 from bunraku.formats.gltf.carry import MeshCarrier, carry_images, carry_tree
-from bunraku.formats.gltf.handle_channels import checked_fps
 from bunraku.formats.gltf.mesh import MeshPart
 from bunraku.formats.gltf.nodes import read_nodes
 from bunraku.formats.gltf.read import Source

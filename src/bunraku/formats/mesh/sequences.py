@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bunraku.core.resample import checked_fps
 from bunraku.errors import FormatError
 from bunraku.formats.files import check_output_folder
 from bunraku.formats.frames import FileFrame
-from bunraku.formats.gltf.handle_channels import checked_fps
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation

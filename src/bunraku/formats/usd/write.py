@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bunraku.core.resample import checked_fps
 from bunraku.errors import FormatError, MissingExtraError, OptionError
 from bunraku.formats.files import check_output_folder
 from bunraku.formats.frames import UNITS, FileFrame
-from bunraku.formats.gltf.handle_channels import checked_fps, handle_names
+from bunraku.formats.gltf.handle_channels import handle_names
 from bunraku.formats.usd.look import Look, add_mesh, pieces, prim_name
 from bunraku.geometry.rotations import quaternion_from_matrix
 

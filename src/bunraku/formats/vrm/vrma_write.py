@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.motion import SkeletalMotion
+from bunraku.core.resample import checked_fps
 from bunraku.errors import FormatError, OptionError
 from bunraku.formats.files import atomic_write
 from bunraku.formats.gltf.builder import GltfBuilder
-from bunraku.formats.gltf.handle_channels import checked_fps
 from bunraku.formats.vrm.vrma import EXTENSION, VRM_BONES
 from bunraku.geometry.rotations import quaternion_from_matrix
 

@@ -13,8 +13,8 @@ from bunraku.errors import MotionError
 from bunraku.formats.mmd.model import MmdModel, mmd_model
 from bunraku.formats.mmd.vmd import VMD_FPS, VmdMotion
 from bunraku.retarget.mmd.pose import MmdPoses, pose_mmd
+from bunraku.skeletons.joint_map import SkeletonMap
 from bunraku.skeletons.mmd_names import mmd_skeleton_map
-from bunraku.skeletons.skeleton_map import SkeletonMap
 from bunraku.skeletons.to_smpl import to_smpl
 
 __all__ = ["mmd_animation", "mmd_poses_to_smpl", "mmd_vertices", "model_of", "play_vmd", "standard_bones"]

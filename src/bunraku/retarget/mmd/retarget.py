@@ -24,8 +24,8 @@ from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_
 from bunraku.retarget.mmd.play import model_of, standard_bones
 from bunraku.retarget.mmd.pose import pose_mmd
 from bunraku.skeletons.bone_words import plain_name
+from bunraku.skeletons.joint_map import SkeletonMap
 from bunraku.skeletons.mmd_names import MMD_CENTRES, mmd_skeleton_map
-from bunraku.skeletons.skeleton_map import SkeletonMap
 from bunraku.skeletons.to_smpl import turns_of_rest
 
 __all__ = ["mmd_clip", "mmd_motion", "settle_mmd"]

@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from bunraku.core.character import Character, Handles
+from bunraku.core.skinning import handle_offsets
 from bunraku.geometry.resampling import Resampling
 
 __all__ = ["edges_kept"]
@@ -87,7 +88,7 @@ class _System:
     def solved(self, rotations: np.ndarray, translations: np.ndarray, positions: np.ndarray, scale: float) -> np.ndarray:
         """Gauss-Newton steps from no move at all, each frame on its own."""
         frames, handles = translations.shape[:2]
-        offset = positions + translations - np.einsum("nkij,kj->nki", rotations, positions)
+        offset = handle_offsets(positions, translations, rotations)
         left = rotations.transpose(0, 2, 1, 3).reshape(frames * 3, handles * 3)
         base = (left @ self.moments.T).reshape(frames, 3, -1).transpose(0, 2, 1) + self.apart @ offset
         base = (base / self.size).astype(np.float32)

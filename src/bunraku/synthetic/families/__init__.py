@@ -8,8 +8,7 @@ skin, a skin for each limb, or many closed parts that cut through each other; ma
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 from zlib import crc32
 
 import numpy as np
@@ -19,10 +18,7 @@ from bunraku.errors import OptionError
 from bunraku.synthetic.families import beasts, bipeds, crawlers, people, sea, toons
 from bunraku.synthetic.families.model import Model
 
-if TYPE_CHECKING:
-    from bunraku.datasets.characters.training_character import TrainingCharacter
-
-__all__ = ["EVALUATION_SEED", "FAMILIES", "code_made_character", "code_made_names", "code_made_training_characters"]
+__all__ = ["EVALUATION_SEED", "FAMILIES", "code_made_character", "code_made_names"]
 
 EVALUATION_SEED = 1_000_000
 """Seeds from here on are for evaluation; nothing trains on them."""
@@ -82,30 +78,3 @@ def code_made_names(count: int, seed: int = 0) -> list[tuple[str, int]]:
         owed[chosen] -= 1
         out.append((FAMILIES[chosen], seed + number))
     return out
-
-
-def code_made_training_characters(
-    count: int, seed: int = 0, progress: Callable[[int, int, str], None] | None = None, mesh_vertices: int = 2400
-) -> Iterator[TrainingCharacter]:
-    """Characters made by code as the Mesh Handle Predictor trains on them, one after the other.
-
-    Args:
-        count: How many.
-        seed: Seed of the first; the others follow it.
-        progress: Called with the number done, the number of all, and the name.
-        mesh_vertices: Most vertices of a network mesh.
-
-    Raises:
-        OptionError: The seeds would reach those for evaluation, or are negative.
-    """
-    from bunraku.datasets.characters.build import training_character
-
-    if seed < 0 or seed + count > EVALUATION_SEED:
-        raise OptionError(f"training seeds must be from 0 to {EVALUATION_SEED - 1}; {count} characters from {seed} on do not fit")
-    for number, (family, one) in enumerate(code_made_names(count, seed)):
-        name = f"code_made/{family}_{one}"
-        if progress:
-            progress(number, count, name)
-        yield training_character(code_made_character(family, one), name, mesh_vertices)
-    if progress:
-        progress(count, count, "")

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from bunraku.core.skinning import handle_offsets
 from bunraku.retarget.batched_fit import LONGEST, Fitted, capped
 from bunraku.retarget.character_bank import CharacterBank
 
@@ -72,7 +73,7 @@ def edge_system(fitted: Fitted, bank: CharacterBank, picked: Tensor | None = Non
     base = (left @ basis.transpose(1, 2)).reshape(batch, frames, 3, edges).transpose(2, 3)
     apart = dense.unflatten(1, (edges, 2))
     apart = apart[:, :, 0] - apart[:, :, 1]
-    offset = h[:, None] + fitted.stiff - torch.einsum("bnkij,bkj->bnki", fitted.rotations, h)
+    offset = handle_offsets(h[:, None], fitted.stiff, fitted.rotations)
     base = base + torch.einsum("bsk,bnki->bnsi", apart, offset)
     own = apart * (bank.scale[row][:, None] * bank.present[row])[:, None]
     spread = torch.zeros_like(own).scatter_add_(2, played[:, None].expand_as(own), own)
@@ -86,7 +87,7 @@ def edge_system(fitted: Fitted, bank: CharacterBank, picked: Tensor | None = Non
 def arap_labels(
     system: EdgeSystem, start: Tensor, strength: float | Tensor = 3.0, steps: int = 3, longest: float = LONGEST, calm: float = 0.0
 ) -> Tensor:
-    """The adaptation that keeps edges at their lengths (Eq. 10), shape (B, N, K, 3).
+    """The adaptation that keeps edges at their lengths [TapMo 10], shape (B, N, K, 3).
 
     Args:
         system: Edges and motions.

@@ -21,7 +21,8 @@ import torch
 from torch import Tensor, nn
 
 from bunraku.diffusion.adaptation_head import AdaptationHead, label_distance, whitening
-from bunraku.diffusion.denoiser import Denoiser, build_denoiser, joint_offsets, load_denoiser, save_denoiser
+from bunraku.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
+from bunraku.diffusion.denoiser import Denoiser, joint_offsets
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextEncoder, text_encoder

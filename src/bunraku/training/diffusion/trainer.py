@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bunraku.diffusion.denoiser import Denoiser, build_denoiser, save_denoiser
+from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
 from bunraku.diffusion.schedule import TRAINING_STEPS, add_noise, alphas_cumprod
@@ -151,7 +152,7 @@ class Trainer:
         return learning_rate(config.learning_rate, self.step, config.warmup, into)
 
     def update(self, example: Example) -> dict[str, float]:
-        """One optimiser step of Eq. 9 on the batch of this process; the losses by name, means over all processes."""
+        """One optimiser step of L_m + nu_h L_h + nu_a L_a [TapMo 9] on the batch of this process; the losses by name, means over all processes."""
         config, learning = self.config, self.learning
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()

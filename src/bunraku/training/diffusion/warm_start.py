@@ -7,7 +7,8 @@ from pathlib import Path
 
 import torch
 
-from bunraku.diffusion.denoiser import Denoiser, load_denoiser
+from bunraku.diffusion.checkpoint import load_denoiser
+from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import OptionError
 

@@ -119,7 +119,7 @@ class HandleTrainer:
         return min(max(parts), 1.0)
 
     def example_loss(self, mesh: TrainingMesh) -> tuple[torch.Tensor, dict[str, float]]:
-        """Eq. 5 with the further losses, for one mesh; and each loss before its weight."""
+        """L_s + nu_p L_p + nu_r L_r [TapMo 5] with the further losses, for one mesh; and each loss before its weight."""
         config, device = self.config.loss, self.config.device
         graph = _graph(mesh, self.config.predictor, device, self.rng)
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):

@@ -52,7 +52,7 @@ def discriminator_loss(real: Tensor, fake: Tensor) -> Tensor:
 
 
 def adversarial_loss(fake: Tensor) -> Tensor:
-    """The part of Eq. 8 that the denoiser minimises: E[log(1 - Disc(fake))], from logits of shape (B,)."""
+    """Adversarial Loss L_a [TapMo 8], the part that the denoiser minimises: E[log(1 - Disc(fake))], from logits of shape (B,)."""
     return -F.softplus(fake).mean()
 
 

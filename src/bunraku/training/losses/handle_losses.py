@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import torch
 
+from bunraku.core.skinning import handle_offsets
 from bunraku.geometry.registration import register_torch
 
 __all__ = [
@@ -61,7 +62,7 @@ class LossConfig:
 
 
 def root_loss(positions: torch.Tensor, weights: torch.Tensor, root: torch.Tensor, areas: torch.Tensor | None = None) -> torch.Tensor:
-    """Root Loss, Eq. 4: squared distance between the first handle and the root joint.
+    """Root Loss L_r [TapMo 4]: squared distance between the first handle and the root joint.
 
     Args:
         positions: Vertices, shape (V, 3).
@@ -115,7 +116,7 @@ def skinning_pairs(
 
 
 def skinning_loss(logits: torch.Tensor, i: torch.Tensor, j: torch.Tensor, gamma: torch.Tensor, apart: float = 3.0) -> torch.Tensor:
-    """Skinning Loss, Eq. 13: vertices of one rig part agree on their handles, vertices of two parts do not.
+    """Skinning Loss L_s [TapMo 13]: vertices of one rig part agree on their handles, vertices of two parts do not.
 
     The divergence of the -1 pairs has no upper bound, so that minimising Eq. 13 as written runs away; here a pair that is
     `apart` nats or more from agreement adds nothing more: `-min(KL, apart)`.
@@ -150,13 +151,13 @@ def drive_local(
     eye = torch.eye(3, dtype=rotations.dtype, device=rotations.device).expand_as(rotations[:, :1])
     rotations = torch.cat([eye, rotations[:, 1:]], dim=1)
     translations = torch.cat([torch.zeros_like(translations[:, :1]), translations[:, 1:]], dim=1)
-    offsets = handles + translations - torch.einsum("nkij,kj->nki", rotations, handles)
+    offsets = handle_offsets(handles, translations, rotations)
     linear = torch.einsum("vk,nkij->nvij", weights, rotations)
     return torch.einsum("nvij,vj->nvi", linear, positions) + torch.einsum("vk,nki->nvi", weights, offsets)
 
 
 def pose_loss(positions: torch.Tensor, posed: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-    """Pose Loss, Eq. 14: how far the handles are from being able to reproduce poses of the true skeleton.
+    """Pose Loss L_p [TapMo 14]: how far the handles are from being able to reproduce poses of the true skeleton.
 
     The local motion of each handle is the weighted registration of the rest mesh to the posed one (Besl & McKay 1992),
     through which the gradient flows; Eq. 3 without the global items then rebuilds the posed mesh.

@@ -9,7 +9,7 @@ __all__ = ["motion_losses"]
 
 
 def motion_losses(predicted: Tensor, clean: Tensor, lengths: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Losses of each row.
+    """Motion Loss L_m of each row [TapMo 6], and its like for the change from frame to frame.
 
     Args:
         predicted: Predicted x0 in network units, shape (B, N, D).

@@ -28,7 +28,7 @@ def springs_present(present: Tensor, roles: Tensor) -> Tensor:
 
 
 def spring_loss(places: Tensor, rest: Tensor, springs: Tensor, sigma: float = 0.0) -> Tensor:
-    """L_h of each row (Eq. 7), shape (B,).
+    """Spring Loss L_h of each row [TapMo 7], shape (B,).
 
     With E the distance of two adjacent handles, and frame 0 the rest pose, it is the sum over springs and frames of
     `exp(-(E_0 + sigma)) (E_n - E_0)^2 + (E_n - E_{n-1})^2`. Rigid motion changes no distance, so places may be local.

@@ -1,0 +1,49 @@
+"""Two motions denoised side by side, for what happens at the same time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from bunraku.diffusion.features import feature_mask
+from bunraku.language.concurrent import Voice
+
+__all__ = ["Twin"]
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A second time line for a motion in which something happens at the same time: it hears the gestures, and moves as the first one else.
+
+    The first does not see the second: a walk whose arms wave would soon stand still, as people do who wave.
+
+    Args:
+        motion: Which motion of the batch it belongs to.
+        sentences: What it hears, a sentence for each of the motion's.
+        handles: The handles that are its own, shape (K,), bool.
+    """
+
+    motion: int
+    sentences: tuple[str, ...]
+    handles: np.ndarray
+
+    @classmethod
+    def of(cls, motion: int, heard: Sequence[tuple[Voice, ...]]) -> Twin | None:
+        """The second time line of a motion with these voices for each sentence; None where all have one."""
+        own = [voice.handles for some in heard for voice in some[1:] if voice.handles is not None]
+        return cls(motion, tuple(some[-1].sentence for some in heard), np.any(own, axis=0)) if own else None
+
+    def follow(self, first: Tensor, second: Tensor) -> Tensor:
+        """The second time line's features, shape (N, 271), with all that is not its own as in the first."""
+
+        own = torch.as_tensor(feature_mask(self.handles), device=first.device)
+        return torch.where(own, second, first)
+
+    def adapt(self, first: Tensor, second: Tensor) -> Tensor:
+        """The same of the adaptation, shape (N, K, 3)."""
+
+        return torch.where(torch.as_tensor(self.handles, device=first.device)[:, None], second, first)

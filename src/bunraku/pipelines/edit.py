@@ -1,0 +1,82 @@
+"""`edit`: keep a part of a motion or of an animation, and generate the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from bunraku.core.animation import Animation
+from bunraku.core.motion import HandleMotion
+from bunraku.errors import MotionError
+from bunraku.pipelines.apply import fitted_motion, reference_of
+from bunraku.retarget.fit import Stages
+
+__all__ = ["edit"]
+
+Clip = TypeVar("Clip", bound=HandleMotion | Animation)
+
+
+def edit(
+    clip: Clip,
+    prompt: str,
+    *,
+    keep: str | Sequence[str] = (),
+    span: tuple[float, float] | None = None,
+    seed: int = 0,
+    steps: int | None = None,
+    guidance: float | None = None,
+    stages: Stages | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Clip:
+    """Keep chosen handles, or all but a span of seconds, and generate the rest from a sentence (section A.3 of TapMo).
+
+    Args:
+        clip: An animation, or a motion of the reference body at 20 frames a second.
+        prompt: What is done instead, in English.
+        keep: What stays as it is: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or single
+            handles such as left_wrist; a list, or one text with commas.
+        span: Seconds from and to which is generated; all of the clip by default.
+        seed: The same seed and version give the same motion.
+        steps: Sampling steps; None takes the default.
+        guidance: Classifier-free guidance scale; None takes the default.
+        stages: Which stages fit an animation's new motion to its character; all when None.
+        progress: Called with a stage's name and the share done, 0 to 1.
+
+    Returns:
+        As many frames. What is kept holds the same arrays bit for bit: those of the animation's own motion, and of its `reference`.
+
+    Raises:
+        OptionError: Nothing is kept, or everything; the prompt is empty or too long; or the span is outside the clip.
+        MotionError: The motion is not that of 30 handles at 20 frames a second.
+        WeightsError: The shipped weights are missing or broken.
+    """
+    from bunraku.body.parts import kept_handles
+    from bunraku.core.travel import put_back
+    from bunraku.diffusion.editing import edit_motion, span_frames
+
+    how: dict[str, Any] = {"keep": keep, "span": span, "seed": seed, "steps": steps, "guidance": guidance, "progress": progress}
+    if isinstance(clip, HandleMotion):
+        return cast(Clip, edit_motion(clip, prompt, **how))
+    assert isinstance(clip, Animation)
+    handles = clip.handles
+    if handles.features is None:
+        from bunraku.handles.predict import mesh_feature
+
+        handles = replace(handles, features=mesh_feature(clip.character))
+    reference = reference_of(clip)
+    if len(reference) != len(clip.motion):
+        raise MotionError(f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it again")
+    made = edit_motion(reference, prompt, mesh_feature=handles.features, **how)
+    if progress:
+        progress("fit", 0.0)
+    kept = np.zeros(len(handles.positions), bool)
+    if keep:
+        kept = kept_handles(keep)[handles.played]  # a spare handle that plays a kept part is kept with it
+    first, after = (0, len(made)) if span is None else span_frames(span, len(made), made.fps)
+    fitted = put_back(fitted_motion(made, clip.character, handles, stages), clip.motion, kept, first, after)
+    if progress:
+        progress("fit", 1.0)
+    return cast(Clip, Animation(clip.character, clip.handles, fitted, made))

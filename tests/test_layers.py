@@ -1,0 +1,135 @@
+"""The order of the rooms, stated here alone: a module imports only from rooms before its own, and no modules import each other.
+
+Every import counts: at the top, in a function, for the type checker, and as text, where a table names a module.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = ROOT / "src"
+
+LAYERS = (
+    "errors", "geometry", "core", "body", "skeletons", "formats", "nn", "language", "handles", "synthetic", "render", "retarget", "apparel",
+    "physics", "diffusion", "io", "pipelines", "bunraku", "baselines", "datasets", "training", "evaluation", "cli", "__main__",
+)  # fmt: skip
+"""Rooms from the ground up. "bunraku" is the package's own face."""
+MOST = 16
+"""Modules of one folder."""
+_NAMED = re.compile(r"^bunraku(\.\w+)+(:\w+)?$")
+
+
+def modules(sources):
+    """Path of each module by its whole name."""
+    found = {}
+    for path in sorted(sources.rglob("*.py")):
+        parts = path.relative_to(sources).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imports(path, known):
+    """Modules that a file names: in import statements anywhere in it, and in text such as "bunraku.io.play:load_animation"."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                found.add(whole if whole in known else node.module)
+        elif isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _NAMED.match(node.value):
+            found.add(node.value.split(":")[0])
+    return {name for name in found if name in known}
+
+
+def arrows(sources):
+    """What each module imports, by whole names."""
+    known = modules(sources)
+    return {name: imports(path, known) - {name} for name, path in known.items()}
+
+
+def room(module):
+    """The layer of a module."""
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else parts[0]
+
+
+def climbing(found):
+    """Imports of a room that stands later in the list."""
+    place = {layer: number for number, layer in enumerate(LAYERS)}
+    return sorted(f"{one} -> {other}" for one, others in found.items() for other in others if place[room(other)] > place[room(one)])
+
+
+def circles(found):
+    """Groups of modules that import each other in a loop (Tarjan 1972)."""
+    index, low, stack, groups = {}, {}, [], []
+
+    def visit(node):
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for other in sorted(found[node]):
+            if other not in index:
+                visit(other)
+                low[node] = min(low[node], low[other])
+            elif other in stack:
+                low[node] = min(low[node], index[other])
+        if low[node] == index[node]:
+            group = [stack.pop()]
+            while group[-1] != node:
+                group.append(stack.pop())
+            if len(group) > 1:
+                groups.append(sorted(group))
+
+    for node in sorted(found):
+        if node not in index:
+            visit(node)
+    return groups
+
+
+def test_every_room_is_in_the_list():
+    assert {room(name) for name in modules(SOURCES)} == set(LAYERS)
+
+
+def test_nothing_imports_what_stands_above_it():
+    assert climbing(arrows(SOURCES)) == []
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    assert circles(arrows(SOURCES)) == []
+
+
+def test_no_folder_is_crowded():
+    folders = {}
+    for path in modules(SOURCES).values():
+        if path.name != "__init__.py":
+            folders.setdefault(path.parent.relative_to(SOURCES).as_posix(), []).append(path.name)
+    assert {folder: len(names) for folder, names in folders.items() if len(names) > MOST} == {}
+
+
+def test_the_docs_print_the_list():
+    text = (ROOT / "docs" / "how-it-works.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE) == list(LAYERS)
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "offence"),
+    [
+        ("geometry/low.py", "from bunraku.io.high import load", "bunraku.geometry.low -> bunraku.io.high"),
+        ("geometry/low.py", "def f():\n    import bunraku.io.high", "bunraku.geometry.low -> bunraku.io.high"),
+        ("geometry/low.py", 'TABLE = ("bunraku.io.high:load",)', "bunraku.geometry.low -> bunraku.io.high"),
+        ("geometry/low.py", "if TYPE_CHECKING:\n    from bunraku.io import high", "bunraku.geometry.low -> bunraku.io.high"),
+    ],
+)
+def test_a_planted_import_is_found(tmp_path, module, line, offence):
+    for name, text in ((module, line), ("io/high.py", ""), ("io/__init__.py", ""), ("__init__.py", "")):
+        path = tmp_path / "bunraku" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    found = arrows(tmp_path)
+    assert climbing(found) == [offence] and circles(found) == []
+    (tmp_path / "bunraku" / "io" / "high.py").write_text("from bunraku.geometry.low import f")
+    assert circles(arrows(tmp_path)) == [["bunraku.geometry.low", "bunraku.io.high"]]
