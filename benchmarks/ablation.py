@@ -1,9 +1,11 @@
 """What each loss and each kind of variation of the Mesh Handle Predictor's training is worth.
 
-    python benchmarks/ablation.py --cache data/characters [--epochs 4] [--every 3] [--only NAME ...] [--out runs/ablation]
+    python benchmarks/ablation.py --cache data/characters [--epochs 4] [--every 3] [--only NAME ...] [--out
+    runs/ablation]
 
-Every row is a short training from the same random weights, with the same number of steps and one thing changed, validated on the
-held-out characters as they are and in other rest poses. A run that was cut off goes on; rows that are done are kept.
+Every row is a short training from the same random weights, with the same number of steps and one thing changed,
+validated on the held-out characters as they are and in other rest poses. A run that was cut off goes on; rows that are
+done are kept.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ LOSS = LossConfig(smoothness=0.1)  # every loss that was ever tried is on
 NONE = DamageConfig(slide_rate=0, coarse_rate=0, hole_rate=0, split_rate=0, noise=0, normal_noise=0)
 VARIANTS: dict[str, dict[str, object]] = {
     "all": {"loss": LOSS},
-    "the paper's three losses alone": {"loss": replace(LOSS, skinning=1.0, root=0.1, semantic=0.0, sparsity=0.0, mirror=0.0, smoothness=0.0)},
+    "the paper's three losses alone": {
+        "loss": replace(LOSS, skinning=1.0, root=0.1, semantic=0.0, sparsity=0.0, mirror=0.0, smoothness=0.0)
+    },
     "without skinning (Eq. 13)": {"loss": replace(LOSS, skinning=0.0)},
     "without root (Eq. 4)": {"loss": replace(LOSS, root=0.0)},
     "without pose (Eq. 14)": {"loss": replace(LOSS, pose=0.0)},
@@ -55,12 +59,15 @@ COLUMNS = (
 
 @torch.no_grad()
 def consistency(path: Path, held_out: list[TrainingCharacter]) -> dict[str, float]:
-    """What the mirror and the smoothness loss are for: L1 difference between the weights of a mesh and those of its mirror image, and
-    between those of neighbouring vertices, means over the held-out characters."""
+    """What the mirror and the smoothness loss are for: L1 difference between the weights of a mesh and those of its
+    mirror image, and between those of neighbouring vertices, means over the held-out characters.
+    """
     model = load_predictor(path).eval()
     sides, rough = [], []
     for character in held_out:
-        graph = mesh_graph(character.vertices, character.normals, character.edges, character.areas, model.config.anchors)
+        graph = mesh_graph(
+            character.vertices, character.normals, character.edges, character.areas, model.config.anchors
+        )
         plain, mirrored = model(graph).weights, model(graph.mirrored()).weights[:, list(HANDLE_MIRROR)]
         first, second = torch.from_numpy(character.edges).T
         sides.append(float((plain - mirrored).abs().sum(1).mean()))
@@ -76,7 +83,9 @@ def folder(name: str, args: argparse.Namespace) -> Path:
 def run(name: str, args: argparse.Namespace) -> dict[str, float]:
     """Train one variant and validate it."""
     out = folder(name, args)
-    config = HandleTrainConfig(cache=args.cache, out=out, minutes=0, epochs=args.epochs, bf16=args.bf16, **VARIANTS[name])
+    config = HandleTrainConfig(
+        cache=args.cache, out=out, minutes=0, epochs=args.epochs, bf16=args.bf16, **VARIANTS[name]
+    )
     characters, held_out = load_characters(args.cache)
     characters = characters[:: args.every]
     trainer = HandleTrainer(config, characters, held_out, reference_characters(config.predictor.mesh_vertices))
@@ -87,7 +96,9 @@ def run(name: str, args: argparse.Namespace) -> dict[str, float]:
         trainer.save({})
     found = validate_handles(trainer.average, held_out)
     varied = validate_handles(trainer.average, held_out, varied=True)
-    return {f"held_{key}": value for key, value in found.items()} | {f"varied_{key}": value for key, value in varied.items()}
+    return {f"held_{key}": value for key, value in found.items()} | {
+        f"varied_{key}": value for key, value in varied.items()
+    }
 
 
 def main() -> None:
@@ -96,7 +107,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/ablation"))
     parser.add_argument("--epochs", type=int, default=4)
     parser.add_argument("--every", type=int, default=3, help="train on every n-th character")
-    parser.add_argument("--bf16", action="store_true", help="bfloat16 products, several times faster on processors that have them")
+    parser.add_argument(
+        "--bf16", action="store_true", help="bfloat16 products, several times faster on processors that have them"
+    )
     parser.add_argument("--only", nargs="*", choices=list(VARIANTS), help="these rows alone")
     args = parser.parse_args()
     torch.set_num_threads(1)

@@ -1,4 +1,5 @@
-"""Reading a BVH of two minutes at 120 frames a second with 31 joints, against the packages `bvh` and `bvhio` on the same file.
+"""Reading a BVH of two minutes at 120 frames a second with 31 joints, against the packages `bvh` and `bvhio` on the
+same file.
 
     pip install bvh bvhio
     python benchmarks/bvh.py [--seconds 120] [--fps 120] [--joints 31] [--packages DIR]
@@ -57,9 +58,13 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--fps", type=float, default=120.0)
     parser.add_argument("--joints", type=int, default=31)
-    parser.add_argument("--packages", type=Path, help="folder that bvh and bvhio are installed in, when it is not the environment's")
+    parser.add_argument(
+        "--packages", type=Path, help="folder that bvh and bvhio are installed in, when it is not the environment's"
+    )
     args = parser.parse_args()
-    sys.path = [folder for folder in sys.path if Path(folder).resolve() != Path(__file__).resolve().parent]  # this file is no package bvh
+    sys.path = [
+        folder for folder in sys.path if Path(folder).resolve() != Path(__file__).resolve().parent
+    ]  # this file is no package bvh
     sys.path += [str(args.packages)] if args.packages else []
     with tempfile.TemporaryDirectory() as folder:
         path = write_bvh(made_up(int(args.seconds * args.fps), args.joints, args.fps), Path(folder) / "take.bvh")
@@ -79,7 +84,10 @@ def main() -> None:
             else:
                 rows[name] = best(lambda package=package: package.readAsBvh(str(path)), 1)
     for name, (wall, processor) in rows.items():
-        print(f"{name:8s} {wall:8.3f} s wall  {processor:8.3f} s processor  {wall / rows['bunraku'][0]:8.1f} times bunraku's")
+        print(
+            f"{name:8s} {wall:8.3f} s wall  {processor:8.3f} s processor  {wall / rows['bunraku'][0]:8.1f} times "
+            "bunraku's"
+        )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,11 @@
-"""Does "a person A, then B" do A and then B? The network alone against clauses that are generated one by one, as a Markdown table.
+"""Does "a person A, then B" do A and then B? The network alone against clauses that are generated one by one, as a
+Markdown table.
 
     python benchmarks/clauses.py [--pairs 48] [--seconds 6] [--seed 0]
 
-Pairs of the actions below are drawn. The extractor of `bunraku evaluate motion` looks at the first and the second half of each motion, without
-half a second at the seam, and names the nearest of all actions. Columns: how often the first half is A, the second B, and both.
+Pairs of the actions below are drawn. The extractor of `bunraku evaluate motion` looks at the first and the second half
+of each motion, without half a second at the seam, and names the nearest of all actions. Columns: how often the first
+half is A, the second B, and both.
 """
 
 from __future__ import annotations
@@ -12,8 +14,10 @@ import argparse
 import os
 
 ACTIONS = (
-    "walks forward", "runs", "jumps", "waves with the right hand", "dances", "kicks", "walks backward", "sits down", "bows", "throws a ball",
-    "turns around", "punches", "does jumping jacks", "picks something up", "crawls", "hops on one leg", "does a cartwheel", "swims",
+    "walks forward", "runs", "jumps", "waves with the right hand", "dances", "kicks", "walks backward", "sits down",
+    "bows", "throws a ball",
+    "turns around", "punches", "does jumping jacks", "picks something up", "crawls", "hops on one leg",
+    "does a cartwheel", "swims",
 )  # fmt: skip
 
 

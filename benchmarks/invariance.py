@@ -2,8 +2,8 @@
 
     python benchmarks/invariance.py CHARACTERS [--every 9]
 
-Each character is animated as it is, 100 times smaller and larger, moved by a few heights, with its vertices and faces in another
-order, and with every seam open (a triangle soup).
+Each character is animated as it is, 100 times smaller and larger, moved by a few heights, with its vertices and faces
+in another order, and with every seam open (a triangle soup).
 """
 
 from __future__ import annotations
@@ -28,15 +28,25 @@ def variants(character: Character) -> dict[str, tuple[Character, float, np.ndarr
     same, none = np.arange(count), np.zeros(3, np.float32)
     found = {}
     for scale in (0.01, 100.0):
-        found[f"scale {scale:g}"] = (dataclasses.replace(character, vertices=character.vertices * np.float32(scale), **plain), scale, none, same)
+        found[f"scale {scale:g}"] = (
+            dataclasses.replace(character, vertices=character.vertices * np.float32(scale), **plain),
+            scale,
+            none,
+            same,
+        )
     shift = height * np.array([3, 2, -4], np.float32)
     found["moved"] = (dataclasses.replace(character, vertices=character.vertices + shift, **plain), 1.0, shift, same)
     order, faces = rng.permutation(count), rng.permutation(len(character.faces))
     place = np.argsort(order)
-    mixed = dataclasses.replace(character, vertices=character.vertices[order], faces=place[character.faces[faces]], **plain)
+    mixed = dataclasses.replace(
+        character, vertices=character.vertices[order], faces=place[character.faces[faces]], **plain
+    )
     found["re-ordered"] = (mixed, 1.0, none, place)
     soup = dataclasses.replace(
-        character, vertices=character.vertices[character.faces].reshape(-1, 3), faces=np.arange(3 * len(character.faces)).reshape(-1, 3), **plain
+        character,
+        vertices=character.vertices[character.faces].reshape(-1, 3),
+        faces=np.arange(3 * len(character.faces)).reshape(-1, 3),
+        **plain,
     )
     found["seams open"] = (soup, 1.0, none, np.arange(3 * len(character.faces)))
     return found
@@ -64,7 +74,10 @@ def main() -> None:
             row.append(f"{name} {value:.1e}")
         print(f"{file.stem}: " + ", ".join(row), flush=True)
     for name, values in worst.items():
-        print(f"{name}: worst {max(values):.2%}, median {np.median(values):.1e} of the height over {len(values)} characters")
+        print(
+            f"{name}: worst {max(values):.2%}, median {np.median(values):.1e} of the height over {len(values)} "
+            "characters"
+        )
 
 
 if __name__ == "__main__":

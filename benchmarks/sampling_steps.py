@@ -1,15 +1,18 @@
 """Quality against sampling steps: what fewer steps cost, as a Markdown table.
 
-    python benchmarks/sampling_steps.py [--steps 5 10 15 20 30 50 100] [--frames 196] [--prompts FILE] [--reference 1000]
+    python benchmarks/sampling_steps.py [--steps 5 10 15 20 30 50 100] [--frames 196] [--prompts FILE] [--reference
+    1000]
 
-Each row draws the same motions, from the same noise, with that many steps of the default solver. The reference is the solver with
-1,000 steps. Columns:
+Each row draws the same motions, from the same noise, with that many steps of the default solver. The reference is the
+solver with 1,000 steps. Columns:
 
-- distance: root of the mean squared distance to the reference, in network units, in which the features' deviation is about one
+- distance: root of the mean squared distance to the reference, in network units, in which the features' deviation is
+  about one
 - handles: mean distance of the 29 handles' places in the root's frame from the reference's [mm]
 - jerk: mean third difference of the handles' world positions [m/s^3], over the reference's
 - spread: standard deviation of the features over frames, over the reference's; below 1, motion is lost
-- FID: of the motions against the reference's, and against those of the ancestral sampler where `--ancestral` is given, by the
+- FID: of the motions against the reference's, and against those of the ancestral sampler where `--ancestral` is given,
+  by the
   extractor of `bunraku evaluate motion`, where its weights are there and there are at least 64 motions
 - seconds: CPU seconds for a clip in a batch, and of a clip alone
 """
@@ -22,8 +25,10 @@ import time
 from pathlib import Path
 
 PROMPTS = (
-    "a person walks forward", "a person runs", "a person jumps", "a person waves with the right hand", "a person dances", "a person kicks",
-    "a person walks backward", "a person sits down", "a person bows", "a person throws a ball", "a person turns around", "a person punches",
+    "a person walks forward", "a person runs", "a person jumps", "a person waves with the right hand",
+    "a person dances", "a person kicks",
+    "a person walks backward", "a person sits down", "a person bows", "a person throws a ball", "a person turns around",
+    "a person punches",
     "a person climbs stairs", "a person picks something up", "a person walks in a circle", "a person hops on one leg",
 )  # fmt: skip
 BATCH = 8
@@ -35,7 +40,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=196)
     parser.add_argument("--prompts", type=Path, help="a text file with one prompt a line")
     parser.add_argument("--reference", type=int, default=1000, help="steps of the reference")
-    parser.add_argument("--ancestral", action="store_true", help="also a row for the ancestral sampler with 1,000 steps")
+    parser.add_argument(
+        "--ancestral", action="store_true", help="also a row for the ancestral sampler with 1,000 steps"
+    )
     parser.add_argument("--guidance", type=float, default=2.5)
     parser.add_argument("--checkpoint", type=Path)
     parser.add_argument("--extractor", type=Path, help="weights of the feature extractor for FID")
@@ -54,7 +61,11 @@ def main() -> None:
 
     torch.set_num_threads(args.threads)
     model, encoder = load_generator(args.checkpoint)
-    prompts = [line.strip() for line in args.prompts.read_text().splitlines() if line.strip()] if args.prompts else list(PROMPTS)
+    prompts = (
+        [line.strip() for line in args.prompts.read_text().splitlines() if line.strip()]
+        if args.prompts
+        else list(PROMPTS)
+    )
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     frames = min(args.frames, model.config.frames)
 
@@ -76,7 +87,10 @@ def main() -> None:
 
     def jerk(values: np.ndarray) -> float:
         parts = [handle_places(decode(statistics.restore(row), model.config.fps)) for row in values]
-        return float(np.mean([np.linalg.norm(np.diff(part, n=3, axis=0), axis=-1).mean() for part in parts])) * model.config.fps**3
+        return (
+            float(np.mean([np.linalg.norm(np.diff(part, n=3, axis=0), axis=-1).mean() for part in parts]))
+            * model.config.fps**3
+        )
 
     def apart(values: np.ndarray, others: np.ndarray) -> float:
         """Mean distance of the handles' local places [mm]."""
@@ -104,14 +118,21 @@ def main() -> None:
 
         return f"{fid(ours, theirs):.3f}"
 
-    print(f"{len(prompts)} prompts, {frames} frames, guidance {args.guidance:g}, {args.threads} threads, load {os.getloadavg()[0]:.1f}\n")
-    print("| steps | distance | handles [mm] | jerk | spread | FID to reference | FID to ancestral | seconds in a batch | seconds alone |")
+    print(
+        f"{len(prompts)} prompts, {frames} frames, guidance {args.guidance:g}, {args.threads} threads, load "
+        f"{os.getloadavg()[0]:.1f}\n"
+    )
+    print(
+        "| steps | distance | handles [mm] | jerk | spread | FID to reference | FID to ancestral | seconds in a batch "
+        "| seconds alone |"
+    )
     print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
 
     def row(name: str, values: np.ndarray, batch: float, single: float | None) -> None:
         found = embedded(values)
         print(
-            f"| {name} | {float(np.sqrt(np.mean((values - wanted) ** 2))):.3f} | {apart(values, wanted):.1f} | {jerk(values) / reference_jerk:.2f} "
+            f"| {name} | {float(np.sqrt(np.mean((values - wanted) ** 2))):.3f} | {apart(values, wanted):.1f} | "
+            f"{jerk(values) / reference_jerk:.2f} "
             f"| {float(values.std(axis=1).mean() / wanted.std(axis=1).mean()):.3f} | {distance(found, vectors)} "
             f"| {distance(found, ancestral_vectors)} | {batch:.2f} | {'-' if single is None else f'{single:.2f}'} |",
             flush=True,

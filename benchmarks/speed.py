@@ -5,12 +5,16 @@
 | part | reference |
 | --- | --- |
 | load | trimesh, which keeps no skin, weights or animation |
-| handles: network mesh, network, weights on every vertex | the same with the graph layers written one vertex at a time |
-| one sampling step with guidance | two passes, one with and one without the sentence, conditions encoded anew each time |
-| skinning, all frames of 6 s | one handle and one frame at a time in double precision (timed on some frames, scaled up) |
+| handles: network mesh, network, weights on every vertex | the same with the graph layers written one vertex at a time
+|
+| one sampling step with guidance | two passes, one with and one without the sentence, conditions encoded anew each time
+|
+| skinning, all frames of 6 s | one handle and one frame at a time in double precision (timed on some frames, scaled up)
+|
 | export | pygltflib, one accessor a call, base64-free |
 
-Skinning is also set against the matrix product alone, and against a large square product. Best of several runs, in seconds.
+Skinning is also set against the matrix product alone, and against a large square product. Best of several runs, in
+seconds.
 """
 
 from __future__ import annotations
@@ -42,7 +46,10 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="+", default=[2000, 20000, 200000])
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read when the libraries load, so before any import of them
+    for variable in (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+    ):  # read when the libraries load, so before any import of them
         os.environ[variable] = str(args.threads)
 
     import numpy as np
@@ -56,7 +63,10 @@ def main() -> None:
     results["sampling_step"] = {"bunraku": step, "reference": step_reference}
     print(f"{args.threads} threads, GEMM peak {peak:.0f} GFLOP/s")
     print(f"one sampling step, {FRAMES} frames: {step * 1e3:.1f} ms, reference {step_reference * 1e3:.1f} ms")
-    print(f"{'vertices':>9} {'load':>16} {'handles':>16} {'skinning':>18} {'export':>16} {'animate 6 s':>12}   skin/gemm skin/peak")
+    print(
+        f"{'vertices':>9} {'load':>16} {'handles':>16} {'skinning':>18} {'export':>16} {'animate 6 s':>12}   "
+        "skin/gemm skin/peak"
+    )
     rows = []
     for size in args.sizes:
         row = time_size(size)
@@ -64,7 +74,8 @@ def main() -> None:
         rows.append(row)
         cell = lambda part, row=row: f"{row[part]:.4f}/{row[part + '_reference']:.3f}"  # noqa: E731
         print(
-            f"{row['vertices']:>9} {cell('load'):>16} {cell('handles'):>16} {cell('skin'):>18} {cell('export'):>16} {row['animate']:>12.2f}"
+            f"{row['vertices']:>9} {cell('load'):>16} {cell('handles'):>16} {cell('skin'):>18} {cell('export'):>16} "
+            f"{row['animate']:>12.2f}"
             f"   {row['skin_over_gemm']:.2f}      {row['skin_over_peak']:.2f}",
             flush=True,
         )
@@ -118,7 +129,9 @@ def character_of(size: int, folder: Path) -> Path:
     if size < len(mesh.vertices):
         import fast_simplification
 
-        vertices, faces = fast_simplification.simplify(body.vertices, body.faces.astype(np.int32), target_count=2 * size)
+        vertices, faces = fast_simplification.simplify(
+            body.vertices, body.faces.astype(np.int32), target_count=2 * size
+        )
         mesh = trimesh.Trimesh(vertices, faces, process=False)
     while len(mesh.vertices) < size:
         need = (size - len(mesh.vertices)) / len(mesh.edges_unique)
@@ -170,7 +183,9 @@ def time_size(size: int) -> dict[str, float]:
         transforms = animation.motion.transforms(handles.positions)
         row["skin"] = best(lambda: skin(character.vertices, handles.weights, transforms), 9)
         few = max(1, FRAMES // 40)
-        row["skin_reference"] = best(lambda: skin_reference(character.vertices, handles.weights, transforms[:few]), 2) * FRAMES / few
+        row["skin_reference"] = (
+            best(lambda: skin_reference(character.vertices, handles.weights, transforms[:few]), 2) * FRAMES / few
+        )
         left = np.ascontiguousarray(transforms.transpose(0, 2, 1, 3)).reshape(3 * FRAMES, -1)
         right = skin_basis(character.vertices, handles.weights)
         product = best(lambda: left @ right, 9)
@@ -208,7 +223,14 @@ def export_reference(animation: object, path: Path) -> None:
         blob.extend(data)
         low, high = (values.min(0).tolist(), values.max(0).tolist()) if kind == "VEC3" else (None, None)
         tree.accessors.append(
-            gl.Accessor(bufferView=len(tree.bufferViews) - 1, componentType=component, count=len(values), type=kind, min=low, max=high)
+            gl.Accessor(
+                bufferView=len(tree.bufferViews) - 1,
+                componentType=component,
+                count=len(values),
+                type=kind,
+                min=low,
+                max=high,
+            )
         )
         return len(tree.accessors) - 1
 
@@ -228,18 +250,26 @@ def export_reference(animation: object, path: Path) -> None:
     tree.nodes.append(gl.Node(mesh=0, skin=0))
     inverse = np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))
     inverse[:, 3, :3] = -handles.positions
-    tree.skins.append(gl.Skin(joints=list(range(count)), inverseBindMatrices=add(inverse.reshape(-1, 16), gl.FLOAT, "MAT4")))
+    tree.skins.append(
+        gl.Skin(joints=list(range(count)), inverseBindMatrices=add(inverse.reshape(-1, 16), gl.FLOAT, "MAT4"))
+    )
     clip = gl.Animation()
     times = add((np.arange(len(motion)) / motion.fps).astype(np.float32), gl.FLOAT, "SCALAR")
     for handle in range(count):
         rotation = motion.rotations[:, handle] if handle else motion.root_rotation
-        place = handles.positions[handle] + (motion.translations[:, handle] - handles.positions[0] if handle else motion.root_translation)
+        place = handles.positions[handle] + (
+            motion.translations[:, handle] - handles.positions[0] if handle else motion.root_translation
+        )
         for what, values, kind in (
             ("translation", place.astype(np.float32), "VEC3"),
             ("rotation", quaternion_from_matrix(rotation).astype(np.float32), "VEC4"),
         ):
             clip.samplers.append(gl.AnimationSampler(input=times, output=add(values, gl.FLOAT, kind)))
-            clip.channels.append(gl.AnimationChannel(sampler=len(clip.samplers) - 1, target=gl.AnimationChannelTarget(node=handle, path=what)))
+            clip.channels.append(
+                gl.AnimationChannel(
+                    sampler=len(clip.samplers) - 1, target=gl.AnimationChannelTarget(node=handle, path=what)
+                )
+            )
     tree.animations.append(clip)
     tree.scenes.append(gl.Scene(nodes=[0, count]))
     tree.scene = 0

@@ -1,8 +1,10 @@
-"""What each cleaning stage of fitting does: `python benchmarks/stages.py [--characters DIR] [--seconds 6] [-o outputs/stages.json]`.
+"""What each cleaning stage of fitting does: `python benchmarks/stages.py [--characters DIR] [--seconds 6] [-o
+outputs/stages.json]`.
 
-Every prompt is generated once with the shipped weights and fitted to the reference body and, where the folder of the character archive is
-given, to seven of its characters: with all stages, with each of `smooth`, `feet` and `floor` left out, and with none of them.
-Then the seconds that fitting takes for 10 s of motion, with and without the three stages.
+Every prompt is generated once with the shipped weights and fitted to the reference body and, where the folder of the
+character archive is
+given, to seven of its characters: with all stages, with each of `smooth`, `feet` and `floor` left out, and with none of
+them. Then the seconds that fitting takes for 10 s of motion, with and without the three stages.
 """
 
 from __future__ import annotations
@@ -24,12 +26,15 @@ from bunraku.pipelines.animate import generate, rig
 from bunraku.retarget.fit import Stages, fit_motion
 
 PROMPTS = (
-    "a person walks forward", "a person runs forward", "a person walks in a circle", "a person dances", "a person jumps forward",
-    "a person kicks with the left leg", "a person sits down on the floor", "a person waves with the right hand", "a person does a squat",
+    "a person walks forward", "a person runs forward", "a person walks in a circle", "a person dances",
+    "a person jumps forward",
+    "a person kicks with the left leg", "a person sits down on the floor", "a person waves with the right hand",
+    "a person does a squat",
     "a person sneaks forward",
 )  # fmt: skip
 CHARACTERS = (
-    "kaykit/Knight", "quaternius2019/Female_Dress", "quaternius/modular_women/Witch", "valid/White_M_1_Busi", "quaternius2019/Goblin",
+    "kaykit/Knight", "quaternius2019/Female_Dress", "quaternius/modular_women/Witch", "valid/White_M_1_Busi",
+    "quaternius2019/Goblin",
     "quaternius/animals_pack/ShibaInu", "quaternius/easy_enemies_pack/Spider",
 )  # fmt: skip
 
@@ -47,15 +52,22 @@ def main() -> None:
         characters[Path(name).name] = character, rig(character)
     motions = [generate(prompt, seconds=args.seconds, seed=seed) for seed, prompt in enumerate(PROMPTS)]
     rows = stage_effects(motions, characters)
-    print(f"{'character':14} {'without':20} slide  and swings  down   sunk %  deepest %  jitter   moved   [cm a frame at 1.7 m]")
+    print(
+        f"{'character':14} {'without':20} slide  and swings  down   sunk %  deepest %  jitter   moved   [cm a frame "
+        "at 1.7 m]"
+    )
     for row in rows:
         print(
-            f"{row['character']:14} {row['without']:20} {row['sliding']:5.2f} {row['sliding_all']:11.2f} {row['contact_share']:5.2f}"
+            f"{row['character']:14} {row['without']:20} {row['sliding']:5.2f} {row['sliding_all']:11.2f} "
+            f"{row['contact_share']:5.2f}"
             f" {row['sunk']:8.3f} {row['deepest']:10.2f} {row['jitter']:7.2f} {row['moved']:7.2f}"
         )
     timed = {name: times(motions[0], *pair) for name, pair in characters.items()}
     for name, (vertices, all_stages, without) in timed.items():
-        print(f"{name:14} {vertices:7d} vertices: 10 s of motion in {all_stages:.3f} s, without the three stages {without:.3f} s")
+        print(
+            f"{name:14} {vertices:7d} vertices: 10 s of motion in {all_stages:.3f} s, without the three stages "
+            f"{without:.3f} s"
+        )
     if args.output:
         args.output.parent.mkdir(parents=True, exist_ok=True)
         args.output.write_text(json.dumps({"effects": rows, "seconds": timed}, indent=1))

@@ -3,9 +3,9 @@
     python benchmarks/sweep.py CHARACTERS -o outputs/sweep [--prompt "a person walks forward"] [--limit 20] [--sheet]
 
 For each file: the whole of `bunraku.animate` and `save`; the GLB played by an independent reading of the glTF rules
-(`tests/formats/gltf_player.py`) against the library's own vertices; vertex count and order, UVs, materials and images against
-the source; and the Khronos validator where node and `npm install` in tests/formats/validator are there. Ends with status 1 when
-anything failed.
+(`tests/formats/gltf_player.py`) against the library's own vertices; vertex count and order, UVs, materials and images
+against the source; and the Khronos validator where node and `npm install` in tests/formats/validator are there. Ends
+with status 1 when anything failed.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ def kept(path: Path, source: Path) -> str:
         number = todo.pop()
         reachable.add(number)
         todo.extend(before.nodes[number].get("children", []))
-    for what, one, two in zip(("UVs", "vertex counts", "materials", "images"), contents(before), contents(after), strict=True):
+    for what, one, two in zip(
+        ("UVs", "vertex counts", "materials", "images"), contents(before), contents(after), strict=True
+    ):
         if one != two and not (what in ("materials", "images") and two <= one):  # materials that no mesh uses may go
             problems.append(f"{what} differ")
     return ", ".join(problems)
@@ -83,7 +85,9 @@ def validate(paths: list[Path]) -> dict[str, int] | None:
     if not (VALIDATOR / "node_modules" / "gltf-validator").is_dir():
         return None
     command = ["node", str(ROOT / "tests/formats/validator/validate.js"), *map(str, paths)]
-    output = subprocess.run(command, capture_output=True, check=True, env={**os.environ, "NODE_PATH": str(VALIDATOR / "node_modules")}).stdout
+    output = subprocess.run(
+        command, capture_output=True, check=True, env={**os.environ, "NODE_PATH": str(VALIDATOR / "node_modules")}
+    ).stdout
     return {Path(name).name: report["errors"] for name, report in json.loads(output).items()}
 
 
@@ -113,16 +117,21 @@ def main() -> int:
             if args.sheet:
                 from bunraku.render import render_animation
 
-                pictures.append(next(iter(render_animation(animation, size=(240, 280), times=np.array([0.55 * args.seconds])))))
+                pictures.append(
+                    next(iter(render_animation(animation, size=(240, 280), times=np.array([0.55 * args.seconds]))))
+                )
                 labels.append(file.stem)
         except Exception as error:
             row["problem"] = f"{type(error).__name__}: {error}"
         rows.append(row)
         print(
-            f"{number + 1}/{len(files)} {name}: {row['vertices']} vertices, {row['seconds']} s, playback {row['playback']:.2e} {row['problem']}",
+            f"{number + 1}/{len(files)} {name}: {row['vertices']} vertices, {row['seconds']} s, playback "
+            f"{row['playback']:.2e} {row['problem']}",
             flush=True,
         )
-    found = validate([args.output / f"{row['file']}.glb" for row in rows if not row["problem"].startswith(("Format", "Character"))])
+    found = validate(
+        [args.output / f"{row['file']}.glb" for row in rows if not row["problem"].startswith(("Format", "Character"))]
+    )
     for row in rows:
         row["errors"] = "" if found is None else found.get(f"{row['file']}.glb", "not written")
     with open(args.output / "sweep.csv", "w", newline="") as handle:
@@ -133,9 +142,18 @@ def main() -> int:
         from bunraku.render import contact_sheet
 
         for page in range(0, len(pictures), 40):
-            contact_sheet(pictures[page : page + 40], labels[page : page + 40], args.output / f"sheet-{page // 40 + 1}.png", columns=8, limit=None)
+            contact_sheet(
+                pictures[page : page + 40],
+                labels[page : page + 40],
+                args.output / f"sheet-{page // 40 + 1}.png",
+                columns=8,
+                limit=None,
+            )
     bad = [row for row in rows if row["problem"] or row["errors"] not in ("", 0) or not row["playback"] < 1e-3]
-    print(f"{len(rows)} characters, {len(rows) - len(bad)} without a fault, worst playback {max(r['playback'] for r in rows):.2e} of the height")
+    print(
+        f"{len(rows)} characters, {len(rows) - len(bad)} without a fault, worst playback "
+        f"{max(r['playback'] for r in rows):.2e} of the height"
+    )
     print("validator: " + ("not installed" if found is None else f"{sum(found.values())} errors in {len(found)} files"))
     for row in bad:
         print(f"FAULT {row['file']}: {row['problem']} {row['errors']} {row['playback']}")

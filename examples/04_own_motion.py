@@ -31,7 +31,9 @@ for handle in arm:
     lever = handles.positions[handle] - handles.positions[arm[0]]  # the whole arm turns about the shoulder
     rotations[:, handle] = turn
     translations[:, handle] = turn @ lever - lever
-motion = bunraku.HandleMotion(translations, rotations, np.zeros((frames, 3)), np.tile(np.eye(3), (frames, 1, 1)), fps=20)
+motion = bunraku.HandleMotion(
+    translations, rotations, np.zeros((frames, 3)), np.tile(np.eye(3), (frames, 1, 1)), fps=20
+)
 animation = bunraku.Animation(character, handles, motion)
 path = animation.save(folder / "person-arm.glb")
 print(f"wrote {path}")

@@ -19,7 +19,10 @@ class WordEncoder:
     name, token_size, pooled_size = "words", 8, 8
 
     def encode(self, sentences):
-        rows = [[torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()] for text in sentences]
+        rows = [
+            [torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]
+            for text in sentences
+        ]
         length = max(map(len, rows))
         tokens, mask = torch.zeros(len(rows), length, 8), torch.zeros(len(rows), length, dtype=torch.bool)
         for index, row in enumerate(rows):
@@ -28,7 +31,16 @@ class WordEncoder:
 
 
 def tiny_config(**changes):
-    sizes = {"width": 16, "layers": 2, "heads": 2, "feedforward": 32, "frames": 60, "mesh_features": 12, "text_size": 8, "pooled_size": 8}
+    sizes = {
+        "width": 16,
+        "layers": 2,
+        "heads": 2,
+        "feedforward": 32,
+        "frames": 60,
+        "mesh_features": 12,
+        "text_size": 8,
+        "pooled_size": 8,
+    }
     return DenoiserConfig(**{**sizes, "text_encoder": "words", **changes})
 
 
@@ -46,7 +58,9 @@ def swing(handle, frames=60, height=0.9, period=20):
     vectors = np.zeros((frames, HANDLE_COUNT, 3))
     vectors[:, HANDLE_NAMES.index(handle), 2] = height * np.sin(np.arange(frames) * 2 * np.pi / period)
     still = np.zeros((frames, 3))
-    return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(vectors), still, matrix_from_axis_angle(still))
+    return HandleMotion(
+        np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(vectors), still, matrix_from_axis_angle(still)
+    )
 
 
 def write_motions(folder, motions):
@@ -56,7 +70,8 @@ def write_motions(folder, motions):
     for name, (motion, text, split) in motions.items():
         np.savez(
             folder / f"{name}.npz", translations=motion.translations, rotations6d=matrix_to_6d(motion.rotations),
-            root_translation=motion.root_translation, root_rotation6d=matrix_to_6d(motion.root_rotation), fps=motion.fps,
+            root_translation=motion.root_translation, root_rotation6d=matrix_to_6d(motion.root_rotation),
+            fps=motion.fps,
         )  # fmt: skip
         index[name] = {"texts": [text], "split": split, "frames": len(motion)}
     (folder / "index.json").write_text(json.dumps({"fps": 20, "clips": index}))
@@ -80,10 +95,16 @@ def config():
 
 @pytest.fixture
 def swings(tmp_path):
-    """A folder of four motions that differ in the handle that moves, three clips each, two to train on and one held out."""
+    """A folder of four motions that differ in the handle that moves, three clips each, two to train on and one held
+    out.
+    """
     parts = {"left_elbow": "waves", "right_knee": "kicks", "spine1": "bows", "head": "nods"}
     motions = {
-        f"{verb}_{number}": (swing(part, 60, 0.8 + 0.1 * number), f"the figure {verb}", "test" if number == 2 else "val" if number == 1 else "train")
+        f"{verb}_{number}": (
+            swing(part, 60, 0.8 + 0.1 * number),
+            f"the figure {verb}",
+            "test" if number == 2 else "val" if number == 1 else "train",
+        )
         for part, verb in parts.items()
         for number in range(3)
     }
@@ -103,7 +124,9 @@ def motion_of():
 
 @pytest.fixture(scope="session")
 def bank_path(tmp_path_factory):
-    """A bank of characters as `bunraku data character-bank` writes it: the reference body, a dancer, a dog and a person, with f_phi of 12 numbers."""
+    """A bank of characters as `bunraku data character-bank` writes it: the reference body, a dancer, a dog and a
+    person, with f_phi of 12 numbers.
+    """
     from dataclasses import replace
 
     from bunraku.datasets.characters.character_bank import bank_row, write_rows

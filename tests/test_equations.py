@@ -16,7 +16,9 @@ def homes():
     for path in SOURCES.rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         scopes = [(node, "") for node in tree.body]
-        scopes += [(member, f"{node.name}.") for node in tree.body if isinstance(node, ast.ClassDef) for member in node.body]
+        scopes += [
+            (member, f"{node.name}.") for node in tree.body if isinstance(node, ast.ClassDef) for member in node.body
+        ]
         for node, prefix in scopes:
             if isinstance(node, ast.FunctionDef):
                 first = (ast.get_docstring(node) or "").split("\n")[0]

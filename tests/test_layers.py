@@ -1,4 +1,5 @@
-"""The order of the rooms, stated here alone: a module imports only from rooms before its own, and no modules import each other.
+"""The order of the rooms, stated here alone: a module imports only from rooms before its own, and no modules import
+each other.
 
 Every import counts: at the top, in a function, for the type checker, and as text, where a table names a module.
 """
@@ -13,8 +14,10 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "src"
 
 LAYERS = (
-    "errors", "geometry", "core", "body", "skeletons", "formats", "nn", "language", "handles", "synthetic", "render", "retarget", "apparel",
-    "physics", "diffusion", "io", "pipelines", "bunraku", "baselines", "datasets", "training", "evaluation", "cli", "__main__",
+    "errors", "geometry", "core", "body", "skeletons", "formats", "nn", "language", "handles", "synthetic", "render",
+    "retarget", "apparel",
+    "physics", "diffusion", "io", "pipelines", "bunraku", "baselines", "datasets", "training", "evaluation", "cli",
+    "__main__",
 )  # fmt: skip
 """Rooms from the ground up. "bunraku" is the package's own face."""
 MOST = 16
@@ -32,7 +35,9 @@ def modules(sources):
 
 
 def imports(path, known):
-    """Modules that a file names: in import statements anywhere in it, and in text such as "bunraku.io.play:load_animation"."""
+    """Modules that a file names: in import statements anywhere in it, and in text such as
+    "bunraku.io.play:load_animation".
+    """
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
@@ -61,7 +66,12 @@ def room(module):
 def climbing(found):
     """Imports of a room that stands later in the list."""
     place = {layer: number for number, layer in enumerate(LAYERS)}
-    return sorted(f"{one} -> {other}" for one, others in found.items() for other in others if place[room(other)] > place[room(one)])
+    return sorted(
+        f"{one} -> {other}"
+        for one, others in found.items()
+        for other in others
+        if place[room(other)] > place[room(one)]
+    )
 
 
 def circles(found):
@@ -121,7 +131,11 @@ def test_the_docs_print_the_list():
         ("geometry/low.py", "from bunraku.io.high import load", "bunraku.geometry.low -> bunraku.io.high"),
         ("geometry/low.py", "def f():\n    import bunraku.io.high", "bunraku.geometry.low -> bunraku.io.high"),
         ("geometry/low.py", 'TABLE = ("bunraku.io.high:load",)', "bunraku.geometry.low -> bunraku.io.high"),
-        ("geometry/low.py", "if TYPE_CHECKING:\n    from bunraku.io import high", "bunraku.geometry.low -> bunraku.io.high"),
+        (
+            "geometry/low.py",
+            "if TYPE_CHECKING:\n    from bunraku.io import high",
+            "bunraku.geometry.low -> bunraku.io.high",
+        ),
     ],
 )
 def test_a_planted_import_is_found(tmp_path, module, line, offence):

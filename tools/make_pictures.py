@@ -1,7 +1,8 @@
-"""Make the pictures of the docs: `python tools/make_pictures.py [NAME ...] [--characters DIR]`, in docs/pictures, at most 300 kB each.
+"""Make the pictures of the docs: `python tools/make_pictures.py [NAME ...] [--characters DIR]`, in docs/pictures, at
+most 300 kB each.
 
-Everything is drawn from the shipped weights and the sample characters, so anyone can make them again; the sheet of handles and
-the gallery from the character archive, where its folder is given.
+Everything is drawn from the shipped weights and the sample characters, so anyone can make them again; the sheet of
+handles and the gallery from the character archive, where its folder is given.
 """
 
 from __future__ import annotations
@@ -43,14 +44,18 @@ STORIES = (
 )
 ON_CHARACTERS = ("a person walks forward", "a person waves with the right hand", "a person dances")
 GALLERY = (
-    "walks forward", "runs", "walks slowly, tired", "walks in a circle", "turns left, then walks on", "walks backwards", "sneaks",
-    "jumps up high", "hops on one leg", "jumps forward", "does a cartwheel", "does jumping jacks", "does a squat", "stretches",
+    "walks forward", "runs", "walks slowly, tired", "walks in a circle", "turns left, then walks on", "walks backwards",
+    "sneaks",
+    "jumps up high", "hops on one leg", "jumps forward", "does a cartwheel", "does jumping jacks", "does a squat",
+    "stretches",
     "kicks with the left leg", "punches", "swings a sword", "is hit and staggers", "falls down dead", "attacks",
-    "waves with the right hand", "cheers with both arms up", "claps", "dances", "bows", "sits down on the floor", "crawls", "eats something",
+    "waves with the right hand", "cheers with both arms up", "claps", "dances", "bows", "sits down on the floor",
+    "crawls", "eats something",
     "stands idle", "swims",
 )  # fmt: skip
 GALLERY_CHARACTERS = (
-    "kaykit/Rogue_Hooded", "quaternius/modular_men/King", "quaternius/modular_women/Formal", "quaternius2019/Female_Dress",
+    "kaykit/Rogue_Hooded", "quaternius/modular_men/King", "quaternius/modular_women/Formal",
+    "quaternius2019/Female_Dress",
     "quaternius/animals_pack/ShibaInu", "quaternius/dinosaurs_pack/Velociraptor", "quaternius/cute_fish_pack/Betta",
     "quaternius/easy_enemies_pack/Spider", "quaternius2019/Dragon", "quaternius/platformer_game_pack/Bee",
 )  # fmt: skip
@@ -63,15 +68,23 @@ CHARACTERS: Path | None = None
 def samples() -> None:
     """The sample characters."""
     contact_sheet(
-        [render_still(sample_character(name), size=(300, 360)) for name in sample_names()], list(sample_names()), OUT / "samples.png", columns=3
+        [render_still(sample_character(name), size=(300, 360)) for name in sample_names()],
+        list(sample_names()),
+        OUT / "samples.png",
+        columns=3,
     )
 
 
 def handles() -> None:
-    """The handles that the predictor finds on forty characters of every category, or on the samples where no archive is given."""
+    """The handles that the predictor finds on forty characters of every category, or on the samples where no archive is
+    given.
+    """
     chosen = _of_every_category(CHARACTERS, SHEET) if CHARACTERS else []
     if not chosen:
-        pictures = [render_still(character, rig(character), size=(300, 360)) for character in map(sample_character, sample_names())]
+        pictures = [
+            render_still(character, rig(character), size=(300, 360))
+            for character in map(sample_character, sample_names())
+        ]
         contact_sheet(pictures, list(sample_names()), OUT / "handles.png", columns=3)
         return
     pictures, labels = [], []
@@ -83,9 +96,13 @@ def handles() -> None:
 
 
 def _of_every_category(folder: Path, count: int) -> list[tuple[Path, str]]:
-    """Files of the archive with their categories: as many of each category as there are, up to an even share, spread over its packs."""
+    """Files of the archive with their categories: as many of each category as there are, up to an even share, spread
+    over its packs.
+    """
     with (folder / "index.csv").open(newline="") as file:
-        rows = sorted((row["category"], row["path"]) for row in csv.DictReader(file) if (folder / row["path"]).is_file())
+        rows = sorted(
+            (row["category"], row["path"]) for row in csv.DictReader(file) if (folder / row["path"]).is_file()
+        )
     groups: dict[str, list[str]] = {}
     for category, path in rows:
         groups.setdefault(category, []).append(path)
@@ -95,11 +112,15 @@ def _of_every_category(folder: Path, count: int) -> list[tuple[Path, str]]:
         shares[category] += 1
     picked = []
     for category, paths in groups.items():
-        picked += [(folder / paths[i], category) for i in np.linspace(0, len(paths) - 1, shares[category]).round().astype(int)]
+        picked += [
+            (folder / paths[i], category) for i in np.linspace(0, len(paths) - 1, shares[category]).round().astype(int)
+        ]
     return picked
 
 
-def _row(character_name: str, prompt: str, seconds: float, seed: int = 0, size: tuple[int, int] = (150, 180)) -> tuple[list[np.ndarray], list[str]]:
+def _row(
+    character_name: str, prompt: str, seconds: float, seed: int = 0, size: tuple[int, int] = (150, 180)
+) -> tuple[list[np.ndarray], list[str]]:
     character = sample_character(character_name)
     animation = animate(character, prompt, seconds=seconds, seed=seed)
     times = np.linspace(0, animation.motion.duration - 1 / animation.motion.fps, FRAMES)
@@ -140,21 +161,28 @@ def characters() -> None:
 
 
 def gallery() -> None:
-    """Thirty sentences on each of ten characters that no training saw, or on the samples where no archive is given: a sheet a character."""
+    """Thirty sentences on each of ten characters that no training saw, or on the samples where no archive is given: a
+    sheet a character.
+    """
     chosen: dict[str, Character] = {name: sample_character(name) for name in sample_names()}
     if CHARACTERS:
-        chosen = {name.rpartition("/")[2]: bunraku.load_character(CHARACTERS / f"{name}.glb") for name in GALLERY_CHARACTERS}
+        chosen = {
+            name.rpartition("/")[2]: bunraku.load_character(CHARACTERS / f"{name}.glb") for name in GALLERY_CHARACTERS
+        }
     for name, character in chosen.items():
         handles = rig(character)
         pictures = []
         for prompt in GALLERY:
             animation = animate(character, prompt, seconds=3.0, seed=1, handles=handles)
-            pictures.append(np.concatenate(list(render_animation(animation, size=(86, 104), times=(0.2, 1.0, 1.8, 2.7))), axis=1))
+            pictures.append(
+                np.concatenate(list(render_animation(animation, size=(86, 104), times=(0.2, 1.0, 1.8, 2.7))), axis=1)
+            )
         contact_sheet(pictures, list(GALLERY), OUT / f"gallery-{name.lower()}.png", columns=3, title=name)
 
 
 MAKERS: dict[str, Callable[[], None]] = {
-    "samples": samples, "handles": handles, "prompts": prompts, "stories": stories, "characters": characters, "gallery": gallery,
+    "samples": samples, "handles": handles, "prompts": prompts, "stories": stories, "characters": characters,
+    "gallery": gallery,
 }  # fmt: skip
 
 

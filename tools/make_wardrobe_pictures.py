@@ -1,7 +1,8 @@
-"""Make the pictures of the wardrobe: `python tools/make_wardrobe_pictures.py [--seed S]`, in docs/pictures, at most 300 kB each.
+"""Make the pictures of the wardrobe: `python tools/make_wardrobe_pictures.py [--seed S]`, in docs/pictures, at most 300
+kB each.
 
-`wardrobe-1.png` to `wardrobe-3.png` show sixty characters; `wardrobe-skirt.png` skirts that swing out, follow and settle while their wearers
-turn round. Nothing but this package is needed.
+`wardrobe-1.png` to `wardrobe-3.png` show sixty characters; `wardrobe-skirt.png` skirts that swing out, follow and
+settle while their wearers turn round. Nothing but this package is needed.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ def sheet(seed: int) -> None:
         pictures.append(render_still(wardrobe_character(seed + number), size=CELL, yaw=yaw, background="white"))
     each = COUNT // SHEETS
     for part in range(SHEETS):
-        contact_sheet(pictures[part * each : (part + 1) * each], None, OUT / f"wardrobe-{part + 1}.png", columns=COLUMNS)
+        contact_sheet(
+            pictures[part * each : (part + 1) * each], None, OUT / f"wardrobe-{part + 1}.png", columns=COLUMNS
+        )
 
 
 def turning(character: Character, seconds: float = 4.1) -> RigAnimation:
@@ -50,13 +53,25 @@ def turning(character: Character, seconds: float = 4.1) -> RigAnimation:
 def skirts(seed: int, count: int = 2) -> None:
     """Frames of skirts in the turn."""
     pictures, labels = [], []
-    chosen = [number for number in range(seed, seed + 60) if wardrobe_costume(number).words[1] in ("pleated skirt", "layered skirt", "long skirt")]
+    chosen = [
+        number
+        for number in range(seed, seed + 60)
+        if wardrobe_costume(number).words[1] in ("pleated skirt", "layered skirt", "long skirt")
+    ]
     for number in chosen[:count]:
         character = wardrobe_character(number)
         moved = simulate(turning(character)).animation
-        pictures += list(render_animation(moved.animation(), size=(130, 180), times=np.array(TIMES), background="white"))
+        pictures += list(
+            render_animation(moved.animation(), size=(130, 180), times=np.array(TIMES), background="white")
+        )
         labels += [f"{time:.2f} s" for time in TIMES]
-    contact_sheet(pictures, labels, OUT / "wardrobe-skirt.png", columns=len(TIMES), title="One and a half turns in 1.5 s, then a stop")
+    contact_sheet(
+        pictures,
+        labels,
+        OUT / "wardrobe-skirt.png",
+        columns=len(TIMES),
+        title="One and a half turns in 1.5 s, then a stop",
+    )
 
 
 def main() -> None:

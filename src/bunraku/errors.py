@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["BunrakuError", "CharacterError", "FormatError", "MissingExtraError", "MotionError", "OptionError", "WeightsError"]
+__all__ = [
+    "BunrakuError",
+    "CharacterError",
+    "FormatError",
+    "MissingExtraError",
+    "MotionError",
+    "OptionError",
+    "WeightsError",
+]
 
 
 class BunrakuError(Exception):

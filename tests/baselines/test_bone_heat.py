@@ -52,9 +52,12 @@ def test_two_bones_share_a_cylinder():
     rings = weights[: 41 * 24, 1].reshape(41, 24)
     assert (np.diff(rings.mean(axis=1)) > -1e-6).all()  # rises from one end to the other
     assert rings.std(axis=1).max() < 0.02
-    # Both bones are one radius away, so the heat equation in one dimension, w'' = (w - p) c / r^2, has a closed solution.
+    # Both bones are one radius away, so the heat equation in one dimension, w'' = (w - p) c / r^2, has a closed
+    # solution.
     length, x = 0.08 / np.sqrt(0.22), np.linspace(-0.5, 0.0, 21)
-    np.testing.assert_allclose(rings[:21].mean(axis=1), np.cosh((x + 0.5) / length) / np.cosh(0.5 / length) / 2, atol=0.02)
+    np.testing.assert_allclose(
+        rings[:21].mean(axis=1), np.cosh((x + 0.5) / length) / np.cosh(0.5 / length) / 2, atol=0.02
+    )
 
 
 def test_a_hidden_bone_gives_no_heat():

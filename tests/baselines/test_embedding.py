@@ -29,16 +29,27 @@ def test_spheres_are_inside_and_apart():
     centres, radii = sphere_centres(volume)
     assert (volume.at(centres) > 0).all() and (np.diff(radii) <= 1e-12).all()
     gaps = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    assert (gaps[np.triu_indices(len(centres), 1)] > np.broadcast_to(radii[:, None], gaps.shape)[np.triu_indices(len(centres), 1)] * 0.999).all()
+    assert (
+        gaps[np.triu_indices(len(centres), 1)]
+        > np.broadcast_to(radii[:, None], gaps.shape)[np.triu_indices(len(centres), 1)] * 0.999
+    ).all()
 
 
 def test_a_chain_finds_its_place_in_a_bent_pipe():
-    """Three points of a template that is straight go to the ends and the bend of an L, the only way to keep the bones' lengths inside."""
+    """Three points of a template that is straight go to the ends and the bend of an L, the only way to keep the bones'
+    lengths inside.
+    """
     upright = trimesh.creation.box((0.12, 1, 0.12)).apply_translation([0, 0.5, 0])
     across = trimesh.creation.box((0.6, 0.12, 0.12)).apply_translation([0.3, 0.94, 0])
-    whole = trimesh.boolean.union([upright, across]) if trimesh.boolean.engines_available else trimesh.util.concatenate([upright, across])
+    whole = (
+        trimesh.boolean.union([upright, across])
+        if trimesh.boolean.engines_available
+        else trimesh.util.concatenate([upright, across])
+    )
     volume = volume_of(whole.vertices, whole.faces)
-    template = Template(np.array([[0, 0.05, 0], [0, 0.9, 0], [0.5, 0.95, 0]]), np.array([-1, 0, 1]), np.array([0, 0, 1]), 3, lean=1.0)
+    template = Template(
+        np.array([[0, 0.05, 0], [0, 0.9, 0], [0.5, 0.95, 0]]), np.array([-1, 0, 1]), np.array([0, 0, 1]), 3, lean=1.0
+    )
     found = embed_skeleton(template, volume, whole.vertices.min(0), whole.vertices.max(0))
     np.testing.assert_allclose(found.points, template.points, atol=0.12)
     assert found.bones() == [(0, 1), (1, 2)]

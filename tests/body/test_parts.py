@@ -16,8 +16,12 @@ def test_words_name_handles():
     assert names("left arm") == {"left_collar", "left_shoulder", "left_elbow", "left_wrist", "left_fingers"}
     assert names(["Left-Arm"]) == names("left_arm") and names("left arm, right arm") == names("arms")
     assert names("left_wrist") == {"left_wrist"} and names(["head_top", "tail"]) == {"head_top", "tail", "tail_tip"}
-    assert names("left leg") == {"pelvis", "left_hip", "left_knee", "left_ankle", "left_foot"} and names("root") == {"pelvis"}
-    assert names("upper body") | names("lower body") == set(HANDLE_NAMES) and not names("upper body") & names("lower body")
+    assert names("left leg") == {"pelvis", "left_hip", "left_knee", "left_ankle", "left_foot"} and names("root") == {
+        "pelvis"
+    }
+    assert names("upper body") | names("lower body") == set(HANDLE_NAMES) and not names("upper body") & names(
+        "lower body"
+    )
     assert names("head") == {"neck", "head", "head_top", "face"}
 
 
@@ -31,7 +35,9 @@ def test_words_that_name_nothing_or_all():
 @pytest.mark.parametrize("part", list(PARTS))
 def test_features_of_a_part_change_with_its_handles_only(part):
     rng, handles = np.random.default_rng(0), kept_handles(part)
-    still = HandleMotion(np.zeros((5, 30, 3)), np.tile(np.eye(3), (5, 30, 1, 1)), np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)))
+    still = HandleMotion(
+        np.zeros((5, 30, 3)), np.tile(np.eye(3), (5, 30, 1, 1)), np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1))
+    )
     translations, root = np.zeros((5, 30, 3)), np.zeros((5, 3))
     translations[:, handles] = rng.normal(size=(5, int(handles.sum()), 3))
     translations[:, 0] = 0

@@ -5,7 +5,15 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, HANDLE_PARENTS, JOINT_COUNT, JOINT_MIRROR, JOINT_NAMES
+from bunraku.body.layout import (
+    HANDLE_COUNT,
+    HANDLE_MIRROR,
+    HANDLE_NAMES,
+    HANDLE_PARENTS,
+    JOINT_COUNT,
+    JOINT_MIRROR,
+    JOINT_NAMES,
+)
 from bunraku.body.reference import handle_positions, reference_body, reference_shapes
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import MotionError
@@ -66,7 +74,9 @@ def test_posing_turns_the_forearm_about_the_elbow():
     posed = body.pose(SkeletalMotion(body.skeleton, rotations, body.joints[:1]))[0]
     hand = body.joint_weights[:, JOINT_NAMES.index("left_wrist")] > 0.99
     arm = body.vertices[hand] - body.joints[elbow]
-    np.testing.assert_allclose(posed[hand] - body.joints[elbow], np.stack([-arm[:, 1], arm[:, 0], arm[:, 2]], axis=1), atol=5e-3)
+    np.testing.assert_allclose(
+        posed[hand] - body.joints[elbow], np.stack([-arm[:, 1], arm[:, 0], arm[:, 2]], axis=1), atol=5e-3
+    )
     still = body.joint_weights[:, elbow] + body.joint_weights[:, JOINT_NAMES.index("left_wrist")] < 1e-4
     np.testing.assert_allclose(posed[still], body.vertices[still], atol=1e-3)
 

@@ -66,7 +66,9 @@ def fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         before = sorted(tmp_path.rglob("*"))
         status = main([str(word) for word in words])
         said = capsys.readouterr()
-        lines = [line for line in said.err.strip().splitlines() if not re.fullmatch(r"\w+: \d+\.\d s", line)]  # stages that took long
+        lines = [
+            line for line in said.err.strip().splitlines() if not re.fullmatch(r"\w+: \d+\.\d s", line)
+        ]  # stages that took long
         assert status == 2, said.err
         assert len(lines) == 1 and lines[0].startswith("bunraku: error: "), said.err
         assert "Traceback" not in said.err and said.out == ""

@@ -90,7 +90,12 @@ def test_closed_pipe_is_quiet(good):
     reader, writer = os.pipe()
     os.close(reader)
     with os.fdopen(writer, "wb") as pipe:
-        done = subprocess.run([sys.executable, "-m", "bunraku", "inspect", str(good), "--json"], stdout=pipe, stderr=subprocess.PIPE, text=True)
+        done = subprocess.run(
+            [sys.executable, "-m", "bunraku", "inspect", str(good), "--json"],
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
     assert done.returncode == 141 and done.stderr == ""
 
 
@@ -102,4 +107,10 @@ def test_slug():
 
 
 def test_size_text():
-    assert [size_text(n) for n in (0, 999, 1500, 2_500_000, 3 * 10**9)] == ["0 bytes", "999 bytes", "1.5 kB", "2.5 MB", "3.0 GB"]
+    assert [size_text(n) for n in (0, 999, 1500, 2_500_000, 3 * 10**9)] == [
+        "0 bytes",
+        "999 bytes",
+        "1.5 kB",
+        "2.5 MB",
+        "3.0 GB",
+    ]

@@ -12,7 +12,10 @@ from bunraku.cli import main
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1.5, 0], [0, 0, 1]], "<f4")
 NOT_NUMBERS = np.where(CORNERS == 1.5, np.nan, CORNERS).astype("<f4")
-PLY = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 1 1\n"
+PLY = (
+    b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+    b"end_header\n0 0 0\n1 1 1\n"
+)
 
 # Name of the file, its bytes or what makes them of the fixture `glb`, and a word of the reason.
 BAD_FILES = {
@@ -41,7 +44,11 @@ def test_bad_file(fails, glb, tmp_path, name, verb):
     content, reason = BAD_FILES[name]
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content(glb))
-    words = {"animate": ["walks", "-o", tmp_path / "out.glb"], "rig": ["-o", tmp_path / "out.glb"], "render": ["-o", tmp_path / "out.png"]}
+    words = {
+        "animate": ["walks", "-o", tmp_path / "out.glb"],
+        "rig": ["-o", tmp_path / "out.glb"],
+        "render": ["-o", tmp_path / "out.png"],
+    }
     sentence = fails(verb, path, *words.get(verb, []))
     assert name in sentence and reason in sentence
 
@@ -82,7 +89,9 @@ def test_bad_option_of_animate(fails, good, monkeypatch, tmp_path, options, reas
     assert reason in fails("animate", good, "walks", *options)
 
 
-@pytest.mark.parametrize(("prompt", "reason"), [("", "empty"), (" \t\n", "empty"), ("?!", "no words"), ("walk " * 2000, "10,000 characters")])
+@pytest.mark.parametrize(
+    ("prompt", "reason"), [("", "empty"), (" \t\n", "empty"), ("?!", "no words"), ("walk " * 2000, "10,000 characters")]
+)
 def test_bad_prompt(fails, good, tmp_path, prompt, reason):
     assert reason in fails("animate", good, prompt, "-o", tmp_path / "out.glb")
 
@@ -135,7 +144,14 @@ def test_unknown_sample_command_and_group(fails, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", [["animate"], ["animate", "a.glb", "walks", "--seconds", "soon"], ["inspect", "a.glb", "--nonsense"], [], ["train"]]
+    "words",
+    [
+        ["animate"],
+        ["animate", "a.glb", "walks", "--seconds", "soon"],
+        ["inspect", "a.glb", "--nonsense"],
+        [],
+        ["train"],
+    ],
 )
 def test_usage_errors_have_status_2(capsys, words):
     assert main(words) == 2
@@ -151,8 +167,13 @@ def test_nothing_heavy_loads_before_the_checks(good, tmp_path):
         ["animate", str(good), "walks", "-o", str(tmp_path / "out.fbx")],
         ["animate", str(tmp_path / "nowhere.glb"), "walks"],
     ]
-    code = f"import sys\nfrom bunraku.cli import main\nfor call in {calls!r}:\n    assert main(call) == 2\nprint(*sys.modules)"
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("BUNRAKU_BLENDER")}  # with Blender .fbx is no bad option
+    code = (
+        f"import sys\nfrom bunraku.cli import main\nfor call in {calls!r}:\n    assert main(call) == 2\n"
+        f"print(*sys.modules)"
+    )
+    kept = {
+        name: value for name, value in os.environ.items() if not name.startswith("BUNRAKU_BLENDER")
+    }  # with Blender .fbx is no bad option
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=kept)
     assert not {"torch", "transformers", "diffusers", "trimesh"}.intersection(done.stdout.split())
 
@@ -169,7 +190,9 @@ def test_full_disk(tmp_path):
     """Nothing half-written stays when the disk takes no more."""
     out = tmp_path / "out"
     out.mkdir()
-    done = subprocess.run([sys.executable, "-c", LIMITED, "samples", "mushroom", "-o", str(out)], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, "samples", "mushroom", "-o", str(out)], capture_output=True, text=True
+    )
     assert done.returncode == 2, done.stderr
     assert "bunraku: error: " in done.stderr and "Traceback" not in done.stderr
     assert list(out.iterdir()) == []

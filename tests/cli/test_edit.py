@@ -11,7 +11,8 @@ from bunraku.io.clips import load_clip
 from bunraku.nn.checkpoints import shipped_checkpoint
 
 needs_weights = pytest.mark.skipif(
-    not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()), reason="the shipped weights are not there"
+    not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()),
+    reason="the shipped weights are not there",
 )
 QUICK = ["--steps", "2"]
 
@@ -32,19 +33,25 @@ def folder(tmp_path_factory):
 @needs_weights
 def test_a_sequence_lasts_as_long_as_its_parts(folder):
     clip = load_clip(folder / "clip.glb")
-    assert len(clip.motion) == 60 and np.array_equal(clip.motion.rotations, load_clip(folder / "clip.npz").motion.rotations)
+    assert len(clip.motion) == 60 and np.array_equal(
+        clip.motion.rotations, load_clip(folder / "clip.npz").motion.rotations
+    )
 
 
 @needs_weights
 def test_kept_handles_are_the_same_in_the_new_file(folder):
     before = load_clip(folder / "clip.glb")
-    assert main(["edit", str(folder / "clip.glb"), "jumps", "--keep", "legs", "-o", str(folder / "edit.glb"), *QUICK]) == 0
+    assert (
+        main(["edit", str(folder / "clip.glb"), "jumps", "--keep", "legs", "-o", str(folder / "edit.glb"), *QUICK]) == 0
+    )
     after, legs = load_clip(folder / "edit.glb"), kept_handles("legs")
     for one, other in ((before.motion, after.motion), (before.reference, after.reference)):
         assert np.array_equal(one.rotations[:, legs], other.rotations[:, legs]) and np.array_equal(
             one.translations[:, legs], other.translations[:, legs]
         )
-        assert np.array_equal(one.root_translation, other.root_translation) and not np.array_equal(one.rotations, other.rotations)
+        assert np.array_equal(one.root_translation, other.root_translation) and not np.array_equal(
+            one.rotations, other.rotations
+        )
 
 
 @needs_weights
@@ -52,24 +59,61 @@ def test_kept_handles_are_the_same_in_the_new_file(folder):
 def test_a_span_of_an_npz(folder, character, capsys):
     out = folder / f"span-{character}.npz"
     with_character = ["--character", str(folder / "person.glb")] if character else []
-    assert main(["edit", str(folder / "clip.npz"), "jumps", "--span", "0.5:2", "-o", str(out), *with_character, *QUICK]) == 0
+    assert (
+        main(["edit", str(folder / "clip.npz"), "jumps", "--span", "0.5:2", "-o", str(out), *with_character, *QUICK])
+        == 0
+    )
     assert ("--character" in capsys.readouterr().err) == (not character)
     before, after = load_clip(folder / "clip.npz"), load_clip(out)
     outside = np.r_[0:10, 40:60]
     assert np.array_equal(after.reference.rotations[outside], before.reference.rotations[outside])
     ours = before.motion if character else before.reference
-    assert np.array_equal(after.motion.rotations[outside], ours.rotations[outside]) and not np.array_equal(after.motion.rotations, ours.rotations)
+    assert np.array_equal(after.motion.rotations[outside], ours.rotations[outside]) and not np.array_equal(
+        after.motion.rotations, ours.rotations
+    )
 
 
 @needs_weights
 def test_after_another_clip_and_loops(folder):
     person, clip = str(folder / "person.glb"), load_clip(folder / "clip.glb")
-    assert main(["animate", person, "jumps", "--seconds", "1", "--after", str(folder / "clip.glb"), "-o", str(folder / "next.npz"), *QUICK]) == 0
+    assert (
+        main(
+            [
+                "animate",
+                person,
+                "jumps",
+                "--seconds",
+                "1",
+                "--after",
+                str(folder / "clip.glb"),
+                "-o",
+                str(folder / "next.npz"),
+                *QUICK,
+            ]
+        )
+        == 0
+    )
     found = load_clip(folder / "next.npz").motion
     assert np.array_equal(found.rotations[0], clip.motion.rotations[-1]) and np.array_equal(
         found.root_translation[0], clip.motion.root_translation[-1]
     )
-    assert main(["animate", person, "walks", "--seconds", "1.5", "--loop", "--in-place", "-o", str(folder / "loop.npz"), *QUICK]) == 0
+    assert (
+        main(
+            [
+                "animate",
+                person,
+                "walks",
+                "--seconds",
+                "1.5",
+                "--loop",
+                "--in-place",
+                "-o",
+                str(folder / "loop.npz"),
+                *QUICK,
+            ]
+        )
+        == 0
+    )
     found = load_clip(folder / "loop.npz").motion
     assert len(found) == 31 and np.array_equal(found.rotations[0], found.rotations[-1])
     np.testing.assert_allclose(found.root_translation[0], found.root_translation[-1], atol=1e-4)
@@ -78,7 +122,17 @@ def test_after_another_clip_and_loops(folder):
 @needs_weights
 def test_a_file_of_prompts_goes_on_where_it_stopped(folder, capsys):
     (folder / "prompts.txt").write_text("walks\n\njumps; waves\nruns:1\n", encoding="utf-8")
-    words = ["animate", str(folder / "person.glb"), "--prompts", str(folder / "prompts.txt"), "-o", str(folder / "clips"), "--seconds", "1", *QUICK]
+    words = [
+        "animate",
+        str(folder / "person.glb"),
+        "--prompts",
+        str(folder / "prompts.txt"),
+        "-o",
+        str(folder / "clips"),
+        "--seconds",
+        "1",
+        *QUICK,
+    ]
     assert main(words) == 0
     files = sorted((folder / "clips").iterdir())
     assert [path.name for path in files] == ["001-walks.glb", "002-jumps-waves.glb", "003-runs-1.glb"]

@@ -24,7 +24,11 @@ def test_the_table_and_its_json(tmp_path, capsys):
     words = ["evaluate", "handles", "--characters", str(tmp_path), "--no-speed", "--no-baselines"]
     assert main([*words, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["counts"]["characters"] == 1 and result["characters"][0]["name"] == "body" and result["pose_error_clusters"] is None
+    assert (
+        result["counts"]["characters"] == 1
+        and result["characters"][0]["name"] == "body"
+        and result["pose_error_clusters"] is None
+    )
     assert main(words) == 0
     text = capsys.readouterr().out
     row = next(line for line in text.splitlines() if line.startswith("root"))

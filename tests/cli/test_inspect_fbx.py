@@ -26,4 +26,6 @@ def test_a_character(tmp_path, capsys):
 
 def test_clips_without_a_character(tmp_path, capsys):
     facts = inspected("boxman_motion", tmp_path, capsys)
-    assert facts["kind"] == "skeletal motion" and facts["joints"] == 15 and facts["frames"] == 11 and facts["meshes"] == 0
+    assert (
+        facts["kind"] == "skeletal motion" and facts["joints"] == 15 and facts["frames"] == 11 and facts["meshes"] == 0
+    )

@@ -24,7 +24,10 @@ def test_a_model(tmp_path, capsys):
     assert (facts["model"], facts["version"], facts["bones"], facts["morphs"]) == ("人形 / doll", "PMX 2.0", 3, 2)
     assert (facts["rigid_bodies"], facts["rigid_bodies_dynamic"], facts["rigid_joints"]) == (2, 1, 1)
     assert facts["apparel_vertices"] == 0 and facts["deforms"] == {"BDEF1": 1, "BDEF2": 1, "BDEF4": 1, "SDEF": 1}
-    assert facts["warnings"] == ["joints are between rigid bodies that do not exist and are left out: 外"] and "generator" not in facts
+    assert (
+        facts["warnings"] == ["joints are between rigid bodies that do not exist and are left out: 外"]
+        and "generator" not in facts
+    )
     (tmp_path / "doll.pmd").write_bytes(pmd(plank(textures=[], materials=[])))
     assert inspected(tmp_path / "doll.pmd", capsys)["version"] == "PMD"
     assert main(["inspect", str(tmp_path / "doll.pmx")]) == 0 and "BDEF1 1, BDEF2 1" in capsys.readouterr().out
@@ -35,7 +38,13 @@ def test_a_motion(tmp_path, capsys):
     moving = (np.linspace(0, 1, 31)[:, None] * [1.0, 0, 0], still[1])
     write_vmd(MmdClip({"頭": still, "センター": moving}, "人形", ("左足ＩＫ",)), tmp_path / "take.vmd")
     facts = inspected(tmp_path / "take.vmd", capsys)
-    assert (facts["kind"], facts["model"], facts["frames"], facts["seconds"], facts["keys"]) == ("MMD motion", "人形", 31, 1.0, 32)
+    assert (facts["kind"], facts["model"], facts["frames"], facts["seconds"], facts["keys"]) == (
+        "MMD motion",
+        "人形",
+        31,
+        1.0,
+        32,
+    )
     assert facts["bones"] == ["センター", "頭"] and facts["inverse_kinematics_off"] == ["左足ＩＫ"]
 
 

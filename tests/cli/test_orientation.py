@@ -40,7 +40,9 @@ def stls(tmp_path_factory):
     """The robot as STL: standing, and as a modelling program writes it, with +Z up and facing -Y; in millimetres."""
     folder, robot = tmp_path_factory.mktemp("stls"), sample_character("robot")
     lying = robot.vertices @ upright_rotation("+z", "-y").astype(np.float32)
-    return write_stl(folder / "standing.stl", robot.vertices, robot.faces), write_stl(folder / "lying.stl", 1000 * lying, robot.faces)
+    return write_stl(folder / "standing.stl", robot.vertices, robot.faces), write_stl(
+        folder / "lying.stl", 1000 * lying, robot.faces
+    )
 
 
 def test_axes_are_checked_before_any_work(fails, good, tmp_path):
@@ -88,7 +90,11 @@ def test_inspect_says_how_a_mesh_seems_to_stand_and_its_unit(stls, capsys):
     assert (standing["orientation"]["up"], standing["orientation"]["front"]) == ("+y", "+z")
     assert standing["unit"] == {"name": "metres", "note": ""}
     found = lying["orientation"]
-    assert (found["up"], found["front"]) == ("+z", "-y") and 0 < found["up_confidence"] <= 1 and 0 < found["front_confidence"] <= 1
+    assert (
+        (found["up"], found["front"]) == ("+z", "-y")
+        and 0 < found["up_confidence"] <= 1
+        and 0 < found["front_confidence"] <= 1
+    )
     assert lying["unit"]["name"] == "millimetres" and "the animation keeps the file's unit" in lying["unit"]["note"]
     assert main(["inspect", str(stls[1]), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["orientation"] == found
@@ -109,14 +115,27 @@ def test_what_is_said_about_a_guess():
 
     lies = guess("+z", "-y", 0.99, 0.98)
     assert (
-        said_axes(Settled("+z", "-y", lies)) == "seems to have +Z up (99 % sure) and face -Y (98 % sure); turned. Say --up and --front to settle it."
+        said_axes(Settled("+z", "-y", lies))
+        == "seems to have +Z up (99 % sure) and face -Y (98 % sure); turned. Say --up and --front to settle it."
     )
     half = guess("+z", "+x", 0.999, 0.6)
-    assert said_axes(Settled("+z", "-y", half)) == "seems to have +Z up (99 % sure); turned. Say --up and --front to settle it."
+    assert (
+        said_axes(Settled("+z", "-y", half))
+        == "seems to have +Z up (99 % sure); turned. Say --up and --front to settle it."
+    )
     unsure = guess("+y", "-x", 0.9, 0.7)
-    assert "may have +Y up (90 % sure) and face -X (70 % sure); taken as +Y up, facing +Z." in said_axes(Settled("+y", "+z", unsure))
-    assert said_axes(Settled("+z", "+x", guess("+z", "+x", 1, 0.97)), up="z") == "seems to face +X (97 % sure); turned. Say --front to settle it."
-    for quiet in (Settled("+y", "+z", guess("+y", "+z", 0.99, 0.99)), Settled("+y", "+z", guess("-x", "+z", 0.3, 0.9)), Settled("+z", "-y", None)):
+    assert "may have +Y up (90 % sure) and face -X (70 % sure); taken as +Y up, facing +Z." in said_axes(
+        Settled("+y", "+z", unsure)
+    )
+    assert (
+        said_axes(Settled("+z", "+x", guess("+z", "+x", 1, 0.97)), up="z")
+        == "seems to face +X (97 % sure); turned. Say --front to settle it."
+    )
+    for quiet in (
+        Settled("+y", "+z", guess("+y", "+z", 0.99, 0.99)),
+        Settled("+y", "+z", guess("-x", "+z", 0.3, 0.9)),
+        Settled("+z", "-y", None),
+    ):
         assert said_axes(quiet) == ""
 
 

@@ -34,7 +34,9 @@ def waving(skeleton=None, frames=8):
     body = reference_body()
     turns = np.zeros((frames, 22, 3))
     turns[:, JOINT_NAMES.index("left_shoulder"), 2] = np.linspace(-1.2, 0.5, frames)
-    return SkeletalMotion(skeleton or body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (frames, 1)), 20.0)
+    return SkeletalMotion(
+        skeleton or body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (frames, 1)), 20.0
+    )
 
 
 @pytest.fixture
@@ -69,14 +71,20 @@ def test_other_formats(files):
 @pytest.fixture
 def doll(files):
     """The same person as an MMD model with the standard bones."""
-    bones = [Bone(some.name, tuple(some.position * [1, 1, -1] / 0.08), some.parent, some.layer) for some in standard_model().bones]
+    bones = [
+        Bone(some.name, tuple(some.position * [1, 1, -1] / 0.08), some.parent, some.layer)
+        for some in standard_model().bones
+    ]
     (files / "doll.pmx").write_bytes(pmx(plank(bones=bones, bodies=[], joints=[], textures=[])))
     return files / "doll.pmx"
 
 
 def test_axis_and_unit_of_what_is_written(files, fails, capsys):
     assert run(files / "wave.bvh", files / "person.glb", "-o", files / "own.bvh") == 0
-    assert run(files / "wave.bvh", files / "person.glb", "-o", files / "other.bvh", "--file-up", "+z", "--file-unit", "m") == 0
+    assert (
+        run(files / "wave.bvh", files / "person.glb", "-o", files / "other.bvh", "--file-up", "+z", "--file-unit", "m")
+        == 0
+    )
 
     def offset(name):  # of the left hip
         lines = (files / name).read_text().splitlines()
@@ -85,7 +93,10 @@ def test_axis_and_unit_of_what_is_written(files, fails, capsys):
     x, y, z = offset("own.bvh")
     np.testing.assert_allclose(offset("other.bvh"), [x / 100, -z / 100, y / 100], atol=1e-4)
     capsys.readouterr()
-    fails(["transfer", str(files / "wave.bvh"), str(files / "person.glb"), "-o", str(files / "x.glb"), "--file-up", "+z"], "up")
+    fails(
+        ["transfer", str(files / "wave.bvh"), str(files / "person.glb"), "-o", str(files / "x.glb"), "--file-up", "+z"],
+        "up",
+    )
 
 
 def test_vmd_of_an_mmd_character(files, doll, fails, capsys):
@@ -96,7 +107,9 @@ def test_vmd_of_an_mmd_character(files, doll, fails, capsys):
     assert run(doll, files / "wave.vmd", "-o", files / "again.vmd") == 0  # a VMD is played, so this is a copy
     assert np.abs(mmd_animation(character, load_vmd(files / "again.vmd")).vertices() - known.vertices()).max() < 1e-4
     capsys.readouterr()
-    assert "transfer onto a .pmx" in fails("transfer", files / "person.glb", files / "wave.bvh", "-o", files / "person.vmd")
+    assert "transfer onto a .pmx" in fails(
+        "transfer", files / "person.glb", files / "wave.bvh", "-o", files / "person.vmd"
+    )
 
 
 def test_a_batch_in_another_format(files, doll, fails, capsys):
@@ -107,7 +120,9 @@ def test_a_batch_in_another_format(files, doll, fails, capsys):
         assert run(*words, "--format", suffix) == 0
         assert "2 of 2 files are there already" in capsys.readouterr().out
     written = sorted(path.name for path in (files / "out").glob("doll*"))
-    assert written == sorted(f"doll-{motion}{suffix}" for motion in ("again", "wave") for suffix in ("", ".bvh", ".vmd", ".vrma"))
+    assert written == sorted(
+        f"doll-{motion}{suffix}" for motion in ("again", "wave") for suffix in ("", ".bvh", ".vmd", ".vrma")
+    )
     assert len(load_motion(files / "out" / "doll-wave.bvh")) == len(load_motion(files / "out" / "doll-wave.vrma")) == 11
     assert "--format" in fails("transfer", *words, "--format", "docx")
 
@@ -146,7 +161,9 @@ def test_many_pairs(files, capsys):
 
 def test_same_work_same_result(files):
     for jobs in ("1", "2"):
-        assert run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / jobs, "--jobs", jobs) == 0
+        assert (
+            run(files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / jobs, "--jobs", jobs) == 0
+        )
     assert (files / "1" / "person-wave.glb").read_bytes() == (files / "2" / "person-wave.glb").read_bytes()
 
 
@@ -160,7 +177,9 @@ def test_a_map_of_names(files, capsys):
     names = tuple(f"j{number:02d}" for number in range(22))
     write_bvh(waving(Skeleton(names, skeleton.parents, skeleton.offsets)), files / "nameless.bvh")
     (files / "names.json").write_text(json.dumps(dict(zip(JOINT_NAMES, names, strict=True))))
-    assert run(files / "person.glb", files / "nameless.bvh", "--map", files / "names.json", "-o", files / "out.glb") == 0
+    assert (
+        run(files / "person.glb", files / "nameless.bvh", "--map", files / "names.json", "-o", files / "out.glb") == 0
+    )
 
 
 def test_what_is_wrong_is_one_sentence(fails, files):
@@ -209,7 +228,9 @@ def test_inputs_are_never_written_over(fails, files):
 
 
 def test_a_bad_input_is_named_where_a_file_was_meant(fails, files):
-    assert "none.bvh: there is no" in fails("transfer", files / "person.glb", files / "wave.bvh", files / "none.bvh", "-o", files / "out.glb")
+    assert "none.bvh: there is no" in fails(
+        "transfer", files / "person.glb", files / "wave.bvh", files / "none.bvh", "-o", files / "out.glb"
+    )
 
 
 def test_another_file_of_the_same_name_size_and_time_is_another(files):

@@ -70,7 +70,9 @@ def test_inspect_of_motion(moving):
     assert facts["seconds"] == pytest.approx(0.55)
 
 
-@pytest.mark.parametrize(("suffix", "magic", "at"), [(".mp4", b"ftyp", 4), (".webp", b"WEBP", 8), (".png", b"\x89PNG", 0)])
+@pytest.mark.parametrize(
+    ("suffix", "magic", "at"), [(".mp4", b"ftyp", 4), (".webp", b"WEBP", 8), (".png", b"\x89PNG", 0)]
+)
 def test_render_plays_a_file(moving, tmp_path, capsys, suffix, magic, at):
     out = tmp_path / f"swing{suffix}"
     assert main(["render", str(moving), "-o", str(out), "--fps", "8", "--size", "96", "80"]) == 0
@@ -98,7 +100,16 @@ def test_doctor_reports_in_words_and_in_json(capsys):
     status = main(["doctor", "--json"])
     findings = json.loads(capsys.readouterr().out)
     topics = {finding["topic"]: finding for finding in findings}
-    assert {"bunraku", "python", "torch", "gpu", "preview", "handles weights", "diffusion weights", "text encoder"} <= set(topics)
+    assert {
+        "bunraku",
+        "python",
+        "torch",
+        "gpu",
+        "preview",
+        "handles weights",
+        "diffusion weights",
+        "text encoder",
+    } <= set(topics)
     assert status == int(any(finding["state"] == "missing" for finding in findings))
     assert all(finding["cost"] for finding in findings if finding["state"] != "ok")
     assert main(["doctor"]) == status
@@ -166,13 +177,33 @@ def test_what_is_whole_is_named_when_the_rest_fails(tmp_path, monkeypatch, capsy
         raise OSError(errno.ENOSPC, "no space left on device")
 
     monkeypatch.setattr("bunraku.render.save_preview", full)
-    assert main(["animate", "person.glb", "walks", "--seconds", "1", "--steps", "2", "-o", "walk.glb", "--preview", "walk.mp4"]) == 2
+    assert (
+        main(
+            [
+                "animate",
+                "person.glb",
+                "walks",
+                "--seconds",
+                "1",
+                "--steps",
+                "2",
+                "-o",
+                "walk.glb",
+                "--preview",
+                "walk.mp4",
+            ]
+        )
+        == 2
+    )
     said = capsys.readouterr()
     assert "wrote walk.glb" in said.out and "the disk is full" in said.err
 
 
 def test_limits_and_defaults_agree_with_the_library():
-    sequence, generate = importlib.import_module("bunraku.language.sequence"), importlib.import_module("bunraku.diffusion.generate")
+    sequence, generate = (
+        importlib.import_module("bunraku.language.sequence"),
+        importlib.import_module("bunraku.diffusion.generate"),
+    )
     assert SECONDS == (sequence.SHORTEST, sequence.LONGEST)
     text = (ROOT / "docs" / "cli.md").read_text()
     assert f"{generate.STEPS} by default" in text and f"{generate.GUIDANCE} by default" in text
@@ -187,7 +218,9 @@ def test_every_option_is_documented():
             section = text[text.index(f"## bunraku {verb[0]}") if verb[0] != "evaluate" else 0 :]
             for field in dataclasses.fields(kind):
                 option = field.name.replace("_", "-")
-                assert f"--{option}" in section or f"`{option.upper()}`" in section, f"docs/cli.md does not name --{option} of {' '.join(verb)}"
+                assert f"--{option}" in section or f"`{option.upper()}`" in section, (
+                    f"docs/cli.md does not name --{option} of {' '.join(verb)}"
+                )
 
 
 def test_documents_link_to_files_that_exist():

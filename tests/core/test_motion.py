@@ -15,7 +15,12 @@ def random_motion(frames=3, handles=4, seed=0):
     rotations = Rotation.random(frames * handles, random_state=seed).as_matrix().reshape(frames, handles, 3, 3)
     translations = rng.normal(size=(frames, handles, 3))
     rotations[:, 0], translations[:, 0] = np.eye(3), 0
-    return HandleMotion(translations, rotations, rng.normal(size=(frames, 3)), Rotation.random(frames, random_state=seed + 1).as_matrix())
+    return HandleMotion(
+        translations,
+        rotations,
+        rng.normal(size=(frames, 3)),
+        Rotation.random(frames, random_state=seed + 1).as_matrix(),
+    )
 
 
 def test_driving_a_mesh_is_equation_3():
@@ -28,7 +33,10 @@ def test_driving_a_mesh_is_equation_3():
     got = Animation(character, Handles(h, weights), motion).vertices()
     for n in range(3):
         for i, v in enumerate(vertices.astype(float)):
-            blend = sum(weights[i, k] * (motion.rotations[n, k].astype(float) @ (v - h[k]) + h[k] + motion.translations[n, k]) for k in range(4))
+            blend = sum(
+                weights[i, k] * (motion.rotations[n, k].astype(float) @ (v - h[k]) + h[k] + motion.translations[n, k])
+                for k in range(4)
+            )
             want = motion.root_rotation[n] @ (blend - h[0]) + h[0] + motion.root_translation[n]
             np.testing.assert_allclose(got[n, i], want, atol=2e-5)
 
@@ -52,7 +60,10 @@ def test_what_was_taken_apart_is_joined_again():
 @pytest.mark.parametrize("field", ["translations", "rotations", "root_translation"])
 def test_motion_refuses_what_is_not_a_number(field):
     motion = random_motion()
-    values = {name: getattr(motion, name).copy() for name in ("translations", "rotations", "root_translation", "root_rotation")}
+    values = {
+        name: getattr(motion, name).copy()
+        for name in ("translations", "rotations", "root_translation", "root_rotation")
+    }
     values[field][-1] = np.nan
     with pytest.raises(MotionError, match="not numbers"):
         HandleMotion(**values)

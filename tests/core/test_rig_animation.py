@@ -53,4 +53,6 @@ def test_what_is_no_animation_is_refused(character):
     with pytest.raises(MotionError, match="at least one frame"):
         RigAnimation(character, np.zeros((0, bones, 3, 3)), np.zeros((0, bones, 3)))
     with pytest.raises(CharacterError, match="no rig"):
-        RigAnimation(Character("bare", character.vertices, character.faces), np.zeros((2, bones, 3, 3)), np.zeros((2, bones, 3)))
+        RigAnimation(
+            Character("bare", character.vertices, character.faces), np.zeros((2, bones, 3, 3)), np.zeros((2, bones, 3))
+        )

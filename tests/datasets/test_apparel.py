@@ -40,7 +40,11 @@ MINUTES = 0.1
 
 
 def sources(count, seconds=10.0):
-    return [MotionSource(f"m{number:03d}", split, "", seconds, "x", True) for split in ("train", "val", "test") for number in range(count)]
+    return [
+        MotionSource(f"m{number:03d}", split, "", seconds, "x", True)
+        for split in ("train", "val", "test")
+        for number in range(count)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +77,9 @@ def plan(motions):
 def built(plan, tmp_path_factory):
     folder = tmp_path_factory.mktemp("apparel")
     states = []
-    state = building.build_apparel(folder, plan, jobs=2, progress=lambda state: states.append((state.done, state.seconds_left)))
+    state = building.build_apparel(
+        folder, plan, jobs=2, progress=lambda state: states.append((state.done, state.seconds_left))
+    )
     assert not state.failed, state.failed
     assert [done for done, _ in states] == [0, 1, 2] and states[-1][1] == 0
     return folder
@@ -83,7 +89,10 @@ def test_splits_are_fixed_by_name_and_apart():
     """The names were split so when the data set was made; a change would put test characters into training."""
     assert [source.seed for source in wardrobe_sources(30) if source.split == "test"] == [11, 16, 23, 29]
     assert [source.seed for source in wardrobe_sources(30) if source.split == "val"] == [3]
-    counts = {split: sum(character.split == split for character in wardrobe_sources(1000)) for split in ("train", "val", "test")}
+    counts = {
+        split: sum(character.split == split for character in wardrobe_sources(1000))
+        for split in ("train", "val", "test")
+    }
     assert 90 <= counts["test"] <= 150 and 40 <= counts["val"] <= 80
     shards, left = plan_shards(wardrobe_sources(104), sources(25), minutes=210)
     assert not left and {shard.character.split for shard in shards} == {"train", "val", "test"}
@@ -123,9 +132,17 @@ def test_the_motions_of_people_are_taken(motions, tmp_path):
 
 
 def test_the_joints_are_the_rigs_own(body):
-    """A wardrobe character has MMD's names, so knees and wrists are where those bones are, and no bone of apparel is a joint."""
+    """A wardrobe character has MMD's names, so knees and wrists are where those bones are, and no bone of apparel is a
+    joint.
+    """
     rig = body.parts.character.rig
-    for joint, name in (("left_knee", "左ひざ"), ("right_wrist", "右手首"), ("head", "頭"), ("neck", "首"), ("left_shoulder", "左腕")):
+    for joint, name in (
+        ("left_knee", "左ひざ"),
+        ("right_wrist", "右手首"),
+        ("head", "頭"),
+        ("neck", "首"),
+        ("left_shoulder", "左腕"),
+    ):
         assert np.allclose(body.joints[JOINT_NAMES.index(joint)], rig.positions[rig.names.index(name)])
     assert not body.moved[body.bones].any() and body.moved.any()
     assert np.allclose(body.weights.sum(axis=1), 1, atol=1e-5)
@@ -165,13 +182,17 @@ def test_the_clips_are_what_was_simulated(built, plan, body):
     assert window.vertices.shape == (clip.frames, len(body.weights), 3) and window.vertices.dtype == np.float32
     assert np.abs(window.vertices - truth.vertices()).max() < 1e-3
     part = data.window(clip, 20, 30)
-    assert np.array_equal(part.transforms, window.transforms[20:30]) and np.allclose(part.vertices, window.vertices[20:30], atol=1e-6)
+    assert np.array_equal(part.transforms, window.transforms[20:30]) and np.allclose(
+        part.vertices, window.vertices[20:30], atol=1e-6
+    )
     with pytest.raises(OptionError, match="not in a clip"):
         data.window(clip, 0, clip.frames + 1)
 
 
 def test_without_physics_apparel_is_rigid(built):
-    """Table 4 of the paper: distances of apparel vertices to each other stay as they are at rest where one joint holds them."""
+    """Table 4 of the paper: distances of apparel vertices to each other stay as they are at rest where one joint holds
+    them.
+    """
     moving, rigid = ApparelData(built, fly_aways=True), ApparelData(built, physics=False, fly_aways=True)
     clip = moving.clips[0]
     character = moving.character(clip)
@@ -304,7 +325,20 @@ def test_bad_options_are_one_sentence(motions, tmp_path, capsys, words, say):
 
 
 def test_the_command_goes_on_where_it_stopped(motions, tmp_path, capsys):
-    words = ["data", "apparel", "--motions", str(motions), "-o", str(tmp_path / "out"), "--wardrobe", "1", "--seed", str(SEED), "--jobs", "1"]
+    words = [
+        "data",
+        "apparel",
+        "--motions",
+        str(motions),
+        "-o",
+        str(tmp_path / "out"),
+        "--wardrobe",
+        "1",
+        "--seed",
+        str(SEED),
+        "--jobs",
+        "1",
+    ]
     words += ["--minutes", "0.1", "--seconds", "3"]
     if character_split(f"wardrobe_{SEED:06d}") != "train":
         pytest.skip("this seed is not of the training split, and the motions are")

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from bunraku.body.reference import reference_body
-from bunraku.datasets.characters.build import HELD_OUT, build_characters, load_characters, reference_characters, training_character
+from bunraku.datasets.characters.build import (
+    HELD_OUT,
+    build_characters,
+    load_characters,
+    reference_characters,
+    training_character,
+)
 from bunraku.datasets.characters.training_character import TrainingCharacter
 from bunraku.errors import CharacterError, FormatError
 from bunraku.synthetic.samples import sample_names
@@ -28,7 +34,9 @@ def test_characters_are_turned_to_face_forward():
     quarter = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # +Z to +X
     transforms = character.rig.transforms.copy()
     transforms[:, :3, 3] = transforms[:, :3, 3] @ quarter.T
-    rig = type(character.rig)(character.rig.names, character.rig.parents, transforms, character.rig.indices, character.rig.weights)
+    rig = type(character.rig)(
+        character.rig.names, character.rig.parents, transforms, character.rig.indices, character.rig.weights
+    )
     turned = type(character)("turned", character.vertices @ quarter.T.astype(np.float32), character.faces, rig)
     a, b = training_character(character, "a", 600), training_character(turned, "b", 600)
     np.testing.assert_allclose(b.joints, a.joints, atol=1e-3)
@@ -70,7 +78,12 @@ def test_archive(tmp_path):
     (small / "Knight.glb").write_bytes(file.read_bytes())
     (small / "Broken.glb").write_bytes(b"glTF broken")
     done, failed = build_characters(tmp_path / "in", tmp_path / "cache", 600)
-    assert [d.stem for d in done if d.parent.name == "kaykit"] == ["Knight", "Knight~coarse", "Knight~fine", "Knight~posed"]
+    assert [d.stem for d in done if d.parent.name == "kaykit"] == [
+        "Knight",
+        "Knight~coarse",
+        "Knight~fine",
+        "Knight~posed",
+    ]
     assert set(failed) == {"kaykit/Broken"}
     sizes = [len(TrainingCharacter.load(d).vertices) for d in done[:4]]
     assert sizes[1] < sizes[0] < sizes[2]

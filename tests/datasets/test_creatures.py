@@ -29,11 +29,15 @@ from bunraku.language.captions import creature_actions
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.synthetic.samples import sample_character
 
-TABLE = json.loads(resources.files("bunraku.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8"))
+TABLE = json.loads(
+    resources.files("bunraku.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8")
+)
 
 
 def test_labels_become_actions_and_sentences():
-    clips = creature_clips("quaternius/animals_pack/Horse", ["AnimalArmature|Gallop", "AnimalArmature|Idle_HitReact_Left", "Untold"])
+    clips = creature_clips(
+        "quaternius/animals_pack/Horse", ["AnimalArmature|Gallop", "AnimalArmature|Idle_HitReact_Left", "Untold"]
+    )
     assert [clip.action for clip in clips] == ["gallop", "hit reaction left"]
     assert clips[0].name == "creature_quaternius-animals_pack-Horse_Gallop"
     assert "a horse gallops" in clips[0].texts and "the animal gallops" in clips[0].texts and not clips[0].person
@@ -58,7 +62,9 @@ def test_held_out_species_and_characters_are_never_trained_on():
             split = creature_split(clip)
             if clip.species[0] in HELD_OUT_SPECIES or file in HELD_OUT:
                 assert split == "test"
-    horse, other = (creature_clips(file, ["Walk"])[0] for file in ("quaternius/animals_pack/Horse", "quaternius2019/Horse"))
+    horse, other = (
+        creature_clips(file, ["Walk"])[0] for file in ("quaternius/animals_pack/Horse", "quaternius2019/Horse")
+    )
     assert creature_split(horse) == "train" and creature_split(other) == "test"
 
 
@@ -68,7 +74,9 @@ def write_dog(path, frames=30):
     handles = rig_handles(dog)
     phase = np.linspace(0, 2 * np.pi, frames)
     rotations = np.tile(np.eye(3), (frames, 30, 1, 1))
-    rotations[:, HANDLE_NAMES.index("tail")] = Rotation.from_rotvec(0.6 * np.sin(phase)[:, None] * [0, 1, 0]).as_matrix()
+    rotations[:, HANDLE_NAMES.index("tail")] = Rotation.from_rotvec(
+        0.6 * np.sin(phase)[:, None] * [0, 1, 0]
+    ).as_matrix()
     path_up = np.stack([0 * phase, 0.2 * dog.height * (1 - np.cos(phase)), 0 * phase], axis=1)
     motion = HandleMotion(np.zeros((frames, 30, 3)), rotations, path_up, np.tile(np.eye(3), (frames, 1, 1)))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,7 +97,9 @@ def test_a_clip_goes_to_the_reference_body_and_back(archive):
     vertices = clip_vertices(body, "Jump")
     motion = reference_motion(body, vertices)
     bare = Stages(feet=False, smooth=False, floor=False)
-    again = Animation(body.character, body.handles, fit_motion(replace(motion, native=True), body.character, body.handles, bare)).vertices()
+    again = Animation(
+        body.character, body.handles, fit_motion(replace(motion, native=True), body.character, body.handles, bare)
+    ).vertices()
     error = np.linalg.norm(again - vertices, axis=-1).mean() / body.character.height
     assert error < 0.02
     assert encode(motion)[:, 3].max() > 0.1  # it is off the ground
@@ -106,7 +116,12 @@ def test_an_archive_is_added_to_the_index(archive, tmp_path):
     assert added == ["creature_quaternius2019-Pug_Jump"] and seen[-1] == 1
     assert set(failed) == {"quaternius2019/Pig", "creature_quaternius2019-Sheep_Jump"}
     entry = load_index(tmp_path)[added[0]]
-    assert entry["species"] == "pug" and entry["action"] == "jump" and entry["character"] == "quaternius2019/Pug" and entry["split"] == "train"
+    assert (
+        entry["species"] == "pug"
+        and entry["action"] == "jump"
+        and entry["character"] == "quaternius2019/Pug"
+        and entry["split"] == "train"
+    )
     assert "cmu_01" in load_index(tmp_path) and len(load_clip(tmp_path / f"{added[0]}.npz")) == entry["frames"] == 30
     before = (tmp_path / f"{added[0]}.npz").stat().st_mtime_ns
     assert add_creatures(archive, tmp_path)[0] == added

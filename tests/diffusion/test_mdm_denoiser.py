@@ -26,7 +26,9 @@ def condition(model, encoder, sentences, mesh=None, keep=True):
 
 
 def test_it_has_about_as_many_parameters():
-    ours, mdm = (sum(value.numel() for value in kind(PRESETS["small"]).parameters()) for kind in (Denoiser, EncoderDenoiser))
+    ours, mdm = (
+        sum(value.numel() for value in kind(PRESETS["small"]).parameters()) for kind in (Denoiser, EncoderDenoiser)
+    )
     assert 0.9 < mdm / ours < 1.05
 
 
@@ -47,7 +49,9 @@ def test_sentence_step_and_mesh_all_matter_and_word_order_does_not(model, encode
     assert not torch.allclose(first, run("turn left then right", torch.tensor([10])), atol=1e-3)
     assert not torch.allclose(first, run("turn left then right", mesh=torch.randn(1, 12)), atol=1e-3)
     assert torch.allclose(run("walk", keep=False), run("jump", keep=False))
-    assert torch.allclose(first, run("turn right then left"), atol=1e-4)  # a bag of words here: only the pooled vector is seen
+    assert torch.allclose(
+        first, run("turn right then left"), atol=1e-4
+    )  # a bag of words here: only the pooled vector is seen
 
 
 def test_padding_does_not_matter(model, encoder):

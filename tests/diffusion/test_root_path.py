@@ -20,7 +20,10 @@ def walk(frames=61, turn=0.0, speed=1.0, sway=0.05, period=20):
     time = np.arange(frames) / FPS
     angle = turn * time
     way = np.cumsum(np.stack([np.sin(angle), 0 * time, np.cos(angle)], -1) * speed / FPS, axis=0)
-    way += np.einsum("nij,j->ni", matrix_y(angle), [1.0, 0, 0]) * (sway * np.sin(2 * math.pi * np.arange(frames) / period))[:, None]
+    way += (
+        np.einsum("nij,j->ni", matrix_y(angle), [1.0, 0, 0])
+        * (sway * np.sin(2 * math.pi * np.arange(frames) / period))[:, None]
+    )
     bend = np.zeros((frames, HANDLE_COUNT, 3))
     bend[:, 5, 0] = 0.5 * np.sin(2 * math.pi * np.arange(frames) / period)
     return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(bend), way, matrix_y(angle), FPS)
@@ -84,7 +87,9 @@ def test_rounds_of_a_loop_go_on_from_each_other(turn):
 def test_a_nearly_closed_loop_is_closed():
     nearly = walk(58, 0.0, speed=0.02)
     found = closed_loop(nearly, walk(61, 0.0, speed=0.0))
-    assert np.array_equal(found.rotations[0], found.rotations[-1]) and np.array_equal(found.translations[0], found.translations[-1])
+    assert np.array_equal(found.rotations[0], found.rotations[-1]) and np.array_equal(
+        found.translations[0], found.translations[-1]
+    )
     np.testing.assert_allclose(found.root_translation[-1], found.root_translation[0], atol=1e-6)
     np.testing.assert_allclose(found.rotations[:40], nearly.rotations[:40], atol=1e-6)
 

@@ -23,7 +23,11 @@ def toy(x, step):
 def test_dpm_solver_walks_the_path_of_diffusers(count):
     scheduling = pytest.importorskip("diffusers.schedulers.scheduling_dpmsolver_multistep")
     scheduler = scheduling.DPMSolverMultistepScheduler(
-        num_train_timesteps=1000, beta_schedule="squaredcos_cap_v2", prediction_type="sample", algorithm_type="dpmsolver++", solver_order=2
+        num_train_timesteps=1000,
+        beta_schedule="squaredcos_cap_v2",
+        prediction_type="sample",
+        algorithm_type="dpmsolver++",
+        solver_order=2,
     )
     scheduler.set_timesteps(timesteps=sampling_steps(count))
     noise = starting_noise(2, 12, 5, seed=3)
@@ -46,7 +50,9 @@ def test_both_samplers_find_what_an_oracle_knows():
     truth, noise = torch.randn(2, 30, 4, generator=torch.Generator().manual_seed(0)), starting_noise(2, 30, 4, 1)
     for steps in (1, 5, 20):
         torch.testing.assert_close(dpm_solver(lambda x, step: truth, noise, sampling_steps(steps)), truth)
-    torch.testing.assert_close(ancestral(lambda x, step: truth, noise, list(range(999, -1, -1)), torch.Generator().manual_seed(0)), truth)
+    torch.testing.assert_close(
+        ancestral(lambda x, step: truth, noise, list(range(999, -1, -1)), torch.Generator().manual_seed(0)), truth
+    )
 
 
 def test_both_samplers_draw_from_the_right_distribution():
@@ -58,8 +64,13 @@ def test_both_samplers_draw_from_the_right_distribution():
         return mean + share**0.5 * deviation**2 / (share * deviation**2 + 1 - share) * (x - share**0.5 * mean)
 
     noise = starting_noise(1, 200, 100, 5)
-    for values in (dpm_solver(best, noise, sampling_steps(50)), ancestral(best, noise, sampling_steps(200), torch.Generator().manual_seed(6))):
-        assert float(values.mean()) == pytest.approx(mean, abs=0.02) and float(values.std()) == pytest.approx(deviation, abs=0.03)
+    for values in (
+        dpm_solver(best, noise, sampling_steps(50)),
+        ancestral(best, noise, sampling_steps(200), torch.Generator().manual_seed(6)),
+    ):
+        assert float(values.mean()) == pytest.approx(mean, abs=0.02) and float(values.std()) == pytest.approx(
+            deviation, abs=0.03
+        )
 
 
 def test_guidance():
@@ -90,7 +101,9 @@ def test_a_mesh_feature_reaches_the_motion_and_the_adaptation(model, encoder):
     text = encoder.encode(["a figure walks"])
     plain, meshed = sample(model, text, 20, steps=3), sample(model, text, 20, steps=3, mesh_features=torch.ones(1, 12))
     assert plain.adaptation.shape == (1, 20, 3, 3)
-    assert (plain.values - meshed.values).abs().max() > 1e-3 and (plain.adaptation - meshed.adaptation).abs().max() > 1e-3
+    assert (plain.values - meshed.values).abs().max() > 1e-3 and (
+        plain.adaptation - meshed.adaptation
+    ).abs().max() > 1e-3
 
 
 @pytest.mark.parametrize("method", ["dpm", "ddpm"])
@@ -115,7 +128,9 @@ def test_tokens_are_trusted_least_at_their_edges():
 def test_known_features_are_kept(model, encoder, method):
     values, share = torch.randn(2, 24, FEATURES), torch.zeros(24, FEATURES)
     share[:, :2] = share[5, 3] = 1
-    found = sample(model, encoder.encode(["walks", "runs"]), 24, steps=6, known=Known(values, share), method=method).values
+    found = sample(
+        model, encoder.encode(["walks", "runs"]), 24, steps=6, known=Known(values, share), method=method
+    ).values
     kept = share.bool().expand(2, -1, -1)
     torch.testing.assert_close(found[kept], values[kept])
     assert (found - values)[~kept].abs().max() > 0.1

@@ -10,7 +10,9 @@ def test_the_curve_is_the_cosine_of_nichol_and_dhariwal():
     curve = alphas_cumprod()
     start = math.cos(0.008 / 1.008 * math.pi / 2) ** 2
     for step in (0, 1, 250, 500, 900, 997):
-        assert float(curve[step]) == pytest.approx(math.cos(((step + 1) / TRAINING_STEPS + 0.008) / 1.008 * math.pi / 2) ** 2 / start, rel=1e-6)
+        assert float(curve[step]) == pytest.approx(
+            math.cos(((step + 1) / TRAINING_STEPS + 0.008) / 1.008 * math.pi / 2) ** 2 / start, rel=1e-6
+        )
     assert bool((curve.diff() < 0).all()) and 0 < float(curve[-1]) < 1e-5
     assert float(curve[-1] / curve[-2]) == pytest.approx(0.001)  # the capped beta
 
@@ -34,6 +36,8 @@ def test_steps_fall_from_the_last_and_never_repeat(count):
 def test_steps_are_even_in_the_log_of_the_ratio():
     curve, steps = alphas_cumprod(), sampling_steps(20)
     ratio = [0.5 * math.log(float(curve[step] / (1 - curve[step]))) for step in steps]
-    gaps = [after - before for before, after in zip(ratio[4:], ratio[5:], strict=False)]  # single steps are far apart at the very start
+    gaps = [
+        after - before for before, after in zip(ratio[4:], ratio[5:], strict=False)
+    ]  # single steps are far apart at the very start
     assert max(gaps) < 1.25 * 10 / 19 and min(gaps) > 0.75 * 10 / 19
     assert sampling_steps(1000) == list(range(999, -1, -1))

@@ -13,7 +13,8 @@ def model(denoiser):
 
 
 PLANS = [
-    ([1], False), ([196], False), ([197], False), ([2400], False), ([80, 40, 60], False), ([5, 300, 10, 10], False), ([240] * 5, False),
+    ([1], False), ([196], False), ([197], False), ([2400], False), ([80, 40, 60], False), ([5, 300, 10, 10], False),
+    ([240] * 5, False),
     ([10], True), ([120], True), ([1000], True), ([40, 30, 250], True),
 ]  # fmt: skip
 
@@ -23,7 +24,9 @@ def test_windows_share_all_frames_out(lengths, loop):
     plan = plan_windows(lengths, 196, loop=loop)
     total = torch.zeros(plan.frames)
     for window in plan.windows:
-        assert 0 < len(window.frames) <= 196 and int(window.frames.min()) >= 0 and int(window.frames.max()) < plan.frames
+        assert (
+            0 < len(window.frames) <= 196 and int(window.frames.min()) >= 0 and int(window.frames.max()) < plan.frames
+        )
         assert loop or bool((window.frames.diff() == 1).all())
         total.index_add_(0, window.frames, window.share)
     torch.testing.assert_close(total, torch.ones(plan.frames))
@@ -58,7 +61,10 @@ def test_any_length_can_be_made(model, encoder, frames):
 
 
 def test_a_batch_of_plans_is_what_each_is_alone(model, encoder):
-    plans, texts = [plan_windows([50, 30], 60), plan_windows([20], 60), plan_windows([130], 60, loop=True)], ["a b", "c", "d e f", "g"]
+    plans, texts = (
+        [plan_windows([50, 30], 60), plan_windows([20], 60), plan_windows([130], 60, loop=True)],
+        ["a b", "c", "d e f", "g"],
+    )
     found = sample_plans(model, encoder.encode(texts), plans, seeds=[3, 4, 5], steps=3)
     rows = [texts[:2], texts[2:3], texts[3:]]
     for part, plan, some, seed in zip(found, plans, rows, (3, 4, 5), strict=True):
@@ -69,12 +75,16 @@ def test_a_batch_of_plans_is_what_each_is_alone(model, encoder):
 
 def test_progress_counts_every_step(model, encoder):
     calls = []
-    sample_long(model, encoder.encode(["walks"]), 100, steps=3, progress=lambda done, total: calls.append((done, total)))
+    sample_long(
+        model, encoder.encode(["walks"]), 100, steps=3, progress=lambda done, total: calls.append((done, total))
+    )
     assert calls == [(1, 3), (2, 3), (3, 3)]
 
 
 class Waves(torch.nn.Module):
-    """The best denoiser there is for smooth Gaussian processes: x0 = sqrt(a) S (a S + (1 - a) I)^-1 x_t, with S their covariance."""
+    """The best denoiser there is for smooth Gaussian processes: x0 = sqrt(a) S (a S + (1 - a) I)^-1 x_t, with S their
+    covariance.
+    """
 
     def __init__(self, config):
         super().__init__()
@@ -93,7 +103,9 @@ class Waves(torch.nn.Module):
         return gain.T @ x, torch.zeros(*x.shape[:2], 3, 3)
 
 
-@pytest.mark.parametrize(("lengths", "loop"), [([700], False), ([150, 40, 200, 30, 160], False), ([300], True), ([120], True)])
+@pytest.mark.parametrize(
+    ("lengths", "loop"), [([700], False), ([150, 40, 200, 30, 160], False), ([300], True), ([120], True)]
+)
 def test_long_motions_have_no_jump_where_windows_meet(config, encoder, lengths, loop):
     model = Waves(config(features=FEATURES, frames=196, handles=3))
     plan = plan_windows(lengths, 196, loop=loop)

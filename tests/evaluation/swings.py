@@ -8,7 +8,14 @@ from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.language.encoders import TextBatch
 
-PARTS = {"left_elbow": "waves", "right_knee": "kicks", "spine1": "bows", "head": "nods", "left_hip": "steps", "right_elbow": "points"}
+PARTS = {
+    "left_elbow": "waves",
+    "right_knee": "kicks",
+    "spine1": "bows",
+    "head": "nods",
+    "left_hip": "steps",
+    "right_elbow": "points",
+}
 
 
 class WordEncoder:
@@ -18,7 +25,10 @@ class WordEncoder:
 
     def encode(self, sentences):
         rows = [
-            torch.stack([torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]) for text in sentences
+            torch.stack(
+                [torch.randn(8, generator=torch.Generator().manual_seed(sum(map(ord, word)))) for word in text.split()]
+            )
+            for text in sentences
         ]
         tokens = torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
         mask = torch.arange(tokens.shape[1]) < torch.tensor([[len(row)] for row in rows])
@@ -30,4 +40,6 @@ def swing(part, frames=60, height=0.9):
     vectors = np.zeros((frames, HANDLE_COUNT, 3))
     vectors[:, HANDLE_NAMES.index(part), 2] = height * np.sin(np.arange(frames) / 3)
     still = np.zeros((frames, 3))
-    return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(vectors), still, matrix_from_axis_angle(still))
+    return HandleMotion(
+        np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(vectors), still, matrix_from_axis_angle(still)
+    )

@@ -19,7 +19,9 @@ def test_arap_loss_by_hand():
 
 
 def test_a_rigid_motion_costs_nothing():
-    character = Character("tetra", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), [[0, 1, 2], [0, 1, 3], [1, 2, 3]])
+    character = Character(
+        "tetra", np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), [[0, 1, 2], [0, 1, 3], [1, 2, 3]]
+    )
     handles = Handles(np.zeros((2, 3)), [[1, 0], [1, 0], [0.5, 0.5], [0, 1]])
     turn = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]])
     motion = HandleMotion(np.zeros((1, 2, 3)), np.tile(np.eye(3), (1, 2, 1, 1)), np.ones((1, 3)), turn[None])
@@ -35,7 +37,9 @@ def test_the_ratio_is_that_of_the_means():
 
 
 def test_a_generated_clip_is_measured_with_and_without():
-    """The shipped weights on a small character: the three rows come from one motion, and the stage `attach` keeps edges together."""
+    """The shipped weights on a small character: the three rows come from one motion, and the stage `attach` keeps edges
+    together.
+    """
     from dataclasses import replace
 
     from bunraku.handles.from_rig import rig_handles

@@ -31,13 +31,19 @@ KINDS = {
 
 
 def motion_of(action, seed, frames=30):
-    """Legs swing, the tail swings, the body falls over, the head darts forward: each in its own way, with some chance."""
+    """Legs swing, the tail swings, the body falls over, the head darts forward: each in its own way, with some
+    chance.
+    """
     random = np.random.default_rng([seed, CLASSES.index(action)])
     size, rate, speed = (value * random.uniform(0.8, 1.2) for value in KINDS[action])
     moments = np.arange(frames) / 20
     part = {"swim": "tail", "attack": "neck"}.get(action)
     rotations = np.tile(np.eye(3), (frames, 30, 1, 1))
-    swing = size * np.sin(2 * np.pi * rate * moments) if action != "attack" else size * np.exp(-(((moments - 0.7) / 0.1) ** 2))
+    swing = (
+        size * np.sin(2 * np.pi * rate * moments)
+        if action != "attack"
+        else size * np.exp(-(((moments - 0.7) / 0.1) ** 2))
+    )
     for handle, name in enumerate(HANDLE_NAMES):
         if (part and name.startswith(part)) or (not part and name.endswith(("hip", "knee"))):
             sign = -1 if name.startswith("right") else 1
@@ -86,7 +92,9 @@ def test_generated_clips_are_asked_for_with_the_characters_feature(data):
     feature = np.ones(448)
     result = creature_accuracy(generate, data, {"pack/dragon": feature}, seconds=2.0, seeds=(3, 4))
     assert result["clips"] == len(asked) == 12 and result["accuracy"] > 0.9 and result["real"]["accuracy"] > 0.9
-    assert all(given is feature and seconds == 2.0 for _, given, seconds, _ in asked) and {seed for *_, seed in asked} == {3, 4}
+    assert all(given is feature and seconds == 2.0 for _, given, seconds, _ in asked) and {
+        seed for *_, seed in asked
+    } == {3, 4}
     wrong = creature_accuracy(lambda *some: motion_of("idle", 0), data, {})
     assert wrong["accuracy"] == pytest.approx(1 / 6) and len(wrong["wrong"]) == 5
 
@@ -94,11 +102,15 @@ def test_generated_clips_are_asked_for_with_the_characters_feature(data):
 def test_where_a_creature_stands_and_faces_does_not_matter():
     motion = motion_of("walk", 0)
     turn = Rotation.from_euler("y", 80, degrees=True).as_matrix()
-    moved = HandleMotion(motion.translations, motion.rotations, motion.root_translation @ turn.T + [3, 0, 1], turn @ motion.root_rotation)
+    moved = HandleMotion(
+        motion.translations, motion.rotations, motion.root_translation @ turn.T + [3, 0, 1], turn @ motion.root_rotation
+    )
     np.testing.assert_allclose(action_features(moved), action_features(motion), atol=1e-3)
 
 
 def test_data_without_creatures_are_refused(tmp_path):
-    (tmp_path / "index.json").write_text(json.dumps({"clips": {"person": {"texts": ["a person walks"], "split": "train"}}}))
+    (tmp_path / "index.json").write_text(
+        json.dumps({"clips": {"person": {"texts": ["a person walks"], "split": "train"}}})
+    )
     with pytest.raises(FormatError, match="creatures"):
         load_cases(tmp_path, held_out=True)

@@ -35,7 +35,9 @@ def test_the_root_error_is_a_share_of_the_height():
 
 def test_purity_counts_the_vertices_that_go_with_most_of_their_part():
     truth = np.array([[1, 0], [0.95, 0.05], [1, 0], [0.91, 0.09], [0, 1], [0, 1], [0.5, 0.5], [0.1, 0.9]])
-    main = np.array([3, 3, 3, 7, 5, 5, 9, 9])  # of part 0 three of four agree, of part 1 both; the last two are of no part for sure
+    main = np.array(
+        [3, 3, 3, 7, 5, 5, 9, 9]
+    )  # of part 0 three of four agree, of part 1 both; the last two are of no part for sure
     assert part_purity(main, truth) == pytest.approx(5 / 6)
     assert part_purity(main, np.full((8, 2), 0.5)) is None
 
@@ -99,7 +101,8 @@ def test_the_root_keeps_still_and_baselines_have_none():
 
 def test_one_part_for_all_is_worse():
     rest, posed, _ = two_parts()
-    # In pose 2 the second of two equal blocks moves by 1 away along the line between them: one rigid part moves by a half.
+    # In pose 2 the second of two equal blocks moves by 1 away along the line between them: one rigid part moves by a
+    # half.
     assert pose_error(rest, posed[1:], np.ones((16, 1)), 1.0, rooted=False) == pytest.approx(0.5, abs=1e-5)
 
 

@@ -18,14 +18,18 @@ from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.synthetic.families import EVALUATION_SEED
 from bunraku.synthetic.samples import sample_character
 
-needs_weights = pytest.mark.skipif(not shipped_checkpoint("handles").is_file(), reason="the shipped weights are not there")
+needs_weights = pytest.mark.skipif(
+    not shipped_checkpoint("handles").is_file(), reason="the shipped weights are not there"
+)
 
 
 def knowing(character: Character) -> Handles:
     """The canonical handles of the reference body, for it in any pose and resolution."""
     body = reference_body()
     same = len(character.vertices) == len(body.vertices)
-    weights = body.handle_weights if same else carried(body.handle_weights, body.vertices, body.faces, character.vertices)
+    weights = (
+        body.handle_weights if same else carried(body.handle_weights, body.vertices, body.faces, character.vertices)
+    )
     return Handles(handle_positions(character.vertices, weights, np.ones(len(weights))), weights)
 
 
@@ -58,7 +62,8 @@ def test_a_guess_does_not():
 
 def test_samples_are_humanoids_or_not():
     kinds = {
-        name: subject(sample_character(name, 0.3, rigged=True), name).humanoid for name in ("person", "dancer", "robot", "dog", "mushroom", "dragon")
+        name: subject(sample_character(name, 0.3, rigged=True), name).humanoid
+        for name in ("person", "dancer", "robot", "dog", "mushroom", "dragon")
     }
     assert [name for name, human in kinds.items() if human] == ["person", "dancer", "robot", "mushroom"]
 
@@ -69,7 +74,12 @@ def test_what_faces_sideways_is_turned():
     rig = person.rig
     transforms = rig.transforms.copy()
     transforms[:, :3, 3] = rig.positions @ turn.T
-    sideways = Character(person.name, person.vertices @ turn.T, person.faces, type(rig)(rig.names, rig.parents, transforms, rig.indices, rig.weights))
+    sideways = Character(
+        person.name,
+        person.vertices @ turn.T,
+        person.faces,
+        type(rig)(rig.names, rig.parents, transforms, rig.indices, rig.weights),
+    )
     a, b = subject(person, "person"), subject(sideways, "person")
     np.testing.assert_allclose(b.character.vertices, a.character.vertices, atol=1e-5)
     np.testing.assert_allclose(b.truth.joints, a.truth.joints, atol=1e-5)
@@ -112,7 +122,9 @@ def test_of_the_archive_only_what_training_never_saw_is_taken(folder):
 @needs_weights
 def test_the_table_as_a_whole(folder):
     calls = []
-    result = evaluate_handles(folder_subjects(folder, True), speed=False, progress=lambda stage, share: calls.append((stage, share)))
+    result = evaluate_handles(
+        folder_subjects(folder, True), speed=False, progress=lambda stage, share: calls.append((stage, share))
+    )
     assert json.loads(json.dumps(result)) == result
     assert set(BARS) <= set(result) and result["seconds_5k"] is None and set(result["reached"]) == set(result["bars"])
     assert result["counts"] == {"characters": 2, "humanoids": 2, "resampled": 2}

@@ -26,7 +26,16 @@ from bunraku.geometry.rotations import matrix_y
 
 
 def network(**changes):
-    sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 32, "frames": 60, "mesh_features": 448, "text_size": 8, "pooled_size": 8}
+    sizes = {
+        "width": 16,
+        "layers": 1,
+        "heads": 2,
+        "feedforward": 32,
+        "frames": 60,
+        "mesh_features": 448,
+        "text_size": 8,
+        "pooled_size": 8,
+    }
     return DenoiserConfig(**{**sizes, "text_encoder": "words", **changes})
 
 
@@ -44,7 +53,16 @@ def folder(tmp_path_factory):
     torch.manual_seed(0)
     for name, config in (("tapmo", network()), ("mdm", network(architecture="encoder"))):
         save_denoiser(home / f"{name}.safetensors", build_denoiser(config), {"steps": 1})
-    sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 32, "embedding": 4, "text_size": 8, "pooled_size": 8, "text_encoder": "words"}
+    sizes = {
+        "width": 16,
+        "layers": 1,
+        "heads": 2,
+        "feedforward": 32,
+        "embedding": 4,
+        "text_size": 8,
+        "pooled_size": 8,
+        "text_encoder": "words",
+    }
     save_extractor(home / "extractor.safetensors", Extractor(ExtractorConfig(**sizes)))
     return home
 
@@ -58,7 +76,16 @@ def words(monkeypatch):
 
 
 def settings(folder, work, **changes):
-    small = {"pool": 24, "clips": 16, "references": 30, "runs": 3, "candidates": 4, "prompts": 3, "repeats": 2, "steps": 2}
+    small = {
+        "pool": 24,
+        "clips": 16,
+        "references": 30,
+        "runs": 3,
+        "candidates": 4,
+        "prompts": 3,
+        "repeats": 2,
+        "steps": 2,
+    }
     return MotionEvalConfig(
         data=folder / "motions", checkpoint=folder / "tapmo.safetensors", mdm=folder / "mdm.safetensors",
         extractor=folder / "extractor.safetensors", work=work, **{**small, **changes},
@@ -73,7 +100,9 @@ def test_all_rows_and_keys(folder, tmp_path):
         assert ("multimodality" in row) == (name != "real")
         assert row["r_precision_1"]["mean"] <= row["r_precision_2"]["mean"] <= row["r_precision_3"]["mean"] <= 1
     rows = result["rows"]
-    assert result["fid_over_tapmo_mdm"] == pytest.approx(rows["tapmo"]["fid"]["mean"] / rows["tapmo_mdm"]["fid"]["mean"])
+    assert result["fid_over_tapmo_mdm"] == pytest.approx(
+        rows["tapmo"]["fid"]["mean"] / rows["tapmo_mdm"]["fid"]["mean"]
+    )
     assert result["fid_steps_ratio"] == pytest.approx(result["fid_default_steps"] / result["fid_reference_steps"])
     assert result["fid_real"] < result["fid"]  # random weights are worse than the real data
     assert 10 <= result["counts"]["clips"] <= 12 and result["counts"]["drawn"] == 16
@@ -120,7 +149,11 @@ def test_a_perfect_and_a_blind_generator(tmp_path):
     windows = [Window(meanings[i], 0, 60, False, meanings[i], meanings[i], meanings[i]) for i in which]
     sentences = dict(zip(meanings, centres, strict=True))
     real = centres[which] + 0.1 * random.normal(size=(400, 5))
-    rows = {"real": Row(real), "same": Row(real.copy()), "blind": Row(np.tile(centres.mean(0), (400, 1)) + 0.1 * random.normal(size=(400, 5)))}
+    rows = {
+        "real": Row(real),
+        "same": Row(real.copy()),
+        "blind": Row(np.tile(centres.mean(0), (400, 1)) + 0.1 * random.normal(size=(400, 5))),
+    }
     references = centres[random.integers(8, size=400)] + 0.1 * random.normal(size=(400, 5))
     config = MotionEvalConfig(pool=400, clips=300, runs=4, candidates=8, work=tmp_path)
     measure_rows(rows, references, windows, clips, sentences, config, lambda stage, done: None)
@@ -134,7 +167,11 @@ def test_handle_samples_forget_place_and_heading():
     body = reference_body()
     motion = swing("left_elbow")
     turn = matrix_y(np.full(len(motion), 0.8))
-    moved = replace(motion, root_rotation=turn @ motion.root_rotation, root_translation=motion.root_translation + np.array([3, 0, -2], np.float32))
+    moved = replace(
+        motion,
+        root_rotation=turn @ motion.root_rotation,
+        root_translation=motion.root_translation + np.array([3, 0, -2], np.float32),
+    )
     h = body.handles.positions
     first, second = handle_samples(motion, h, 1.8), handle_samples(moved, h, 1.8)
     assert first.shape == (15, 90) and np.allclose(first, second, atol=1e-3)
@@ -159,8 +196,24 @@ def test_bad_settings_are_one_sentence(folder, tmp_path):
 
 
 def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
-    words = ["evaluate", "motion", "--data", str(folder / "motions"), "--checkpoint", str(folder / "tapmo.safetensors"), "--steps", "2"]
-    words += ["--mdm", str(folder / "mdm.safetensors"), "--extractor", str(folder / "extractor.safetensors"), "--work", str(tmp_path)]
+    words = [
+        "evaluate",
+        "motion",
+        "--data",
+        str(folder / "motions"),
+        "--checkpoint",
+        str(folder / "tapmo.safetensors"),
+        "--steps",
+        "2",
+    ]
+    words += [
+        "--mdm",
+        str(folder / "mdm.safetensors"),
+        "--extractor",
+        str(folder / "extractor.safetensors"),
+        "--work",
+        str(tmp_path),
+    ]
     words += ["--pool", "40", "--clips", "32", "--quick", "--only-table", "--candidates", "4"]
     assert main([*words, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

@@ -18,7 +18,17 @@ from bunraku.evaluation.motion.extractor import (
 )
 from bunraku.evaluation.motion.train_extractor import ExtractorTrainConfig, train_extractor
 
-TINY = ExtractorConfig(width=16, layers=1, heads=2, feedforward=32, embedding=8, text_size=8, pooled_size=8, text_encoder="words", dropout=0.0)
+TINY = ExtractorConfig(
+    width=16,
+    layers=1,
+    heads=2,
+    feedforward=32,
+    embedding=8,
+    text_size=8,
+    pooled_size=8,
+    text_encoder="words",
+    dropout=0.0,
+)
 
 
 def extractor(seed=0):
@@ -40,7 +50,16 @@ def data(tmp_path_factory):
 
 
 def settings(data, out, **changes):
-    quick = {"minutes": 0.0, "steps": 40, "batch": 10, "rate": 3e-3, "warmup": 5, "ema": 0.9, "bf16": False, "validate_every": 20}
+    quick = {
+        "minutes": 0.0,
+        "steps": 40,
+        "batch": 10,
+        "rate": 3e-3,
+        "warmup": 5,
+        "ema": 0.9,
+        "bf16": False,
+        "validate_every": 20,
+    }
     return ExtractorTrainConfig(data=data, out=out, extractor=TINY, **{**quick, **changes})
 
 
@@ -60,7 +79,9 @@ def test_padding_does_not_change_a_motion():
         assert np.allclose(embed_motions(model, [motion])[0], vector, atol=1e-4)
     dirty = torch.full((1, 80, 271), 5.0)
     dirty[0, :41] = torch.from_numpy(motions[0]).float()
-    assert np.allclose(model.motion(dirty, torch.tensor([41])).numpy()[0], together[0], atol=1e-4)  # what lies behind the end does not count
+    assert np.allclose(
+        model.motion(dirty, torch.tensor([41])).numpy()[0], together[0], atol=1e-4
+    )  # what lies behind the end does not count
     assert np.allclose(np.linalg.norm(together, axis=1), RADIUS)
 
 
@@ -91,7 +112,9 @@ def test_training_brings_motions_and_their_sentences_together(data, tmp_path):
 
 
 def test_a_killed_run_goes_on_as_if_nothing_had_happened(data, tmp_path):
-    whole = load_extractor(train_extractor(settings(data, tmp_path / "whole", steps=20, validate_every=10), encoder=WordEncoder()))
+    whole = load_extractor(
+        train_extractor(settings(data, tmp_path / "whole", steps=20, validate_every=10), encoder=WordEncoder())
+    )
 
     class Killed(Exception):
         pass
@@ -102,8 +125,13 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(data, tmp_path):
 
     with pytest.raises(Killed):
         train_extractor(settings(data, tmp_path / "parts", steps=20, validate_every=10), kill, WordEncoder())
-    parts = load_extractor(train_extractor(settings(data, tmp_path / "parts", steps=20, validate_every=10), encoder=WordEncoder()))
-    assert all(torch.allclose(a, b, atol=2e-3) for a, b in zip(whole.state_dict().values(), parts.state_dict().values(), strict=True))
+    parts = load_extractor(
+        train_extractor(settings(data, tmp_path / "parts", steps=20, validate_every=10), encoder=WordEncoder())
+    )
+    assert all(
+        torch.allclose(a, b, atol=2e-3)
+        for a, b in zip(whole.state_dict().values(), parts.state_dict().values(), strict=True)
+    )
     with pytest.raises(OptionError, match="another network"):
         other = settings(data, tmp_path / "parts", steps=30)
         train_extractor(replace(other, extractor=replace(TINY, width=32)), encoder=WordEncoder())

@@ -18,7 +18,9 @@ from bunraku.evaluation.motion.metrics import (
 
 def test_r_precision_by_hand():
     motions = np.array([[0.0], [0.0], [0.0], [0.0]])
-    candidates = np.array([[[1], [2], [3], [4]], [[2], [1], [3], [4]], [[3], [2], [1], [4]], [[4], [3], [2], [1]]], float)
+    candidates = np.array(
+        [[[1], [2], [3], [4]], [[2], [1], [3], [4]], [[3], [2], [1], [4]], [[4], [3], [2], [1]]], float
+    )
     assert r_precision(motions, candidates) == (0.25, 0.5, 0.75)
 
 
@@ -28,7 +30,9 @@ def test_an_extractor_without_an_opinion_finds_nothing():
 
 def test_frechet_distance_of_gaussians_in_closed_form():
     # one dimension: (m - n)^2 + (s - t)^2
-    assert frechet_distance(np.array([1.0]), np.array([[4.0]]), np.array([-2.0]), np.array([[25.0]])) == pytest.approx(9 + 9)
+    assert frechet_distance(np.array([1.0]), np.array([[4.0]]), np.array([-2.0]), np.array([[25.0]])) == pytest.approx(
+        9 + 9
+    )
     # covariances that commute: the same, axis by axis, in any frame
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
     a, b = np.array([1.0, 2, 3, 4, 0]), np.array([2.0, 2, 1, 0.5, 3])
@@ -56,7 +60,9 @@ def test_fid_survives_singular_covariances_and_moves_with_the_mean():
 
 def test_fid_of_samples_comes_to_that_of_their_gaussians():
     random = np.random.default_rng(3)
-    assert fid(random.normal(size=(40_000, 2)), 1 + 3 * random.normal(size=(40_000, 2))) == pytest.approx(2 + 2 * 4, rel=0.03)
+    assert fid(random.normal(size=(40_000, 2)), 1 + 3 * random.normal(size=(40_000, 2))) == pytest.approx(
+        2 + 2 * 4, rel=0.03
+    )
 
 
 def test_distances_by_hand():

@@ -3,12 +3,20 @@ import pytest
 
 from bunraku.diffusion.features import mirror
 from bunraku.errors import OptionError
-from bunraku.evaluation.motion.windows import LENGTHS, candidate_sentences, draw_windows, window_features, window_meaning
+from bunraku.evaluation.motion.windows import (
+    LENGTHS,
+    candidate_sentences,
+    draw_windows,
+    window_features,
+    window_meaning,
+)
 
 
 def clips(**frames):
     random = np.random.default_rng(0)
-    return {name: {"features": random.normal(size=(count, 271)), "texts": [text]} for name, (count, text) in frames.items()}
+    return {
+        name: {"features": random.normal(size=(count, 271)), "texts": [text]} for name, (count, text) in frames.items()
+    }
 
 
 ARCHIVE = clips(a=(300, "walk"), b=(90, "a person turns right while walking"), c=(39, "jump"), d=(60, "boxing"))
@@ -31,7 +39,9 @@ def test_mirrored_windows_have_mirrored_words():
     windows = [window for window in draw_windows(ARCHIVE, 200, np.random.default_rng(1)) if window.clip == "b"]
     for window in windows:
         assert ("left" in window.sentence) == window.mirrored and ("right" in window.sentence) != window.mirrored
-    assert window_meaning("a person turns right while walking", True) == window_meaning("a person turns left while walking")
+    assert window_meaning("a person turns right while walking", True) == window_meaning(
+        "a person turns left while walking"
+    )
     assert len({window.meaning for window in windows}) == 2
 
 

@@ -48,7 +48,12 @@ def ball(radius=1.0, rings=40):
     """A sphere of triangles."""
     theta, phi = np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, 2 * rings, endpoint=False)
     points = np.stack(
-        [np.outer(np.sin(theta), np.cos(phi)), np.outer(np.cos(theta), np.ones_like(phi)), -np.outer(np.sin(theta), np.sin(phi))], axis=-1
+        [
+            np.outer(np.sin(theta), np.cos(phi)),
+            np.outer(np.cos(theta), np.ones_like(phi)),
+            -np.outer(np.sin(theta), np.sin(phi)),
+        ],
+        axis=-1,
     ).reshape(-1, 3)
     a = np.arange(rings - 1)[:, None] * 2 * rings + np.arange(2 * rings)
     b = np.arange(rings - 1)[:, None] * 2 * rings + np.roll(np.arange(2 * rings), -1)
@@ -75,7 +80,9 @@ def test_depth_in_a_ball_is_the_distance_to_its_surface(open_end):
 
 
 def test_the_body_without_its_apparel_is_solid(character, body):
-    """Joints of trunk and thighs are inside; points beside the character are not. Fewer faces change a millimetre or two."""
+    """Joints of trunk and thighs are inside; points beside the character are not. Fewer faces change a millimetre or
+    two.
+    """
     mask = apparel_mask(character)
     fine, coarse = BodyVolume.of(body, mask, 10**9), BodyVolume.of(body, mask, 4000)
     assert len(coarse.faces) <= 4100 < len(fine.faces) and np.allclose(coarse.weights.sum(axis=1), 1, atol=1e-5)
@@ -83,7 +90,11 @@ def test_the_body_without_its_apparel_is_solid(character, body):
     beside = trunk + [3.0, 0, 0]
     for volume in (fine, coarse):
         assert volume.deep(volume.rest, trunk, 0.005).sum() >= 5 and not volume.deep(volume.rest, beside).any()
-    away = np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(coarse.rest), np.ascontiguousarray(fine.rest), fine.faces)[0])
+    away = np.sqrt(
+        igl.point_mesh_squared_distance(np.ascontiguousarray(coarse.rest), np.ascontiguousarray(fine.rest), fine.faces)[
+            0
+        ]
+    )
     assert np.quantile(away, 0.95) < 0.004
     with pytest.raises(CharacterError, match="all of it is apparel"):
         BodyVolume.of(body, np.ones_like(mask))
@@ -127,18 +138,27 @@ def test_a_bone_that_is_pulled_out_stretches_its_chain(character):
     last = rig.bodies[chain.bodies[-1]].bone
     moves[1, last] = [0, 0, 0.01]
     longer = chain_lengths(replace(animation, translations=moves), rig, chains)
-    assert longer[1, 0] - chain.length == pytest.approx(0.01, abs=1e-5) and longer[0, 0] == pytest.approx(chain.length, abs=1e-5)
-    apart = [number for number, other in enumerate(chains) if last not in [rig.bodies[body].bone for body in other.bodies]]
+    assert longer[1, 0] - chain.length == pytest.approx(0.01, abs=1e-5) and longer[0, 0] == pytest.approx(
+        chain.length, abs=1e-5
+    )
+    apart = [
+        number for number, other in enumerate(chains) if last not in [rig.bodies[body].bone for body in other.bodies]
+    ]
     assert np.allclose(longer[1, apart], [chains[number].length for number in apart], atol=1e-5)
 
 
 def test_turning_about_its_joints_stretches_no_chain(character, body):
     rig = apparel_rig(character)
-    if any(np.linalg.norm(joint.position - character.rig.positions[rig.bodies[joint.bodies[1]].bone]) > 1e-4 for joint in rig.joints):
+    if any(
+        np.linalg.norm(joint.position - character.rig.positions[rig.bodies[joint.bodies[1]].bone]) > 1e-4
+        for joint in rig.joints
+    ):
         pytest.skip("joints of this character are not at its bones")
     animation = still(character)
     turns = np.array(animation.rotations)
-    turns[:, body.moved] = matrix_from_axis_angle(np.random.default_rng(0).normal(0, 0.5, (len(turns), int(body.moved.sum()), 3)))
+    turns[:, body.moved] = matrix_from_axis_angle(
+        np.random.default_rng(0).normal(0, 0.5, (len(turns), int(body.moved.sum()), 3))
+    )
     chains = apparel_chains(character, rig)
     lengths = chain_lengths(replace(animation, rotations=turns), rig, chains)
     assert np.allclose(lengths, [chain.length for chain in chains], atol=1e-4)
@@ -190,7 +210,12 @@ def test_the_table_of_a_character(capsys):
     assert main(["evaluate", "physics", "--wardrobe", "1", "--seed", str(SEED), "--seconds", "3", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(PHYSICS_BARS) | {"fly_aways"} <= set(found) and found["deterministic"] is True
-    assert found["chain_stretch"] >= 0 and found["rest_speed"] >= 0 and found["realtime_factor"] > 0 and found["fly_aways"] >= 0
+    assert (
+        found["chain_stretch"] >= 0
+        and found["rest_speed"] >= 0
+        and found["realtime_factor"] > 0
+        and found["fly_aways"] >= 0
+    )
     (row,) = found["characters"]
     assert set(row["motions"]) == set(STOCK_MOTIONS) and 0 <= row["penetration"] <= 1 and row["bodies"] > 0
 
@@ -201,6 +226,11 @@ def test_a_character_without_apparel_is_named():
 
 
 def test_bad_options_are_one_sentence(tmp_path, capsys):
-    for words in (["--seconds", "0"], [str(tmp_path / "none.pmx")], ["--motions", str(tmp_path / "none.bvh")], ["--clothes", str(tmp_path / "no")]):
+    for words in (
+        ["--seconds", "0"],
+        [str(tmp_path / "none.pmx")],
+        ["--motions", str(tmp_path / "none.bvh")],
+        ["--clothes", str(tmp_path / "no")],
+    ):
         assert main(["evaluate", "physics", *words]) == 2
         assert capsys.readouterr().err.count("\n") == 1

@@ -22,7 +22,9 @@ def test_a_coarse_mesh_is_refined_evenly_whatever_its_triangles():
     box = trimesh.creation.box((1, 1, 1))
     for count in (1_000, 5_000):
         got = resampled(Character("box", box.vertices, box.faces), count)
-        assert 0.6 * count < len(got.vertices) < 1.6 * count  # all edges are as long: they are split together or not at all
+        assert (
+            0.6 * count < len(got.vertices) < 1.6 * count
+        )  # all edges are as long: they are split together or not at all
         assert trimesh.Trimesh(got.vertices, got.faces, process=False).is_watertight
 
 
@@ -31,4 +33,7 @@ def test_linear_values_are_carried_exactly():
     points = ball.triangles_center
     got = carried(ball.vertices, ball.vertices, ball.faces, points * 1.001)
     np.testing.assert_allclose(got, points, atol=1e-3)
-    np.testing.assert_allclose(carried(np.eye(len(ball.vertices)), ball.vertices, ball.faces, ball.vertices).argmax(1), np.arange(len(ball.vertices)))
+    np.testing.assert_allclose(
+        carried(np.eye(len(ball.vertices)), ball.vertices, ball.faces, ball.vertices).argmax(1),
+        np.arange(len(ball.vertices)),
+    )

@@ -12,7 +12,10 @@ from bunraku.synthetic.samples import sample_character
 
 
 def test_the_rest_pose_does_not_show_in_the_animation():
-    people = [subject(sample_character("person", 0.3, rigged=True), "person"), subject(reference_body().character(), "reference")]
+    people = [
+        subject(sample_character("person", 0.3, rigged=True), "person"),
+        subject(reference_body().character(), "reference"),
+    ]
     motions = code_made_motions(0.5)
     result = rest_pose_transfer(people, {"squat": motions["squat"]})
     assert result["rest_pose_transfer"] < 0.02 and result["in_place"] < 0.02 and result["ground"] < 0.01

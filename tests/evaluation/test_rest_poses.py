@@ -5,7 +5,12 @@ import pytest
 
 from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
-from bunraku.datasets.characters.training_character import TrainingCharacter, forward_kinematics, handle_target, random_pose
+from bunraku.datasets.characters.training_character import (
+    TrainingCharacter,
+    forward_kinematics,
+    handle_target,
+    random_pose,
+)
 from bunraku.evaluation.handles.rest_poses import REST_POSES, limb_directions, posed_limbs
 
 J = {name: index for index, name in enumerate(JOINT_NAMES)}
@@ -20,7 +25,18 @@ def stick_figure(seed: int | None = None) -> TrainingCharacter:
         weights = np.eye(22, dtype=np.float32)
         target = handle_target(weights, np.arange(22))
         return TrainingCharacter(
-            "stick", places, none, np.ones(22), none, weights, places, parents, np.arange(22), target, places[0], float(np.ptp(places[:, 1]))
+            "stick",
+            places,
+            none,
+            np.ones(22),
+            none,
+            weights,
+            places,
+            parents,
+            np.arange(22),
+            target,
+            places[0],
+            float(np.ptp(places[:, 1])),
         )
 
     if seed is None:
@@ -50,12 +66,15 @@ def test_limbs_point_where_the_pose_says(pose, seed):
 def test_the_body_in_t_pose_stays_nearly_as_it_is():
     body = reference_body()
     figure = TrainingCharacter(
-        "body", body.vertices, np.zeros((0, 3)), np.ones(len(body.vertices)), np.zeros((0, 2)), body.joint_weights, np.asarray(body.joints, float),
+        "body", body.vertices, np.zeros((0, 3)), np.ones(len(body.vertices)), np.zeros((0, 2)), body.joint_weights,
+        np.asarray(body.joints, float),
         np.array(JOINT_PARENTS), np.arange(22), body.handle_weights, body.joints[0], 1.7,
     )  # fmt: skip
     assert np.linalg.norm(posed_limbs(figure, "T") - body.vertices, axis=1).max() < 0.12
     seated, low = posed_limbs(figure, "sitting"), posed_limbs(figure, "arms down")
-    assert np.ptp(seated[:, 1]) < 0.85 * np.ptp(body.vertices[:, 1]) and np.ptp(seated[:, 2]) > 1.5 * np.ptp(body.vertices[:, 2])
+    assert np.ptp(seated[:, 1]) < 0.85 * np.ptp(body.vertices[:, 1]) and np.ptp(seated[:, 2]) > 1.5 * np.ptp(
+        body.vertices[:, 2]
+    )
     assert np.ptp(low[:, 0]) < 0.6 * np.ptp(body.vertices[:, 0])
 
 

@@ -26,11 +26,25 @@ def trained(tmp_path_factory):
             vectors[:, HANDLE_NAMES.index(part), 2] = (0.8 + 0.1 * number) * np.sin(np.arange(40) / 3)
             six = matrix_to_6d(matrix_from_axis_angle(vectors))
             root = {"root_translation": np.zeros((40, 3)), "root_rotation6d": six[:, 0]}
-            np.savez(data / f"{verb}{number}.npz", translations=np.zeros((40, HANDLE_COUNT, 3)), rotations6d=six, fps=20.0, **root)
+            np.savez(
+                data / f"{verb}{number}.npz",
+                translations=np.zeros((40, HANDLE_COUNT, 3)),
+                rotations6d=six,
+                fps=20.0,
+                **root,
+            )
             index[f"{verb}{number}"] = {"texts": [f"the figure {verb}"], "split": split, "frames": 40}
     (data / "index.json").write_text(json.dumps({"fps": 20, "clips": index}))
     network = DenoiserConfig(
-        width=16, layers=2, heads=2, feedforward=32, frames=40, mesh_features=12, text_encoder="words", text_size=8, pooled_size=8
+        width=16,
+        layers=2,
+        heads=2,
+        feedforward=32,
+        frames=40,
+        mesh_features=12,
+        text_encoder="words",
+        text_size=8,
+        pooled_size=8,
     )
     run = TrainingConfig(
         data=data,
@@ -61,7 +75,10 @@ def test_a_model_that_reads_finds_the_sentences(trained):
     result = retrieval(data, checkpoint=weights, candidates=6, progress=lambda done, total: calls.append((done, total)))
     assert result["clips"] == 6 and result["candidates"] == 6 and result["chance"] == pytest.approx(1 / 6)
     assert result["top1"] >= 5 / 6 and result["times_chance"] == pytest.approx(6 * result["top1"])
-    assert result["top1"] <= result["top2"] <= result["top3"] and result["top1_interval"][0] <= result["top1"] <= result["top1_interval"][1]
+    assert (
+        result["top1"] <= result["top2"] <= result["top3"]
+        and result["top1_interval"][0] <= result["top1"] <= result["top1_interval"][1]
+    )
     assert calls == [(done, 6) for done in range(1, 7)]
     assert json.loads(json.dumps(result)) == result == retrieval(data, checkpoint=weights, candidates=6)
     assert {row["caption"] for row in result["rows"]} == {f"the figure {verb}" for verb in PARTS.values()}

@@ -29,7 +29,9 @@ MMD = Path("/work/data/apparel/mmd")
 def test_motions_are_picked_by_caption_then_by_name(tmp_path):
     for name in ("a.bvh", "b.bvh", "c.bvh", "kick.bvh", "sit_down.bvh", "roll.bvh", "dance.bvh"):
         (tmp_path / name).write_text("x")
-    (tmp_path / "captions.csv").write_text("file,caption\na.bvh,walking far away\nb.bvh,a walk\nmissing.bvh,walk\nc.bvh,kickflip\n")
+    (tmp_path / "captions.csv").write_text(
+        "file,caption\na.bvh,walking far away\nb.bvh,a walk\nmissing.bvh,walk\nc.bvh,kickflip\n"
+    )
     assert {kind: path.name for kind, path in pick_motions(tmp_path).items()} == {
         "walk": "b.bvh", "dance": "dance.bvh", "kick": "kick.bvh", "sit": "sit_down.bvh", "roll": "roll.bvh",
     }  # fmt: skip
@@ -55,7 +57,9 @@ def test_the_table(tmp_path):
     for kind in KINDS:
         write_bvh(motion, tmp_path / f"{kind}.bvh")
     (tmp_path / "characters").mkdir()
-    RigAnimation(body.character(), matrix_from_axis_angle(turns), np.zeros((10, 22, 3))).save(tmp_path / "characters" / "person.glb")
+    RigAnimation(body.character(), matrix_from_axis_angle(turns), np.zeros((10, 22, 3))).save(
+        tmp_path / "characters" / "person.glb"
+    )
     result = evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)
     assert result["counts"] == {"characters": 1, "humanoids": 1, "clips": 1} and not result["failed"]
     assert set(BARS) <= set(result)
@@ -65,9 +69,13 @@ def test_the_table(tmp_path):
     made_of, row = json.loads(kept.read_text())
     assert row == result["rows"][0]
     kept.write_text(json.dumps([made_of, row | {"angle_rig": 77.0}]) + "\n[half a li")
-    assert evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)["angle_rig"] == 77.0
+    assert (
+        evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)["angle_rig"] == 77.0
+    )
     write_bvh(motion, tmp_path / "walk.bvh", fps=30)
-    assert evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)["angle_rig"] < 5  # another walk
+    assert (
+        evaluate_transfer(tmp_path / "characters", tmp_path, work=tmp_path / "work", speed=False)["angle_rig"] < 5
+    )  # another walk
 
 
 def doll(folder):
@@ -80,7 +88,10 @@ def doll(folder):
         limits = {True: None, False: ((-np.pi, 0.0, 0.0), (-np.radians(0.5), 0.0, 0.0))}
         return ik.target, ik.loops, ik.limit, [(link.bone, limits[link.lower is None]) for link in ik.links]
 
-    bones = [Bone(some.name, tuple(some.position * [1, 1, -1] / 0.08), some.parent, some.layer, ik=chain(some.ik)) for some in model.bones]
+    bones = [
+        Bone(some.name, tuple(some.position * [1, 1, -1] / 0.08), some.parent, some.layer, ik=chain(some.ik))
+        for some in model.bones
+    ]
     (folder / "doll.pmx").write_bytes(pmx(plank(bones=bones, bodies=[], joints=[], textures=[])))
 
 
@@ -98,7 +109,9 @@ def test_soles_of_an_mmd_model(tmp_path):
     assert 0.38 < result["soles_target"] < 0.41
     model = standard_model()
     hip, knee, ankle = (model.bone(f"左{name}") for name in ("足", "ひざ", "足首"))
-    length = np.linalg.norm(model.positions[hip] - model.positions[knee]) + np.linalg.norm(model.positions[knee] - model.positions[ankle])
+    length = np.linalg.norm(model.positions[hip] - model.positions[knee]) + np.linalg.norm(
+        model.positions[knee] - model.positions[ankle]
+    )
     link = model.bones[model.bone("左足ＩＫ")].ik.links[0]
     assert length - 1e-3 < leg_reach(model, link, hip, ankle) <= length
     assert measure_soles(None, {}) == dict.fromkeys(result)

@@ -1,7 +1,8 @@
 """BVH files in the dialects of the programs and archives that write them, line by line, from a motion of SMPL's joints.
 
-A dialect names the joints, hangs them on one another, and has a rest pose, an order of channels, a unit and an upward axis. Its rest
-pose is a rotation C for each part that turns the reference's T-pose into it, so the file's world rotations are `W C^-1`.
+A dialect names the joints, hangs them on one another, and has a rest pose, an order of channels, a unit and an upward
+axis. Its rest pose is a rotation C for each part that turns the reference's T-pose into it, so the file's world
+rotations are `W C^-1`.
 """
 
 import warnings
@@ -65,7 +66,8 @@ CMU = Dialect(
     [("Hips", None, "pelvis", 1.0)]
     + trunk("Hips", ("LowerBack", "spine1"), ("Spine", "spine2"), ("Spine1", "spine3"), ("Neck", "neck"))
     + [("Neck1", "Neck", "head", 0.5), ("Head", "Neck1", "head", 1.0)]
-    + limbs(["{side}Shoulder", "{side}Arm", "{side}ForeArm", "{side}Hand"], ["{side}UpLeg", "{side}Leg", "{side}Foot", "{side}ToeBase"],
+    + limbs(["{side}Shoulder", "{side}Arm", "{side}ForeArm", "{side}Hand"], ["{side}UpLeg", "{side}Leg", "{side}Foot",
+    "{side}ToeBase"],
             "Spine1", "Hips", "Left", "Right", between="{side}HipJoint")
     + [("LeftFingerBase", "LeftHand", "left_wrist", 1.1), ("LThumb", "LeftHand", "left_wrist", 1.1)],
     order="ZYX", unit=0.0254 / 0.45, rate=120.0, convention="CMU",
@@ -74,7 +76,8 @@ DAZ = Dialect(
     [("hip", None, "pelvis", 1.0)]
     + trunk("hip", ("abdomen", "spine1"), ("chest", "spine3"), ("neck", "neck"), ("head", "head"))
     + [("leftEye", "head", "head", 1.2), ("rightEye", "head", "head", 1.2)]
-    + limbs(["{side}Collar", "{side}Shldr", "{side}ForeArm", "{side}Hand"], ["{side}Thigh", "{side}Shin", "{side}Foot"], "chest", "hip", "l", "r"),
+    + limbs(["{side}Collar", "{side}Shldr", "{side}ForeArm", "{side}Hand"], ["{side}Thigh", "{side}Shin", "{side}Foot"],
+    "chest", "hip", "l", "r"),
     order="XZY", unit=0.0254, convention="Daz",
 )  # fmt: skip
 BANDAI_NAMCO = Dialect(
@@ -86,7 +89,8 @@ BANDAI_NAMCO = Dialect(
 )  # fmt: skip
 MIXAMO = Dialect(
     [("mixamorig:Hips", None, "pelvis", 1.0)]
-    + trunk("mixamorig:Hips", ("mixamorig:Spine", "spine1"), ("mixamorig:Spine1", "spine2"), ("mixamorig:Spine2", "spine3"),
+    + trunk("mixamorig:Hips", ("mixamorig:Spine", "spine1"), ("mixamorig:Spine1", "spine2"), ("mixamorig:Spine2",
+    "spine3"),
             ("mixamorig:Neck", "neck"), ("mixamorig:Head", "head"), ("mixamorig:HeadTop_End", "head"))
     + limbs(["mixamorig:{side}Shoulder", "mixamorig:{side}Arm", "mixamorig:{side}ForeArm", "mixamorig:{side}Hand"],
             ["mixamorig:{side}UpLeg", "mixamorig:{side}Leg", "mixamorig:{side}Foot", "mixamorig:{side}ToeBase"],
@@ -98,46 +102,55 @@ ROKOKO = Dialect(
     + trunk("Hips", ("Spine1", "spine1"), ("Spine2", "spine2"))
     + [("Spine3", "Spine2", "spine3", 0.5), ("Spine4", "Spine3", "spine3", 1.0)]
     + trunk("Spine4", ("Neck", "neck"), ("Head", "head"))
-    + limbs(["{side}Shoulder", "{side}Arm", "{side}ForeArm", "{side}Hand"], ["{side}Thigh", "{side}Shin", "{side}Foot", "{side}Toe"],
+    + limbs(["{side}Shoulder", "{side}Arm", "{side}ForeArm", "{side}Hand"], ["{side}Thigh", "{side}Shin", "{side}Foot",
+    "{side}Toe"],
             "Spine4", "Hips", "Left", "Right"),
     order="YXZ", unit=0.01, rest="A", zero_positions=True, rate=100.0, convention="Rokoko",
 )  # fmt: skip
 ALONG_X = Dialect(
     [("Hips", None, "pelvis", 1.0)]
     + trunk("Hips", ("Spine", "spine1"), ("Spine1", "spine2"), ("Spine2", "spine3"), ("Neck", "neck"), ("Head", "head"))
-    + limbs(["{side}Shoulder", "{side}Arm", "{side}ForeArm", "{side}Hand"], ["{side}UpLeg", "{side}Leg", "{side}Foot", "{side}Toe"],
+    + limbs(["{side}Shoulder", "{side}Arm", "{side}ForeArm", "{side}Hand"], ["{side}UpLeg", "{side}Leg", "{side}Foot",
+    "{side}Toe"],
             "Spine2", "Hips", "Left", "Right"),
     order="ZYX", unit=0.01, rest="X", rate=30.0, convention="MotionBuilder",
 )  # fmt: skip
 BIPED = Dialect(
     [("Bip01", None, "pelvis", 1.0), ("Bip01 Pelvis", "Bip01", "pelvis", 0.0)]
-    + trunk("Bip01 Pelvis", ("Bip01 Spine", "spine1"), ("Bip01 Spine1", "spine3"), ("Bip01 Neck", "neck"), ("Bip01 Head", "head"))
+    + trunk("Bip01 Pelvis", ("Bip01 Spine", "spine1"), ("Bip01 Spine1", "spine3"), ("Bip01 Neck", "neck"),
+    ("Bip01 Head", "head"))
     + limbs(["Bip01 {side} Clavicle", "Bip01 {side} UpperArm", "Bip01 {side} Forearm", "Bip01 {side} Hand"],
-            ["Bip01 {side} Thigh", "Bip01 {side} Calf", "Bip01 {side} Foot", "Bip01 {side} Toe0"], "Bip01 Spine1", "Bip01 Pelvis", "L", "R"),
+            ["Bip01 {side} Thigh", "Bip01 {side} Calf", "Bip01 {side} Foot", "Bip01 {side} Toe0"], "Bip01 Spine1",
+            "Bip01 Pelvis", "L", "R"),
     order="YZX", unit=0.0254, rest="down", convention="Biped",
 )  # fmt: skip
 BLENDER = Dialect(
     [("hips", None, "pelvis", 1.0)]
     + trunk("hips", ("spine", "spine1"), ("chest", "spine3"), ("neck", "neck"), ("head", "head"))
-    + limbs(["shoulder.{side}", "upper_arm.{side}", "forearm.{side}", "hand.{side}"], ["thigh.{side}", "shin.{side}", "foot.{side}", "toe.{side}"],
+    + limbs(["shoulder.{side}", "upper_arm.{side}", "forearm.{side}", "hand.{side}"], ["thigh.{side}", "shin.{side}",
+    "foot.{side}", "toe.{side}"],
             "chest", "hips", "L", "R"),
     order="XYZ", z_up=True, rest="back", rate=24.0,
 )  # fmt: skip
 CLASSIC = Dialect(
     [("Hips", None, "pelvis", 1.0)]
     + trunk("Hips", ("Chest", "spine1"), ("Chest2", "spine3"), ("Neck", "neck"), ("Head", "head"))
-    + limbs(["{side}Collar", "{side}Shoulder", "{side}Elbow", "{side}Wrist"], ["{side}Hip", "{side}Knee", "{side}Ankle", "{side}Toe"],
+    + limbs(["{side}Collar", "{side}Shoulder", "{side}Elbow", "{side}Wrist"], ["{side}Hip", "{side}Knee", "{side}Ankle",
+    "{side}Toe"],
             "Chest2", "Hips", "Left", "Right"),
     order="ZXY", unit=0.1, rest="down", convention="Poser",
 )  # fmt: skip
 NAMELESS = Dialect(
     [("joint_0", None, "pelvis", 1.0)]
-    + trunk("joint_0", ("joint_1", "spine1"), ("joint_2", "spine2"), ("joint_3", "spine3"), ("joint_4", "neck"), ("joint_5", "head"))
-    + limbs(["a{side}", "b{side}", "c{side}", "d{side}"], ["e{side}", "f{side}", "g{side}", "h{side}"], "joint_3", "joint_0", "q", "w"),
+    + trunk("joint_0", ("joint_1", "spine1"), ("joint_2", "spine2"), ("joint_3", "spine3"), ("joint_4", "neck"),
+    ("joint_5", "head"))
+    + limbs(["a{side}", "b{side}", "c{side}", "d{side}"], ["e{side}", "f{side}", "g{side}", "h{side}"], "joint_3",
+    "joint_0", "q", "w"),
     order="XYZ", unit=1.0,
 )  # fmt: skip
 DIALECTS = {
-    "cmu": CMU, "daz": DAZ, "bandai-namco": BANDAI_NAMCO, "mixamo": MIXAMO, "rokoko": ROKOKO, "along x": ALONG_X, "biped": BIPED,
+    "cmu": CMU, "daz": DAZ, "bandai-namco": BANDAI_NAMCO, "mixamo": MIXAMO, "rokoko": ROKOKO, "along x": ALONG_X,
+    "biped": BIPED,
     "blender": BLENDER, "classic": CLASSIC, "nameless": NAMELESS,
 }  # fmt: skip
 
@@ -173,11 +186,17 @@ def bvh_text(motion, dialect):
             rotations[name], offsets[name] = np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3))
             continue
         index = JOINT_NAMES.index(joint)
-        own = index if share >= 1 else max(int(motion.skeleton.parents[index]), 0)  # a bone on the way turns with its parent
+        own = (
+            index if share >= 1 else max(int(motion.skeleton.parents[index]), 0)
+        )  # a bone on the way turns with its parent
         rest = rest_rotation(dialect.rest, JOINT_NAMES[own]).as_matrix()
         rotations[name] = world[:, own] @ rest.T
         parent = max(int(motion.skeleton.parents[index]), 0)
-        place = places[:, parent] + share * (places[:, index] - places[:, parent]) if share <= 1 else places[:, index] + 0.05 * world[:, index, :, 0]
+        place = (
+            places[:, parent] + share * (places[:, index] - places[:, parent])
+            if share <= 1
+            else places[:, index] + 0.05 * world[:, index, :, 0]
+        )
         if index == 0:
             place = places[:, 0]
         offsets[name] = place
@@ -196,8 +215,16 @@ def bvh_text(motion, dialect):
             angles = Rotation.from_matrix(turned @ local @ turned.T).as_euler(dialect.order, degrees=True)
         moves = above is None or dialect.all_positions or dialect.zero_positions
         x, y, z = np.zeros(3) if above is None or above == dialect.still_root else way.mean(axis=0)
-        lines.extend([f"{pad}{'ROOT' if above is None else 'JOINT'} {name}", pad + "{", f"{pad}\tOFFSET\t{x:.6f}\t{y:.6f}\t{z:.6f}"])
-        channels = (["Xposition", "Yposition", "Zposition"] if moves else []) + [f"{axis}rotation" for axis in dialect.order]
+        lines.extend(
+            [
+                f"{pad}{'ROOT' if above is None else 'JOINT'} {name}",
+                pad + "{",
+                f"{pad}\tOFFSET\t{x:.6f}\t{y:.6f}\t{z:.6f}",
+            ]
+        )
+        channels = (["Xposition", "Yposition", "Zposition"] if moves else []) + [
+            f"{axis}rotation" for axis in dialect.order
+        ]
         lines.append(f"{pad}\tCHANNELS {len(channels)} {' '.join(channels)}")
         if moves:
             columns.append(way if above is None or dialect.all_positions else 0 * way)

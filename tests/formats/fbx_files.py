@@ -23,7 +23,16 @@ def properties(**entries: Any) -> Node:
     rows = []
     for key, value in entries.items():
         numbers = value if isinstance(value, tuple) else (value,)
-        rows.append(node("P", key.replace("_bar_", "|").replace("_", " ") if key.startswith(("Lcl", "d_bar")) else key, "", "", "A", *numbers))
+        rows.append(
+            node(
+                "P",
+                key.replace("_bar_", "|").replace("_", " ") if key.startswith(("Lcl", "d_bar")) else key,
+                "",
+                "",
+                "A",
+                *numbers,
+            )
+        )
     return node("Properties70", children=rows)
 
 
@@ -65,7 +74,11 @@ def _value(value: Any, packed: bool) -> bytes:
 
 def text(nodes: list[Node], version: int = 7400) -> bytes:
     """The same as a text FBX file; names of objects are written the other way round, as there."""
-    lines = [f"; FBX {version / 1000:.1f} project file", "; by hand", f"FBXHeaderExtension:  {{\n\tFBXVersion: {version}\n}}"]
+    lines = [
+        f"; FBX {version / 1000:.1f} project file",
+        "; by hand",
+        f"FBXHeaderExtension:  {{\n\tFBXVersion: {version}\n}}",
+    ]
     for entry in nodes:
         _lines(lines, entry, "")
     return "\n".join(lines).encode() + b"\n"
@@ -100,11 +113,20 @@ class Scene:
         self.links: list[Node] = []
         self.next = 100
 
-    def add(self, kind: str, name: str, subtype: str, *children: Node, below: int | None = None, drives: str = "") -> int:
+    def add(
+        self, kind: str, name: str, subtype: str, *children: Node, below: int | None = None, drives: str = ""
+    ) -> int:
         """Add an object, connect it below another and return its number."""
         self.next += 1
-        label = {"AnimationStack": "AnimStack", "AnimationLayer": "AnimLayer", "AnimationCurveNode": "AnimCurveNode", "AnimationCurve": "AnimCurve"}
-        self.objects.append(node(kind, self.next, f"{name}\x00\x01{label.get(kind, kind)}", subtype, children=list(children)))
+        label = {
+            "AnimationStack": "AnimStack",
+            "AnimationLayer": "AnimLayer",
+            "AnimationCurveNode": "AnimCurveNode",
+            "AnimationCurve": "AnimCurve",
+        }
+        self.objects.append(
+            node(kind, self.next, f"{name}\x00\x01{label.get(kind, kind)}", subtype, children=list(children))
+        )
         if below is not None:
             self.link(self.next, below, drives)
         return self.next
@@ -117,8 +139,13 @@ class Scene:
 
     def mesh(self, model: int, points: Any, polygons: list[list[int]], *layers: Node) -> int:
         """Add a mesh below a model and return its number."""
-        corners = [corner if i + 1 < len(polygon) else ~corner for polygon in polygons for i, corner in enumerate(polygon)]
-        arrays = node("Vertices", np.array(points, float).reshape(-1)), node("PolygonVertexIndex", np.array(corners, np.int32))
+        corners = [
+            corner if i + 1 < len(polygon) else ~corner for polygon in polygons for i, corner in enumerate(polygon)
+        ]
+        arrays = (
+            node("Vertices", np.array(points, float).reshape(-1)),
+            node("PolygonVertexIndex", np.array(corners, np.int32)),
+        )
         return self.add("Geometry", "Mesh", "Mesh", *arrays, *layers, below=model)
 
     def skin(self, mesh: int) -> int:
@@ -128,7 +155,8 @@ class Scene:
         made = self.add(
             "Deformer", "", "Cluster",
             node("Indexes", np.array(index, np.int32)), node("Weights", np.array(weights, float)),
-            node("Transform", transform.T.reshape(-1).copy()), node("TransformLink", bind.T.reshape(-1).copy()), below=skin,
+            node("Transform", transform.T.reshape(-1).copy()), node("TransformLink", bind.T.reshape(-1).copy()),
+            below=skin,
         )  # fmt: skip
         self.link(joint, made)
         return made

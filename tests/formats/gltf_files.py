@@ -14,7 +14,20 @@ _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (0, 2) for z in (-1, 1)], np.float32)
 CUBE_FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ]
 )
 
 
@@ -45,7 +58,14 @@ class Maker:
         return len(self.accessors) - 1
 
     def tree(self, **parts):
-        tree = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "accessors": self.accessors, "bufferViews": self.views, **parts}
+        tree = {
+            "asset": {"version": "2.0"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "accessors": self.accessors,
+            "bufferViews": self.views,
+            **parts,
+        }
         tree["buffers"] = [{"byteLength": len(self.binary)}]
         return tree
 
@@ -65,7 +85,11 @@ def glb_bytes(tree, binary):
 def cube_glb(node=None, mesh=None, **primitive):
     """A GLB of one cube, placed by a node."""
     maker = Maker()
-    entry = {"attributes": {"POSITION": maker.add(CUBE, bounds=True)}, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint16)), **primitive}
+    entry = {
+        "attributes": {"POSITION": maker.add(CUBE, bounds=True)},
+        "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint16)),
+        **primitive,
+    }
     return maker.glb(nodes=[{"mesh": 0, **(node or {})}], meshes=[{"primitives": [entry], **(mesh or {})}])
 
 
@@ -83,7 +107,9 @@ def png(color=(255, 0, 0), size=4):
 
 
 def textured_glb(extra=None):
-    """A GLB with what real ones have: texture, UVs, normals, extras, two meshes of which one is instanced, a sheared skin and a clip."""
+    """A GLB with what real ones have: texture, UVs, normals, extras, two meshes of which one is instanced, a sheared
+    skin and a clip.
+    """
     maker = Maker()
     uv = np.random.default_rng(0).random((8, 2)).astype(np.float32)
     normals = (CUBE - [0, 1, 0]) / np.sqrt(3)
@@ -104,7 +130,13 @@ def textured_glb(extra=None):
     bind[1, 3, 1] = -1  # column-major: the second joint is bound at height 1
     clip = {"channels": [{"sampler": 0, "target": {"node": 2, "path": "rotation"}}]}
     keys = maker.add(np.array([0, 1], np.float32), bounds=True)
-    clip["samplers"] = [{"input": keys, "output": maker.add(np.array([[0, 0, 0, 1], [1, 0, 0, 0]], np.float32)), "interpolation": "LINEAR"}]
+    clip["samplers"] = [
+        {
+            "input": keys,
+            "output": maker.add(np.array([[0, 0, 0, 1], [1, 0, 0, 0]], np.float32)),
+            "interpolation": "LINEAR",
+        }
+    ]
     return maker.glb(
         scenes=[{"nodes": [0, 1], "name": "stage"}],
         nodes=[
@@ -115,13 +147,21 @@ def textured_glb(extra=None):
             {"mesh": 1, "name": "mirrored hat", "translation": [2, 1.5, 0], "scale": [-1, 1, 1]},
         ],
         meshes=[
-            {"name": "body", "primitives": [{"attributes": skinned, "indices": indices, "material": 0}], "extras": {"maker": "us"}},
+            {
+                "name": "body",
+                "primitives": [{"attributes": skinned, "indices": indices, "material": 0}],
+                "extras": {"maker": "us"},
+            },
             {"name": "hat", "primitives": [{"attributes": plain, "indices": indices, "material": 1}]},
         ],
         skins=[{"joints": [1, 2], "inverseBindMatrices": maker.add(bind.reshape(2, 16))}],
         animations=[clip],
         materials=[
-            {"name": "cloth", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0.1}, "extras": {"price": 3}},
+            {
+                "name": "cloth",
+                "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0.1},
+                "extras": {"price": 3},
+            },
             {"name": "felt", "pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.2, 0.1, 1]}, "doubleSided": True},
         ],
         textures=[{"source": 0, "sampler": 0}],
@@ -153,4 +193,6 @@ def made_up_motion(character, frames=24, count=30, seed=0, fps=20.0):
         if still < count:
             translations[:, still] = rotations[:, still] = 0
     root = matrix_from_axis_angle(t[:, 0] * [1.0, 7, 2])
-    return HandleMotion(translations, matrix_from_axis_angle(rotations), character.height * t[:, 0] * [1, 0.2, 0.5], root, fps)
+    return HandleMotion(
+        translations, matrix_from_axis_angle(rotations), character.height * t[:, 0] * [1, 0.2, 0.5], root, fps
+    )

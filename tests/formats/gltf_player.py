@@ -1,4 +1,6 @@
-"""A player of glTF skins written from the glTF 2.0 specification alone, to check Bunraku's files against. It shares no code with it."""
+"""A player of glTF skins written from the glTF 2.0 specification alone, to check Bunraku's files against. It shares no
+code with it.
+"""
 
 import json
 import struct
@@ -42,10 +44,15 @@ class Player:
         out = np.zeros((entry["count"], _SIZES[entry["type"]]))
         if "sparse" in entry:
             sparse, parts = entry["sparse"], []
-            for part, component, size in (("indices", sparse["indices"]["componentType"], 1), ("values", entry["componentType"], out.shape[1])):
+            for part, component, size in (
+                ("indices", sparse["indices"]["componentType"], 1),
+                ("values", entry["componentType"], out.shape[1]),
+            ):
                 view = self.tree["bufferViews"][sparse[part]["bufferView"]]
                 start = view.get("byteOffset", 0) + sparse[part].get("byteOffset", 0)
-                parts.append(np.frombuffer(self.binary, _TYPES[component], size * sparse["count"], start).reshape(-1, size))
+                parts.append(
+                    np.frombuffer(self.binary, _TYPES[component], size * sparse["count"], start).reshape(-1, size)
+                )
             out[parts[0][:, 0]] = parts[1]
         return out
 
@@ -68,7 +75,10 @@ class Player:
 
     def _place(self, primitive, morphs, node, world, number):
         attributes = primitive["attributes"]
-        positions = np.c_[self.accessor(attributes["POSITION"]).astype(float), np.ones(self.tree["accessors"][attributes["POSITION"]]["count"])]
+        positions = np.c_[
+            self.accessor(attributes["POSITION"]).astype(float),
+            np.ones(self.tree["accessors"][attributes["POSITION"]]["count"]),
+        ]
         for weight, target in zip(morphs, primitive.get("targets", []), strict=True):
             if weight and "POSITION" in target:
                 positions[:, :3] += weight * self.accessor(target["POSITION"])
@@ -90,7 +100,10 @@ class Player:
         entry = self.tree["animations"][animation]
         for channel in entry["channels"]:
             sampler = entry["samplers"][channel["sampler"]]
-            times, values = self.accessor(sampler["input"])[:, 0].astype(float), self.accessor(sampler["output"]).astype(float)
+            times, values = (
+                self.accessor(sampler["input"])[:, 0].astype(float),
+                self.accessor(sampler["output"]).astype(float),
+            )
             assert sampler["interpolation"] == "LINEAR"
             path = channel["target"]["path"]
             if path == "weights":

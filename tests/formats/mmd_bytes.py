@@ -66,7 +66,9 @@ class Model:
 
 
 def plank(**changes):
-    """A board of four vertices with every kind of weights PMX 2.0 has, two materials, a chain of bones, two bodies and a joint."""
+    """A board of four vertices with every kind of weights PMX 2.0 has, two materials, a chain of bones, two bodies and
+    a joint.
+    """
     up = (0.0, 0.0, -1.0)
     model = Model(
         vertices=[
@@ -77,11 +79,14 @@ def plank(**changes):
         ],
         triangles=[0, 2, 1, 0, 3, 2],  # clockwise as seen from -Z
         textures=["tex\\skin.png"],
-        materials=[("肌", (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1, 0, 3), ("服", (0.5, 0.5, 0.5, 0.5), (0.2, 0.2, 0.2), 0, -1, 3)],
+        materials=[("肌", (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1, 0, 3), ("服", (0.5, 0.5, 0.5, 0.5), (0.2, 0.2, 0.2),
+        0, -1, 3)],
         bones=[
             Bone("センター", (0.0, 8.0, 0.5), tail=(0.0, 1.0, 0.0)),
             Bone("上半身", (0.0, 12.0, 0.0), 0, tail=2),
-            Bone("スカート", (0.0, 16.0, -2.0), 1, 1, append=(1, 0.5, 0x100), fixed=(0.0, 0.0, 1.0), local=((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))),
+            Bone("スカート", (0.0, 16.0, -2.0), 1, 1, append=(1, 0.5, 0x100), fixed=(0.0, 0.0, 1.0),
+                local=((1.0, 0.0, 0.0),
+            (0.0, 0.0, 1.0))),
         ],
         morphs=[("あ", 1, [struct.pack("<3f", 0, 1, 0)]), ("材", 8, [bytes(1 + 112)])],
         bodies=[
@@ -90,7 +95,8 @@ def plank(**changes):
         ],
         joints=[
             Joint("糸", (0, 1), (0.0, 14.0, 1.0), (0.4, 0.0, 0.0),
-                  ((-1.0, -2.0, -3.0), (4.0, 5.0, 6.0), (-0.1, -0.2, -0.3), (0.4, 0.5, 0.6)), ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))),
+                  ((-1.0, -2.0, -3.0), (4.0, 5.0, 6.0), (-0.1, -0.2, -0.3), (0.4, 0.5, 0.6)), ((1.0, 2.0, 3.0), (4.0,
+                  5.0, 6.0))),
         ],
     )  # fmt: skip
     for name, value in changes.items():
@@ -110,24 +116,53 @@ def pmx(model, version=2.0, utf8=False, sizes=(1, 1, 1, 2, 1, 1), uvs=0, tail=Tr
     def index(value, size, signed=True):
         return int(value).to_bytes(size, "little", signed=signed or size == 4)
 
-    out = b"PMX " + struct.pack("<fB8B", version, 8, int(utf8), uvs, *sizes) + text(model.name) + text("doll") + text("注") + text("")
+    out = (
+        b"PMX "
+        + struct.pack("<fB8B", version, 8, int(utf8), uvs, *sizes)
+        + text(model.name)
+        + text("doll")
+        + text("注")
+        + text("")
+    )
     out += struct.pack("<i", len(model.vertices))
     for position, normal, uv, (kind, bones, numbers) in model.vertices:
         out += struct.pack("<8f", *position, *normal, *uv) + bytes(16 * uvs) + bytes([kind])
-        out += b"".join(index(some, bone) for some in bones) + struct.pack(f"<{len(numbers)}f", *numbers) + struct.pack("<f", 1)
-    out += struct.pack("<i", len(model.triangles)) + b"".join(index(some, vertex, signed=False) for some in model.triangles)
+        out += (
+            b"".join(index(some, bone) for some in bones)
+            + struct.pack(f"<{len(numbers)}f", *numbers)
+            + struct.pack("<f", 1)
+        )
+    out += struct.pack("<i", len(model.triangles)) + b"".join(
+        index(some, vertex, signed=False) for some in model.triangles
+    )
     out += struct.pack("<i", len(model.textures)) + b"".join(text(some) for some in model.textures)
     out += struct.pack("<i", len(model.materials))
     for name, diffuse, ambient, flags, picture, corners in model.materials:
         out += text(name) + text("") + struct.pack("<4f3ff3fB", *diffuse, 0, 0, 0, 5, *ambient, flags) + bytes(20)
-        out += index(picture, texture) + index(-1, texture) + b"\0\0" + index(-1, texture) + text("") + struct.pack("<i", corners)
+        out += (
+            index(picture, texture)
+            + index(-1, texture)
+            + b"\0\0"
+            + index(-1, texture)
+            + text("")
+            + struct.pack("<i", corners)
+        )
     out += struct.pack("<i", len(model.bones)) + b"".join(_bone(some, text, index, bone) for some in model.bones)
     out += struct.pack("<i", len(model.morphs))
     sizes_of = {0: morph, 1: vertex, 2: bone, 3: vertex, 8: material, 10: body}
     for name, kind, offsets in model.morphs:
         out += text(name) + text("") + struct.pack("<BBi", 1, kind, len(offsets))
         out += b"".join(bytes(sizes_of[kind]) + rest for rest in offsets)
-    out += struct.pack("<i", 1) + text("表情") + text("Exp") + struct.pack("<Bi", 1, 2) + b"\0" + index(0, bone) + b"\1" + index(0, morph)
+    out += (
+        struct.pack("<i", 1)
+        + text("表情")
+        + text("Exp")
+        + struct.pack("<Bi", 1, 2)
+        + b"\0"
+        + index(0, bone)
+        + b"\1"
+        + index(0, morph)
+    )
     if not tail:
         return out
     out += struct.pack("<i", len(model.bodies))
@@ -140,9 +175,28 @@ def pmx(model, version=2.0, utf8=False, sizes=(1, 1, 1, 2, 1, 1), uvs=0, tail=Tr
 
 
 def _bone(some, text, index, size):
-    flags = 0x2 | 0x4 | 0x8 | 0x10 | (isinstance(some.tail, int) and 1) | (some.ik is not None and 0x20) | (some.append[2] if some.append else 0)
-    flags |= (some.fixed is not None and 0x400) | (some.local is not None and 0x800) | (some.after_physics and 0x1000) | (some.external and 0x2000)
-    out = text(some.name) + text("") + struct.pack("<3f", *some.position) + index(some.parent, size) + struct.pack("<iH", some.layer, flags)
+    flags = (
+        0x2
+        | 0x4
+        | 0x8
+        | 0x10
+        | (isinstance(some.tail, int) and 1)
+        | (some.ik is not None and 0x20)
+        | (some.append[2] if some.append else 0)
+    )
+    flags |= (
+        (some.fixed is not None and 0x400)
+        | (some.local is not None and 0x800)
+        | (some.after_physics and 0x1000)
+        | (some.external and 0x2000)
+    )
+    out = (
+        text(some.name)
+        + text("")
+        + struct.pack("<3f", *some.position)
+        + index(some.parent, size)
+        + struct.pack("<iH", some.layer, flags)
+    )
     out += index(some.tail, size) if isinstance(some.tail, int) else struct.pack("<3f", *some.tail)
     if some.append:
         out += index(some.append[0], size) + struct.pack("<f", some.append[1])
@@ -156,7 +210,11 @@ def _bone(some, text, index, size):
         target, loops, limit, links = some.ik
         out += index(target, size) + struct.pack("<ifi", loops, limit, len(links))
         for link, limits in links:
-            out += index(link, size) + bytes([limits is not None]) + (struct.pack("<6f", *limits[0], *limits[1]) if limits else b"")
+            out += (
+                index(link, size)
+                + bytes([limits is not None])
+                + (struct.pack("<6f", *limits[0], *limits[1]) if limits else b"")
+            )
     return out
 
 
@@ -176,19 +234,34 @@ def pmd(model, ik=(), english=True, tail=True, kinds=None):
     def field_of(value, size):
         return value.encode("cp932")[:size].ljust(size, b"\0")
 
-    out = b"Pmd" + struct.pack("<f", 1.0) + field_of(model.name, 20) + field_of("注", 256) + struct.pack("<I", len(model.vertices))
+    out = (
+        b"Pmd"
+        + struct.pack("<f", 1.0)
+        + field_of(model.name, 20)
+        + field_of("注", 256)
+        + struct.pack("<I", len(model.vertices))
+    )
     for position, normal, uv, (_, bones, numbers) in model.vertices:
         pair, share = (bones * 2)[:2], numbers[0] if numbers else 1.0
-        out += struct.pack("<8f2HBB", *position, *normal, *uv, *(some & 0xFFFF for some in pair), round(100 * min(share, 1)), 0)
+        out += struct.pack(
+            "<8f2HBB", *position, *normal, *uv, *(some & 0xFFFF for some in pair), round(100 * min(share, 1)), 0
+        )
     out += struct.pack("<I", len(model.triangles)) + struct.pack(f"<{len(model.triangles)}H", *model.triangles)
     out += struct.pack("<I", len(model.materials))
     for _, diffuse, ambient, _, picture, corners in model.materials:
         name = model.textures[picture] + "*gloss.sph" if picture >= 0 else ""
-        out += struct.pack("<4ff3f3f", *diffuse, 5, 0, 0, 0, *ambient) + b"\0\0" + struct.pack("<I", corners) + field_of(name, 20)
+        out += (
+            struct.pack("<4ff3f3f", *diffuse, 5, 0, 0, 0, *ambient)
+            + b"\0\0"
+            + struct.pack("<I", corners)
+            + field_of(name, 20)
+        )
     out += struct.pack("<H", len(model.bones))
     for number, some in enumerate(model.bones):
         kind, end, other = (kinds or {}).get(number, (1, 0, 0))
-        out += field_of(some.name, 20) + struct.pack("<HHBH3f", some.parent & 0xFFFF, end, kind, other & 0xFFFF, *some.position)
+        out += field_of(some.name, 20) + struct.pack(
+            "<HHBH3f", some.parent & 0xFFFF, end, kind, other & 0xFFFF, *some.position
+        )
     out += struct.pack("<H", len(ik))
     for goal, target, loops, limit, links in ik:
         out += struct.pack("<HHBHf", goal, target, len(links), loops, limit) + struct.pack(f"<{len(links)}H", *links)

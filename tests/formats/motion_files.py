@@ -1,4 +1,6 @@
-"""Skeletal motions to write into files, and a writer of HumanML3D's vectors after the published description of that set."""
+"""Skeletal motions to write into files, and a writer of HumanML3D's vectors after the published description of that
+set.
+"""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,8 +18,14 @@ def about_y(angle):
 def walk_about(frames=60, fps=20.0, seed=0, size=0.3, still=()):
     """A body that walks in a curve while it bends its joints, but those that are `still`, by smooth random angles."""
     rng, time = np.random.default_rng(seed), np.linspace(0, 3, frames)
-    bend = np.sin(time[:, None, None] * rng.uniform(0.5, 2, (1, JOINT_COUNT, 1)) + rng.uniform(0, 6, (1, JOINT_COUNT, 1)))
-    rotations = Rotation.from_rotvec((bend * rng.normal(0, size, (1, JOINT_COUNT, 3))).reshape(-1, 3)).as_matrix().reshape(frames, JOINT_COUNT, 3, 3)
+    bend = np.sin(
+        time[:, None, None] * rng.uniform(0.5, 2, (1, JOINT_COUNT, 1)) + rng.uniform(0, 6, (1, JOINT_COUNT, 1))
+    )
+    rotations = (
+        Rotation.from_rotvec((bend * rng.normal(0, size, (1, JOINT_COUNT, 3))).reshape(-1, 3))
+        .as_matrix()
+        .reshape(frames, JOINT_COUNT, 3, 3)
+    )
     rotations[:, [JOINT_NAMES.index(name) for name in still]] = np.eye(3)
     turn = about_y(np.radians(40 * time + 20)).as_matrix()
     rotations[:, 0] = turn @ rotations[:, 0]
@@ -28,7 +36,9 @@ def walk_about(frames=60, fps=20.0, seed=0, size=0.3, still=()):
 def humanml3d_vectors(positions):
     """Rows of `new_joint_vecs`, one fewer than there are positions (N + 1, 22, 3)."""
     left_hip, right_hip, left_shoulder, right_shoulder = 1, 2, 16, 17
-    across = positions[:, right_hip] - positions[:, left_hip] + positions[:, right_shoulder] - positions[:, left_shoulder]
+    across = (
+        positions[:, right_hip] - positions[:, left_hip] + positions[:, right_shoulder] - positions[:, left_shoulder]
+    )
     forward = np.cross([0, 1, 0], across)
     angle = np.unwrap(np.arctan2(forward[:, 0], forward[:, 2]))
     off = about_y(-angle)  # the turn that takes the heading to +Z

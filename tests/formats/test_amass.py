@@ -18,7 +18,8 @@ UPRIGHT = [np.pi / 2, 0, 0]  # turns SMPL's +Y up into the +Z up of AMASS
 
 def amass(frames=8, columns=156, rate="mocap_framerate", **changes):
     arrays = {
-        "trans": np.tile([0.0, 0, 0.95], (frames, 1)), "gender": np.array("female"), rate: np.array(120.0), "betas": np.zeros(16),
+        "trans": np.tile([0.0, 0, 0.95], (frames, 1)), "gender": np.array("female"), rate: np.array(120.0),
+        "betas": np.zeros(16),
         "dmpls": np.zeros((frames, 8)), "poses": np.zeros((frames, columns)),
     }  # fmt: skip
     arrays["poses"][:, :3] = UPRIGHT
@@ -31,7 +32,9 @@ def save(path, **changes):
     return path
 
 
-@pytest.mark.parametrize(("columns", "rate"), [(156, "mocap_framerate"), (165, "mocap_frame_rate"), (66, "mocap_framerate")])
+@pytest.mark.parametrize(
+    ("columns", "rate"), [(156, "mocap_framerate"), (165, "mocap_frame_rate"), (66, "mocap_framerate")]
+)
 def test_standing_facing_minus_y_of_amass(tmp_path, columns, rate):
     """The T-pose of a person that AMASS turned upright only: it faces -Y there, which is +Z here."""
     motion = load_motion(save(tmp_path / "stand.npz", columns=columns, rate=rate))

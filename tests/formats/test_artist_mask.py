@@ -48,12 +48,17 @@ def test_red_paint_counts_whatever_the_order_of_vertices(loaded, tmp_path):
     lines = ["ply", "format ascii 1.0", f"element vertex {len(order)}", *(f"property float {axis}" for axis in "xyz")]
     lines += [*(f"property uchar {shade}" for shade in ("red", "green", "blue")), f"element face {len(loaded.faces)}"]
     lines += ["property list uchar int vertex_indices", "end_header"]
-    lines += [f"{x:.7f} {y:.7f} {z:.7f} {r} {g} {b}" for (x, y, z), (r, g, b) in zip(loaded.vertices[order], shades, strict=True)]
+    lines += [
+        f"{x:.7f} {y:.7f} {z:.7f} {r} {g} {b}"
+        for (x, y, z), (r, g, b) in zip(loaded.vertices[order], shades, strict=True)
+    ]
     lines += [f"3 {a} {b} {c}" for a, b, c in place[loaded.faces]]
     (tmp_path / "doll.apparel.ply").write_text("\n".join(lines))
     mask = apparel_mask(loaded)
     assert mask is not None
-    twins = len(used) - len(np.unique(loaded.vertices[used].round(5), axis=0))  # seams on the border of the paint may go either way
+    twins = len(used) - len(
+        np.unique(loaded.vertices[used].round(5), axis=0)
+    )  # seams on the border of the paint may go either way
     assert (mask[used] != red[used]).sum() <= twins and mask[used].any()
 
 
@@ -82,7 +87,8 @@ def test_bad_masks(doll, tmp_path, name, content, problem):
 def test_a_painted_mesh_of_another_shape_is_refused(doll, tmp_path):
     other = tmp_path / "m.ply"
     other.write_text(
-        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face "
+        "1\n"
         "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
     )
     with pytest.raises(FormatError, match="paint"):

@@ -98,24 +98,35 @@ def test_every_order_of_channels(tmp_path, order):
         SMALL.replace("\n", "\r\n"),
         SMALL.replace("  ", "\t"),
         "\ufeff\n" + SMALL,
-        SMALL.replace("ROOT", "root").replace("MOTION", "Motion").replace("CHANNELS", "Channels").replace("Zrotation", "ZROTATION"),
+        SMALL.replace("ROOT", "root")
+        .replace("MOTION", "Motion")
+        .replace("CHANNELS", "Channels")
+        .replace("Zrotation", "ZROTATION"),
         SMALL + "\n\n  \n",
         SMALL + "this file was written by a trial version\n",
         SMALL.replace("90 0 0 0 0 0\n1", "9e1 +0 -0. .0 0 0 1"),
         SMALL.replace("hips\n{", "hips {").replace("}\n}\nMOTION", "} }\nMOTION"),
-        SMALL.replace("HIERARCHY\n", "HIERARCHY\nROOT prop\n{\nOFFSET 0 0 0\nCHANNELS 1 Xposition\nEnd Site\n{\nOFFSET 0 0 0\n}\n}\n")
+        SMALL.replace(
+            "HIERARCHY\n",
+            "HIERARCHY\nROOT prop\n{\nOFFSET 0 0 0\nCHANNELS 1 Xposition\nEnd Site\n{\nOFFSET 0 0 0\n}\n}\n",
+        )
         .replace("\n1 2 3", "\n7 1 2 3")
         .replace("\n1 2 4", "\n7 1 2 4"),
     ],
 )
 def test_ways_to_write_the_same(tmp_path, changed):
     want, got = read(tmp_path, SMALL), read(tmp_path, changed)
-    assert np.allclose(got.rotations, want.rotations, atol=1e-6) and np.allclose(got.world()[1], want.world()[1], atol=1e-6)
+    assert np.allclose(got.rotations, want.rotations, atol=1e-6) and np.allclose(
+        got.world()[1], want.world()[1], atol=1e-6
+    )
     assert got.skeleton.names == want.skeleton.names
 
 
 def test_names_with_blanks_and_names_twice(tmp_path):
-    toes = "JOINT toe\n{\nOFFSET 0 0 1\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 0 0\n}\n}\nJOINT toe\n{\nOFFSET 0 0 1\n}\nEnd Site"
+    toes = (
+        "JOINT toe\n{\nOFFSET 0 0 1\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 0 0\n}\n}\nJOINT toe\n{\nOFFSET 0 0 1\n"
+        "}\nEnd Site"
+    )
     text = SMALL.replace("hips", "Bip01 L Thigh").replace("End Site", toes)
     assert read(tmp_path, text).skeleton.names == ("Bip01 L Thigh", "knee", "toe", "toe_2")
 
@@ -127,10 +138,15 @@ def test_units_and_axes(tmp_path):
     path.write_text(text)
     assert load_motion(path).world()[1][..., 1].max() > 1.3  # it stands along +Y
     lying = load_bvh(path, up="+y")
-    assert np.ptp(lying.world()[1][..., 1], axis=1).mean() < np.ptp(load_motion(path).world()[1][..., 1], axis=1).mean() - 0.2
+    assert (
+        np.ptp(lying.world()[1][..., 1], axis=1).mean()
+        < np.ptp(load_motion(path).world()[1][..., 1], axis=1).mean() - 0.2
+    )
     for unit, metres in (("m", 1), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("dm", 0.1)):
         write_bvh(truth, path, unit=unit)
-        assert np.linalg.norm(load_motion(path).skeleton.offsets[1]) == pytest.approx(np.linalg.norm(truth.skeleton.offsets[1]), rel=1e-3), unit
+        assert np.linalg.norm(load_motion(path).skeleton.offsets[1]) == pytest.approx(
+            np.linalg.norm(truth.skeleton.offsets[1]), rel=1e-3
+        ), unit
         assert np.linalg.norm(load_bvh(path, unit="m").skeleton.offsets[1]) == pytest.approx(
             np.linalg.norm(truth.skeleton.offsets[1]) / metres, rel=1e-3
         )
@@ -146,7 +162,9 @@ def test_hips_below_a_still_root_carry_the_path(tmp_path):
     assert motion.skeleton.names[0] == "Hips" and "joint_Root" not in motion.skeleton.names
     assert np.abs(motion.root_translation - truth.root_translation).max() < 1e-4
     zeros = read(tmp_path, bvh_text(truth, DIALECTS["rokoko"]))
-    assert (np.linalg.norm(zeros.skeleton.offsets[1:], axis=-1) > 0.01).all()  # zeros in the channels are not the offsets
+    assert (
+        np.linalg.norm(zeros.skeleton.offsets[1:], axis=-1) > 0.01
+    ).all()  # zeros in the channels are not the offsets
 
 
 @pytest.mark.parametrize(("up", "order", "unit"), [("+y", "zxy", "cm"), ("+z", "xyz", "m"), ("+y", "yzx", "in")])
@@ -220,7 +238,9 @@ def test_broken_files_get_one_sentence(tmp_path, old, new, match):
     assert old in SMALL
     text = SMALL.replace(old, new, 1)
     if "CHANNELS 6 X" in old:
-        read(tmp_path, text.replace("0.04\n", "0.04\n0 0 0\n"))  # fewer channels, so more numbers than needed: that is no error
+        read(
+            tmp_path, text.replace("0.04\n", "0.04\n0 0 0\n")
+        )  # fewer channels, so more numbers than needed: that is no error
         return
     with pytest.raises(BunrakuError, match=match) as caught:
         read(tmp_path, text)
@@ -249,9 +269,17 @@ def test_flipped_bytes_give_a_motion_or_one_sentence(tmp_path):
 
 
 def test_deep_and_wide_hierarchies(tmp_path):
-    deep = "HIERARCHY\n" + "".join(f"{'JOINT' if j else 'ROOT'} j{j}\n{{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n" for j in range(1500)) + "}\n" * 1500
+    deep = (
+        "HIERARCHY\n"
+        + "".join(f"{'JOINT' if j else 'ROOT'} j{j}\n{{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n" for j in range(1500))
+        + "}\n" * 1500
+    )
     assert len(read(tmp_path, deep + "MOTION\nFrames: 1\nFrame Time: 0.1\n" + "1 " * 1500).skeleton.names) == 1500
-    many = "HIERARCHY\n" + "".join(f"{'JOINT' if j else 'ROOT'} j{j}\n{{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n" for j in range(5000)) + "}\n" * 5000
+    many = (
+        "HIERARCHY\n"
+        + "".join(f"{'JOINT' if j else 'ROOT'} j{j}\n{{\nOFFSET 0 1 0\nCHANNELS 1 Xrotation\n" for j in range(5000))
+        + "}\n" * 5000
+    )
     with pytest.raises(FormatError, match="more than 4096 joints"):
         read(tmp_path, many + "MOTION\nFrames: 1\nFrame Time: 0.1\n" + "1 " * 5000)
 
@@ -302,7 +330,9 @@ def test_two_minutes_at_120_hz_take_half_a_second(tmp_path):
 
 
 @pytest.mark.data
-@pytest.mark.skipif(not (ARCHIVE / "unpack_motions.py").is_file(), reason="needs the motion archive, named by BUNRAKU_DATA")
+@pytest.mark.skipif(
+    not (ARCHIVE / "unpack_motions.py").is_file(), reason="needs the motion archive, named by BUNRAKU_DATA"
+)
 def test_files_of_the_archive_give_its_positions(tmp_path, monkeypatch):
     from bunraku.datasets.motions.build import MotionArchive
     from bunraku.skeletons.to_smpl import to_smpl
@@ -328,8 +358,13 @@ def test_files_that_mean_harm_get_one_sentence(tmp_path):
     assert time.perf_counter() - start < 5  # and not the square of the length
     with pytest.raises(FormatError, match="cut off"):
         read(tmp_path, header % ("", 1) + " \n \n")  # blanks are no number
-    twice = "".join(f"JOINT a{'_2' * depth}\n{{\nOFFSET 0 1 0\n}}\n" for depth in range(1100)) + "JOINT a\n{\nOFFSET 0 1 0\n}\n"
+    twice = (
+        "".join(f"JOINT a{'_2' * depth}\n{{\nOFFSET 0 1 0\n}}\n" for depth in range(1100))
+        + "JOINT a\n{\nOFFSET 0 1 0\n}\n"
+    )
     assert len(set(read(tmp_path, header % (twice, 1) + "0").skeleton.names)) == 1102
-    still = "".join(f"JOINT j{joint}\n{{\nOFFSET 0 1 0\n}}\n" for joint in range(4000))  # 29 GB of rotations, were they made
+    still = "".join(
+        f"JOINT j{joint}\n{{\nOFFSET 0 1 0\n}}\n" for joint in range(4000)
+    )  # 29 GB of rotations, were they made
     with pytest.raises(FormatError, match="200,000 frames of 4,001 joints are too many"):
         read(tmp_path, header % (still, 200_000) + "0\n" * 200_000)

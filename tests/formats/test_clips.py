@@ -32,9 +32,15 @@ def same(one, other):
 def test_motions_come_back_bit_for_bit(animation, tmp_path, suffix):
     path = animation.save(tmp_path / f"clip.{suffix}", **({"fps": 30} if suffix == "glb" else {}))
     clip = load_clip(path)
-    assert same(clip.motion, animation.motion) and same(clip.reference, animation.reference) and same(read_motion(path), animation.motion)
+    assert (
+        same(clip.motion, animation.motion)
+        and same(clip.reference, animation.reference)
+        and same(read_motion(path), animation.motion)
+    )
     assert clip.is_of(animation.handles) and clip.on(animation.character, animation.handles).reference is clip.reference
-    again = Animation(animation.character, animation.handles, clip.motion, clip.reference).save(tmp_path / f"again.{suffix}")
+    again = Animation(animation.character, animation.handles, clip.motion, clip.reference).save(
+        tmp_path / f"again.{suffix}"
+    )
     assert same(load_clip(again).motion, animation.motion)
 
 
@@ -45,11 +51,19 @@ def test_a_glb_brings_its_character_and_handles(animation, tmp_path, roles):
         played = np.arange(30)
         played[list(roles)] = list(roles.values())
         handles = Handles(handles.positions, handles.weights, roles=played)
-    found = load_clip_animation(Animation(animation.character, handles.top(4), animation.motion, animation.reference).save(tmp_path / "clip.glb"))
+    found = load_clip_animation(
+        Animation(animation.character, handles.top(4), animation.motion, animation.reference).save(
+            tmp_path / "clip.glb"
+        )
+    )
     np.testing.assert_allclose(found.handles.positions, handles.positions, atol=1e-6)
     np.testing.assert_allclose(found.handles.weights, handles.top(4).weights, atol=1e-6)
     assert np.array_equal(found.handles.played, handles.played)
-    np.testing.assert_allclose(found.vertices([0, 7]), Animation(animation.character, handles.top(4), animation.motion).vertices([0, 7]), atol=1e-5)
+    np.testing.assert_allclose(
+        found.vertices([0, 7]),
+        Animation(animation.character, handles.top(4), animation.motion).vertices([0, 7]),
+        atol=1e-5,
+    )
 
 
 def test_whose_motion_it_is(animation, tmp_path):

@@ -1,4 +1,6 @@
-"""Characters in FBX files: real ones that Blender wrote, against where Blender has their vertices, and hand-written ones."""
+"""Characters in FBX files: real ones that Blender wrote, against where Blender has their vertices, and hand-written
+ones.
+"""
 
 import base64
 import gzip
@@ -52,7 +54,9 @@ def test_the_bind_pose_is_where_blender_has_it(name, tmp_path, blender):
     assert character.rig is not None and character.rig.names[0] == "mixamorig:Hips" and len(character.rig.names) == 15
     assert np.allclose(character.rig.weights.sum(axis=1), 1)
     shared = character.rig.weights.max(axis=1) < 0.9
-    assert np.allclose(np.sort(character.rig.weights[shared])[:, -2:], [0.4, 0.6], atol=1e-6)  # as the script gives them
+    assert np.allclose(
+        np.sort(character.rig.weights[shared])[:, -2:], [0.4, 0.6], atol=1e-6
+    )  # as the script gives them
 
 
 @pytest.mark.parametrize("name", BOXMEN)
@@ -66,7 +70,9 @@ def test_the_clip_moves_the_vertices_as_blender_does(name, tmp_path, blender):
 def test_the_default_pose_is_that_of_the_objects(tmp_path):
     path = unpacked(BOXMEN[0], tmp_path)
     character = load_character(path, rest="default")
-    assert np.abs(character.vertices - load_animation(path, fps=24).vertices([5])[0]).max() < 3e-6  # the file was left at frame 5
+    assert (
+        np.abs(character.vertices - load_animation(path, fps=24).vertices([5])[0]).max() < 3e-6
+    )  # the file was left at frame 5
 
 
 def test_materials_uvs_and_the_texture_inside_reach_the_document(tmp_path):
@@ -97,7 +103,9 @@ def test_a_texture_beside_the_file_is_found_and_one_outside_is_not(tmp_path):
     scene = Scene()
     mesh = scene.model("Square", "Mesh")
     scene.mesh(mesh, SQUARE, [[0, 1, 2, 3]])
-    texture = scene.add("Texture", "T", "", node("FileName", "C:\\art\\..\\secret.png"), node("RelativeFilename", "..\\secret.png"))
+    texture = scene.add(
+        "Texture", "T", "", node("FileName", "C:\\art\\..\\secret.png"), node("RelativeFilename", "..\\secret.png")
+    )
     scene.link(texture, scene.add("Material", "M", "", below=mesh), "DiffuseColor")
     path = saved(scene, inner)
     assert not load_character(path).source.document.items("images")
@@ -117,7 +125,9 @@ def test_transforms_are_those_of_another_reader(tmp_path):
 @pytest.mark.parametrize("order", ["XYZ", "XZY", "YZX", "YXZ", "ZXY", "ZYX"])
 def test_euler_angles(order):
     degrees = np.random.default_rng(1).uniform(-180, 180, (5, 3))
-    expected = Rotation.from_euler(order.lower(), degrees[:, ["XYZ".index(axis) for axis in order]], degrees=True).as_matrix()
+    expected = Rotation.from_euler(
+        order.lower(), degrees[:, ["XYZ".index(axis) for axis in order]], degrees=True
+    ).as_matrix()
     assert np.allclose(euler_matrices(degrees, order), expected)
 
 
@@ -136,7 +146,8 @@ def test_pre_rotation_counts_only_where_it_is_active(tmp_path):
     ({"UpAxis": 2, "FrontAxis": 1, "FrontAxisSign": -1, "CoordAxis": 0, "UnitScaleFactor": 100.0}, [1, 3, -2]),
     ({"UpAxis": 2, "FrontAxis": 0, "CoordAxis": 1, "UnitScaleFactor": 2.54}, [0.0508, 0.0762, 0.0254]),
     ({"UpAxis": 0, "UpAxisSign": -1, "FrontAxis": 2, "CoordAxis": 1, "UnitScaleFactor": 100.0}, [2, -1, 3]),
-    ({"UpAxis": 1, "FrontAxis": 1, "CoordAxis": 0, "UnitScaleFactor": -3.0}, [0.01, 0.02, 0.03]),  # nonsense counts as nothing said
+    # nonsense counts as nothing said
+    ({"UpAxis": 1, "FrontAxis": 1, "CoordAxis": 0, "UnitScaleFactor": -3.0}, [0.01, 0.02, 0.03]),
 ])  # fmt: skip
 def test_axes_and_units(tmp_path, axes, expected):
     scene = Scene(**axes)
@@ -161,7 +172,13 @@ def test_a_left_handed_file_is_mirrored_with_its_faces(tmp_path):
 
 def test_geometric_transform_moves_the_mesh_and_not_its_children(tmp_path):
     scene = Scene(UnitScaleFactor=100.0)
-    parent = scene.model("p", "Mesh", GeometricTranslation=(0.0, 5.0, 0.0), GeometricScaling=(2.0, 2.0, 2.0), Lcl_Translation=(1.0, 0.0, 0.0))
+    parent = scene.model(
+        "p",
+        "Mesh",
+        GeometricTranslation=(0.0, 5.0, 0.0),
+        GeometricScaling=(2.0, 2.0, 2.0),
+        Lcl_Translation=(1.0, 0.0, 0.0),
+    )
     scene.mesh(parent, SQUARE, [[0, 1, 2, 3]])
     scene.mesh(scene.model("c", "Mesh", below=parent), SQUARE, [[0, 1, 2, 3]])
     vertices = load_character(saved(scene, tmp_path)).vertices
@@ -243,7 +260,10 @@ def test_what_is_written_as_glb_has_the_uvs_materials_and_texture(tmp_path):
     document, before = back.source.document, character.source.document
     assert np.abs(back.vertices - character.vertices[character.source.index]).max() < 1e-6
     assert document.items("materials") == before.items("materials") and len(document.items("images")) == 1
-    uvs = [some.accessor(some.items("meshes")[0]["primitives"][0]["attributes"]["TEXCOORD_0"], ("VEC2",)) for some in (document, before)]
+    uvs = [
+        some.accessor(some.items("meshes")[0]["primitives"][0]["attributes"]["TEXCOORD_0"], ("VEC2",))
+        for some in (document, before)
+    ]
     assert np.array_equal(*uvs)
     assert np.allclose(uvs[0][:4], [[0, 1], [0.5, 1], [0.5, 0], [0, 0]])  # v downwards; the first face of the script
 

@@ -36,7 +36,11 @@ def square(**settings) -> Scene:
 def test_other_versions_are_named(tmp_path):
     refused(tmp_path, HEAD + struct.pack("<I", 6100) + bytes(20), "FBX 6.1, which is not read")
     refused(tmp_path, HEAD + struct.pack("<I", 9000) + bytes(20), "FBX 9.0, newer than what is read")
-    refused(tmp_path, b"; FBX 6.1.0 project file\nFBXHeaderExtension:  {\n\tFBXVersion: 6100\n}\n", "FBX 6.1, which is not read")
+    refused(
+        tmp_path,
+        b"; FBX 6.1.0 project file\nFBXHeaderExtension:  {\n\tFBXVersion: 6100\n}\n",
+        "FBX 6.1, which is not read",
+    )
     refused(tmp_path, b"; FBX project file\nHello: 1\n", "not an FBX file, or its header is missing")
 
 
@@ -71,8 +75,11 @@ def test_a_packed_bomb_is_refused_in_little_memory(tmp_path):
     real, bomb = zlib.compress(np.arange(3.0).tobytes()), zlib.compress(bytes(100_000_000))
     at = data.index(real)
     tracemalloc.start()
-    # 100 MB where three numbers are said to be, in a node that ends where it did, and numbers that no so short an array can hold
-    swapped = bytearray(data[: at - 12] + struct.pack("<III", 3, 1, len(real)) + bomb[: len(real)] + data[at + len(real) :])
+    # 100 MB where three numbers are said to be, in a node that ends where it did, and numbers that no so short an array
+    # can hold
+    swapped = bytearray(
+        data[: at - 12] + struct.pack("<III", 3, 1, len(real)) + bomb[: len(real)] + data[at + len(real) :]
+    )
     refused(tmp_path, bytes(swapped), "broken")
     swapped[at - 12 : at - 8] = struct.pack("<I", 134_000_000)
     refused(tmp_path, bytes(swapped), "longer than the file")

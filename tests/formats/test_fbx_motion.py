@@ -38,7 +38,10 @@ def test_the_joints_carry_the_mesh_as_in_blender(tmp_path, name):
     order = [motion.skeleton.names.index(joint) for joint in character.rig.names]
     rest = motion.skeleton.positions[order]
     assert np.abs(rest - character.rig.positions).max() < 1e-6
-    turned = np.einsum("njab,vjb->nvja", rotations[:, order], character.vertices[:, None] - rest) + positions[:, order][:, None]
+    turned = (
+        np.einsum("njab,vjb->nvja", rotations[:, order], character.vertices[:, None] - rest)
+        + positions[:, order][:, None]
+    )
     posed = np.einsum("vj,nvja->nva", character.rig.dense_weights(), turned)
     frames = np.round(blender["times"] * 24).astype(int)
     assert np.abs(posed[frames] - from_blender(blender["posed"])).max() < 3e-6
@@ -70,7 +73,10 @@ def test_automatic_tangents_are_those_of_another_reader(tmp_path):
     expected = iter(json.loads((DATA / "fbx_expected.json").read_text())["auto"])
     for flag in (0x108, 0x1108, 0x2108, 0x6108, 0x508):
         more = [flag] * 4, [data(0, 0)] * 4
-        got = moved(tmp_path, {"X": ([0, 0.5, 1.5, 2.5], [0, 90, 20, 30], *more), "Y": ([0, 0.5, 1.5, 2.5], [0, 10, 60, 61], *more)})[0]
+        got = moved(
+            tmp_path,
+            {"X": ([0, 0.5, 1.5, 2.5], [0, 90, 20, 30], *more), "Y": ([0, 0.5, 1.5, 2.5], [0, 10, 60, 61], *more)},
+        )[0]
         assert np.abs(got[:, 0] - next(expected)).max() < 1e-3
         assert np.abs(got[:, 1] - next(expected)).max() < 1e-3
 
@@ -103,7 +109,9 @@ def test_joints_oriented_by_pre_rotation_rest_without_keys(tmp_path, most):
     scene.track(scene.clip(), leg, "Lcl Rotation", X=([0, 1], [0, 0]))
     rest = load_fbx_motion(saved(scene, tmp_path)).skeleton.positions
     # Most joints oriented: the keys of the default pose do not count. One of three: it is the rest pose as it is.
-    assert np.allclose(rest, [[0, 1, 0], [0, 1.5, 0], [0, 2.5, 0]] if most else [[0, 1, 0], [0.5, 1, 0], [0.5, 1, -1]], atol=1e-6)
+    assert np.allclose(
+        rest, [[0, 1, 0], [0, 1.5, 0], [0, 2.5, 0]] if most else [[0, 1, 0], [0.5, 1, 0], [0.5, 1, -1]], atol=1e-6
+    )
 
 
 def test_what_has_no_clip_is_refused(tmp_path):

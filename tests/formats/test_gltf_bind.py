@@ -1,4 +1,6 @@
-"""The bind pose as the rest pose: small skinned files whose nodes stand in another pose, with what hangs on their joints."""
+"""The bind pose as the rest pose: small skinned files whose nodes stand in another pose, with what hangs on their
+joints.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from bunraku.errors import OptionError
 from bunraku.io import load_character, save_animation, save_character
 from bunraku.io.play import load_animation
 
-ARM = np.concatenate([CUBE * [0.1, 0.5, 0.1], CUBE * [0.1, 0.5, 0.1] + [0, 1, 0]]).astype(np.float32)  # two boxes of height 1
+ARM = np.concatenate([CUBE * [0.1, 0.5, 0.1], CUBE * [0.1, 0.5, 0.1] + [0, 1, 0]]).astype(
+    np.float32
+)  # two boxes of height 1
 ARM_FACES = np.concatenate([CUBE_FACES, CUBE_FACES + 8])
 
 
@@ -32,8 +36,8 @@ def columns(matrices):
 def arm_glb(space, *, second=None, bent=40.0, turned=0.0, bones=(1.0, 1.0), clip=True):
     """An arm of two bones below an armature (scaled, turned, moved), bent in the default pose, with a box in its hand.
 
-    `space` is the transform from the space of the inverse bind matrices to the world; `second` adds a mesh with a skin of its own
-    whose matrices are those of the first times this, `turned` turns the upper bone about its length.
+    `space` is the transform from the space of the inverse bind matrices to the world; `second` adds a mesh with a skin
+    of its own whose matrices are those of the first times this, `turned` turns the upper bone about its length.
     """
     maker = Maker()
     armature = matrix((1, 2, 3), "y", 90, 0.5)
@@ -45,7 +49,11 @@ def arm_glb(space, *, second=None, bent=40.0, turned=0.0, bones=(1.0, 1.0), clip
     weights = np.tile([1, 0, 0, 0], (16, 1)).astype(np.float32)
     binds = [np.linalg.inv(to_space @ matrix((0, y, 0))) for y in (0.0, bones[0])]
     primitive = {
-        "attributes": {"POSITION": maker.add(raw, bounds=True), "JOINTS_0": maker.add(joints), "WEIGHTS_0": maker.add(weights)},
+        "attributes": {
+            "POSITION": maker.add(raw, bounds=True),
+            "JOINTS_0": maker.add(joints),
+            "WEIGHTS_0": maker.add(weights),
+        },
         "indices": maker.add(ARM_FACES.reshape(-1).astype(np.uint16)),
     }
     box = {
@@ -53,11 +61,19 @@ def arm_glb(space, *, second=None, bent=40.0, turned=0.0, bones=(1.0, 1.0), clip
         "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint16)),
     }
     nodes = [
-        {"name": "armature", "translation": [1, 2, 3], "rotation": quaternion("y", 90), "scale": [0.5] * 3, "children": [1]},
+        {
+            "name": "armature",
+            "translation": [1, 2, 3],
+            "rotation": quaternion("y", 90),
+            "scale": [0.5] * 3,
+            "children": [1],
+        },
         {
             "name": "upper",
             "children": [2],
-            "rotation": (Rotation.from_euler("z", bent, degrees=True) * Rotation.from_euler("y", turned, degrees=True)).as_quat().tolist(),
+            "rotation": (Rotation.from_euler("z", bent, degrees=True) * Rotation.from_euler("y", turned, degrees=True))
+            .as_quat()
+            .tolist(),
         },
         {"name": "lower", "children": [3], "translation": [0, bones[1], 0], "rotation": quaternion("x", bent)},
         {"name": "hold", "children": [4], "translation": [0, 1, 0]},
@@ -68,7 +84,10 @@ def arm_glb(space, *, second=None, bent=40.0, turned=0.0, bones=(1.0, 1.0), clip
     meshes = [{"primitives": [primitive]}, {"primitives": [box]}]
     if second is not None:
         moved = (raw @ np.linalg.inv(second)[:3, :3].T + np.linalg.inv(second)[:3, 3]).astype(np.float32)
-        other = {"attributes": {**primitive["attributes"], "POSITION": maker.add(moved, bounds=True)}, "indices": primitive["indices"]}
+        other = {
+            "attributes": {**primitive["attributes"], "POSITION": maker.add(moved, bounds=True)},
+            "indices": primitive["indices"],
+        }
         skins.append({"joints": [2, 1], "inverseBindMatrices": maker.add(columns([b @ second for b in binds[::-1]]))})
         other["attributes"]["JOINTS_0"] = maker.add((1 - joints).astype(np.uint8))
         meshes.append({"primitives": [other]})
@@ -108,7 +127,9 @@ def test_a_bent_arm_rests_straight_where_its_armature_stands(write, space):
     assert np.allclose(meshes, STRAIGHT, atol=1e-5)
     hand = 0.05 * CUBE + [0, 2, 0]
     assert np.allclose(box, hand @ ARMATURE[:3, :3].T + ARMATURE[:3, 3], atol=1e-5)
-    assert np.allclose(arm.rig.positions, np.array([[0, 0, 0], [0, 1, 0]]) @ ARMATURE[:3, :3].T + ARMATURE[:3, 3], atol=1e-5)
+    assert np.allclose(
+        arm.rig.positions, np.array([[0, 0, 0], [0, 1, 0]]) @ ARMATURE[:3, :3].T + ARMATURE[:3, 3], atol=1e-5
+    )
     bent = load_character(write(arm_glb(space)), rest="default")
     assert np.allclose(bent.vertices, Player(write(arm_glb(space, clip=False))).vertices(0), atol=1e-5)
     assert np.abs(bent.vertices - arm.vertices).max() > 0.3
@@ -118,7 +139,9 @@ def test_a_skeleton_that_its_clip_turned_to_the_front_faces_the_front(write):
     data = arm_glb(ARMATURE, bent=0.0, turned=-90)
     arm = load_character(write(data))
     about = ARMATURE[:3, 3]
-    assert np.allclose(arm.vertices[8:], (STRAIGHT - about) @ matrix(axis="y", degrees=-90)[:3, :3].T + about, atol=1e-5)
+    assert np.allclose(
+        arm.vertices[8:], (STRAIGHT - about) @ matrix(axis="y", degrees=-90)[:3, :3].T + about, atol=1e-5
+    )
 
 
 def test_skins_of_one_skeleton_rest_together(write):
@@ -126,7 +149,9 @@ def test_skins_of_one_skeleton_rest_together(write):
     assert np.allclose(arm.vertices[8:24], STRAIGHT, atol=1e-5) and np.allclose(arm.vertices[24:], STRAIGHT, atol=1e-5)
 
 
-@pytest.mark.parametrize("data", [arm_glb(ARMATURE), arm_glb(np.eye(4), second=matrix((5, 0, 1), "z", 30, 2.0)), textured_glb()])
+@pytest.mark.parametrize(
+    "data", [arm_glb(ARMATURE), arm_glb(np.eye(4), second=matrix((5, 0, 1), "z", 30, 2.0)), textured_glb()]
+)
 def test_clips_play_as_the_file_says(write, data):
     path = write(data)
     animation = load_animation(path, fps=4.0)

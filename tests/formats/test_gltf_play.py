@@ -1,4 +1,6 @@
-"""Clips of glTF files, played: what Bunraku writes comes back, and the three kinds of interpolation follow the rules of glTF."""
+"""Clips of glTF files, played: what Bunraku writes comes back, and the three kinds of interpolation follow the rules of
+glTF.
+"""
 
 import json
 import struct
@@ -18,11 +20,17 @@ def random_animation(seed: int = 0, frames: int = 12, count: int = 5) -> Animati
     character = sample_character("mushroom", 0.3)
     positions = character.vertices[rng.integers(len(character.vertices), size=count)]
     weights = rng.dirichlet(np.ones(count), len(character.vertices)).astype(np.float32)
-    rotations = Rotation.from_rotvec(0.4 * rng.normal(size=(frames * count, 3))).as_matrix().reshape(frames, count, 3, 3)
+    rotations = (
+        Rotation.from_rotvec(0.4 * rng.normal(size=(frames * count, 3))).as_matrix().reshape(frames, count, 3, 3)
+    )
     translations = 0.1 * rng.normal(size=(frames, count, 3))
     rotations[:, 0], translations[:, 0] = np.eye(3), 0
     turns = Rotation.from_rotvec(rng.normal(size=(frames, 3))).as_matrix()
-    return Animation(character, Handles(positions, weights).top(4), HandleMotion(translations, rotations, rng.normal(size=(frames, 3)), turns, 20.0))
+    return Animation(
+        character,
+        Handles(positions, weights).top(4),
+        HandleMotion(translations, rotations, rng.normal(size=(frames, 3)), turns, 20.0),
+    )
 
 
 def test_what_is_written_plays_the_same(tmp_path):
@@ -37,8 +45,20 @@ def test_what_is_written_plays_the_same(tmp_path):
 def hand_made(how: str, kind: str, times: list[float], values: np.ndarray) -> bytes:
     """A triangle of one joint whose `kind` is animated by `values`, written without the library."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
-    blocks = [corners, np.zeros((3, 4), "u1"), np.tile(np.array([1, 0, 0, 0], "<f4"), (3, 1)), np.array(times, "<f4"), np.asarray(values, "<f4")]
-    kinds = [(5126, "VEC3"), (5121, "VEC4"), (5126, "VEC4"), (5126, "SCALAR"), (5126, "VEC4" if kind == "rotation" else "VEC3")]
+    blocks = [
+        corners,
+        np.zeros((3, 4), "u1"),
+        np.tile(np.array([1, 0, 0, 0], "<f4"), (3, 1)),
+        np.array(times, "<f4"),
+        np.asarray(values, "<f4"),
+    ]
+    kinds = [
+        (5126, "VEC3"),
+        (5121, "VEC4"),
+        (5126, "VEC4"),
+        (5126, "SCALAR"),
+        (5126, "VEC4" if kind == "rotation" else "VEC3"),
+    ]
     views, accessors, data = [], [], b""
     for index, (block, (component, shape)) in enumerate(zip(blocks, kinds, strict=True)):
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": block.nbytes})
@@ -93,12 +113,16 @@ def test_cubic_spline_is_hermite(tmp_path):
     values[0::3, 0], values[1::3, 0], values[2::3, 0] = keys[:, 1], keys[:, 0], keys[:, 1]
     times = [0, 0.7, 1]
     got = play(tmp_path, "CUBICSPLINE", "translation", times, values)
-    np.testing.assert_allclose(got[:, 0, 0], CubicHermiteSpline(times, keys[:, 0], keys[:, 1])(np.arange(11) / 10), atol=1e-5)
+    np.testing.assert_allclose(
+        got[:, 0, 0], CubicHermiteSpline(times, keys[:, 0], keys[:, 1])(np.arange(11) / 10), atol=1e-5
+    )
 
 
 def test_rotation_is_slerp(tmp_path):
     quarter = Rotation.from_euler("z", 90, degrees=True).as_quat()
-    got = play(tmp_path, "LINEAR", "rotation", [0, 1], np.stack([[0, 0, 0, 1], -quarter]))  # the long sign of the same turn
+    got = play(
+        tmp_path, "LINEAR", "rotation", [0, 1], np.stack([[0, 0, 0, 1], -quarter])
+    )  # the long sign of the same turn
     angle = np.radians(90) * np.arange(11) / 10
     np.testing.assert_allclose(got[:, 1, :2], np.stack([np.cos(angle), np.sin(angle)], axis=1), atol=1e-5)
 
@@ -115,6 +139,11 @@ def test_what_cannot_be_played(tmp_path):
     with pytest.raises(OptionError, match="has no clip 'Fly'; it has Armature|Move"):
         (tmp_path / "m.glb").write_bytes(hand_made("LINEAR", "scale", [0, 1], np.ones((2, 3))))
         load_animation(tmp_path / "m.glb", "Fly")
-    for times, values in (([1, 0], np.ones((2, 3))), ([0, 1], np.ones((3, 3))), ([0, 1e9], np.ones((2, 3))), ([0, 1], np.full((2, 3), np.nan))):
+    for times, values in (
+        ([1, 0], np.ones((2, 3))),
+        ([0, 1], np.ones((3, 3))),
+        ([0, 1e9], np.ones((2, 3))),
+        ([0, 1], np.full((2, 3), np.nan)),
+    ):
         with pytest.raises(FormatError):
             play(tmp_path, "LINEAR", "translation", times, values)

@@ -19,7 +19,10 @@ def ripples(points, frames, seed=0):
     """Waves that run round points and swing, smooth in time and space [m], shape (N, M, 3)."""
     rng, time = np.random.default_rng(seed), np.arange(frames)[:, None] / FPS
     angle = np.arctan2(points[:, 0], points[:, 2])
-    out = sum(np.sin(count * angle + rate * time + rng.uniform(0, 6))[..., None] * rng.normal(0, 0.02, 3) for count, rate in ((0, 3), (1, 4), (3, 6)))
+    out = sum(
+        np.sin(count * angle + rate * time + rng.uniform(0, 6))[..., None] * rng.normal(0, 0.02, 3)
+        for count, rate in ((0, 3), (1, 4), (3, 6))
+    )
     return (out - out[0]).astype(np.float32)
 
 
@@ -93,7 +96,9 @@ def test_morph_targets_that_the_file_has_already_stay(tmp_path):
     assert np.abs(player.vertices(0.6) - everywhere.vertices([12])[0]).max() < 2e-3
     kept = player.tree["meshes"][0]
     assert np.allclose(player.accessor(kept["primitives"][0]["targets"][0]["POSITION"]), 0.25)
-    assert kept["extras"]["targetNames"][:2] == ["smile", "move_0"] and len(kept["extras"]["targetNames"]) == len(kept["weights"])
+    assert kept["extras"]["targetNames"][:2] == ["smile", "move_0"] and len(kept["extras"]["targetNames"]) == len(
+        kept["weights"]
+    )
     assert len(kept["weights"]) == len(kept["primitives"][0]["targets"]) and kept["weights"][0] == 0
 
 
@@ -108,7 +113,9 @@ def test_from_vertices_and_at_another_rate(body):
     again = PointAnimation.of_vertices(moved.animation, moved.vertices())
     assert np.abs(again.offsets - moved.offsets).max() < 1e-6
     faster = moved.at(40)
-    assert np.allclose(faster.offsets[::2], moved.offsets) and np.allclose(faster.offsets[1], (moved.offsets[0] + moved.offsets[1]) / 2, atol=1e-6)
+    assert np.allclose(faster.offsets[::2], moved.offsets) and np.allclose(
+        faster.offsets[1], (moved.offsets[0] + moved.offsets[1]) / 2, atol=1e-6
+    )
     assert faster.motion.fps == 40 and moved.at(20) is moved
 
 

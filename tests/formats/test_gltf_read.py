@@ -51,9 +51,15 @@ def test_a_mirroring_node_keeps_the_triangles_facing_outwards(load):
 
 def test_strips_and_fans_and_meshes_without_indices(load):
     grid = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]], np.float32)
-    for mode, expected in ((5, [[0, 1, 2], [1, 3, 2], [2, 3, 4]]), (6, [[1, 2, 0], [2, 3, 0], [3, 4, 0]]), (4, [[0, 1, 2]])):
+    for mode, expected in (
+        (5, [[0, 1, 2], [1, 3, 2], [2, 3, 4]]),
+        (6, [[1, 2, 0], [2, 3, 0], [3, 4, 0]]),
+        (4, [[0, 1, 2]]),
+    ):
         maker = Maker()
-        data = maker.glb(nodes=[{"mesh": 0}], meshes=[{"primitives": [{"attributes": {"POSITION": maker.add(grid)}, "mode": mode}]}])
+        data = maker.glb(
+            nodes=[{"mesh": 0}], meshes=[{"primitives": [{"attributes": {"POSITION": maker.add(grid)}, "mode": mode}]}]
+        )
         assert load(data).faces.tolist() == expected
 
 
@@ -69,11 +75,15 @@ def test_sparse_quantised_and_interleaved_accessors(load):
         "indices": {"bufferView": maker.view(np.array([3], np.uint8).tobytes()), "componentType": 5121},
         "values": {"bufferView": maker.view(whole[3].tobytes())},
     }
-    maker.accessors.append({"bufferView": view, "componentType": 5122, "count": 8, "type": "VEC3", "normalized": True, "sparse": sparse})
+    maker.accessors.append(
+        {"bufferView": view, "componentType": 5122, "count": 8, "type": "VEC3", "normalized": True, "sparse": sparse}
+    )
     attributes = {"POSITION": 0}
     data = maker.glb(
         nodes=[{"mesh": 0, "scale": [327.67] * 3}],
-        meshes=[{"primitives": [{"attributes": attributes, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint32))}]}],
+        meshes=[
+            {"primitives": [{"attributes": attributes, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint32))}]}
+        ],
         extensionsUsed=["KHR_mesh_quantization"],
         extensionsRequired=["KHR_mesh_quantization"],
     )
@@ -82,9 +92,19 @@ def test_sparse_quantised_and_interleaved_accessors(load):
 
 def test_the_default_scene_is_the_character(load):
     maker = Maker()
-    primitive = {"attributes": {"POSITION": maker.add(CUBE)}, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8))}
+    primitive = {
+        "attributes": {"POSITION": maker.add(CUBE)},
+        "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)),
+    }
     scenes = [{"nodes": [0]}, {"nodes": [1]}]
-    cube = load(maker.glb(nodes=[{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}], meshes=[{"primitives": [primitive]}], scenes=scenes, scene=1))
+    cube = load(
+        maker.glb(
+            nodes=[{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}],
+            meshes=[{"primitives": [primitive]}],
+            scenes=scenes,
+            scene=1,
+        )
+    )
     assert np.allclose(cube.vertices, CUBE + [5, 0, 0])
 
 
@@ -114,7 +134,11 @@ def test_broken_weights_are_mended(load):
     attributes = {"POSITION": maker.add(CUBE), "JOINTS_0": maker.add(joints), "WEIGHTS_0": maker.add(weights)}
     primitive = {"attributes": attributes, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8))}
     thing = load(
-        maker.glb(nodes=[{"mesh": 0, "skin": 0, "children": [1, 2]}, {}, {}], meshes=[{"primitives": [primitive]}], skins=[{"joints": [1, 2]}])
+        maker.glb(
+            nodes=[{"mesh": 0, "skin": 0, "children": [1, 2]}, {}, {}],
+            meshes=[{"primitives": [primitive]}],
+            skins=[{"joints": [1, 2]}],
+        )
     )
     dense = thing.rig.dense_weights()
     assert np.allclose(dense.sum(axis=1), 1) and np.isfinite(dense).all()
@@ -135,7 +159,11 @@ def test_eight_influences(load):
     primitive = {"attributes": attributes, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8))}
     nodes = [{"mesh": 0, "skin": 0}, *({"translation": [k, 0, 0]} for k in range(8))]
     scenes = [{"nodes": list(range(9))}]
-    thing = load(maker.glb(nodes=nodes, meshes=[{"primitives": [primitive]}], skins=[{"joints": list(range(1, 9))}], scenes=scenes))
+    thing = load(
+        maker.glb(
+            nodes=nodes, meshes=[{"primitives": [primitive]}], skins=[{"joints": list(range(1, 9))}], scenes=scenes
+        )
+    )
     assert thing.rig.weights.shape == (8, 8) and np.allclose(thing.rig.weights.sum(axis=1), 1)
     assert np.allclose(thing.vertices, CUBE + [3.5, 0, 0], atol=0.03)
 
@@ -147,7 +175,10 @@ def test_default_weights_of_morph_targets_count(load):
         "targets": [{"POSITION": maker.add(np.ones_like(CUBE))}],
         "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)),
     }
-    assert np.allclose(load(maker.glb(nodes=[{"mesh": 0}], meshes=[{"primitives": [primitive], "weights": [0.5]}])).vertices, CUBE + 0.5)
+    assert np.allclose(
+        load(maker.glb(nodes=[{"mesh": 0}], meshes=[{"primitives": [primitive], "weights": [0.5]}])).vertices,
+        CUBE + 0.5,
+    )
     assert np.allclose(load(maker.glb(nodes=[{"mesh": 0}], meshes=[{"primitives": [primitive]}])).vertices, CUBE)
 
 
@@ -190,12 +221,18 @@ def test_colours_are_texture_times_factor_times_vertex_colour(load):
 
 def test_gltf_with_files_beside_it_and_inside_it(tmp_path):
     maker = Maker()
-    primitive = {"attributes": {"POSITION": maker.add(CUBE)}, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8))}
+    primitive = {
+        "attributes": {"POSITION": maker.add(CUBE)},
+        "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)),
+    }
     tree = maker.tree(nodes=[{"mesh": 0}], meshes=[{"primitives": [primitive]}], images=[{"uri": "missing.png"}])
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "my cube.bin").write_bytes(maker.binary)
     path = tmp_path / "cube.gltf"
-    for uri in ("data/my%20cube.bin", "data:application/octet-stream;base64," + base64.b64encode(maker.binary).decode()):
+    for uri in (
+        "data/my%20cube.bin",
+        "data:application/octet-stream;base64," + base64.b64encode(maker.binary).decode(),
+    ):
         tree["buffers"] = [{"byteLength": len(maker.binary), "uri": uri}]
         path.write_text(json.dumps(tree))
         assert np.array_equal(load_character(path).vertices, CUBE)
@@ -236,7 +273,10 @@ def test_required_extensions_are_named(load, name):
 
 def test_an_old_vrm_is_turned_to_the_front(load):
     maker = Maker()
-    primitive = {"attributes": {"POSITION": maker.add(CUBE)}, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8))}
+    primitive = {
+        "attributes": {"POSITION": maker.add(CUBE)},
+        "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)),
+    }
     parts = {"nodes": [{"mesh": 0, "translation": [0, 0, 1]}], "meshes": [{"primitives": [primitive]}]}
     old = load(maker.glb(**parts, extensions={"VRM": {}}, extensionsUsed=["VRM"]), "a.vrm")
     new = load(maker.glb(**parts, extensions={"VRMC_vrm": {}}, extensionsUsed=["VRMC_vrm"]), "b.vrm")
@@ -251,7 +291,16 @@ def test_meshes_that_are_no_characters(load):
         load(
             maker.glb(
                 nodes=[{"mesh": 0}],
-                meshes=[{"primitives": [{"attributes": {"POSITION": maker.add(bad)}, "indices": maker.add(np.arange(6, dtype=np.uint8))}]}],
+                meshes=[
+                    {
+                        "primitives": [
+                            {
+                                "attributes": {"POSITION": maker.add(bad)},
+                                "indices": maker.add(np.arange(6, dtype=np.uint8)),
+                            }
+                        ]
+                    }
+                ],
             )
         )
     with pytest.raises(CharacterError, match=r"thing\.glb: these are points without faces"):
@@ -274,7 +323,13 @@ def test_declared_sizes_are_not_believed(load):
     maker.accessors[:] = [{"componentType": 5126, "count": 1_000_000, "type": "VEC3"}]
     many = [{"mesh": 0} for _ in range(50)]
     with pytest.raises(FormatError, match="more than 20,000,000 vertices"):
-        load(maker.glb(nodes=many, meshes=[{"primitives": [{"attributes": {"POSITION": 0}}]}], scenes=[{"nodes": list(range(50))}]))
+        load(
+            maker.glb(
+                nodes=many,
+                meshes=[{"primitives": [{"attributes": {"POSITION": 0}}]}],
+                scenes=[{"nodes": list(range(50))}],
+            )
+        )
 
 
 def test_loops_in_the_node_tree_are_found(load):

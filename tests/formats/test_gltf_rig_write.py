@@ -1,4 +1,6 @@
-"""A rig's animation as GLB: what the file had is there still, and a player poses the vertices that the library poses."""
+"""A rig's animation as GLB: what the file had is there still, and a player poses the vertices that the library
+poses.
+"""
 
 from dataclasses import replace
 
@@ -34,7 +36,11 @@ def test_the_file_keeps_its_nodes_materials_and_skins(textured, tmp_path):
     path = swinging(textured).save(tmp_path / "out.glb", name="swing")
     old, new = textured.source.document.tree, open_document(path, path.read_bytes()).tree
     assert [node.get("name") for node in new["nodes"]] == [node.get("name") for node in old["nodes"]]
-    assert new["materials"] == old["materials"] and new["textures"] == old["textures"] and new["scenes"][0]["name"] == "stage"
+    assert (
+        new["materials"] == old["materials"]
+        and new["textures"] == old["textures"]
+        and new["scenes"][0]["name"] == "stage"
+    )
     assert new["meshes"][0]["extras"] == {"maker": "us"} and new["nodes"][0]["extras"] == {"part": "body"}
     assert new["skins"][0]["joints"] == old["skins"][0]["joints"]
     assert [clip["name"] for clip in new["animations"]] == ["swing"]
@@ -54,7 +60,10 @@ def test_a_rig_of_another_source_gets_a_plain_skin(textured, tmp_path):
     animation = swinging(character)
     again = load_character(animation.save(tmp_path / "out.glb"))
     assert again.rig.names == character.rig.names and np.array_equal(again.rig.parents, character.rig.parents)
-    assert np.abs(load_animation(tmp_path / "out.glb", 0, 20.0).vertices() - animation.vertices()).max() < 1e-5 * character.height
+    assert (
+        np.abs(load_animation(tmp_path / "out.glb", 0, 20.0).vertices() - animation.vertices()).max()
+        < 1e-5 * character.height
+    )
 
 
 def test_other_rates(textured, tmp_path):

@@ -58,7 +58,9 @@ def test_the_default_pose_is_the_rest_pose(thing, ball, tmp_path):
             path = save_character(character, tmp_path / "rig.glb", handles)
             assert np.abs(Player(path).vertices(0) - character.vertices).max() < 1e-5
             again = load_character(path)
-            assert np.abs(again.vertices - character.vertices).max() < 1e-5 and np.array_equal(again.faces, character.faces)
+            assert np.abs(again.vertices - character.vertices).max() < 1e-5 and np.array_equal(
+                again.faces, character.faces
+            )
             assert np.abs(again.colors.astype(int) - character.colors).max() <= 1
             assert "animations" not in Player(path).tree and ("skins" in Player(path).tree) == (handles is not None)
 
@@ -72,7 +74,9 @@ def fingerprint(player, node):
             for name, index in primitive["attributes"].items()
             if name.startswith(("TEXCOORD", "COLOR"))
         }
-        out.append((player.tree["accessors"][primitive["attributes"]["POSITION"]]["count"], hashes, primitive.get("material")))
+        out.append(
+            (player.tree["accessors"][primitive["attributes"]["POSITION"]]["count"], hashes, primitive.get("material"))
+        )
     return out
 
 
@@ -91,7 +95,10 @@ def test_meshes_materials_textures_and_extras_are_the_same(thing, tmp_path):
         view = player.tree["bufferViews"][player.tree["images"][0]["bufferView"]]
         images.append(player.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
     assert images[0] == images[1]
-    hat = [player.tree["meshes"][nodes[1]["mesh"]]["primitives"][0] for player, nodes in zip((before, after), meshes, strict=True)]
+    hat = [
+        player.tree["meshes"][nodes[1]["mesh"]]["primitives"][0]
+        for player, nodes in zip((before, after), meshes, strict=True)
+    ]
     for name in ("POSITION",):  # a mesh that its node only places keeps its raw positions
         assert np.array_equal(before.accessor(hat[0]["attributes"][name]), after.accessor(hat[1]["attributes"][name]))
     assert np.array_equal(before.accessor(hat[0]["indices"]), after.accessor(hat[1]["indices"]))
@@ -106,7 +113,9 @@ def test_normals_of_a_bent_rest_pose_bend_with_it(thing, tmp_path):
     turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
     high = CUBE[:, 1] > 0
     raw = (CUBE - [0, 1, 0]) / np.sqrt(3)
-    assert np.allclose(normals[~high], raw[~high], atol=1e-6) and np.allclose(normals[high], raw[high] @ turn.T, atol=1e-6)
+    assert np.allclose(normals[~high], raw[~high], atol=1e-6) and np.allclose(
+        normals[high], raw[high] @ turn.T, atol=1e-6
+    )
 
 
 def test_a_mirrored_mesh_is_turned_outwards(thing, tmp_path):
@@ -127,7 +136,9 @@ def test_morph_targets_stay(tmp_path):
         "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)),
     }
     nodes = [{"mesh": 0, "skin": 0, "children": [1, 2]}, {"rotation": [0, 0.6, 0, 0.8]}, {"scale": [1, 2, 1]}]
-    (tmp_path / "in.glb").write_bytes(maker.glb(nodes=nodes, meshes=[{"primitives": [primitive], "weights": [1]}], skins=[{"joints": [1, 2]}]))
+    (tmp_path / "in.glb").write_bytes(
+        maker.glb(nodes=nodes, meshes=[{"primitives": [primitive], "weights": [1]}], skins=[{"joints": [1, 2]}])
+    )
     character = load_character(tmp_path / "in.glb")
     for handles in (None, made_up_handles(character)):
         path = save_character(character, tmp_path / "out.glb", handles)
@@ -144,7 +155,11 @@ def test_the_skin_is_what_viewers_read(thing, tmp_path):
     for mesh in player.tree["meshes"]:
         for primitive in mesh["primitives"]:
             weights, joints = (player.accessor(primitive["attributes"][name]) for name in ("WEIGHTS_0", "JOINTS_0"))
-            assert np.abs(weights.astype(float).sum(axis=1) - 1).max() < 2e-7 and (weights >= 0).all() and joints.max() < 30
+            assert (
+                np.abs(weights.astype(float).sum(axis=1) - 1).max() < 2e-7
+                and (weights >= 0).all()
+                and joints.max() < 30
+            )
             assert not joints[weights == 0].any()
     assert player.tree["asset"]["generator"] == "bunraku"
 
@@ -181,7 +196,14 @@ def test_another_frame_rate_follows_the_same_motion(thing, tmp_path):
     animation = animate(thing, frames=21)
     slow = Player(save_animation(animation, tmp_path / "slow.glb"))
     fast = Player(save_animation(animation, tmp_path / "fast.glb", fps=60))
-    assert max(entry["count"] for entry in fast.tree["accessors"] if entry.get("max") == [1.0] and entry["type"] == "SCALAR") == 61
+    assert (
+        max(
+            entry["count"]
+            for entry in fast.tree["accessors"]
+            if entry.get("max") == [1.0] and entry["type"] == "SCALAR"
+        )
+        == 61
+    )
     for at in (0.0, 0.1, 1 / 3, 0.5167, 1.0):
         assert np.abs(slow.vertices(at) - fast.vertices(at)).max() < 3e-3
     for at in (0.0, 0.5, 1.0):
@@ -190,9 +212,16 @@ def test_another_frame_rate_follows_the_same_motion(thing, tmp_path):
 
 def test_a_motion_that_stands_still_keeps_its_length(thing, tmp_path):
     frames = 41
-    still = HandleMotion(np.zeros((frames, 30, 3)), np.tile(np.eye(3), (frames, 30, 1, 1)), np.zeros((frames, 3)), np.tile(np.eye(3), (frames, 1, 1)))
+    still = HandleMotion(
+        np.zeros((frames, 30, 3)),
+        np.tile(np.eye(3), (frames, 30, 1, 1)),
+        np.zeros((frames, 3)),
+        np.tile(np.eye(3), (frames, 1, 1)),
+    )
     player = Player(save_animation(Animation(thing, made_up_handles(thing), still), tmp_path / "out.glb"))
-    assert max(entry["max"][0] for entry in player.tree["accessors"] if entry["type"] == "SCALAR" and "max" in entry) == 2
+    assert (
+        max(entry["max"][0] for entry in player.tree["accessors"] if entry["type"] == "SCALAR" and "max" in entry) == 2
+    )
 
 
 def test_a_character_with_moved_vertices_is_written_as_it_is(thing, tmp_path):

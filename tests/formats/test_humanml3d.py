@@ -41,7 +41,8 @@ def test_a_turn_to_the_left_is_one():
 
 def test_captions_with_spans(tmp_path):
     (tmp_path / "a.txt").write_text(
-        "a man kicks.#a/DET man/NOUN kick/VERB#0.0#0.0\nhe  walks#he/PRON walk/VERB#1.5#3.0\nbare\n\n#x#0#0\nodd#x#nan#0.0\nback#x#5#2\n"
+        "a man kicks.#a/DET man/NOUN kick/VERB#0.0#0.0\nhe  walks#he/PRON "
+        "walk/VERB#1.5#3.0\nbare\n\n#x#0#0\nodd#x#nan#0.0\nback#x#5#2\n"
     )
     found = [(caption.text, caption.start, caption.end) for caption in read_texts(tmp_path / "a.txt")]
     assert found == [("a man kicks.", 0, 0), ("he walks", 1.5, 3), ("bare", 0, 0), ("odd", 0, 0), ("back", 0, 0)]

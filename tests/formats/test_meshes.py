@@ -73,7 +73,12 @@ def test_obj_seams_are_appended_and_follow_their_vertex(pyramid, tmp_path):
     weights = player.accessor(red["attributes"]["WEIGHTS_0"])
     assert np.array_equal(weights[6:], weights[index[6:]])
     names = [material["name"] for material in player.tree["materials"]]
-    assert names == ["red", "blue"] and player.tree["materials"][1]["pbrMetallicRoughness"]["baseColorFactor"] == [0, 0, 1, 0.5]
+    assert names == ["red", "blue"] and player.tree["materials"][1]["pbrMetallicRoughness"]["baseColorFactor"] == [
+        0,
+        0,
+        1,
+        0.5,
+    ]
     view = player.tree["bufferViews"][player.tree["images"][0]["bufferView"]]
     assert player.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]] == png((10, 200, 30))
 
@@ -98,8 +103,10 @@ def test_a_texture_of_another_kind_is_converted(pyramid, tmp_path):
 @pytest.mark.parametrize(
     "text",
     [
-        "v 0 0\nf 1 1 1\n", "v a b c\n", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "v 0 0 0\nf 1 2 x\n", "v 0 0 0\nf 0 0 0\n", "v 0 0 0\nf -2 -1 -1\n",
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "v 0 0 0\nf 99999999999999999999999 1 1\n", "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "hello\n",
+        "v 0 0\nf 1 1 1\n", "v a b c\n", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "v 0 0 0\nf 1 2 x\n",
+        "v 0 0 0\nf 0 0 0\n", "v 0 0 0\nf -2 -1 -1\n",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "v 0 0 0\nf 99999999999999999999999 1 1\n",
+        "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "hello\n",
         "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "\0\0\0\n",
     ],
 )  # fmt: skip
@@ -125,20 +132,31 @@ def test_ply_as_trimesh_writes_it(tmp_path, kind):
 def ply(order, faces):
     """A binary PLY with polygons of any size, doubles, an element before the vertices and one after the faces."""
     points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1]])
-    head = f"ply\nformat binary_{'little' if order == '<' else 'big'}_endian 1.0\nelement camera 1\nproperty float f\nelement vertex 5\n"
+    head = (
+        f"ply\nformat binary_{'little' if order == '<' else 'big'}_endian 1.0\nelement camera 1\nproperty "
+        f"float f\nelement vertex 5\n"
+    )
     head += "property double x\nproperty double y\nproperty double z\nproperty uchar quality\n"
-    head += f"element face {len(faces)}\nproperty uchar flag\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\n"
+    head += (
+        f"element face {len(faces)}\nproperty uchar flag\nproperty list uchar int vertex_indices\nproperty "
+        f"list uchar float texcoord\n"
+    )
     head += "element edge 1\nproperty int a\nproperty int b\nend_header\n"
     body = struct.pack(order + "f", 2.5) + b"".join(struct.pack(order + "dddB", *point, 7) for point in points)
     for face in faces:
-        body += struct.pack(f"{order}BB{len(face)}iB{2 * len(face)}f", 1, len(face), *face, 2 * len(face), *[0.5] * 2 * len(face))
+        body += struct.pack(
+            f"{order}BB{len(face)}iB{2 * len(face)}f", 1, len(face), *face, 2 * len(face), *[0.5] * 2 * len(face)
+        )
     return head.encode() + body + struct.pack(order + "ii", 0, 1)
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_ply_with_all_that_it_may_have(tmp_path, order):
     path = tmp_path / "odd.ply"
-    for faces, triangles in (([[0, 1, 2, 3], [0, 1, 4]], [[0, 1, 2], [0, 2, 3], [0, 1, 4]]), ([[0, 1, 2], [2, 3, 4]], [[0, 1, 2], [2, 3, 4]])):
+    for faces, triangles in (
+        ([[0, 1, 2, 3], [0, 1, 4]], [[0, 1, 2], [0, 2, 3], [0, 1, 4]]),
+        ([[0, 1, 2], [2, 3, 4]], [[0, 1, 2], [2, 3, 4]]),
+    ):
         path.write_bytes(ply(order, faces))
         character = load_character(path)
         assert character.vertices[2].tolist() == [1, 1, 0] and character.faces.tolist() == triangles
@@ -146,7 +164,10 @@ def test_ply_with_all_that_it_may_have(tmp_path, order):
 
 def test_ply_points_and_broken_ones(tmp_path):
     path = tmp_path / "cloud.ply"
-    path.write_text("ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 1 1\n")
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 "
+        "0 0\n1 1 1\n"
+    )
     with pytest.raises(CharacterError, match=r"cloud\.ply: these are points without faces"):
         load_character(path)
     good = ply("<", [[0, 1, 2], [2, 3, 4]])
@@ -169,7 +190,9 @@ def test_stl_stays_a_soup(tmp_path, kind):
     path = tmp_path / "cube.stl"
     trimesh.Trimesh(CUBE, CUBE_FACES, process=False).export(path, file_type=kind)
     character = load_character(path)
-    assert np.array_equal(character.vertices, CUBE[CUBE_FACES].reshape(-1, 3)) and np.array_equal(character.faces, np.arange(36).reshape(-1, 3))
+    assert np.array_equal(character.vertices, CUBE[CUBE_FACES].reshape(-1, 3)) and np.array_equal(
+        character.faces, np.arange(36).reshape(-1, 3)
+    )
 
 
 def test_broken_stl_files(tmp_path):

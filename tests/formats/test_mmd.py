@@ -24,23 +24,46 @@ def load(folder, data, name="doll.pmx"):
     return character, mmd_model(character)
 
 
-@pytest.mark.parametrize(("utf8", "sizes", "uvs"), [(False, (1, 1, 1, 2, 1, 1), 0), (True, (4, 2, 4, 4, 2, 4), 2), (False, (2, 4, 2, 1, 4, 2), 4)])
+@pytest.mark.parametrize(
+    ("utf8", "sizes", "uvs"),
+    [(False, (1, 1, 1, 2, 1, 1), 0), (True, (4, 2, 4, 4, 2, 4), 2), (False, (2, 4, 2, 1, 4, 2), 4)],
+)
 def test_a_pmx_in_our_frame(tmp_path, utf8, sizes, uvs):
     character, model = load(tmp_path, pmx(plank(), utf8=utf8, sizes=sizes, uvs=uvs))
-    assert np.allclose(character.vertices, np.array([[-1, 0, 0], [1, 0, 0], [1, 20, -1], [-1, 20, -1]]) * 0.08, atol=1e-6)
+    assert np.allclose(
+        character.vertices, np.array([[-1, 0, 0], [1, 0, 0], [1, 20, -1], [-1, 20, -1]]) * 0.08, atol=1e-6
+    )
     a, b, c = character.vertices[character.faces].transpose(1, 0, 2)
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()  # it faces +Z, as its normals said -Z
     assert (model.name, model.english, model.version) == ("人形", "doll", "PMX 2.0")
-    assert character.rig.names == model.names == ("センター", "上半身", "スカート") and character.rig.parents.tolist() == [-1, 0, 1]
+    assert character.rig.names == model.names == (
+        "センター",
+        "上半身",
+        "スカート",
+    ) and character.rig.parents.tolist() == [-1, 0, 1]
     assert np.allclose(character.rig.positions, np.array([[0, 8, -0.5], [0, 12, 0], [0, 16, 2]]) * 0.08, atol=1e-6)
     assert np.allclose(character.rig.dense_weights(), [[1, 0, 0], [0.75, 0.25, 0], [0, 0.5, 0.5], [0, 0.5, 0.5]])
     assert model.deforms.tolist() == [0, 1, 2, 3] and model.sdef.vertices.tolist() == [3]
     assert np.allclose(model.sdef.center, [[0.08, 0.16, -0.24]]) and np.allclose(model.sdef.r1, [[0.56, 0.64, -0.72]])
-    assert [(morph.name, morph.kind, morph.count) for morph in model.morphs] == [("あ", "vertex", 1), ("材", "material", 1)]
-    assert np.allclose(model.bones[0].tail, [0, 0.08, 0]) and np.allclose(model.bones[1].tail, np.array([0, 4, 2]) * 0.08)
+    assert [(morph.name, morph.kind, morph.count) for morph in model.morphs] == [
+        ("あ", "vertex", 1),
+        ("材", "material", 1),
+    ]
+    assert np.allclose(model.bones[0].tail, [0, 0.08, 0]) and np.allclose(
+        model.bones[1].tail, np.array([0, 4, 2]) * 0.08
+    )
     skirt = model.bones[2]
-    assert (skirt.append.bone, skirt.append.ratio, skirt.append.rotation, skirt.append.translation) == (1, 0.5, True, False)
-    assert np.allclose(skirt.fixed_axis, [0, 0, -1]) and np.isclose(np.linalg.det(skirt.local_axes), 1) and skirt.layer == 1
+    assert (skirt.append.bone, skirt.append.ratio, skirt.append.rotation, skirt.append.translation) == (
+        1,
+        0.5,
+        True,
+        False,
+    )
+    assert (
+        np.allclose(skirt.fixed_axis, [0, 0, -1])
+        and np.isclose(np.linalg.det(skirt.local_axes), 1)
+        and skirt.layer == 1
+    )
 
 
 def test_materials_and_textures(tmp_path):
@@ -50,14 +73,22 @@ def test_materials_and_textures(tmp_path):
     Image.new("RGB", (2, 2), (0, 128, 255)).save(tmp_path / "tex" / "Skin.PNG")  # Windows does not mind capitals
     character, model = load(tmp_path, pmx(plank()))
     materials = character.source.document.tree["materials"]
-    assert [material["name"] for material in materials] == ["肌", "服"] and materials[0]["doubleSided"] and materials[1]["alphaMode"] == "BLEND"
+    assert (
+        [material["name"] for material in materials] == ["肌", "服"]
+        and materials[0]["doubleSided"]
+        and materials[1]["alphaMode"] == "BLEND"
+    )
     assert materials[0]["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0} and not model.warnings
     assert len(character.source.document.items("images")) == 1
-    uv = character.source.document.accessor(character.source.document.items("meshes")[0]["primitives"][0]["attributes"]["TEXCOORD_0"], ("VEC2",))
+    uv = character.source.document.accessor(
+        character.source.document.items("meshes")[0]["primitives"][0]["attributes"]["TEXCOORD_0"], ("VEC2",)
+    )
     assert np.allclose(uv, [[0, 1], [1, 1], [1, 0], [0, 0]])  # v downwards in both
 
 
-@pytest.mark.parametrize("name", ["..\\secret.png", "/etc/passwd", "C:\\Windows\\a.png", "https://example.org/a.png", "tex/../../secret.png"])
+@pytest.mark.parametrize(
+    "name", ["..\\secret.png", "/etc/passwd", "C:\\Windows\\a.png", "https://example.org/a.png", "tex/../../secret.png"]
+)
 def test_textures_outside_the_folder_are_left_out(tmp_path, name):
     from PIL import Image
 
@@ -76,9 +107,15 @@ def test_bodies_and_joints_in_our_frame(tmp_path):
     want = Rotation.from_euler("YXZ", [0.2, 0.1, 0.3]).as_matrix()  # about z first, then x, then y
     assert np.allclose(core.rotation, FLIP @ want @ FLIP, atol=1e-6)
     assert (cloth.shape, cloth.group, cloth.mask, cloth.dynamic) == ("capsule", 3, 0xFFF7, True)
-    assert np.allclose([cloth.linear_damping, cloth.angular_damping, cloth.restitution, cloth.friction], [0.5, 0.6, 0.1, 0.7])
+    assert np.allclose(
+        [cloth.linear_damping, cloth.angular_damping, cloth.restitution, cloth.friction], [0.5, 0.6, 0.1, 0.7]
+    )
     (joint,) = model.joints
-    assert joint.bodies == (0, 1) and np.allclose(joint.lower, np.array([-1, -2, -6]) * 0.08) and np.allclose(joint.upper, np.array([4, 5, 3]) * 0.08)
+    assert (
+        joint.bodies == (0, 1)
+        and np.allclose(joint.lower, np.array([-1, -2, -6]) * 0.08)
+        and np.allclose(joint.upper, np.array([4, 5, 3]) * 0.08)
+    )
     assert np.allclose(joint.angle_lower, [-0.4, -0.5, -0.3]) and np.allclose(joint.angle_upper, [0.1, 0.2, 0.6])
     assert np.allclose(joint.rotation, Rotation.from_rotvec([-0.4, 0, 0]).as_matrix(), atol=1e-6)
     assert np.allclose(joint.spring, [1, 2, 3]) and np.allclose(joint.angle_spring, [4, 5, 6])
@@ -104,18 +141,29 @@ def test_a_pmd(tmp_path):
         "捩": (2, 10, 0),
     }
     above = (-1, 0, 1, 2, 0, 0, 0)
-    bones = [Bone(name, tuple(map(float, place)), parent) for (name, place), parent in zip(places.items(), above, strict=True)]
+    bones = [
+        Bone(name, tuple(map(float, place)), parent)
+        for (name, place), parent in zip(places.items(), above, strict=True)
+    ]
     model = plank(bones=bones, materials=[("", (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0, 0, 6)])
     kinds = {4: (2, 0, 0), 5: (5, 0, 1), 6: (8, 1, 0), 0: (9, 2, 50)}
     data = pmd(model, [(4, 3, 40, 0.5, [2, 1])], kinds=kinds)
     character, read = load(tmp_path, data, "doll.pmd")
     assert (read.version, read.name, read.english, read.bones[3].english) == ("PMD", "人形", "doll", "bone")
-    assert np.allclose(character.vertices, np.array([[-1, 0, 0], [1, 0, 0], [1, 20, -1], [-1, 20, -1]]) * 0.08, atol=1e-6)
+    assert np.allclose(
+        character.vertices, np.array([[-1, 0, 0], [1, 0, 0], [1, 20, -1], [-1, 20, -1]]) * 0.08, atol=1e-6
+    )
     assert np.allclose(character.rig.dense_weights()[:, :3], [[1, 0, 0], [0.75, 0.25, 0], [0, 1, 0], [0, 0.5, 0.5]])
     ik = read.bones[4].ik
     assert (ik.target, ik.loops, ik.limit) == (3, 40, 2.0) and [link.bone for link in ik.links] == [2, 1]
-    assert np.allclose(np.degrees([ik.links[0].lower, ik.links[0].upper]), [[0.5, 0, 0], [180, 0, 0]]) and ik.links[1].lower is None
-    assert (read.bones[5].append.bone, read.bones[5].append.ratio) == (1, 1.0) and (read.bones[0].append.bone, read.bones[0].append.ratio) == (2, 0.5)
+    assert (
+        np.allclose(np.degrees([ik.links[0].lower, ik.links[0].upper]), [[0.5, 0, 0], [180, 0, 0]])
+        and ik.links[1].lower is None
+    )
+    assert (read.bones[5].append.bone, read.bones[5].append.ratio) == (1, 1.0) and (
+        read.bones[0].append.bone,
+        read.bones[0].append.ratio,
+    ) == (2, 0.5)
     assert np.allclose(read.bones[6].fixed_axis, [-1, 0, 0])
     assert np.allclose(read.bodies[0].position, np.array([1, 22, -1]) * 0.08)  # it counts from its bone
     assert len(read.joints) == 1 and [morph.name for morph in read.morphs] == ["あ", "材"]
@@ -134,11 +182,19 @@ def test_broken_parts_are_left_out_with_a_warning(tmp_path):
     light = warned("have no mass and follow their bones: 布", bodies=[first, replace(second, mass=0.0)])
     assert not light.bodies[1].dynamic
     assert warned("do not exist and are left out: 糸", joints=[replace(joint, bodies=(0, 9))]).joints == ()
-    assert warned("tie a rigid body to itself", joints=[replace(joint, bodies=(1, 1)), joint]).joints[0].bodies == (0, 1)
-    assert warned("not numbers and are left out: 芯", bodies=[replace(first, mass=np.nan), second]).bodies[0].name == "布"
+    assert warned("tie a rigid body to itself", joints=[replace(joint, bodies=(1, 1)), joint]).joints[0].bodies == (
+        0,
+        1,
+    )
+    assert (
+        warned("not numbers and are left out: 芯", bodies=[replace(first, mass=np.nan), second]).bodies[0].name == "布"
+    )
     assert warned("not numbers and are left out: 糸", joints=[replace(joint, position=(np.inf, 0.0, 0.0))]).joints == ()
     assert len(warned("negative size", bodies=[first, replace(second, size=(-1.0, 0.0, 0.0))]).bodies) == 1
-    assert len(warned("shape, mode or group", bodies=[first, replace(second, shape=9), replace(second, mode=7)]).bodies) == 1
+    assert (
+        len(warned("shape, mode or group", bodies=[first, replace(second, shape=9), replace(second, mode=7)]).bodies)
+        == 1
+    )
     assert warned("on a bone that does not exist", bodies=[replace(first, bone=77), second]).bodies[0].bone == -1
     bones = plank().bones
     assert warned("their own parents", bones=[replace(bones[0], parent=2), *bones[1:]]).parents.tolist().count(-1) == 1
@@ -146,17 +202,31 @@ def test_broken_parts_are_left_out_with_a_warning(tmp_path):
     both = [replace(bones[0], append=(1, 1.0, 0x100)), replace(bones[1], append=(0, 1.0, 0x100)), bones[2]]
     assert sum(bone.append is not None for bone in warned("their own motion", bones=both).bones) == 2
     assert (
-        warned("take over the motion of a bone that does not exist", bones=[replace(bones[0], append=(50, 1.0, 0x100)), *bones[1:]]).bones[0].append
+        warned(
+            "take over the motion of a bone that does not exist",
+            bones=[replace(bones[0], append=(50, 1.0, 0x100)), *bones[1:]],
+        )
+        .bones[0]
+        .append
         is None
     )
-    assert warned("inverse kinematics of bones", bones=[replace(bones[0], ik=(1, 4, 1.0, [(99, None)])), *bones[1:]]).bones[0].ik is None
+    assert (
+        warned("inverse kinematics of bones", bones=[replace(bones[0], ik=(1, 4, 1.0, [(99, None)])), *bones[1:]])
+        .bones[0]
+        .ik
+        is None
+    )
     assert warned("its materials are for 1 of its 2 triangles", materials=plank().materials[:1]).bones
-    assert warned("weighted to no bone", vertices=[*plank().vertices[:3], (*plank().vertices[3][:3], (0, [-1], []))]).bones
+    assert warned(
+        "weighted to no bone", vertices=[*plank().vertices[:3], (*plank().vertices[3][:3], (0, [-1], []))]
+    ).bones
 
 
 def test_a_hundred_thousand_bodies(tmp_path):
     data = pmx(plank(bodies=[], joints=[]))[:-8]
-    one = struct.pack("<ii", 0, 0) + b"\0\0" + pmx(plank(bodies=[Body("")], joints=[]), sizes=(1, 1, 1, 2, 1, 1))[-65:-4]
+    one = (
+        struct.pack("<ii", 0, 0) + b"\0\0" + pmx(plank(bodies=[Body("")], joints=[]), sizes=(1, 1, 1, 2, 1, 1))[-65:-4]
+    )
     _, model = load(tmp_path, data + struct.pack("<i", 100_000) + one * 100_000 + struct.pack("<i", 0))
     assert model.bodies == () and "its 100,000 rigid bodies are left out" in model.warnings[0]
 
@@ -179,8 +249,14 @@ def test_broken_files_get_one_sentence(tmp_path):
     refused(good[:17] + b"\xff\xff\xff\xff" + good[21:], "4294967295 bytes")
     refused(pmx(plank(triangles=[0, 1, 200])), "uses vertex 200 but there are 4")
     refused(pmx(plank(triangles=[0, 1, -7]), sizes=(4, 1, 1, 2, 1, 1)), "uses vertex -7 but there are 4")
-    refused(pmx(plank(vertices=[*plank().vertices[:3], (*plank().vertices[3][:3], (0, [300], []))])), "weighted to bone 300 but there are 3")
-    refused(pmx(plank(vertices=[*plank().vertices[:3], (*plank().vertices[3][:3], (9, [0], []))])), "vertex 3 deforms in a way")
+    refused(
+        pmx(plank(vertices=[*plank().vertices[:3], (*plank().vertices[3][:3], (0, [300], []))])),
+        "weighted to bone 300 but there are 3",
+    )
+    refused(
+        pmx(plank(vertices=[*plank().vertices[:3], (*plank().vertices[3][:3], (9, [0], []))])),
+        "vertex 3 deforms in a way",
+    )
     refused(pmx(plank(bones=[Bone("あ", parent=40), *plank().bones])), "bone 0 has the parent 40")
     refused(pmx(plank(bones=[Bone("あ", position=(np.nan, 0.0, 0.0)), *plank().bones])), "at no place that is a number")
     refused(pmx(plank(vertices=[((np.nan, 0.0, 0.0), *plank().vertices[0][1:]), *plank().vertices[1:]])), "not numbers")
@@ -231,25 +307,42 @@ def test_what_is_no_model_has_none(tmp_path):
 
 @pytest.mark.skipif(not MODELS.is_dir(), reason="needs the unpacked MMD characters")
 @pytest.mark.parametrize(
-    ("file", "numbers"), [("uka/MS_Uka.pmx", (49955, 302, 164, 137, 151, 10085)), ("gene/Gene.pmx", (28646, 224, 87, 62, 92, 3456))]
+    ("file", "numbers"),
+    [("uka/MS_Uka.pmx", (49955, 302, 164, 137, 151, 10085)), ("gene/Gene.pmx", (28646, 224, 87, 62, 92, 3456))],
 )
 def test_real_characters(file, numbers):
     character = load_character(MODELS / file)
     model = mmd_model(character)
     dynamic = sum(body.dynamic for body in model.bodies)
     apparel = int(apparel_mask(character).sum())
-    assert (len(character.vertices), len(model.bones), len(model.bodies), dynamic, len(model.joints), apparel) == numbers
+    assert (
+        len(character.vertices),
+        len(model.bones),
+        len(model.bodies),
+        dynamic,
+        len(model.joints),
+        apparel,
+    ) == numbers
     assert 1.4 < character.height < 1.9 and abs(character.vertices[:, 1].min()) < 0.01
     from bunraku.body.layout import HANDLE_NAMES
     from bunraku.skeletons.bone_names import handle_of_joints
 
     handles = handle_of_joints(character.rig.names, character.rig.parents, character.rig.positions)
-    named = {name: HANDLE_NAMES[handle] for name, handle in zip(character.rig.names, handles, strict=True) if handle >= 0}
-    assert named["左腕"] == "left_shoulder" and named["右ひざ"] == "right_knee" and named["下半身"] == "pelvis" and named["頭"] == "head"
+    named = {
+        name: HANDLE_NAMES[handle] for name, handle in zip(character.rig.names, handles, strict=True) if handle >= 0
+    }
+    assert (
+        named["左腕"] == "left_shoulder"
+        and named["右ひざ"] == "right_knee"
+        and named["下半身"] == "pelvis"
+        and named["頭"] == "head"
+    )
 
 
 def test_limits_that_are_no_numbers_take_the_inverse_kinematics_away(tmp_path):
     model = plank()
-    model.bones.append(Bone("足ＩＫ", (0.0, 16.0, 0.0), 0, ik=(2, 3, 0.5, [(1, ((np.nan, 0.0, 0.0), (1.0, 1.0, 0.0)))])))
+    model.bones.append(
+        Bone("足ＩＫ", (0.0, 16.0, 0.0), 0, ik=(2, 3, 0.5, [(1, ((np.nan, 0.0, 0.0), (1.0, 1.0, 0.0)))]))
+    )
     found = load(tmp_path, pmx(model))[1]
     assert found.bones[3].ik is None and any("足ＩＫ" in warning for warning in found.warnings)

@@ -67,14 +67,20 @@ def test_vrma_written_and_read_again(motion, tmp_path):
     assert read.fps == 20 and len(read) == len(motion)
     assert degrees(read.world()[0][:, order], motion.world()[0]).max() < 0.01
     assert np.abs(read.world()[1][:, order] - motion.world()[1]).max() < 1e-4
-    assert degrees(to_smpl(read).world()[0], motion.world()[0]).mean() < 1.5  # limbs pointed into the reference's T-pose by their build
+    assert (
+        degrees(to_smpl(read).world()[0], motion.world()[0]).mean() < 1.5
+    )  # limbs pointed into the reference's T-pose by their build
 
 
 def test_what_a_vrma_says(motion, tmp_path):
     data = motion.save(tmp_path / "walk.vrma", fps=60, name="stroll").read_bytes()
     tree = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
     extension = tree["extensions"]["VRMC_vrm_animation"]
-    assert extension["specVersion"] == "1.0" and tree["extensionsUsed"] == ["VRMC_vrm_animation"] and tree["animations"][0]["name"] == "stroll"
+    assert (
+        extension["specVersion"] == "1.0"
+        and tree["extensionsUsed"] == ["VRMC_vrm_animation"]
+        and tree["animations"][0]["name"] == "stroll"
+    )
     bones = extension["humanoid"]["humanBones"]
     required = {"hips", "spine", "head"} | {f"{side}{part}" for side in ("left", "right") for part in (
         "UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot")}  # fmt: skip
@@ -82,17 +88,24 @@ def test_what_a_vrma_says(motion, tmp_path):
     paths = {(channel["target"]["node"], channel["target"]["path"]) for channel in tree["animations"][0]["channels"]}
     assert {node for node, path in paths if path == "translation"} == {bones["hips"]["node"]}  # players take no other
     assert tree["accessors"][tree["animations"][0]["samplers"][0]["input"]]["count"] == 91
-    assert tree["nodes"][0]["translation"][1] == pytest.approx(float(reference_body().joints[0, 1]), rel=1e-3)  # they scale by it
+    assert tree["nodes"][0]["translation"][1] == pytest.approx(
+        float(reference_body().joints[0, 1]), rel=1e-3
+    )  # they scale by it
 
 
 def vrma(turn, bones=("hips", "leftUpperLeg", "rightUpperLeg", "leftLowerLeg", "rightLowerLeg"), **extension):
-    """A VRMA whose nodes are turned at rest, with the hips under another node, and half a second of CUBICSPLINE keys."""
+    """A VRMA whose nodes are turned at rest, with the hips under another node, and half a second of CUBICSPLINE
+    keys.
+    """
     maker = Maker()
     x, y, z, w = Rotation.from_rotvec(turn).as_quat()
     keys = maker.add(np.array([0, 0.5], np.float32), bounds=True)
     bend = Rotation.from_rotvec([0.8, 0, 0])
     rest = Rotation.from_rotvec(turn)
-    start, end = rest.as_quat(), (bend * rest).as_quat()  # leftUpperLeg bends about the axis that is X in the T-pose of the hips' children
+    start, end = (
+        rest.as_quat(),
+        (bend * rest).as_quat(),
+    )  # leftUpperLeg bends about the axis that is X in the T-pose of the hips' children
     flat = np.zeros((2, 3, 4), np.float32)
     flat[0, 1], flat[1, 1] = start, end
     nodes = [
@@ -145,8 +158,10 @@ def test_broken_vrma(tmp_path, broken, says):
 
 def test_other_skeletons_become_smpls(motion, tmp_path):
     names = tuple(f"mixamorig:{name}" for name in (
-        "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2", "LeftToeBase", "RightToeBase",
-        "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "LeftHand", "RightHand"))  # fmt: skip
+        "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2",
+        "LeftToeBase", "RightToeBase",
+        "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm",
+        "LeftHand", "RightHand"))  # fmt: skip
     skeleton = type(motion.skeleton)(names, motion.skeleton.parents, motion.skeleton.offsets)
     other = SkeletalMotion(skeleton, motion.rotations, motion.root_translation, motion.fps)
     read = read_motion(other.save(tmp_path / "walk.vrma"))
@@ -177,17 +192,29 @@ def test_a_vrma_that_means_harm_gets_one_sentence(tmp_path, monkeypatch):
     def refused(match, maker, nodes, hips, channels, samplers):
         humanoid = {"humanBones": {"hips": {"node": hips}}}
         clip = {"channels": channels, "samplers": samplers}
-        (tmp_path / "bad.vrma").write_bytes(maker.glb(nodes=nodes, animations=[clip], extensions={"VRMC_vrm_animation": {"humanoid": humanoid}}))
+        (tmp_path / "bad.vrma").write_bytes(
+            maker.glb(nodes=nodes, animations=[clip], extensions={"VRMC_vrm_animation": {"humanoid": humanoid}})
+        )
         with pytest.raises(FormatError, match=match):
             read_motion(tmp_path / "bad.vrma")
 
     maker, deep = Maker(), 3000  # of 18,001 frames, 7 GB
     keys, values = maker.add(np.array([0, 1, 5, 600], np.float32), bounds=True), maker.add(np.zeros((4, 3), np.float32))
     sampler, move = {"input": keys, "output": values}, {"sampler": 0, "target": {"node": 0, "path": "translation"}}
-    refused("nodes in 18001 frames", maker, [{"children": [node + 1]} for node in range(deep)] + [{}], deep, [move], [sampler])
+    refused(
+        "nodes in 18001 frames",
+        maker,
+        [{"children": [node + 1]} for node in range(deep)] + [{}],
+        deep,
+        [move],
+        [sampler],
+    )
     monkeypatch.setattr("bunraku.formats.gltf.curves.MAX_KEYS", 100_000)
     maker, count = Maker(), 1000  # the same keys for 101 nodes
-    sampler = {"input": maker.add(np.arange(count, dtype=np.float32) / 100, bounds=True), "output": maker.add(np.zeros((count, 3), np.float32))}
+    sampler = {
+        "input": maker.add(np.arange(count, dtype=np.float32) / 100, bounds=True),
+        "output": maker.add(np.zeros((count, 3), np.float32)),
+    }
     moves = [{"sampler": 0, "target": {"node": node, "path": "translation"}} for node in range(101)]
     refused("more than 100,000 keys", maker, [{} for _ in range(101)], 0, moves, [sampler])
     strange = {"sampler": 0, "target": {"node": 0, "path": []}}

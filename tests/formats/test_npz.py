@@ -33,7 +33,10 @@ def test_there_and_back(animation, tmp_path):
 
 def test_matrices_are_read_too(animation, tmp_path):
     motion = animation.motion
-    parts = {name: getattr(motion, name) for name in ("translations", "rotations", "root_translation", "root_rotation", "fps")}
+    parts = {
+        name: getattr(motion, name)
+        for name in ("translations", "rotations", "root_translation", "root_rotation", "fps")
+    }
     np.savez(tmp_path / "m.npz", **parts)
     assert np.array_equal(read_motion(tmp_path / "m.npz").rotations, motion.rotations)
 
@@ -58,7 +61,10 @@ def test_broken_and_hostile_files(animation, tmp_path):
         except BunrakuError as error:
             assert "\n" not in str(error)
     motion = animation.motion
-    parts = {name: getattr(motion, name) for name in ("translations", "rotations", "root_translation", "root_rotation", "fps")}
+    parts = {
+        name: getattr(motion, name)
+        for name in ("translations", "rotations", "root_translation", "root_rotation", "fps")
+    }
 
     def packed(**changes):
         out = io.BytesIO()
@@ -98,7 +104,12 @@ def test_numbers_that_make_no_motion_name_the_file(animation, tmp_path, name, va
 
 @pytest.mark.parametrize(
     "header",
-    ["{'descr': '<f4', 'fortran_order': False, 'shape': (3,", "{'descr': (), 'fortran_order': False, 'shape': (3,)}", "-" * 9000 + "1", "(" * 300],
+    [
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (3,",
+        "{'descr': (), 'fortran_order': False, 'shape': (3,)}",
+        "-" * 9000 + "1",
+        "(" * 300,
+    ],
 )
 def test_headers_that_are_no_header(tmp_path, header):
     text = header.encode() + b"\n"
@@ -113,7 +124,10 @@ def test_headers_that_are_no_header(tmp_path, header):
 
 
 def test_only_what_numpy_packs_is_unpacked(animation, tmp_path):
-    with zipfile.ZipFile(animation.save(tmp_path / "good.npz")) as good, zipfile.ZipFile(tmp_path / "bad.npz", "w", zipfile.ZIP_BZIP2) as bad:
+    with (
+        zipfile.ZipFile(animation.save(tmp_path / "good.npz")) as good,
+        zipfile.ZipFile(tmp_path / "bad.npz", "w", zipfile.ZIP_BZIP2) as bad,
+    ):
         for name in good.namelist():
             bad.writestr(name, good.read(name))
     with pytest.raises(FormatError, match=r"bad\.npz"):

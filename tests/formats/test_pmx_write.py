@@ -53,7 +53,11 @@ def test_round_trip(tmp_path: Path) -> None:
 def test_all_kinds_of_bones(tmp_path: Path) -> None:
     """Appends, fixed and local axes, tails, layers: everything that a bone may have, told by hand."""
     file = MmdFile("PMX 2.0", "骨", "bones")
-    file.positions, file.normals, file.uvs = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]]), np.tile([0.0, 0, -1], (3, 1)), np.zeros((3, 2))
+    file.positions, file.normals, file.uvs = (
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.5]]),
+        np.tile([0.0, 0, -1], (3, 1)),
+        np.zeros((3, 2)),
+    )
     file.deforms = np.array([0, 1, 2], np.uint8)
     file.indices = np.array([[0, -1, -1, -1], [0, 1, -1, -1], [0, 1, 2, 3]])
     file.weights = np.array([[1, 0, 0, 0], [0.25, 0.75, 0, 0], [0.5, 0.25, 0.125, 0.125]])
@@ -62,10 +66,12 @@ def test_all_kinds_of_bones(tmp_path: Path) -> None:
     zero = np.zeros(3)
     file.bones = [
         MmdBone("親", "root", zero, -1, moves=True, tail=np.array([0, 0.08, 0.0])),
-        MmdBone("左腕捩", "", np.array([0.08, 0, 0]), 0, 2, True, fixed_axis=np.array([0.6, -0.8, 0]), local_axes=axes, tail=zero),
+        MmdBone("左腕捩", "", np.array([0.08, 0, 0]), 0, 2, True, fixed_axis=np.array([0.6, -0.8, 0]), local_axes=axes,
+        tail=zero),
         MmdBone("左目", "eye", np.array([0, 0.16, 0.08]), 1, append=MmdAppend(1, -0.5, True, False, True), tail=zero),
         MmdBone("左足ＩＫ", "", np.array([0, 0.16, 0.0]), 0, 1, rotates=False, tail=zero,
-                ik=MmdIk(2, 12, 0.5, (MmdIkLink(1, np.array([-1.0, 0, -0.5]), np.array([0.25, 0, 0.75])), MmdIkLink(0)))),
+                ik=MmdIk(2, 12, 0.5, (MmdIkLink(1, np.array([-1.0, 0, -0.5]), np.array([0.25, 0, 0.75])),
+                MmdIkLink(0)))),
     ]  # fmt: skip
     file.tails = {0: 1}
     data = pmx_bytes(file)

@@ -7,7 +7,10 @@ import pytest
 
 from bunraku import FormatError, load_character
 
-OBJ = "\n".join(f"v {x} {y} {z}" for y in (0, 1, 2) for x, z in ((-1, 0), (1, 0), (0, 1))) + "\nf 1 2 5 4\nf 2 3 6 5\nf 4 5 8 7\nf 5 6 9 8\n"
+OBJ = (
+    "\n".join(f"v {x} {y} {z}" for y in (0, 1, 2) for x, z in ((-1, 0), (1, 0), (0, 1)))
+    + "\nf 1 2 5 4\nf 2 3 6 5\nf 4 5 8 7\nf 5 6 9 8\n"
+)
 RIG = """joints hips 0.0 0.5 0.3
 joints chest 0.0 1.5 0.3
 joints head 0.0 2.0 0.3
@@ -47,7 +50,17 @@ def test_layouts(tmp_path, layout, which):
     rig = character.rig
     assert rig.names == ("hips", "chest", "head") and rig.parents.tolist() == [-1, 0, 1]
     assert np.allclose(rig.positions, [[0, 0.5, 0.3], [0, 1.5, 0.3], [0, 2, 0.3]])
-    expected = [[1, 0, 0], [1, 0, 0], [1, 0, 0], [0.5, 0.5, 0], [0.3, 0.7, 0], [0.5, 0.5, 0], [0, 1, 0], [0, 0.25, 0.75], [0, 0, 1]]
+    expected = [
+        [1, 0, 0],
+        [1, 0, 0],
+        [1, 0, 0],
+        [0.5, 0.5, 0],
+        [0.3, 0.7, 0],
+        [0.5, 0.5, 0],
+        [0, 1, 0],
+        [0, 0.25, 0.75],
+        [0, 0, 1],
+    ]
     assert np.allclose(rig.dense_weights(), expected)
     assert character.source.suffix == ".obj"  # what is written keeps the OBJ's materials and UVs
 
@@ -94,7 +107,8 @@ def test_wrong_texts(tmp_path, old, new, match):
 
 
 def test_texts_without_joints_or_of_another_mesh(tmp_path):
-    for rig, match in (("hello\n", "line 1 starts with 'hello'"), ("\n", "has no joints"), (RIG.split("skin")[0], "has no skin lines"),
+    for rig, match in (("hello\n", "line 1 starts with 'hello'"), ("\n", "has no joints"), (RIG.split("skin")[0],
+    "has no skin lines"),
                        (RIG.split("skin 4")[0], "skin lines for 4 of the 9 vertices")):  # fmt: skip
         text = put(tmp_path, "beside", rig)[1]
         with pytest.raises(FormatError, match=match):

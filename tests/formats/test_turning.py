@@ -72,7 +72,10 @@ def test_a_turned_character_is_written_upright_with_all_that_it_wears(thing, tmp
     for old, new in zip(before.tree["meshes"], after.tree["meshes"], strict=True):
         for one, other in zip(old["primitives"], new["primitives"], strict=True):
             kept = [name for name in one["attributes"] if name.startswith(("TEXCOORD", "COLOR"))]
-            assert all(np.array_equal(before.accessor(one["attributes"][n]), after.accessor(other["attributes"][n])) for n in kept)
+            assert all(
+                np.array_equal(before.accessor(one["attributes"][n]), after.accessor(other["attributes"][n]))
+                for n in kept
+            )
 
 
 def test_the_player_sees_the_animation_of_a_turned_character(thing, tmp_path):

@@ -38,7 +38,9 @@ def baked(path):
         assert UsdSkel.BakeSkinning(root, Gf.Interval(0, end))
     meshes = [UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
     assert len(meshes) == 1
-    points = np.array([meshes[0].GetPointsAttr().Get(frame) for frame in range(end + 1)], float) * UsdGeom.GetStageMetersPerUnit(stage)
+    points = np.array(
+        [meshes[0].GetPointsAttr().Get(frame) for frame in range(end + 1)], float
+    ) * UsdGeom.GetStageMetersPerUnit(stage)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
         points = points @ Y_FROM_Z
     return stage, meshes[0], points
@@ -103,7 +105,9 @@ def test_pieces_have_their_materials(pxr, textured, tmp_path, suffix, points):
         assert UsdSkel.BakeSkinning(UsdSkel.Root(stage.GetDefaultPrim()), Gf.Interval(0, 2))
     meshes = [UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
     assert len(meshes) == 3
-    corners = np.concatenate([np.array(mesh.GetPointsAttr().Get(2))[np.array(mesh.GetFaceVertexIndicesAttr().Get())] for mesh in meshes])
+    corners = np.concatenate(
+        [np.array(mesh.GetPointsAttr().Get(2))[np.array(mesh.GetFaceVertexIndicesAttr().Get())] for mesh in meshes]
+    )
     want = textured.vertices([2])[0][textured.character.faces.reshape(-1)]
     assert np.abs(corners - want).max() < 1e-4 * textured.character.height
     found = {}
@@ -115,11 +119,15 @@ def test_pieces_have_their_materials(pxr, textured, tmp_path, suffix, points):
             found[mesh.GetPrim().GetName()] = asset.path
             assert asset.resolvedPath
             uv = np.array(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get())
-            assert np.allclose(uv[:, 1], 1 - np.random.default_rng(0).random((8, 2)).astype(np.float32)[:, 1], atol=1e-6)
+            assert np.allclose(
+                uv[:, 1], 1 - np.random.default_rng(0).random((8, 2)).astype(np.float32)[:, 1], atol=1e-6
+            )
         else:
             assert np.allclose(surface.GetInput("diffuseColor").Get(), [0.5, 0.2, 0.1])
     assert len(found) == 1 and next(iter(found)).startswith("body")
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == (["dance.usdz"] if suffix == "usdz" else ["dance.usda", "dance_textures"])
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == (
+        ["dance.usdz"] if suffix == "usdz" else ["dance.usda", "dance_textures"]
+    )
 
 
 @pytest.mark.parametrize("points", [False, True])
@@ -157,7 +165,12 @@ def test_without_usd(animation, tmp_path, monkeypatch):
 
 
 def test_options_that_make_no_sense(pxr, animation, tmp_path):
-    wrong = (({"unit": "parsec"}, "no unit"), ({"up": "-x"}, "up is"), ({"fps": 0}, "fps must"), ({"order": "xyz"}, "no option 'order'"))
+    wrong = (
+        ({"unit": "parsec"}, "no unit"),
+        ({"up": "-x"}, "up is"),
+        ({"fps": 0}, "fps must"),
+        ({"order": "xyz"}, "no option 'order'"),
+    )
     for options, says in wrong:
         with pytest.raises(OptionError, match=says):
             animation.save(tmp_path / "dance.usd", **options)

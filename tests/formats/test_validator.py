@@ -33,10 +33,14 @@ needs_validator = pytest.mark.skipif(
 def errors(paths):
     """What the validator finds wrong, by file name."""
     command = ["node", str(HERE / "validator" / "validate.js"), *map(str, paths)]
-    reports = json.loads(subprocess.run(command, capture_output=True, check=True, env={**os.environ, "NODE_PATH": str(MODULES)}).stdout)
+    reports = json.loads(
+        subprocess.run(command, capture_output=True, check=True, env={**os.environ, "NODE_PATH": str(MODULES)}).stdout
+    )
     assert len(reports) == len(paths)
     return {
-        Path(name).name: [m for m in report["messages"] if m[0] in "01"] for name, report in reports.items() if report["errors"] or report["warnings"]
+        Path(name).name: [m for m in report["messages"] if m[0] in "01"]
+        for name, report in reports.items()
+        if report["errors"] or report["warnings"]
     }
 
 
@@ -53,7 +57,11 @@ def awkward_glb():
         "COLOR_0": maker.add(np.full((8, 3), 7, np.uint8), normalized=True),
     }
     attributes["TANGENT"] = maker.add(np.zeros((8, 4), np.float32))
-    primitive = {"attributes": attributes, "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)), "extensions": {"MADE_up": {"view": 3}}}
+    primitive = {
+        "attributes": attributes,
+        "indices": maker.add(CUBE_FACES.reshape(-1).astype(np.uint8)),
+        "extensions": {"MADE_up": {"view": 3}},
+    }
     # The validator warns of degenerate UVs and the like as hints only, so errors and warnings must both be none.
     return maker.glb(
         nodes=[{"mesh": 0, "scale": [-1, 2, 1]}, {"camera": 0}],
@@ -68,19 +76,35 @@ def awkward_glb():
 def test_what_is_written_is_valid(tmp_path):
     for name, data in (("textured", textured_glb()), ("awkward", awkward_glb())):
         (tmp_path / f"{name}.glb").write_bytes(data)
-    (tmp_path / "quad.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nf 1/1 2/2 3/1 4/2\nf 1/2 3/2 4/2\n")
+    (tmp_path / "quad.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nf 1/1 2/2 3/1 4/2\nf 1/2 3/2 4/2\n"
+    )
     characters = [load_character(tmp_path / name) for name in ("textured.glb", "awkward.glb", "quad.obj")]
     characters.append(Character("plain", CUBE, CUBE_FACES, colors=np.full((8, 3), 90)))
     written = []
     for number, character in enumerate(characters):
         handles = made_up_handles(character)
-        written.append(Animation(character, handles, made_up_motion(character)).save(tmp_path / f"animated{number}.glb", fps=30))
-        written.append(Animation(character, handles, made_up_motion(character, frames=1)).save(tmp_path / f"one_frame{number}.glb"))
-        written += [save_character(character, tmp_path / f"rigged{number}.glb", handles), save_character(character, tmp_path / f"plain{number}.glb")]
-        offsets = 0.1 * np.sin(np.arange(24))[:, None, None] * character.vertices * (np.arange(len(character.vertices)) % 3 > 0)[:, None]
+        written.append(
+            Animation(character, handles, made_up_motion(character)).save(tmp_path / f"animated{number}.glb", fps=30)
+        )
+        written.append(
+            Animation(character, handles, made_up_motion(character, frames=1)).save(tmp_path / f"one_frame{number}.glb")
+        )
+        written += [
+            save_character(character, tmp_path / f"rigged{number}.glb", handles),
+            save_character(character, tmp_path / f"plain{number}.glb"),
+        ]
+        offsets = (
+            0.1
+            * np.sin(np.arange(24))[:, None, None]
+            * character.vertices
+            * (np.arange(len(character.vertices)) % 3 > 0)[:, None]
+        )
         moved = PointAnimation(Animation(character, handles, made_up_motion(character)), offsets)
         written += [moved.save(tmp_path / f"{shapes}{number}.glb", shapes=shapes) for shapes in ("mixed", "keys")]
-    written.append(walk_about(frames=5).save(tmp_path / "walk.vrma").rename(tmp_path / "walk.glb"))  # its extension is unknown, which is no fault
+    written.append(
+        walk_about(frames=5).save(tmp_path / "walk.vrma").rename(tmp_path / "walk.glb")
+    )  # its extension is unknown, which is no fault
     assert errors(written) == {}
 
 
@@ -89,10 +113,14 @@ def test_rigs_that_are_written_are_valid(tmp_path):
     (tmp_path / "textured.glb").write_bytes(textured_glb())
     textured = load_character(tmp_path / "textured.glb")
     written = []
-    for number, character in enumerate((textured, turned(textured, "+z", "-y"), replace(textured, source=None), reference_body().character())):
+    for number, character in enumerate(
+        (textured, turned(textured, "+z", "-y"), replace(textured, source=None), reference_body().character())
+    ):
         bones = len(character.rig.names)
         turns = matrix_from_axis_angle(np.random.default_rng(0).normal(size=(4, bones, 3)))
-        written.append(RigAnimation(character, turns, np.zeros((4, bones, 3))).save(tmp_path / f"rig{number}.glb", fps=30))
+        written.append(
+            RigAnimation(character, turns, np.zeros((4, bones, 3))).save(tmp_path / f"rig{number}.glb", fps=30)
+        )
     assert errors(written) == {}
 
 
@@ -104,6 +132,10 @@ def test_characters_of_the_archive_are_valid(tmp_path):
     written = []
     for number, path in enumerate(files[:12]):
         character = load_character(path)
-        written.append(Animation(character, made_up_handles(character), made_up_motion(character)).save(tmp_path / f"{number}.glb"))
+        written.append(
+            Animation(character, made_up_handles(character), made_up_motion(character)).save(tmp_path / f"{number}.glb")
+        )
     found = errors(written)
-    assert not {name: messages for name, messages in found.items() if any(message.startswith("0") for message in messages)}
+    assert not {
+        name: messages for name, messages in found.items() if any(message.startswith("0") for message in messages)
+    }

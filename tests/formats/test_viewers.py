@@ -35,7 +35,9 @@ def made(tmp_path_factory):
     rig = RigAnimation(character, matrix_from_axis_angle(turns), moves, FPS)
     handles = handle_animation(rig)
     made = {"rig": rig, "handles": Animation(character, handles.handles, handles.motion), "points": waving(handles)}
-    return {kind: (animation.save(folder / f"{kind}.glb"), animation.vertices(FRAMES)) for kind, animation in made.items()}
+    return {
+        kind: (animation.save(folder / f"{kind}.glb"), animation.vertices(FRAMES)) for kind, animation in made.items()
+    }
 
 
 def compare(made, shown):

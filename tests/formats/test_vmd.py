@@ -16,7 +16,9 @@ LINEAR = ((20, 20, 107, 107),) * 4
 
 
 def interpolation(curves):
-    """64 bytes: x1 of the four channels, then y1, x2, y2; again from the second, third and fourth byte on; bytes 2 and 3 overwritten."""
+    """64 bytes: x1 of the four channels, then y1, x2, y2; again from the second, third and fourth byte on; bytes 2 and
+    3 overwritten.
+    """
     row = bytes(curves[channel][point] for point in range(4) for channel in range(4))
     rows = [row[shift:] + bytes([1, 0, 0][:shift]) for shift in range(4)]
     rows[0] = rows[0][:2] + b"\0\0" + rows[0][4:]
@@ -28,8 +30,14 @@ def bone(name, frame, position=(0, 0, 0), rotation=(0, 0, 0, 1), curves=LINEAR):
 
 
 def vmd(bones, morphs=(), switches=(), tail=True):
-    data = struct.pack("<30s20s", b"Vocaloid Motion Data 0002", "ジーン".encode("cp932")) + struct.pack("<I", len(bones)) + b"".join(bones)
-    data += struct.pack("<I", len(morphs)) + b"".join(struct.pack("<15sIf", name.encode("cp932"), frame, 1.0) for name, frame in morphs)
+    data = (
+        struct.pack("<30s20s", b"Vocaloid Motion Data 0002", "ジーン".encode("cp932"))
+        + struct.pack("<I", len(bones))
+        + b"".join(bones)
+    )
+    data += struct.pack("<I", len(morphs)) + b"".join(
+        struct.pack("<15sIf", name.encode("cp932"), frame, 1.0) for name, frame in morphs
+    )
     if tail:
         data += struct.pack("<I", 1) + bytes(61) + struct.pack("<I", 1) + bytes(28) + struct.pack("<I", 0)
         data += struct.pack("<I", len(switches))
@@ -75,7 +83,9 @@ def test_keys_curves_and_names(tmp_path):
 
 
 def test_other_rates_and_held_ends(tmp_path):
-    motion = load(tmp_path, vmd([bone("頭", 10, (0, 0, 0)), bone("頭", 40, (3, 0, 0)), bone("首", 70, (1, 0, 0))], tail=False))
+    motion = load(
+        tmp_path, vmd([bone("頭", 10, (0, 0, 0)), bone("頭", 40, (3, 0, 0)), bone("首", 70, (1, 0, 0))], tail=False)
+    )
     positions, _ = motion.sample(60.0)["頭"]
     assert len(positions) == 141
     assert np.allclose(positions[[0, 20, 50, 80, 140], 0], np.array([0, 0, 1.5, 3, 3]) * MMD_METRE)
@@ -84,7 +94,9 @@ def test_other_rates_and_held_ends(tmp_path):
 
 def test_the_later_of_two_keys_counts_and_zero_is_no_rotation(tmp_path):
     motion = load(tmp_path, vmd([bone("頭", 0, (1, 0, 0)), bone("頭", 0, (2, 0, 0), (0, 0, 0, 0))]))
-    assert np.allclose(motion.bones["頭"].positions, [[2 * MMD_METRE, 0, 0]]) and np.allclose(motion.bones["頭"].rotations, [[0, 0, 0, 1]])
+    assert np.allclose(motion.bones["頭"].positions, [[2 * MMD_METRE, 0, 0]]) and np.allclose(
+        motion.bones["頭"].rotations, [[0, 0, 0, 1]]
+    )
 
 
 def test_a_name_cut_in_the_middle_of_a_letter(tmp_path):
@@ -133,7 +145,9 @@ def test_real_files():
         motion = load_vmd(path)
         assert "頭" in motion.bones and motion.last_frame > 10
         for positions, rotations in motion.sample().values():
-            assert np.isfinite(positions).all() and np.allclose(rotations @ np.swapaxes(rotations, -1, -2), np.eye(3), atol=1e-6)
+            assert np.isfinite(positions).all() and np.allclose(
+                rotations @ np.swapaxes(rotations, -1, -2), np.eye(3), atol=1e-6
+            )
     walk = load_vmd(MOTIONS / "walk.vmd")
     feet = walk.sample()
     ankle = next(track for name, track in feet.items() if "左足" in name and "ＩＫ" in name)

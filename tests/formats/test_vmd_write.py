@@ -19,7 +19,10 @@ def clip(frames=50, seed=0):
         turns.append(turns[-1] * step)
     rotations = np.stack([turn.as_matrix() for turn in turns])
     still = np.broadcast_to(Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix(), (frames, 3, 3))
-    bones = {"センター": (np.cumsum(rng.normal(0, 0.05, (frames, 3)), axis=0), rotations), "左腕": (np.zeros((frames, 3)), still)}
+    bones = {
+        "センター": (np.cumsum(rng.normal(0, 0.05, (frames, 3)), axis=0), rotations),
+        "左腕": (np.zeros((frames, 3)), still),
+    }
     return MmdClip(bones, "ジーン", ("左足ＩＫ", "右足ＩＫ"))
 
 
@@ -32,7 +35,9 @@ def test_written_and_read_again(tmp_path):
         error = Rotation.from_matrix(rotations).inv() * Rotation.from_matrix(wanted.bones[name][1])
         assert np.degrees(error.magnitude()).max() < 0.01
     assert len(motion.bones["左腕"].frames) == 1  # it stands still
-    assert [motion.ik_enabled(name, frame) for name in ("左足ＩＫ", "右足ＩＫ", "頭ＩＫ") for frame in (0, 40)] == [False] * 4 + [True] * 2
+    assert [motion.ik_enabled(name, frame) for name in ("左足ＩＫ", "右足ＩＫ", "頭ＩＫ") for frame in (0, 40)] == [
+        False
+    ] * 4 + [True] * 2
 
 
 def test_between_frames_the_way_is_straight(tmp_path):
@@ -40,14 +45,20 @@ def test_between_frames_the_way_is_straight(tmp_path):
     turns = Rotation.from_rotvec([[0, 0, 0], [0, 1.0, 0]]).as_matrix()
     motion = load_vmd(write_vmd(MmdClip({"頭": (positions, turns)}), tmp_path / "out.vmd"))
     moved, turned = motion.bones["頭"].sample(np.array([0.25]))
-    assert np.allclose(moved, [[0.075, 0, 0]], atol=1e-6) and np.allclose(turned[0], Rotation.from_rotvec([0, 0.25, 0]).as_matrix(), atol=1e-6)
+    assert np.allclose(moved, [[0.075, 0, 0]], atol=1e-6) and np.allclose(
+        turned[0], Rotation.from_rotvec([0, 0.25, 0]).as_matrix(), atol=1e-6
+    )
 
 
 def test_the_bytes(tmp_path):
     """One key, byte by byte: names in fixed fields, MMD's frame and unit, a straight curve in every row."""
     turn = Rotation.from_rotvec([0.2, 0, 0])
     data = pack_vmd(MmdClip({"左ひじ": (np.array([[0.08, 0.16, 0.24]]), turn.as_matrix()[None])}, "m"))
-    assert data.startswith(b"Vocaloid Motion Data 0002\0") and data[30:32] == b"m\0" and struct.unpack_from("<I", data, 50) == (1,)
+    assert (
+        data.startswith(b"Vocaloid Motion Data 0002\0")
+        and data[30:32] == b"m\0"
+        and struct.unpack_from("<I", data, 50) == (1,)
+    )
     name, frame, *numbers = struct.unpack_from("<15sI7f", data, 54)
     assert name.rstrip(b"\0").decode("cp932") == "左ひじ" and frame == 0
     assert np.allclose(numbers, [1, 2, -3, -np.sin(0.1), 0, 0, np.cos(0.1)], atol=1e-6)

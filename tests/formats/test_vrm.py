@@ -38,7 +38,9 @@ def vrm(extensions):
     attributes = {"POSITION": maker.add(points, True), "JOINTS_0": maker.add(joints), "WEIGHTS_0": maker.add(weights)}
     skin = {"joints": list(range(6)), "inverseBindMatrices": maker.add(inverse.transpose(0, 2, 1).reshape(-1, 16))}
     mesh = {"primitives": [{"attributes": attributes}]}
-    return maker.glb(nodes=NODES, scenes=[{"nodes": [0, 6]}], scene=0, meshes=[mesh], skins=[skin], extensions=extensions)
+    return maker.glb(
+        nodes=NODES, scenes=[{"nodes": [0, 6]}], scene=0, meshes=[mesh], skins=[skin], extensions=extensions
+    )
 
 
 def load(folder, extensions):
@@ -48,7 +50,8 @@ def load(folder, extensions):
 
 
 def old(group=None, colliders=(SPHERE,), bones=({"bone": "hips", "node": 0}, {"bone": "head", "node": 1})):
-    own = {"comment": "ほげ", "stiffiness": 2.5, "gravityPower": 0.1, "gravityDir": {"x": 0.6, "y": -0.8, "z": 0}, "dragForce": 0.3,
+    own = {"comment": "ほげ", "stiffiness": 2.5, "gravityPower": 0.1, "gravityDir": {"x": 0.6, "y": -0.8, "z": 0},
+    "dragForce": 0.3,
            "hitRadius": 0.04, "center": -1, "bones": [2], "colliderGroups": [0]}  # fmt: skip
     swings = {"boneGroups": [own | (group or {})], "colliderGroups": list(colliders)}
     return {"VRM": {"meta": {"title": "Doll"}, "humanoid": {"humanBones": list(bones)}, "secondaryAnimation": swings}}
@@ -59,7 +62,11 @@ def new(springs=None, colliders=None, groups=({"name": "g", "colliders": [0, 1]}
         {"node": 1, "shape": {"sphere": {"offset": [1, 2, 3], "radius": 0.5}}},
         {"node": 0, "shape": {"capsule": {"offset": [0, 0, 0], "radius": 0.1, "tail": [0, 1, 0]}}},
     ]
-    spring = {"name": "hair", "colliderGroups": [0], "joints": [{"node": 2, "stiffness": 3, "hitRadius": 0.02}, {"node": 3}, {"node": 4}]}
+    spring = {
+        "name": "hair",
+        "colliderGroups": [0],
+        "joints": [{"node": 2, "stiffness": 3, "hitRadius": 0.02}, {"node": 3}, {"node": 4}],
+    }
     swings = {"colliders": colliders or shapes, "colliderGroups": list(groups), "springs": springs or [spring]}
     person = {"meta": {"name": "Doll"}, "humanoid": {"humanBones": {"hips": {"node": 0}, "head": {"node": 1}}}}
     return {"VRMC_vrm": person, "VRMC_springBone": swings}
@@ -68,7 +75,10 @@ def new(springs=None, colliders=None, groups=({"name": "g", "colliders": [0, 1]}
 def test_vrm_0(tmp_path):
     character, model = load(tmp_path, old())
     assert (model.version, model.title, model.humanoid, model.warnings) == ("0.x", "Doll", {"hips": 0, "head": 1}, ())
-    assert [[joint.node for joint in spring.joints] for spring in model.springs] == [[2, 3, 4], [5]]  # a branch is a chain of its own
+    assert [[joint.node for joint in spring.joints] for spring in model.springs] == [
+        [2, 3, 4],
+        [5],
+    ]  # a branch is a chain of its own
     spring = model.springs[0]
     assert spring.groups == (0,) and spring.center == -1 and spring.ends_free and spring.name == "ほげ"
     joint = spring.joints[1]
@@ -84,17 +94,30 @@ def test_vrm_1(tmp_path):
     extended = {"shape": {"sphere": {"offset": [0, 0, 0], "radius": 2, "inside": True}}}
     plane = {"shape": {"plane": {"offset": [0, 0, 0], "normal": [0, 1, 0]}}}
     more = [
-        {"node": 0, "shape": {"sphere": {"radius": 0.1}}, "extensions": {"VRMC_springBone_extended_collider": extended}},
+        {
+            "node": 0,
+            "shape": {"sphere": {"radius": 0.1}},
+            "extensions": {"VRMC_springBone_extended_collider": extended},
+        },
         {"node": 0, "extensions": {"VRMC_springBone_extended_collider": plane}},
     ]
     _, model = load(tmp_path, new())
-    assert (model.version, model.title, model.humanoid) == ("1.0", "Doll", {"hips": 0, "head": 1}) and not model.warnings
+    assert (model.version, model.title, model.humanoid) == (
+        "1.0",
+        "Doll",
+        {"hips": 0, "head": 1},
+    ) and not model.warnings
     (spring,) = model.springs
     assert [joint.node for joint in spring.joints] == [2, 3, 4] and not spring.ends_free and spring.groups == (0,)
     assert (spring.joints[0].stiffness, spring.joints[1].stiffness, spring.joints[1].drag) == (3, 1, 0.5)
     assert np.allclose(spring.joints[0].gravity_direction, [0, -1, 0])
     ball, rod = model.colliders
-    assert ball.shape == "sphere" and np.allclose(ball.offset, [1, 2, 3]) and rod.shape == "capsule" and np.allclose(rod.tail, [0, 1, 0])
+    assert (
+        ball.shape == "sphere"
+        and np.allclose(ball.offset, [1, 2, 3])
+        and rod.shape == "capsule"
+        and np.allclose(rod.tail, [0, 1, 0])
+    )
     _, model = load(tmp_path, new(colliders=more))
     assert model.colliders[0].inside and model.colliders[0].radius == 2 and model.colliders[1].shape == "plane"
 
@@ -107,16 +130,34 @@ def test_broken_parts_are_left_out_with_a_warning(tmp_path):
 
     ball = SPHERE["colliders"][0]
     for radius in (-1, "x", 10**400):
-        model = warned(old(colliders=[{"node": 1, "colliders": [ball | {"radius": radius}, ball]}]), "negative or no number and are left out: head")
+        model = warned(
+            old(colliders=[{"node": 1, "colliders": [ball | {"radius": radius}, ball]}]),
+            "negative or no number and are left out: head",
+        )
         assert len(model.colliders) == 1 and model.groups == ((0,),)
-    assert warned(old(colliders=[{"node": 99, "colliders": [ball]}]), "colliders are on nodes that do not exist").colliders == ()
+    assert (
+        warned(old(colliders=[{"node": 99, "colliders": [ball]}]), "colliders are on nodes that do not exist").colliders
+        == ()
+    )
     assert warned(old({"bones": [77, 2]}), "begin at nodes that do not exist and are left out: 77").springs
     assert warned(old({"colliderGroups": [0, 9]}), "groups of colliders that do not exist").springs[0].groups == (0,)
     assert warned(old({"stiffiness": None}), "springs hold values").springs == ()
-    assert warned(old(bones=[{"bone": "hips", "node": 0}, {"bone": "head", "node": -4}]), "bones of the person").humanoid == {"hips": 0}
+    assert warned(
+        old(bones=[{"bone": "hips", "node": 0}, {"bone": "head", "node": -4}]), "bones of the person"
+    ).humanoid == {"hips": 0}
     looped = {"name": "loop", "joints": [{"node": 2}, {"node": 3}, {"node": 2}, {"node": 3}]}
-    assert len(warned(new(springs=[looped]), "go on at nodes that are not below and are cut there: loop").springs[0].joints) == 2
-    assert warned(new(springs=[{"name": "one", "joints": [{"node": 2}]}]), "no chain of nodes and are left out: one").springs == ()
+    assert (
+        len(
+            warned(new(springs=[looped]), "go on at nodes that are not below and are cut there: loop").springs[0].joints
+        )
+        == 2
+    )
+    assert (
+        warned(
+            new(springs=[{"name": "one", "joints": [{"node": 2}]}]), "no chain of nodes and are left out: one"
+        ).springs
+        == ()
+    )
     _, twice = load(tmp_path, old({"bones": [2, 2, 3]}))
     assert sum(len(spring.joints) for spring in twice.springs) == 4  # each node swings once
     for nonsense in (
@@ -137,7 +178,9 @@ def test_nodes_in_a_cycle_and_files_without_vrm(tmp_path):
     maker = Maker()
     points = {"POSITION": maker.add(np.eye(3, dtype="<f4"), True)}
     nodes = [{"mesh": 0}, {"children": [2]}, {"children": [1]}]
-    (tmp_path / "round.vrm").write_bytes(maker.glb(nodes=nodes, meshes=[{"primitives": [{"attributes": points}]}], extensions=old()))
+    (tmp_path / "round.vrm").write_bytes(
+        maker.glb(nodes=nodes, meshes=[{"primitives": [{"attributes": points}]}], extensions=old())
+    )
     with pytest.raises(FormatError, match="cycle"):
         load_character(tmp_path / "round.vrm")
 

@@ -22,7 +22,9 @@ def test_the_rotations_are_the_group_of_the_cube():
 @pytest.mark.parametrize(("up", "front"), ORIENTATIONS)
 def test_up_goes_up_and_front_to_the_front(up, front):
     rotation = upright_rotation(up, front)
-    assert np.array_equal(rotation @ axis_vector(up), [0, 1, 0]) and np.array_equal(rotation @ axis_vector(front), [0, 0, 1])
+    assert np.array_equal(rotation @ axis_vector(up), [0, 1, 0]) and np.array_equal(
+        rotation @ axis_vector(front), [0, 0, 1]
+    )
 
 
 def test_names():

@@ -28,7 +28,9 @@ def test_a_poor_home_walks_to_the_nearest_point():
     neighbour = {int(a): int(b) for a, b in edges} | {int(b): int(a) for a, b in edges}
     poor = np.array([neighbour[int(vertex)] for vertex in home])
     good = blend_matrix(points, home, vertices, faces, edges, 0.01)
-    np.testing.assert_allclose(blend_matrix(points, poor, vertices, faces, edges, 0.01) @ vertices, good @ vertices, atol=0.02)
+    np.testing.assert_allclose(
+        blend_matrix(points, poor, vertices, faces, edges, 0.01) @ vertices, good @ vertices, atol=0.02
+    )
 
 
 def test_weights_are_shares():
@@ -48,7 +50,9 @@ def test_weights_change_smoothly_across_a_ridge():
     """Points on a line over the ridge of a roof: no step between neighbours is much larger than their distance."""
     vertices = np.array([[-1, 0, 0], [0, 0.3, -1], [0, 0.3, 1], [1, 0, 0]], float)
     faces = np.array([[0, 2, 1], [3, 1, 2]])
-    points = np.stack([np.linspace(-0.3, 0.3, 301), np.full(301, 0.1), np.zeros(301)], axis=1)  # inside, where nearest points jump
+    points = np.stack(
+        [np.linspace(-0.3, 0.3, 301), np.full(301, 0.1), np.zeros(301)], axis=1
+    )  # inside, where nearest points jump
     weights = blend_matrix(points, np.full(301, 1), vertices, faces, unique_edges(faces, 4), 0.2).toarray()
     assert np.abs(np.diff(weights, axis=0)).max() < 0.01
 

@@ -5,7 +5,15 @@ import pytest
 import trimesh
 
 from bunraku.errors import CharacterError
-from bunraku.geometry.graph import bridge_edges, canonical_order, clean_mesh, mean_operator, mesh_parts, pack, unique_edges
+from bunraku.geometry.graph import (
+    bridge_edges,
+    canonical_order,
+    clean_mesh,
+    mean_operator,
+    mesh_parts,
+    pack,
+    unique_edges,
+)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +62,9 @@ def test_soup_is_welded(sphere):
 def test_seams_that_nearly_meet_are_welded(sphere):
     vertices, faces = sphere
     noise = np.random.default_rng(1).uniform(-4e-6, 4e-6, (faces.size, 3))  # 1e-6 of the height
-    assert len(clean_mesh(vertices[faces.reshape(-1)] + noise, np.arange(faces.size).reshape(-1, 3)).vertices) == len(vertices)
+    assert len(clean_mesh(vertices[faces.reshape(-1)] + noise, np.arange(faces.size).reshape(-1, 3)).vertices) == len(
+        vertices
+    )
 
 
 def test_distinct_vertices_are_not_welded():
@@ -121,7 +131,9 @@ def test_single_triangle_and_flat_plane():
     x, y = np.meshgrid(np.arange(5.0), np.arange(4.0))
     grid = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1)
     corner = (np.arange(3)[:, None] * 5 + np.arange(4)).ravel()
-    faces = np.concatenate([np.stack([corner, corner + 1, corner + 6], 1), np.stack([corner, corner + 6, corner + 5], 1)])
+    faces = np.concatenate(
+        [np.stack([corner, corner + 1, corner + 6], 1), np.stack([corner, corner + 6, corner + 5], 1)]
+    )
     assert len(clean_mesh(grid, faces).vertices) == 20
 
 
@@ -139,7 +151,9 @@ def test_pack_keeps_lexicographic_order():
 
 
 def test_edges_and_parts_agree_with_trimesh():
-    mesh = trimesh.util.concatenate([trimesh.creation.icosphere(1), trimesh.creation.box().apply_translation([3, 0, 0])])
+    mesh = trimesh.util.concatenate(
+        [trimesh.creation.icosphere(1), trimesh.creation.box().apply_translation([3, 0, 0])]
+    )
     faces = np.asarray(mesh.faces)
     edges = unique_edges(faces, len(mesh.vertices))
     np.testing.assert_array_equal(edges, np.unique(np.sort(mesh.edges, axis=1), axis=0))

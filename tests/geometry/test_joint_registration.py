@@ -45,7 +45,9 @@ def test_every_sweep_helps_and_fixed_parts_stay(arm):
     x, weights, _, posed = arm
     start = plain(x, posed, weights)
     start[:, 0] = np.eye(3, 4)
-    errors = [error(x, posed, weights, refine_registration(x, posed, weights, start, fixed=(0,), sweeps=n)) for n in range(4)]
+    errors = [
+        error(x, posed, weights, refine_registration(x, posed, weights, start, fixed=(0,), sweeps=n)) for n in range(4)
+    ]
     assert errors == sorted(errors, reverse=True) and errors[3] < errors[0]
     assert np.array_equal(refine_registration(x, posed, weights, start, fixed=(0,))[:, 0], start[:, 0])
 

@@ -46,7 +46,9 @@ def test_agrees_with_align_vectors(case):
         w = weights[:, part]
         a = targets[3] - np.average(targets[3], axis=0, weights=w)
         b = source - np.average(source, axis=0, weights=w)
-        np.testing.assert_allclose(rotations[3, part], Rotation.align_vectors(a, b, weights=w)[0].as_matrix(), atol=1e-6)
+        np.testing.assert_allclose(
+            rotations[3, part], Rotation.align_vectors(a, b, weights=w)[0].as_matrix(), atol=1e-6
+        )
 
 
 def test_rigid_motion_comes_back_about_any_handles(case):

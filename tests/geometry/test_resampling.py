@@ -20,7 +20,9 @@ def test_values_between_frames_are_those_of_scipy(want):
     np.testing.assert_allclose(found.linear(values), known.transpose(2, 0, 1), atol=1e-12)
     got = found.rotations(np.stack([turn.as_matrix() for turn in turns], axis=1))
     for joint, turn in enumerate(turns):
-        np.testing.assert_allclose(got[:, joint], Slerp(np.arange(9) / 20, turn)(np.minimum(times, 0.4)).as_matrix(), atol=1e-9)
+        np.testing.assert_allclose(
+            got[:, joint], Slerp(np.arange(9) / 20, turn)(np.minimum(times, 0.4)).as_matrix(), atol=1e-9
+        )
 
 
 def test_one_frame_stays_and_floats_keep_their_precision():
@@ -30,4 +32,6 @@ def test_one_frame_stays_and_floats_keep_their_precision():
     assert found.linear(values).dtype == np.float32
     np.testing.assert_array_equal(found.linear(values), values)
     turn = Rotation.from_euler("x", 50, degrees=True).as_matrix()[None]
-    np.testing.assert_allclose(found.quaternions(quaternion_from_matrix(turn)), quaternion_from_matrix(turn), atol=1e-15)
+    np.testing.assert_allclose(
+        found.quaternions(quaternion_from_matrix(turn)), quaternion_from_matrix(turn), atol=1e-15
+    )

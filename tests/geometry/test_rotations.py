@@ -15,7 +15,9 @@ ANGLES = np.array([0, 1e-9, 1e-5, 0.3, np.pi / 2, 3.0, np.pi - 1e-6, np.pi])
 
 
 def samples() -> np.ndarray:
-    """Random rotations, none at all, tiny ones, half turns about many axes and nearly half turns, as matrices (R, 3, 3)."""
+    """Random rotations, none at all, tiny ones, half turns about many axes and nearly half turns, as matrices (R, 3,
+    3).
+    """
     special = Rotation.from_rotvec((AXES[:, None] * ANGLES[:, None]).reshape(-1, 3)).as_matrix()
     return np.concatenate([Rotation.random(200, random_state=1).as_matrix(), special])
 
@@ -97,7 +99,9 @@ def test_gradients_are_finite_at_no_rotation_and_at_half_turns():
 def test_turning_about_y(kind):
     to, back = kind
     angle = np.array([0.0, 0.4, -2.0])
-    np.testing.assert_allclose(back(rot.matrix_y(to(angle))), Rotation.from_euler("y", angle[:, None]).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(
+        back(rot.matrix_y(to(angle))), Rotation.from_euler("y", angle[:, None]).as_matrix(), atol=1e-12
+    )
     np.testing.assert_allclose(back(rot.matrix_y(to(np.array(np.pi / 2)))) @ [0, 0, 1], [1, 0, 0], atol=1e-12)
 
 
@@ -108,7 +112,9 @@ def test_rotation_between_directions():
     a[2] = [5, 0, 0]
     matrix = rot.rotation_between(a, b)
     turned = (matrix @ a[..., None])[..., 0]
-    np.testing.assert_allclose(turned / np.linalg.norm(a, axis=1, keepdims=True), b / np.linalg.norm(b, axis=1, keepdims=True), atol=1e-9)
+    np.testing.assert_allclose(
+        turned / np.linalg.norm(a, axis=1, keepdims=True), b / np.linalg.norm(b, axis=1, keepdims=True), atol=1e-9
+    )
     angle = np.arccos(np.clip((a * b).sum(1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1), -1, 1))
     np.testing.assert_allclose(Rotation.from_matrix(matrix).magnitude(), angle, atol=1e-6)  # no larger turn than needed
     np.testing.assert_array_equal(rot.rotation_between(np.zeros(3), a[0]), np.eye(3))
@@ -120,4 +126,6 @@ def test_slerp_agrees_with_scipy():
     quaternion = ends.as_quat()
     mine = rot.quaternion_slerp(np.tile(quaternion[0], (9, 1)), np.tile(-quaternion[1], (9, 1)), share)
     np.testing.assert_allclose(Rotation.from_quat(mine).as_matrix(), Slerp([0, 1], ends)(share).as_matrix(), atol=1e-9)
-    np.testing.assert_allclose(rot.quaternion_slerp(quaternion[0], quaternion[0], np.array(0.5)), quaternion[0], atol=1e-12)
+    np.testing.assert_allclose(
+        rot.quaternion_slerp(quaternion[0], quaternion[0], np.array(0.5)), quaternion[0], atol=1e-12
+    )

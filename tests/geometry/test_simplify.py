@@ -14,17 +14,23 @@ from bunraku.geometry.simplify import network_mesh
 
 def smooth(points):
     x, y, z = points.T
-    return np.stack([np.sin(3 * x), np.cos(2 * y + z), np.exp(-8 * ((points - [0.2, 0.3, 0]) ** 2).sum(axis=1))], axis=1)
+    return np.stack(
+        [np.sin(3 * x), np.cos(2 * y + z), np.exp(-8 * ((points - [0.2, 0.3, 0]) ** 2).sum(axis=1))], axis=1
+    )
 
 
 def figure(level: int = 3) -> trimesh.Trimesh:
     """A body with two legs and two arms that overlap it, as seven loose parts, one of them tiny."""
     ball = trimesh.creation.icosphere(level)
     shapes = [
-        ((0.3, 0.5, 0.2), (0, 1.2, 0)), ((0.2, 0.22, 0.2), (0, 1.9, 0)), ((0.12, 0.6, 0.12), (0.16, 0.5, 0)), ((0.12, 0.6, 0.12), (-0.16, 0.5, 0)),
-        ((0.5, 0.08, 0.08), (0.6, 1.5, 0)), ((0.5, 0.08, 0.08), (-0.6, 1.5, 0)), ((0.004, 0.004, 0.004), (0.05, 1.95, 0.2)),
+        ((0.3, 0.5, 0.2), (0, 1.2, 0)), ((0.2, 0.22, 0.2), (0, 1.9, 0)), ((0.12, 0.6, 0.12), (0.16, 0.5, 0)), ((0.12,
+        0.6, 0.12), (-0.16, 0.5, 0)),
+        ((0.5, 0.08, 0.08), (0.6, 1.5, 0)), ((0.5, 0.08, 0.08), (-0.6, 1.5, 0)), ((0.004, 0.004, 0.004), (0.05, 1.95,
+        0.2)),
     ]  # fmt: skip
-    return trimesh.util.concatenate([trimesh.Trimesh(ball.vertices * size + at, ball.faces, process=False) for size, at in shapes])
+    return trimesh.util.concatenate(
+        [trimesh.Trimesh(ball.vertices * size + at, ball.faces, process=False) for size, at in shapes]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +107,9 @@ def test_opened_seams_move_nothing(mesh, network):
     soup = network_mesh(vertices[faces.reshape(-1)], np.arange(faces.size).reshape(-1, 3))
     np.testing.assert_array_equal(soup.vertices, network.vertices)
     np.testing.assert_array_equal(soup.edges, network.edges)
-    np.testing.assert_array_equal(soup.push(smooth(soup.vertices)), network.push(smooth(network.vertices))[faces.reshape(-1)])
+    np.testing.assert_array_equal(
+        soup.push(smooth(soup.vertices)), network.push(smooth(network.vertices))[faces.reshape(-1)]
+    )
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(0.01, (0, 0, 0)), (100, (0, 0, 0)), (1, (6, -4, 10)), (1.7, (2, 0, 0))])
@@ -132,7 +140,9 @@ def grid_cylinder(around: int):
     angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
     ring = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
     here, there = np.arange(around), (np.arange(around) + 1) % around
-    faces = np.concatenate([np.stack([here, there, here + around], 1), np.stack([there, there + around, here + around], 1)])
+    faces = np.concatenate(
+        [np.stack([here, there, here + around], 1), np.stack([there, there + around, here + around], 1)]
+    )
     return np.concatenate([ring, ring + [0, 3, 0]]), faces
 
 
@@ -145,18 +155,26 @@ def loose_triangles(count: int, size: float):
 def giant_and_tiny():
     ball = trimesh.creation.icosphere(4, radius=0.01)
     count = len(ball.vertices)
-    return np.concatenate([ball.vertices, [[-5, -5, 0], [5, -5, 0], [0, 8, 0]]]), np.concatenate([ball.faces, [[count, count + 1, count + 2]]])
+    return np.concatenate([ball.vertices, [[-5, -5, 0], [5, -5, 0], [0, 8, 0]]]), np.concatenate(
+        [ball.faces, [[count, count + 1, count + 2]]]
+    )
 
 
 ZOO = {
     "triangle": (np.eye(3), np.array([[0, 1, 2]])),
     "plane": (np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]])),
     "box": (trimesh.creation.box().vertices, trimesh.creation.box().faces),
-    "collinear": (np.stack([np.linspace(0, 1, 50)] + [np.zeros(50)] * 2, 1), np.stack([np.arange(48), np.arange(1, 49), np.arange(2, 50)], 1)),
+    "collinear": (
+        np.stack([np.linspace(0, 1, 50)] + [np.zeros(50)] * 2, 1),
+        np.stack([np.arange(48), np.arange(1, 49), np.arange(2, 50)], 1),
+    ),
     "needles": grid_cylinder(20_000),
     "3,000 loose triangles": loose_triangles(3000, 0.02),
     "5,000 long loose triangles": loose_triangles(5000, 0.4),
-    "random faces": (np.random.default_rng(0).normal(size=(500, 3)), np.random.default_rng(1).integers(0, 500, (2000, 3))),
+    "random faces": (
+        np.random.default_rng(0).normal(size=(500, 3)),
+        np.random.default_rng(1).integers(0, 500, (2000, 3)),
+    ),
     "giant and tiny": giant_and_tiny(),
 }
 

@@ -9,7 +9,9 @@ from bunraku.geometry.graph import unique_edges
 from bunraku.geometry.subdivision import split_estimate, split_long_edges
 
 
-@pytest.mark.parametrize("mesh", [trimesh.creation.box(extents=[1, 2, 0.1]), trimesh.creation.icosphere(1), trimesh.creation.cone(1, 3)])
+@pytest.mark.parametrize(
+    "mesh", [trimesh.creation.box(extents=[1, 2, 0.1]), trimesh.creation.icosphere(1), trimesh.creation.cone(1, 3)]
+)
 def test_split_keeps_the_surface_and_its_holes(mesh):
     vertices, faces, _ = split_long_edges(np.asarray(mesh.vertices), np.asarray(mesh.faces), 0.11)
     edges = unique_edges(faces, len(vertices))

@@ -13,7 +13,9 @@ def test_points_lie_on_the_surface_by_area():
     points, normals = surface_points(SQUARES, FACES, 400)
     first = points[:, 2] == 0
     assert first.sum() == 100  # a square of area 1 and a rectangle of area 3
-    assert np.array_equal(normals[first], np.tile([0, 0, 1], (100, 1))) and np.array_equal(normals[~first], np.tile([0, -1, 0], (300, 1)))
+    assert np.array_equal(normals[first], np.tile([0, 0, 1], (100, 1))) and np.array_equal(
+        normals[~first], np.tile([0, -1, 0], (300, 1))
+    )
     assert (points[first, :2] >= 0).all() and (points[first, :2] <= 1).all() and np.abs(points[~first, 1]).max() == 0
     quarters = np.histogram2d(points[first, 0], points[first, 1], 2, [[0, 1], [0, 1]])[0]
     assert quarters.min() >= 20

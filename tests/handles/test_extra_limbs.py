@@ -17,7 +17,9 @@ H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 SIDES = (("left", 1.0), ("right", -1.0))
 
 
-def tube(start: np.ndarray, end: np.ndarray, radius: float, rings: int = 14, around: int = 8) -> tuple[np.ndarray, np.ndarray]:
+def tube(
+    start: np.ndarray, end: np.ndarray, radius: float, rings: int = 14, around: int = 8
+) -> tuple[np.ndarray, np.ndarray]:
     """A closed tube: vertices and faces."""
     way = (end - start) / np.linalg.norm(end - start)
     side = np.cross(way, [0.31, 0.2, 0.93])
@@ -41,12 +43,18 @@ def crawler(places: tuple[float, ...], boots: bool = False) -> tuple[np.ndarray,
     pieces = [tube(np.array([0, 0.5, -0.8]), np.array([0, 0.5, 0.8]), 0.2, 24, 16)]
     for _, s in SIDES:
         for z in places:
-            root, knee, tip = np.array([s * 0.15, 0.5, z]), np.array([s * 0.5, 0.65, 1.2 * z]), np.array([s * 0.9, 0, 1.4 * z])
+            root, knee, tip = (
+                np.array([s * 0.15, 0.5, z]),
+                np.array([s * 0.5, 0.65, 1.2 * z]),
+                np.array([s * 0.9, 0, 1.4 * z]),
+            )
             pieces += [tube(root, knee, 0.04), tube(knee, tip, 0.04)]
             if boots:
                 pieces.append(tube(knee + 0.5 * (tip - knee), tip, 0.06))
     counts = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
-    return np.concatenate([v for v, _ in pieces]), np.concatenate([f + start for (_, f), start in zip(pieces, counts[:-1], strict=True)])
+    return np.concatenate([v for v, _ in pieces]), np.concatenate(
+        [f + start for (_, f), start in zip(pieces, counts[:-1], strict=True)]
+    )
 
 
 def shared_weights(mesh: NetworkMesh) -> np.ndarray:
@@ -76,7 +84,9 @@ def test_every_leg_has_its_own_hip_and_knee(spider: tuple[NetworkMesh, np.ndarra
             assert (roles == H[f"{side}_{part}"]).sum() == 4
     x = mesh.vertices * mesh.scale + mesh.center
     shin = np.abs(x[:, 0]) > 0.65
-    leg = np.array([0.6, 0.2, -0.2, -0.6])[np.abs(x[:, 2, None] / np.array([0.78, 0.26, -0.26, -0.78]) - 1).argmin(axis=1)]
+    leg = np.array([0.6, 0.2, -0.2, -0.6])[
+        np.abs(x[:, 2, None] / np.array([0.78, 0.26, -0.26, -0.78]) - 1).argmin(axis=1)
+    ]
     main = weights[shin].argmax(axis=1)
     pairs = {(bool(s), float(z), int(k)) for s, z, k in zip(x[shin, 0] > 0, leg[shin], main, strict=True)}
     assert len(pairs) == 8 and len({k for *_, k in pairs}) == 8

@@ -28,7 +28,9 @@ def test_edge_conv_equals_its_definition_and_its_gradient():
     fast, slow = layer(x, graph), edge_conv_reference(layer, x, graph)
     torch.testing.assert_close(fast, slow, atol=1e-6, rtol=1e-5)
     pull = torch.randn_like(fast)
-    torch.testing.assert_close(torch.autograd.grad(fast, x, pull)[0], torch.autograd.grad(slow, x, pull)[0], atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(
+        torch.autograd.grad(fast, x, pull)[0], torch.autograd.grad(slow, x, pull)[0], atol=1e-5, rtol=1e-4
+    )
 
 
 def test_gather_and_spread_keep_constants():

@@ -23,7 +23,9 @@ def dressed():
 
 
 def weights_of(place):
-    """The body turns from handle 0 to handle 1 along its height; the button is said to be split, the hand all of handle 3."""
+    """The body turns from handle 0 to handle 1 along its height; the button is said to be split, the hand all of handle
+    3.
+    """
     up = np.clip(0.5 + place[:, 1], 0, 1)
     weights = np.stack([1 - up, up, 0 * up, 0 * up], axis=1)
     on_button = np.linalg.norm(place - BUTTON, axis=1) < 0.04

@@ -40,12 +40,19 @@ def test_turning_the_mesh_permutes_the_chances():
     for up, front in ORIENTATIONS[::5]:
         rotation = upright_rotation(up, front)
         turns = [upright_rotation(*axes) @ rotation.T for axes in ORIENTATIONS]
-        there = [next(n for n, axes in enumerate(ORIENTATIONS) if np.array_equal(upright_rotation(*axes), turn)) for turn in turns]
+        there = [
+            next(n for n, axes in enumerate(ORIENTATIONS) if np.array_equal(upright_rotation(*axes), turn))
+            for turn in turns
+        ]
         assert np.abs(guess_orientation(laid(character, up, front), prior=even).chances - chances[there]).max() < 1e-4
 
 
 def test_habits_weigh_what_the_shape_says():
-    assert HABITS.sum() == pytest.approx(1) and HABITS.argmax() == ORIENTATIONS.index(("+y", "+z")) and HABITS.min() > 0.005
+    assert (
+        HABITS.sum() == pytest.approx(1)
+        and HABITS.argmax() == ORIENTATIONS.index(("+y", "+z"))
+        and HABITS.min() > 0.005
+    )
     character = sample_character("robot")
     shape, both = guess_orientation(character, prior=np.ones(24)).chances, guess_orientation(character).chances
     assert both == pytest.approx(shape * HABITS / (shape * HABITS).sum(), abs=1e-6)
@@ -63,7 +70,9 @@ def test_what_is_said_is_not_guessed():
     character = sample_character("robot")
     lying = laid(character, "+z", "-y")
     assert settle(lying, "+z", "-y").guess is None
-    assert {(s.up, s.front) for s in (settle(lying, "Z"), settle(lying, front="-y"), settle(lying, "z", "-Y"))} == {("+z", "-y")}
+    assert {(s.up, s.front) for s in (settle(lying, "Z"), settle(lying, front="-y"), settle(lying, "z", "-Y"))} == {
+        ("+z", "-y")
+    }
     assert np.array_equal(upright(lying, "+z", "-y").vertices, character.vertices)
     assert upright(lying, "+x").vertices[:, 1] == pytest.approx(lying.vertices[:, 0])
     for up, front in (("+y", "-y"), ("z", "z"), ("up", "auto"), ("auto", "w")):
@@ -85,7 +94,20 @@ def test_what_nobody_says_and_no_guess_decides_is_usual():
 
 def test_a_shape_that_tells_nothing_is_left_alone():
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
-    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    faces = [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ]
     cube = Character("cube", corners, faces)
     settled = settle(cube)
     assert settled.guess.confidence < SURE and (settled.up, settled.front) == ("+y", "+z") and upright(cube) is cube
@@ -96,7 +118,9 @@ def test_a_shape_that_tells_nothing_is_left_alone():
 def test_a_large_mesh_is_quick():
     character = sample_character("person")
     large = Character(
-        "large", np.tile(character.vertices, (12, 1)), np.concatenate([character.faces + n * len(character.vertices) for n in range(12)])
+        "large",
+        np.tile(character.vertices, (12, 1)),
+        np.concatenate([character.faces + n * len(character.vertices) for n in range(12)]),
     )
     guess_orientation(character)
     start = time.process_time()

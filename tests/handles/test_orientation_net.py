@@ -1,4 +1,6 @@
-"""The orientation network: turning what it sees by one of the 24 rotations permutes its scores and changes nothing else."""
+"""The orientation network: turning what it sees by one of the 24 rotations permutes its scores and changes nothing
+else.
+"""
 
 import numpy as np
 import pytest
@@ -46,7 +48,10 @@ def test_tokens_say_what_is_nearest_to_them():
     low, high = points.min(axis=0), points.max(axis=0)
     share = areas / areas.sum()
     centre = (share @ points - (low + high) / 2) / (high - low).max()
-    assert np.abs(mass @ tokens[:, :3] - centre).max() < 1e-3 and np.abs(mass @ tokens[:, 3:6] - share @ normals).max() < 1e-3
+    assert (
+        np.abs(mass @ tokens[:, :3] - centre).max() < 1e-3
+        and np.abs(mass @ tokens[:, 3:6] - share @ normals).max() < 1e-3
+    )
 
 
 def test_tokens_do_not_depend_on_place_and_size():
@@ -85,7 +90,8 @@ def test_a_mirror_image_keeps_up_and_front():
     flip = np.array([-1.0, 1, 1])
     with torch.no_grad():
         one, other = (
-            model.probabilities(torch.from_numpy(shape_tokens(p, n, areas, 32))) for p, n in ((points, normals), (points * flip, normals * flip))
+            model.probabilities(torch.from_numpy(shape_tokens(p, n, areas, 32)))
+            for p, n in ((points, normals), (points * flip, normals * flip))
         )
     from bunraku.geometry.axes import ORIENTATIONS
 

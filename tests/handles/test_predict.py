@@ -1,4 +1,6 @@
-"""From the network's weights to those of a character: smoothing, loose parts, trimming, and the shipped predictor as a whole."""
+"""From the network's weights to those of a character: smoothing, loose parts, trimming, and the shipped predictor as a
+whole.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from bunraku.handles.predict import mesh_feature, predict_handles, smooth_weight
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.synthetic.samples import sample_character
 
-needs_weights = pytest.mark.skipif(not shipped_checkpoint("handles").is_file(), reason="the shipped weights are not there")
+needs_weights = pytest.mark.skipif(
+    not shipped_checkpoint("handles").is_file(), reason="the shipped weights are not there"
+)
 
 
 def test_smoothing_by_hand():
@@ -20,7 +24,9 @@ def test_smoothing_by_hand():
 
 
 def test_trimming_by_hand():
-    np.testing.assert_allclose(trim_weights(np.array([[0.6, 0.395, 0.005]])), [[0.6 / 0.995, 0.395 / 0.995, 0]], rtol=1e-6)
+    np.testing.assert_allclose(
+        trim_weights(np.array([[0.6, 0.395, 0.005]])), [[0.6 / 0.995, 0.395 / 0.995, 0]], rtol=1e-6
+    )
 
 
 @needs_weights
@@ -52,7 +58,9 @@ def test_a_finer_tessellation_has_the_same_handles():
 def test_vertices_at_one_place_have_equal_weights():
     character = sample_character("person", 0.5)
     whole = predict_handles(character)
-    soup = Character("soup", character.vertices[character.faces].reshape(-1, 3), np.arange(3 * len(character.faces)).reshape(-1, 3))
+    soup = Character(
+        "soup", character.vertices[character.faces].reshape(-1, 3), np.arange(3 * len(character.faces)).reshape(-1, 3)
+    )
     got = predict_handles(soup).weights
     corner = character.faces.reshape(-1)
     first = np.unique(corner, return_index=True)[1]

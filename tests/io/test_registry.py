@@ -25,7 +25,10 @@ def test_the_first_bytes_tell_a_glb(tmp_path, name):
 def test_unknown_and_wrong_suffixes(tmp_path):
     path = tmp_path / "thing.xyz"
     path.write_text("1 2 3\n")
-    with pytest.raises(FormatError, match=r"'\.xyz' is not a format for this; characters are read from \.glb, \.vrm, \.gltf, \.ply, \.obj, \.stl"):
+    with pytest.raises(
+        FormatError,
+        match=r"'\.xyz' is not a format for this; characters are read from \.glb, \.vrm, \.gltf, \.ply, \.obj, \.stl",
+    ):
         load_character(path)
     with pytest.raises(FormatError, match="a file without a suffix"):
         load_character(path.rename(tmp_path / "thing"))
@@ -101,7 +104,9 @@ def test_flipped_bytes_give_a_character_or_one_sentence(tmp_path):
         path.write_bytes(data)
         try:
             character = load_character(path)
-            Animation(character, made_up_handles(character, 4), made_up_motion(character, 3, 4)).save(tmp_path / "out.glb")
+            Animation(character, made_up_handles(character, 4), made_up_motion(character, 3, 4)).save(
+                tmp_path / "out.glb"
+            )
             outcomes.add("read")
         except BunrakuError as error:
             assert is_one_sentence(error)
@@ -163,7 +168,9 @@ def test_hostile_json_values(tmp_path):
 def test_importing_the_formats_loads_nothing_heavy():
     heavy = ["torch", "scipy", "PIL", "trimesh", "pygltflib", "zipfile"]
     code = f"import sys, bunraku.io; print([name for name in {heavy} if name in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    assert (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    )
 
 
 def test_outputs_that_are_not_files(tmp_path):
@@ -187,7 +194,9 @@ def test_outputs_that_are_not_files(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["pipe.glb"]
 
 
-@pytest.mark.parametrize(("suffix", "magic"), [("mp4", b"ftyp"), ("webp", b"RIFF"), ("gif", b"GIF8"), ("png", b"\x89PNG")])
+@pytest.mark.parametrize(
+    ("suffix", "magic"), [("mp4", b"ftyp"), ("webp", b"RIFF"), ("gif", b"GIF8"), ("png", b"\x89PNG")]
+)
 def test_pictures_are_saved_by_their_suffix(tmp_path, suffix, magic):
     cube = Character("cube", CUBE, CUBE_FACES)
     animation = Animation(cube, made_up_handles(cube), made_up_motion(cube, frames=3))

@@ -43,7 +43,16 @@ def test_labels_are_cleaned_and_grouped_by_meaning():
 
 
 @pytest.mark.parametrize(
-    "label", ["walk", "run/jog", "Kick", "jump up to grab, reach for, tiptoe", "a person does a squat", "A human dances.", "Juggles seven swords"]
+    "label",
+    [
+        "walk",
+        "run/jog",
+        "Kick",
+        "jump up to grab, reach for, tiptoe",
+        "a person does a squat",
+        "A human dances.",
+        "Juggles seven swords",
+    ],
 )
 def test_every_label_has_sentences(label):
     variants = caption_variants(label)
@@ -57,7 +66,13 @@ def test_every_label_has_sentences(label):
 
 def test_grammar():
     variants = caption_variants("kick")
-    for sentence in ("a person kicks", "a person is kicking forward", "a person kicks something in front", "kick", "kicking"):
+    for sentence in (
+        "a person kicks",
+        "a person is kicking forward",
+        "a person kicks something in front",
+        "kick",
+        "kicking",
+    ):
         assert sentence in variants
     assert any("running" in sentence for sentence in caption_variants("run")) and not any(
         "runing" in sentence for sentence in caption_variants("run")
@@ -65,7 +80,9 @@ def test_grammar():
 
 
 def shipped():
-    return json.loads(resources.files("bunraku.language").joinpath("captions.json").read_text(encoding="utf-8"))["groups"]
+    return json.loads(resources.files("bunraku.language").joinpath("captions.json").read_text(encoding="utf-8"))[
+        "groups"
+    ]
 
 
 def test_all_shipped_phrases_make_sentences():
@@ -93,12 +110,18 @@ def enough(label):
 
 # labels as the archives have them, of every source
 LABELS = (
-    "walk", "mop floor", "run/jog", "Walk, 90-degree left turn", "forward jump", "A person walks backward.", "salsa dance", "cartwheel",
-    "a person does a squat", "a person kicks forward with the left leg", "a person plays basketball", "a person is pushed and keeps balance",
-    "climb ladder", "a person walks fast in a spiral", "Unarmed Melee Attack Punch A", "2h melee attack spin", "sit chair down",
-    "dance - expressive arms, pirouette", "pick up box, bend from waist", "drink soda", "Mickey sneaky walk", "zombie", "heiansyodan",
-    "elephant (human subject)", "jumping jacks, side twists, reach up, bend over", "a person rotates both arms backward", "Spellcast Long", "death a",
-    "a person waves with the left hand", "a person turns around to the right", "a person claps", "a person shakes the head", "idle listening",
+    "walk", "mop floor", "run/jog", "Walk, 90-degree left turn", "forward jump", "A person walks backward.",
+    "salsa dance", "cartwheel",
+    "a person does a squat", "a person kicks forward with the left leg", "a person plays basketball",
+    "a person is pushed and keeps balance",
+    "climb ladder", "a person walks fast in a spiral", "Unarmed Melee Attack Punch A", "2h melee attack spin",
+    "sit chair down",
+    "dance - expressive arms, pirouette", "pick up box, bend from waist", "drink soda", "Mickey sneaky walk", "zombie",
+    "heiansyodan",
+    "elephant (human subject)", "jumping jacks, side twists, reach up, bend over",
+    "a person rotates both arms backward", "Spellcast Long", "death a",
+    "a person waves with the left hand", "a person turns around to the right", "a person claps",
+    "a person shakes the head", "idle listening",
     "crawl", "swim fwd", "levitate idle", "block", "lie stand up", "getup faceup", "pushup", "victory",
 )  # fmt: skip
 
@@ -109,8 +132,15 @@ def test_labels_have_rewordings_of_all_lengths(label):
 
 
 def test_game_clips_have_rewordings():
-    table = json.loads(resources.files("bunraku.datasets.motions").joinpath("game_clips.json").read_text(encoding="utf-8"))
-    texts = {text.format(hand=side, leg=side) for clips in table.values() for text in clips.values() for side in ("left", "right")}
+    table = json.loads(
+        resources.files("bunraku.datasets.motions").joinpath("game_clips.json").read_text(encoding="utf-8")
+    )
+    texts = {
+        text.format(hand=side, leg=side)
+        for clips in table.values()
+        for text in clips.values()
+        for side in ("left", "right")
+    }
     assert [text for text in texts if not enough(text)] == []
 
 
@@ -133,7 +163,16 @@ def test_clauses_are_the_phrases_without_subject():
 
 def test_creatures_have_sentences_by_name_as_it_and_as_a_person():
     variants = creature_variants("horse", "gallop")
-    for sentence in ("a horse gallops", "it gallops", "gallops", "gallop", "galloping", "the creature gallops", "a person gallops", "a person runs"):
+    for sentence in (
+        "a horse gallops",
+        "it gallops",
+        "gallops",
+        "gallop",
+        "galloping",
+        "the creature gallops",
+        "a person gallops",
+        "a person runs",
+    ):
         assert sentence in variants, sentence
     assert any(sentence.startswith(("the horse", "a horse is")) for sentence in variants)
     assert variants == creature_variants("horse", "gallop") and len(set(variants)) == len(variants)
@@ -143,8 +182,10 @@ def test_creatures_have_sentences_by_name_as_it_and_as_a_person():
 @pytest.mark.parametrize(
     ("species", "action", "words"),
     [
-        ("eagle", "fly", "flaps its wings"), ("snake", "walk", "slithers"), ("koi", "swim", "swims"), ("koi", "idle", "floats in place"),
-        ("spider", "walk", "crawls"), ("bee", "fly", "buzzes around"), ("frog", "jump", "hops"), ("wolf", "attack", "bites"),
+        ("eagle", "fly", "flaps its wings"), ("snake", "walk", "slithers"), ("koi", "swim", "swims"), ("koi", "idle",
+        "floats in place"),
+        ("spider", "walk", "crawls"), ("bee", "fly", "buzzes around"), ("frog", "jump", "hops"), ("wolf", "attack",
+        "bites"),
         ("cow", "eat", "grazes"),
     ],
 )  # fmt: skip
@@ -155,7 +196,9 @@ def test_species_have_verbs_of_their_own(species, action, words):
 
 def test_a_persons_words_reach_creatures_that_move_in_their_own_way():
     assert person_phrases("goldfish", "swim")[0] == "{walk} forward" and person_phrases("horse", "eat") == ()
-    assert "a person walks forward" in creature_variants("goldfish", "swim") and "a person walks forward" in creature_variants("dragon", "fly")
+    assert "a person walks forward" in creature_variants(
+        "goldfish", "swim"
+    ) and "a person walks forward" in creature_variants("dragon", "fly")
 
 
 def test_species_that_stay_in_the_water_do_not_stand():
@@ -168,7 +211,9 @@ def test_names_articles_sides_and_unknown_words():
         and creature_names("goldfish") == ("goldfish", "fish")
         and creature_names("gryphon") == ("gryphon",)
     )
-    assert "an eagle flies" in creature_variants("eagle", "fly") and "a gryphon flies" in creature_variants("gryphon", "fly")
+    assert "an eagle flies" in creature_variants("eagle", "fly") and "a gryphon flies" in creature_variants(
+        "gryphon", "fly"
+    )
     assert creature_variants("horse", "Gallop_Jump") == creature_variants("horse", "running jump")
     assert "a gryphon juggles balls" in creature_variants("gryphon", "juggle balls")
     left, right = (creature_variants("horse", f"hit reaction {side}") for side in ("left", "right"))
@@ -183,8 +228,12 @@ def test_every_action_makes_sentences_of_several_lengths():
 
 
 def test_the_table_of_creature_clips_uses_actions_that_have_words():
-    table = json.loads(resources.files("bunraku.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8"))
-    words = json.loads(resources.files("bunraku.language").joinpath("creature_captions.json").read_text(encoding="utf-8"))
+    table = json.loads(
+        resources.files("bunraku.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8")
+    )
+    words = json.loads(
+        resources.files("bunraku.language").joinpath("creature_captions.json").read_text(encoding="utf-8")
+    )
     actions = {label["action"] for label in table["labels"].values()}
     assert {words["aliases"].get(action, action) for action in actions} <= set(words["actions"])
     assert set(words["aliases"].values()) <= set(words["actions"])

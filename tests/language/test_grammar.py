@@ -6,10 +6,14 @@ from bunraku.language.grammar import conjugate, fill, is_stative, sentence_forms
 @pytest.mark.parametrize(
     ("verb", "third", "gerund"),
     [
-        ("walk", "walks", "walking"), ("run", "runs", "running"), ("wave", "waves", "waving"), ("carry", "carries", "carrying"),
-        ("do", "does", "doing"), ("go", "goes", "going"), ("lie", "lies", "lying"), ("be", "is", "being"), ("push", "pushes", "pushing"),
-        ("box", "boxes", "boxing"), ("play", "plays", "playing"), ("flee", "flees", "fleeing"), ("clap", "claps", "clapping"),
-        ("begin", "begins", "beginning"), ("have", "has", "having"), ("tiptoe", "tiptoes", "tiptoeing"), ("sidestep", "sidesteps", "sidestepping"),
+        ("walk", "walks", "walking"), ("run", "runs", "running"), ("wave", "waves", "waving"), ("carry", "carries",
+        "carrying"),
+        ("do", "does", "doing"), ("go", "goes", "going"), ("lie", "lies", "lying"), ("be", "is", "being"), ("push",
+        "pushes", "pushing"),
+        ("box", "boxes", "boxing"), ("play", "plays", "playing"), ("flee", "flees", "fleeing"), ("clap", "claps",
+        "clapping"),
+        ("begin", "begins", "beginning"), ("have", "has", "having"), ("tiptoe", "tiptoes", "tiptoeing"), ("sidestep",
+        "sidesteps", "sidestepping"),
     ],
 )  # fmt: skip
 def test_verbs(verb, third, gerund):
@@ -27,7 +31,11 @@ def test_sentences_are_of_several_styles_and_always_the_same():
     for sentence in ("a person jumps up", "a person is jumping up", "jump up", "jumps up", "jumping up"):
         assert sentence in found
     assert len(set(found)) == len(found) > 7 and found == sentence_forms("{jump} up")
-    styles = {sentence for phrase in ("{jump}", "{hop}", "{leap}", "{sit}", "{bow}", "{nod}") for sentence in sentence_forms(phrase)}
+    styles = {
+        sentence
+        for phrase in ("{jump}", "{hop}", "{leap}", "{sit}", "{bow}", "{nod}")
+        for sentence in sentence_forms(phrase)
+    }
     assert any(sentence.startswith(("make", "please", "can you", "let")) for sentence in styles)
     assert any(sentence.startswith(("he ", "she ", "it ")) for sentence in styles)
 

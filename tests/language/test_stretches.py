@@ -23,4 +23,7 @@ def test_labels_join_in_only_where_they_say_the_same():
 
 
 def test_sentences_of_stretches_that_follow_become_one():
-    assert joined_sentence(["a person sits down", "someone gets up and walks off"]) == "a person sits down, then gets up and walks off"
+    assert (
+        joined_sentence(["a person sits down", "someone gets up and walks off"])
+        == "a person sits down, then gets up and walks off"
+    )

@@ -9,12 +9,23 @@ import pytest
 import torch
 
 from bunraku.errors import WeightsError
-from bunraku.nn.checkpoints import TrainingState, load_checkpoint, load_training_state, save_checkpoint, save_training_state, shipped_checkpoint
+from bunraku.nn.checkpoints import (
+    TrainingState,
+    load_checkpoint,
+    load_training_state,
+    save_checkpoint,
+    save_training_state,
+    shipped_checkpoint,
+)
 
 
 def _state():
     generator = torch.Generator().manual_seed(3)
-    return {"a.weight": torch.randn(64, 32, generator=generator), "a.bias": torch.randn(32, generator=generator), "steps": torch.tensor(7)}
+    return {
+        "a.weight": torch.randn(64, 32, generator=generator),
+        "a.bias": torch.randn(32, generator=generator),
+        "steps": torch.tensor(7),
+    }
 
 
 def test_roundtrip_is_exact_in_float32(tmp_path):
@@ -38,7 +49,14 @@ def test_half_stores_matrices_in_half_the_size_and_loads_float32(tmp_path):
 def test_bad_files_are_one_clear_error(tmp_path):
     good = save_checkpoint(tmp_path / "m.safetensors", _state(), {}, "thing")
     data = good.read_bytes()
-    cases = {"missing": None, "empty": b"", "header": data[:40], "cut": data[:-100], "noise": bytes(range(256)) * 20, "huge": b"\xff" * 8 + data[8:]}
+    cases = {
+        "missing": None,
+        "empty": b"",
+        "header": data[:40],
+        "cut": data[:-100],
+        "noise": bytes(range(256)) * 20,
+        "huge": b"\xff" * 8 + data[8:],
+    }
     for name, content in cases.items():
         path = tmp_path / f"{name}.safetensors"
         if content is not None:
@@ -95,7 +113,12 @@ def test_a_resumed_run_is_the_uninterrupted_one(tmp_path):
     _train(model, optimizer, generator, 3)
     numpy_state = np.random.default_rng(4).bit_generator.state
     state = TrainingState(
-        3, {"model": model.state_dict()}, {"adam": optimizer.state_dict()}, {"lr": 0.1}, {"rng": numpy_state}, {"noise": generator.get_state()}
+        3,
+        {"model": model.state_dict()},
+        {"adam": optimizer.state_dict()},
+        {"lr": 0.1},
+        {"rng": numpy_state},
+        {"noise": generator.get_state()},
     )
     save_training_state(tmp_path / "s.safetensors", state)
     back = load_training_state(tmp_path / "s.safetensors")
@@ -119,7 +142,8 @@ def test_a_kill_while_saving_never_leaves_a_broken_state(tmp_path):
     )
     path = tmp_path / "s.safetensors"
     process = subprocess.Popen(
-        [sys.executable, "-c", code, str(path)], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
+        [sys.executable, "-c", code, str(path)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
     )
     try:
         for _ in range(600):

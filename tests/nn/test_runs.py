@@ -15,7 +15,11 @@ class Settings:
 
 
 def test_settings_become_what_json_can_say():
-    assert plain_settings(asdict(Settings(nested={"a": Path("b")}))) == {"out": "runs/x", "sizes": [1, 2], "nested": {"a": "b"}}
+    assert plain_settings(asdict(Settings(nested={"a": Path("b")}))) == {
+        "out": "runs/x",
+        "sizes": [1, 2],
+        "nested": {"a": "b"},
+    }
 
 
 def test_rows_go_below_one_head_line(tmp_path):

@@ -12,15 +12,34 @@ BARE = PhysicsSettings(air=0.0, least_ratio=0.0, limbs=False, gravity=9.81)
 
 
 def body(name, bone, position, mode=1, **changes):
-    values = {"shape": "sphere", "size": np.array([0.02, 0, 0]), "rotation": np.eye(3), "mass": 1.0, "linear_damping": 0.0, "angular_damping": 0.0}
+    values = {
+        "shape": "sphere",
+        "size": np.array([0.02, 0, 0]),
+        "rotation": np.eye(3),
+        "mass": 1.0,
+        "linear_damping": 0.0,
+        "angular_damping": 0.0,
+    }
     values |= {"restitution": 0.0, "friction": 0.0, "group": 0, "mask": 0}
     return MmdBody(name=name, bone=bone, position=np.array(position, float), mode=mode, **(values | changes))
 
 
 def joint(a, b, position, **changes):
     none, free = np.zeros(3), (np.ones(3), -np.ones(3))
-    values = {"rotation": np.eye(3), "lower": none, "upper": none, "angle_lower": free[0], "angle_upper": free[1], "spring": none}
-    return MmdJoint(name=f"{a}-{b}", bodies=(a, b), position=np.array(position, float), **(values | {"angle_spring": none} | changes))
+    values = {
+        "rotation": np.eye(3),
+        "lower": none,
+        "upper": none,
+        "angle_lower": free[0],
+        "angle_upper": free[1],
+        "spring": none,
+    }
+    return MmdJoint(
+        name=f"{a}-{b}",
+        bodies=(a, b),
+        position=np.array(position, float),
+        **(values | {"angle_spring": none} | changes),
+    )
 
 
 def character(heads, parents):
@@ -46,6 +65,8 @@ def chain(links=3, drop=0.2, **changes):
     """A bone at a height of 2 m, and bones with bodies that hang on it one below the other."""
     heads = [[0, 2, 0]] + [[0, 2 - drop * n, 0] for n in range(links)]
     doll = character(heads, list(range(-1, links)))
-    bodies = [body("root", 0, [0, 2, 0], 0)] + [body(f"link{n}", n + 1, [0, 2 - drop * (n + 0.5), 0], **changes) for n in range(links)]
+    bodies = [body("root", 0, [0, 2, 0], 0)] + [
+        body(f"link{n}", n + 1, [0, 2 - drop * (n + 0.5), 0], **changes) for n in range(links)
+    ]
     joints = [joint(n, n + 1, [0, 2 - drop * n, 0]) for n in range(links)]
     return doll, ApparelRig(tuple(bodies), tuple(joints))

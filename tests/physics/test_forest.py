@@ -41,12 +41,19 @@ def test_two_joints_of_one_pair_are_one():
 
 
 def test_bodies_without_a_hold_hang_on_their_bones():
-    links, forest = hung([body("a", 2, [0, 1, 0]), body("b", 3, [0, 0, 0]), body("free", -1, [5, 5, 5])], [joint(0, 1, [0, 0.5, 0])])
+    links, forest = hung(
+        [body("a", 2, [0, 1, 0]), body("b", 3, [0, 0, 0]), body("free", -1, [5, 5, 5])], [joint(0, 1, [0, 0.5, 0])]
+    )
     assert links == {0: (-1, 1), 1: (0, -1), 2: (-1, -1)} and "hang on no body" in forest.notes[0]
 
 
 def test_bodies_that_follow_a_moved_bone_are_carried():
-    bodies = [body("root", 0, [0, 2, 0], 0), body("b", 1, [0, 1, 0]), body("on it", 3, [0, 0, 0], 0), body("c", 4, [0, 0, 1])]
+    bodies = [
+        body("root", 0, [0, 2, 0], 0),
+        body("b", 1, [0, 1, 0]),
+        body("on it", 3, [0, 0, 0], 0),
+        body("c", 4, [0, 0, 1]),
+    ]
     links, forest = hung(bodies, [joint(0, 1, [0, 2, 0]), joint(2, 3, [0, 0, 0])])
     assert forest.carried == {2: 1} and links == {1: (-1, 0), 3: (1, -1)}
 
@@ -55,7 +62,9 @@ def test_bits_are_the_rule_of_both_masks():
     rng = np.random.default_rng(0)
     bodies: list[MmdBody] = []
     for _ in range(24):
-        bodies.append(body("b", 0, [0, 0, 0], int(rng.integers(2)), group=int(rng.integers(4)), mask=int(rng.integers(16))))
+        bodies.append(
+            body("b", 0, [0, 0, 0], int(rng.integers(2)), group=int(rng.integers(4)), mask=int(rng.integers(16)))
+        )
     moving = [one.dynamic for one in bodies]
     bits, lost = collision_bits(bodies, moving)
     assert lost == 0

@@ -45,9 +45,14 @@ def test_a_pendulum_on_a_bone_that_is_shaken_swings_as_its_equation_says():
 
 
 def test_a_turning_bone_takes_its_pendulum_along():
-    """A pendulum off the axis of a bone that turns steadily leans outwards by the angle at which gravity balances it."""
+    """A pendulum off the axis of a bone that turns steadily leans outwards by the angle at which gravity balances
+    it.
+    """
     doll = character([[0, 2, 0], [0.5, 2, 0]], [-1, 0])
-    rig = ApparelRig((body("root", 0, [0, 2, 0], 0), body("ball", 1, [0.5, 1.8, 0], angular_damping=0.9)), (joint(0, 1, [0.5, 2, 0]),))
+    rig = ApparelRig(
+        (body("root", 0, [0, 2, 0], 0), body("ball", 1, [0.5, 1.8, 0], angular_damping=0.9)),
+        (joint(0, 1, [0.5, 2, 0]),),
+    )
     frames, rate = 300, 3.0
     angle = rate * np.maximum(0, np.arange(frames) / 30 - 0.5)
     angle[:30] = rate * np.linspace(0, 1, 30) ** 2 / 2
@@ -62,12 +67,18 @@ def test_a_turning_bone_takes_its_pendulum_along():
 
 
 def test_positive_angles_of_a_file_swing_a_front_panel_forwards():
-    """Bullet counts the turn of A in B; with limits 0 to 60 degrees about x, wind from the front does nothing and one from behind lifts it."""
+    """Bullet counts the turn of A in B; with limits 0 to 60 degrees about x, wind from the front does nothing and one
+    from behind lifts it.
+    """
     doll = character([[0, 2, 0], [0, 2, 0]], [-1, 0])
     limits = {"angle_lower": np.zeros(3), "angle_upper": np.radians([60.0, 0, 0])}
     for push, wanted in ((30.0, 60.0), (-30.0, 0.0)):
         for bodies in ((0, 1), (1, 0)):
-            low, high = (limits["angle_lower"], limits["angle_upper"]) if bodies == (0, 1) else (-limits["angle_upper"], limits["angle_lower"])
+            low, high = (
+                (limits["angle_lower"], limits["angle_upper"])
+                if bodies == (0, 1)
+                else (-limits["angle_upper"], limits["angle_lower"])
+            )
             rig = ApparelRig(
                 (body("root", 0, [0, 2, 0], 0), body("panel", 1, [0, 1.8, 0], angular_damping=0.99)),
                 (joint(*bodies, [0, 2, 0], angle_lower=low, angle_upper=high),),
@@ -85,7 +96,9 @@ def test_a_spring_holds_what_its_unit_says():
     k = torque / np.radians(30) / 0.08**2
     only_z = {"angle_lower": np.array([0, 0, 1.0]), "angle_upper": np.array([0, 0, -1.0])}
     arm = body("arm", 1, [0.2, 2, 0], angular_damping=0.999)
-    rig = ApparelRig((body("root", 0, [0, 2, 0], 0), arm), (joint(0, 1, [0, 2, 0], angle_spring=np.full(3, k), **only_z),))
+    rig = ApparelRig(
+        (body("root", 0, [0, 2, 0], 0), arm), (joint(0, 1, [0, 2, 0], angle_spring=np.full(3, k), **only_z),)
+    )
     turn = simulate(still(doll, 120), rig, warmup=0, settings=BARE).animation.world()[0][-1, 1]
     assert np.degrees(np.arctan2(-turn[1, 0], turn[0, 0])) == pytest.approx(30, abs=0.5)
 
@@ -105,7 +118,10 @@ def test_chains_keep_their_length_and_come_to_rest():
 def test_the_same_input_gives_the_same_bytes():
     doll, rig = chain(3)
     runs = [simulate(still(doll, 20), rig, warmup=0.2).animation for _ in range(2)]
-    assert runs[0].rotations.tobytes() == runs[1].rotations.tobytes() and runs[0].translations.tobytes() == runs[1].translations.tobytes()
+    assert (
+        runs[0].rotations.tobytes() == runs[1].rotations.tobytes()
+        and runs[0].translations.tobytes() == runs[1].translations.tobytes()
+    )
 
 
 def test_a_collider_keeps_a_pendulum_out_and_masks_count():
@@ -139,7 +155,9 @@ def test_loops_are_held_softly():
     wind = np.array([[0, 0, 0], [-5.0, -9.81, 0], [5.0, -9.81, 0]])
 
     def apart(*more):
-        turns, places = simulate(still(doll, 90), ApparelRig(bodies, (*hangs, *more), gravity=wind), warmup=0).animation.world()
+        turns, places = simulate(
+            still(doll, 90), ApparelRig(bodies, (*hangs, *more), gravity=wind), warmup=0
+        ).animation.world()
         ends = [places[-1, bone] + turns[-1, bone] @ [0, -0.2, 0] for bone in (1, 2)]
         return np.linalg.norm(ends[0] - ends[1])
 
@@ -186,14 +204,21 @@ def test_bodies_that_fly_away_are_put_back_and_named(tmp_path, monkeypatch):
 def test_broken_bodies():
     doll, rig = chain(2)
     with pytest.raises(CharacterError, match="'link1' has a size"):
-        simulate(still(doll), replace(rig, bodies=(*rig.bodies[:2], replace(rig.bodies[2], size=np.array([np.nan, 0, 0])))))
+        simulate(
+            still(doll), replace(rig, bodies=(*rig.bodies[:2], replace(rig.bodies[2], size=np.array([np.nan, 0, 0]))))
+        )
     with pytest.raises(CharacterError, match="'link1' has a size"):
-        simulate(still(doll), replace(rig, bodies=(*rig.bodies[:2], replace(rig.bodies[2], size=np.array([-1.0, 0, 0])))))
+        simulate(
+            still(doll), replace(rig, bodies=(*rig.bodies[:2], replace(rig.bodies[2], size=np.array([-1.0, 0, 0]))))
+        )
     light = replace(rig, bodies=(*rig.bodies[:2], replace(rig.bodies[2], mass=0.0, bone=99)))
     notes = simulate(still(doll, 3), light, warmup=0).report.notes
     assert any("no mass" in note for note in notes) and any("bone that does not exist" in note for note in notes)
     stray = replace(rig, joints=(*rig.joints, joint(0, 77, [0, 0, 0]), joint(1, 1, [0, 0, 0])))
-    assert any("2 joints are between bodies that do not exist" in note for note in simulate(still(doll, 3), stray, warmup=0).report.notes)
+    assert any(
+        "2 joints are between bodies that do not exist" in note
+        for note in simulate(still(doll, 3), stray, warmup=0).report.notes
+    )
     many = ApparelRig((rig.bodies[0], *(rig.bodies[1] for _ in range(100_000))), rig.joints)
     with pytest.raises(CharacterError, match="100,000 dynamic rigid bodies"):
         simulate(still(doll), many)
@@ -247,11 +272,17 @@ def test_limbs_stand_in_where_a_file_has_no_colliders():
     heads = [[0, 2, 0], [0, 2, 0], [0, 0, 0]]
     doll = character(heads, [-1, 0, -1])
     around = np.random.default_rng(0).normal(size=(400, 3))
-    around *= 0.15 / np.linalg.norm(around, axis=1, keepdims=True)  # a ball on the third bone, beside a ball that falls onto it
+    around *= 0.15 / np.linalg.norm(
+        around, axis=1, keepdims=True
+    )  # a ball on the third bone, beside a ball that falls onto it
     ball = around + [0.45, 1.7, 0]
     rig = doll.rig
     whole = Rig(
-        rig.names, rig.parents, rig.transforms, np.concatenate([rig.indices, np.full((400, 1), 2)]), np.concatenate([rig.weights, np.ones((400, 1))])
+        rig.names,
+        rig.parents,
+        rig.transforms,
+        np.concatenate([rig.indices, np.full((400, 1), 2)]),
+        np.concatenate([rig.weights, np.ones((400, 1))]),
     )
     doll = Character("doll", np.concatenate([doll.vertices, ball]).astype(np.float32), doll.faces, whole)
     falls = body("falls", 1, [0.5, 2, 0], angular_damping=0.9, size=np.array([0.05, 0, 0]), mask=1)

@@ -28,7 +28,11 @@ def doll(drag=0.4, stiffness=1.0, gravity=0.0, colliders=(), groups=(), chosen=(
 def test_a_chain_hangs_on_the_bone_above():
     made, avatar = doll()
     rig = vrm_rig(made, avatar)
-    assert [body.bone for body in rig.bodies] == [0, 1, 2] and [body.dynamic for body in rig.bodies] == [False, True, True]
+    assert [body.bone for body in rig.bodies] == [0, 1, 2] and [body.dynamic for body in rig.bodies] == [
+        False,
+        True,
+        True,
+    ]
     assert [joint.bodies for joint in rig.joints] == [(0, 1), (1, 2)]
     assert np.allclose(rig.bodies[1].position, [0.1, 1.5, 0]) and np.allclose(rig.joints[0].position, [0, 1.5, 0])
 
@@ -48,7 +52,10 @@ def test_a_joint_leans_as_vrm_lets_it():
 
 
 def test_colliders_are_for_the_springs_that_name_them():
-    shapes = [VrmCollider(0, "sphere", np.zeros(3), 0.1), VrmCollider(0, "capsule", np.zeros(3), 0.1, np.array([0, 0.5, 0]))]
+    shapes = [
+        VrmCollider(0, "sphere", np.zeros(3), 0.1),
+        VrmCollider(0, "capsule", np.zeros(3), 0.1, np.array([0, 0.5, 0])),
+    ]
     shapes.append(VrmCollider(0, "plane", np.zeros(3), 0.0, np.array([0, 1.0, 0])))
     made, avatar = doll(colliders=shapes, groups=((0,), (1,), (2,)), chosen=(1, 2))
     rig = vrm_rig(made, avatar)

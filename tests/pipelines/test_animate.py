@@ -1,4 +1,6 @@
-"""The main job with the shipped weights: a mesh and a sentence give an animation, whatever the mesh's size, place or order."""
+"""The main job with the shipped weights: a mesh and a sentence give an animation, whatever the mesh's size, place or
+order.
+"""
 
 import dataclasses
 
@@ -66,7 +68,10 @@ def test_the_order_of_vertices_and_faces_does_not_matter(person, walk):
 
 def test_open_seams_do_not_matter(person, walk):
     soup = dataclasses.replace(
-        person, vertices=person.vertices[person.faces].reshape(-1, 3), faces=np.arange(3 * len(person.faces)).reshape(-1, 3), colors=None
+        person,
+        vertices=person.vertices[person.faces].reshape(-1, 3),
+        faces=np.arange(3 * len(person.faces)).reshape(-1, 3),
+        colors=None,
     )
     got = animate(soup, PROMPT, seconds=2.0).vertices()
     assert difference(got, walk.vertices()[:, person.faces.ravel()], person.height) < 0.01
@@ -124,7 +129,11 @@ def test_shapes_that_are_no_characters_still_animate(shape, count):
 
 def test_a_loop_on_a_character_closes(person):
     loop = animate(person, PROMPT, seconds=2.0, loop=True, in_place=True, steps=4).motion
-    assert len(loop) == 41 and np.array_equal(loop.rotations[0], loop.rotations[-1]) and np.array_equal(loop.translations[0], loop.translations[-1])
+    assert (
+        len(loop) == 41
+        and np.array_equal(loop.rotations[0], loop.rotations[-1])
+        and np.array_equal(loop.translations[0], loop.translations[-1])
+    )
     np.testing.assert_allclose(loop.root_translation[0], loop.root_translation[-1], atol=1e-4)
     assert np.ptp(loop.root_translation[:, 2]) < 0.3
 

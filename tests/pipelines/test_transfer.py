@@ -118,7 +118,7 @@ def test_bad_meshes(person, tmp_path):
 
 
 def test_on_the_spot():
-    from bunraku.retarget.treadmill import slides_on_the_spot
+    from bunraku.retarget.treadmill import is_treadmill
 
     body, frames = reference_body(), 60
     phase = np.linspace(0, 6 * np.pi, frames)
@@ -128,8 +128,8 @@ def test_on_the_spot():
         turns[:, _J[f"{side}_knee"], 0] = np.maximum(0.9 * sign * np.cos(phase), 0)
     still = np.tile(body.joints[0], (frames, 1))
     walking = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), still, 20.0)
-    assert slides_on_the_spot(reference_motion(walking))
-    assert not slides_on_the_spot(reference_motion(waving(60)))
+    assert is_treadmill(reference_motion(walking))
+    assert not is_treadmill(reference_motion(waving(60)))
 
 
 def test_files_of_skeletons(person, tmp_path):

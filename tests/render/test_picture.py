@@ -27,7 +27,14 @@ def cube() -> tuple[np.ndarray, np.ndarray]:
 def sphere(rings: int = 12, radius: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     around = 2 * rings
     theta, phi = np.linspace(0, np.pi, rings + 1)[1:-1], np.arange(around) * 2 * np.pi / around
-    body = np.stack([np.outer(np.sin(theta), np.sin(phi)), np.outer(np.cos(theta), np.ones(around)), np.outer(np.sin(theta), np.cos(phi))], -1)
+    body = np.stack(
+        [
+            np.outer(np.sin(theta), np.sin(phi)),
+            np.outer(np.cos(theta), np.ones(around)),
+            np.outer(np.sin(theta), np.cos(phi)),
+        ],
+        -1,
+    )
     vertices = np.concatenate([body.reshape(-1, 3), [[0, 1, 0], [0, -1, 0]]])
     faces, top, bottom = [], len(vertices) - 2, len(vertices) - 1
     for k in range(around):
@@ -80,7 +87,11 @@ def test_floor_is_darker_under_a_character():
     framing.add(0, vertices)
     stage, camera = set_stage(framing), framing.camera()
     speck = (vertices * np.float32(1e-5)).astype(np.float32)
-    empty = open_renderer((200, 160), build_surface(speck, faces), stage, "software").draw(speck, camera, np.zeros(3)).astype(int)
+    empty = (
+        open_renderer((200, 160), build_surface(speck, faces), stage, "software")
+        .draw(speck, camera, np.zeros(3))
+        .astype(int)
+    )
     shadow = camera.project(np.array([0.0, 0.0, 0.0]) - 1.1 * stage.light * [1, 0, 1], (200, 160))
     column, row = int(shadow[0]), int(shadow[1])
     assert with_it[row, column].sum() < empty[row, column].sum() - 40
@@ -92,13 +103,19 @@ def test_floor_is_darker_under_a_character():
 def test_every_vertex_of_every_frame_is_in_the_picture(walk, size):
     rng = np.random.default_rng(int(walk))
     shape, frames = rng.normal(size=(50, 3)), 40
-    path = np.linspace(0, walk, frames)[:, None] * np.array([0.6, 0.0, 0.8]) + rng.normal(size=(frames, 3)) * [0.1, 0.3, 0.1]
+    path = np.linspace(0, walk, frames)[:, None] * np.array([0.6, 0.0, 0.8]) + rng.normal(size=(frames, 3)) * [
+        0.1,
+        0.3,
+        0.1,
+    ]
     posed = np.ascontiguousarray(shape + path[:, None], dtype=np.float32)
     framing = Framing(frames, size)
     for frame in range(frames):
         framing.add(frame, posed[frame])
     camera, offsets = framing.camera(), framing.offsets()
-    pixels = np.stack([camera.moved(offset).project(points, size) for points, offset in zip(posed, offsets, strict=True)])
+    pixels = np.stack(
+        [camera.moved(offset).project(points, size) for points, offset in zip(posed, offsets, strict=True)]
+    )
     assert pixels[..., 2].min() > 0
     inside = np.abs(pixels[..., :2] / size * 2 - 1)
     assert inside.max() < 0.91
@@ -141,7 +158,10 @@ def test_both_renderers_draw_the_same_picture():
     faces = np.concatenate([round_faces, square_faces + len(round_)])
     colors = np.random.default_rng(3).integers(30, 230, (len(vertices), 3)).astype(np.uint8)
     frames = np.stack([vertices, vertices + np.float32([0.3, 0.2, 0])])
-    one, other = (render_frames(frames, faces, colors, size=(200, 161), renderer=name).astype(int) for name in ("software", "opengl"))
+    one, other = (
+        render_frames(frames, faces, colors, size=(200, 161), renderer=name).astype(int)
+        for name in ("software", "opengl")
+    )
     difference = np.abs(one - other).max(axis=-1)
     assert difference.mean() < 1.0
     assert (difference > 24).mean() < 0.01
@@ -161,7 +181,12 @@ def test_backend_says_why_and_can_be_overruled(monkeypatch):
 
 @pytest.mark.parametrize(
     "options",
-    [{"size": (8, 8)}, {"size": (64, 9999)}, {"colors": np.zeros((5, 3))}, *({"background": bad} for bad in ("plaid", (1, 2), "#12345g"))],
+    [
+        {"size": (8, 8)},
+        {"size": (64, 9999)},
+        {"colors": np.zeros((5, 3))},
+        *({"background": bad} for bad in ("plaid", (1, 2), "#12345g")),
+    ],
 )
 def test_bad_options_are_refused(options):
     with pytest.raises(OptionError):

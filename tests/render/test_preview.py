@@ -13,7 +13,15 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
-from bunraku.render import HANDLE_PALETTE, contact_sheet, handle_colors, render_animation, render_frames, save_preview, save_still
+from bunraku.render import (
+    HANDLE_PALETTE,
+    contact_sheet,
+    handle_colors,
+    render_animation,
+    render_frames,
+    save_preview,
+    save_still,
+)
 from bunraku.render import frames as frames_module
 
 
@@ -40,14 +48,22 @@ def swinging(rows: int = 12, around: int = 16, frames: int = 11, fps: float = 20
     slide = np.zeros((frames, 3))
     slide[:, 0] = np.arange(frames) * 0.02
     motion = HandleMotion(np.zeros((frames, 2, 3)), rotations, slide, np.tile(np.eye(3), (frames, 1, 1)), fps)
-    return Animation(Character("tube", vertices, faces, colors=np.full((len(vertices), 3), 120, np.uint8)), handles, motion)
+    return Animation(
+        Character("tube", vertices, faces, colors=np.full((len(vertices), 3), 120, np.uint8)), handles, motion
+    )
 
 
 @pytest.mark.parametrize(("fps", "expected"), [(None, 11), (20, 11), (30, 16)])
 def test_mp4_has_its_frames_and_size(tmp_path, fps, expected):
     av = pytest.importorskip("av")
     told = []
-    path = save_preview(swinging(), tmp_path / "out.mp4", size=(161, 121), fps=fps, progress=lambda done, total: told.append((done, total)))
+    path = save_preview(
+        swinging(),
+        tmp_path / "out.mp4",
+        size=(161, 121),
+        fps=fps,
+        progress=lambda done, total: told.append((done, total)),
+    )
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
@@ -92,7 +108,12 @@ def test_frames_between_frames_are_interpolated():
     animation = swinging()
     halfway = next(iter(render_animation(animation, times=np.array([0.125, 0.2]), size=(120, 90))))
     posed = animation.vertices([2, 3, 4])
-    expected = render_frames(np.stack([posed[:2].mean(axis=0), posed[2]]), animation.character.faces, animation.character.colors, size=(120, 90))
+    expected = render_frames(
+        np.stack([posed[:2].mean(axis=0), posed[2]]),
+        animation.character.faces,
+        animation.character.colors,
+        size=(120, 90),
+    )
     assert np.abs(halfway.astype(int) - expected[0]).mean() < 0.5
 
 
@@ -108,17 +129,31 @@ def test_a_large_mesh_is_drawn_simplified(monkeypatch):
 
 def test_a_vertex_without_faces_does_not_draw_the_camera_away():
     plain = swinging()
-    vertices, weights = np.concatenate([plain.character.vertices, [[0, -90, 0]]]), np.concatenate([plain.handles.weights, [[1, 0]]])
+    vertices, weights = (
+        np.concatenate([plain.character.vertices, [[0, -90, 0]]]),
+        np.concatenate([plain.handles.weights, [[1, 0]]]),
+    )
     colors = np.full((len(vertices), 3), 120, np.uint8)
-    stray = Animation(Character("stray", vertices, plain.character.faces, colors=colors), Handles(plain.handles.positions, weights), plain.motion)
-    pictures = [np.stack(list(render_animation(animation, size=(96, 96), times=np.array([0, 0.3])))) for animation in (plain, stray)]
+    stray = Animation(
+        Character("stray", vertices, plain.character.faces, colors=colors),
+        Handles(plain.handles.positions, weights),
+        plain.motion,
+    )
+    pictures = [
+        np.stack(list(render_animation(animation, size=(96, 96), times=np.array([0, 0.3]))))
+        for animation in (plain, stray)
+    ]
     assert np.array_equal(*pictures)
 
 
 def test_stills_show_the_handles(tmp_path):
     animation = swinging()
     plain = np.asarray(Image.open(save_still(animation.character, tmp_path / "plain.png", size=(100, 120))))
-    tinted = np.asarray(Image.open(save_still(animation.character, tmp_path / "handles.png", animation.handles, size=(100, 120), views=2)))
+    tinted = np.asarray(
+        Image.open(
+            save_still(animation.character, tmp_path / "handles.png", animation.handles, size=(100, 120), views=2)
+        )
+    )
     assert plain.shape == (120, 100, 3) and tinted.shape == (120, 200, 3)
     assert np.ptp(tinted, axis=-1).max() > 80 > np.ptp(plain, axis=-1).max()
     with pytest.raises(OptionError):
@@ -175,5 +210,10 @@ def test_bad_options_write_nothing(tmp_path, options):
 
 
 def test_importing_loads_no_renderer():
-    check = "import sys, bunraku.render; print([name for name in ('numba', 'moderngl', 'av', 'PIL', 'torch', 'scipy') if name in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    check = (
+        "import sys, bunraku.render; print([name for name in ('numba', 'moderngl', 'av', 'PIL', 'torch', "
+        "'scipy') if name in sys.modules])"
+    )
+    assert (
+        subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    )

@@ -44,15 +44,21 @@ def test_delta_is_what_the_generator_would_add(bank, motion):
 
     delta = np.random.default_rng(1).normal(0, 0.02, (3, 30, 3)).astype(np.float32)
     rotations = torch.from_numpy(np.array(motion.rotations))[None]
-    whole = fit_locals(rotations, torch.from_numpy(np.array(adapt(motion, delta).translations))[None], bank, torch.tensor([3]))
+    whole = fit_locals(
+        rotations, torch.from_numpy(np.array(adapt(motion, delta).translations))[None], bank, torch.tensor([3])
+    )
     apart = fit_locals(rotations, torch.from_numpy(np.array(motion.translations))[None], bank, torch.tensor([3]))
     want, got = handle_places(whole, bank)[0], handle_places(apart, bank, torch.from_numpy(delta)[None])[0]
     torch.testing.assert_close(got, want, atol=1e-6, rtol=0)
 
 
 def test_rows_of_a_batch_do_not_mix(bank, motion):
-    rotations, translations = (torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations))
-    both = fit_locals(rotations.expand(2, -1, -1, -1, -1), translations.expand(2, -1, -1, -1), bank, torch.tensor([2, 1]))
+    rotations, translations = (
+        torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations)
+    )
+    both = fit_locals(
+        rotations.expand(2, -1, -1, -1, -1), translations.expand(2, -1, -1, -1), bank, torch.tensor([2, 1])
+    )
     for place, row in enumerate((2, 1)):
         alone = fit_locals(rotations, translations, bank, torch.tensor([row]))
         torch.testing.assert_close(both.stiff[place], alone.stiff[0])
@@ -66,7 +72,9 @@ def test_residuals_are_cut():
 
 def test_points_move_as_eq_3_says(bank, motion):
     row = torch.tensor([1])
-    fitted = fit_locals(*(torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations)), bank, row)
+    fitted = fit_locals(
+        *(torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations)), bank, row
+    )
     translations = handle_places(fitted, bank)[0]
     points, index, weights = bank.arm_points[row, :9], bank.arm_index[row, :9], bank.arm_weights[row, :9]
     moved = move_points(points, index, weights, fitted.rotations, bank.handles[row], translations)
@@ -80,7 +88,9 @@ def test_points_move_as_eq_3_says(bank, motion):
 
 def test_bones_keep_their_lengths(bank, motion):
     row = torch.tensor([1])
-    fitted = fit_locals(*(torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations)), bank, row)
+    fitted = fit_locals(
+        *(torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations)), bank, row
+    )
     places = bone_places(fitted, bank)[1][0]
     parents = bank.bone_parents[1]
     some = torch.nonzero(parents >= 0).flatten()

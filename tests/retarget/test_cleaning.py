@@ -13,13 +13,13 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.geometry.areas import vertex_areas
-from bunraku.retarget.decimate import lighter
+from bunraku.retarget.decimate import decimated
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.legs import find_arms, find_legs, foot_points, move_feet
+from bunraku.retarget.stages.attach import find_joints, reference_joints
+from bunraku.retarget.stages.feet import find_contacts, lock_feet
 from bunraku.retarget.stages.floor import enough
-from bunraku.retarget.stages.foot_lock import find_contacts, locked
-from bunraku.retarget.stages.joints import find_joints, reference_joints
-from bunraku.retarget.stages.smoothing import smoothed
+from bunraku.retarget.stages.smooth import smooth
 from bunraku.retarget.stance import rest_turns
 
 LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
@@ -35,11 +35,18 @@ def person():
 def still(frames=30):
     """The reference body in its rest pose."""
     shape = (frames, HANDLE_COUNT)
-    return HandleMotion(np.zeros((*shape, 3)), np.tile(np.eye(3), (*shape, 1, 1)), np.zeros((frames, 3)), np.tile(np.eye(3), (frames, 1, 1)))
+    return HandleMotion(
+        np.zeros((*shape, 3)),
+        np.tile(np.eye(3), (*shape, 1, 1)),
+        np.zeros((frames, 3)),
+        np.tile(np.eye(3), (frames, 1, 1)),
+    )
 
 
 def posed(frames, **angles):
-    """Joints turned about x by so many degrees, each a number or one for every frame; the lowest point of all frames is on the ground."""
+    """Joints turned about x by so many degrees, each a number or one for every frame; the lowest point of all frames is
+    on the ground.
+    """
     body = reference_body()
     rotations = np.tile(np.eye(3), (frames, JOINT_COUNT, 1, 1))
     for name, degrees in angles.items():
@@ -63,18 +70,37 @@ def test_a_person_has_two_legs_and_two_arms(person):
         HANDLE_NAMES.index(f"{side}_shoulder") for side in ("left", "right")
     ]
     body = reference_body()
-    by_hand = np.linalg.norm(body.joints[1] - body.joints[4]) + np.linalg.norm(body.joints[4] - body.joints[7]) + body.joints[7, 1]
+    by_hand = (
+        np.linalg.norm(body.joints[1] - body.joints[4])
+        + np.linalg.norm(body.joints[4] - body.joints[7])
+        + body.joints[7, 1]
+    )
     assert legs[0].length == pytest.approx(by_hand, abs=0.02)
 
 
 def table():
     """A body with a head on four legs of three boxes each, of which two are arms to the handles."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (0, 1) for z in (-0.5, 0.5)])
-    sides = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    sides = [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ]
     boxes = [("pelvis", (0, 0.9, 0), (0.5, 0.3, 1)), ("head", (0, 1, 0.7), (0.3, 0.3, 0.4))]
     for side, x in (("left", 0.2), ("right", -0.2)):
         for parts, z in ((("hip", "knee", "ankle"), -0.4), (("shoulder", "elbow", "wrist"), 0.4)):
-            boxes += [(f"{side}_{part}", (x, y, z), (0.1, 0.3, 0.1)) for part, y in zip(parts, (0.6, 0.3, 0), strict=True)]
+            boxes += [
+                (f"{side}_{part}", (x, y, z), (0.1, 0.3, 0.1)) for part, y in zip(parts, (0.6, 0.3, 0), strict=True)
+            ]
     vertices = np.concatenate([corners * size + place for _, place, size in boxes])
     faces = np.concatenate([np.array(sides) + 8 * number for number in range(len(boxes))])
     weights = np.zeros((len(vertices), HANDLE_COUNT))
@@ -91,9 +117,15 @@ def test_who_lies_along_its_spine_stands_on_all_that_reaches_the_ground():
         np.testing.assert_allclose(leg.joints[:, 1], [0.9, 0.6, 0.3], atol=0.01)
         assert leg.length == pytest.approx(0.9, abs=0.05)
     short = Character(
-        "armed", np.where(np.isin(np.arange(len(character.vertices)) // 8, [7, 13])[:, None], [0.5, 0.9, 0.5], character.vertices), character.faces
+        "armed",
+        np.where(
+            np.isin(np.arange(len(character.vertices)) // 8, [7, 13])[:, None], [0.5, 0.9, 0.5], character.vertices
+        ),
+        character.faces,
     )
-    assert len(find_legs(short, handles, find_joints(short, handles))) == 2  # front legs that do not reach the ground are arms
+    assert (
+        len(find_legs(short, handles, find_joints(short, handles))) == 2
+    )  # front legs that do not reach the ground are arms
 
 
 def test_who_has_no_legs_is_lifted_and_otherwise_left_alone():
@@ -116,7 +148,9 @@ def test_a_moved_foot_is_where_it_should_be_and_bones_keep_their_length(person):
     shift[:, 0] = [0.05, 0.08, -0.1]
     moved = move_feet(motion, handles, joints, legs, shift)
     before, after = soles(motion, person), soles(moved, person)
-    np.testing.assert_allclose(after[0] - before[0], np.broadcast_to(shift[:, :1], after[0].shape), atol=0.01)  # some of the sole is the shin's
+    np.testing.assert_allclose(
+        after[0] - before[0], np.broadcast_to(shift[:, :1], after[0].shape), atol=0.01
+    )  # some of the sole is the shin's
     np.testing.assert_allclose(np.median(after[0] - before[0], axis=1), shift[:, 0], atol=0.001)
     np.testing.assert_allclose(after[1], before[1], atol=1e-6)
 
@@ -124,10 +158,17 @@ def test_a_moved_foot_is_where_it_should_be_and_bones_keep_their_length(person):
         transform = motion.transforms(handles.positions)[:, handle]
         return transform[..., :3] @ place + transform[..., 3]
 
-    for upper, lower, place in ((legs[0].upper, legs[0].lower, legs[0].joints[1]), (legs[0].lower, legs[0].end, legs[0].joints[2])):
-        gaps = [np.linalg.norm(joint(some, upper, place) - joint(some, lower, place), axis=1) for some in (motion, moved)]
+    for upper, lower, place in (
+        (legs[0].upper, legs[0].lower, legs[0].joints[1]),
+        (legs[0].lower, legs[0].end, legs[0].joints[2]),
+    ):
+        gaps = [
+            np.linalg.norm(joint(some, upper, place) - joint(some, lower, place), axis=1) for some in (motion, moved)
+        ]
         np.testing.assert_allclose(gaps[1], gaps[0], atol=2e-4)  # still joined as they were
-    np.testing.assert_allclose(joint(moved, legs[0].upper, legs[0].joints[0]), joint(motion, legs[0].upper, legs[0].joints[0]), atol=1e-5)
+    np.testing.assert_allclose(
+        joint(moved, legs[0].upper, legs[0].joints[0]), joint(motion, legs[0].upper, legs[0].joints[0]), atol=1e-5
+    )
     for rotation in moved.rotations[:, [legs[0].upper, legs[0].lower]].reshape(-1, 3, 3):
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)
 
@@ -148,7 +189,7 @@ def test_a_path_that_disagrees_with_standing_feet_is_corrected(person):
     character, handles, joints, legs = person
     motion = still(40)
     path = np.linspace(0, 1, 40)[:, None] * [0.5, 0, 0.8]  # slides at half a metre a second
-    slid, contacts = locked(replace(motion, root_translation=path), character, handles, joints, legs, 0.0)
+    slid, contacts = lock_feet(replace(motion, root_translation=path), character, handles, joints, legs, 0.0)
     assert contacts.stands.min() > 0.9
     way = np.linalg.norm(np.diff(soles(slid, person)[0][:, :, [0, 2]], axis=0), axis=-1)
     assert way.mean() < 0.002 < 0.02 < np.linalg.norm(np.diff(path, axis=0), axis=1).mean()
@@ -157,7 +198,7 @@ def test_a_path_that_disagrees_with_standing_feet_is_corrected(person):
 def test_one_foot_that_stands_keeps_the_body_while_the_other_swings(person):
     character, handles, joints, legs = person
     motion = posed(30, left_hip=-40 + 40 * np.cos(np.linspace(0, 4 * np.pi, 30)), left_knee=60)
-    after, contacts = locked(motion, character, handles, joints, legs, 0.0)
+    after, contacts = lock_feet(motion, character, handles, joints, legs, 0.0)
     assert contacts.stands[:, 0].mean() < 0.2 < 0.9 < contacts.stands[:, 1].mean()
     assert np.abs(after.root_translation - motion.root_translation).max() < 0.01
     np.testing.assert_allclose(soles(after, person)[0], soles(motion, person)[0], atol=0.04)
@@ -167,7 +208,11 @@ def test_nobody_stands_on_the_feet_when_kneeling(person):
     character, handles, _, legs = person
     motion = posed(20, left_knee=100, right_knee=100)
     contacts, missing = find_contacts(
-        replace(motion, root_translation=motion.root_translation + np.arange(20)[:, None] * [0, 0, 0.01]), character, handles, legs, 0.0
+        replace(motion, root_translation=motion.root_translation + np.arange(20)[:, None] * [0, 0, 0.01]),
+        character,
+        handles,
+        legs,
+        0.0,
     )
     assert contacts.stands.max() == 0
     assert np.abs(missing).max() < 1e-9
@@ -176,7 +221,7 @@ def test_nobody_stands_on_the_feet_when_kneeling(person):
 def test_in_the_air_nothing_is_corrected(person):
     character, handles, joints, legs = person
     flying = replace(still(20), root_translation=np.linspace(0, 1, 20)[:, None] * [0, 0, 2] + [0, 0.5, 0])
-    after, _ = locked(flying, character, handles, joints, legs, 0.0)
+    after, _ = lock_feet(flying, character, handles, joints, legs, 0.0)
     np.testing.assert_allclose(after.root_translation, flying.root_translation, atol=1e-6)
 
 
@@ -200,10 +245,18 @@ def test_what_sinks_is_lifted_and_only_with_the_stage():
     body = reference_body()
     character = body.character()
     wave = 0.1 * np.sin(np.linspace(0, 12, 60))  # the generator's heights are off by more than `ground` evens out
-    motion = replace(posed(60, left_hip=-30 + 20 * np.sin(np.linspace(0, 9, 60)), left_knee=40), root_translation=wave[:, None] * [0, 1, 0])
+    motion = replace(
+        posed(60, left_hip=-30 + 20 * np.sin(np.linspace(0, 9, 60)), left_knee=40),
+        root_translation=wave[:, None] * [0, 1, 0],
+    )
 
     def deepest(stages):
-        return -Animation(character, body.handles, fit_motion(motion, character, body.handles, stages)).vertices()[..., 1].min() / character.height
+        return (
+            -Animation(character, body.handles, fit_motion(motion, character, body.handles, stages))
+            .vertices()[..., 1]
+            .min()
+            / character.height
+        )
 
     assert deepest(Stages()) < 0.005
     assert deepest(Stages(ground=False, floor=False, feet=False)) > 0.02 > 0.005 > deepest(Stages(ground=False))
@@ -212,10 +265,16 @@ def test_what_sinks_is_lifted_and_only_with_the_stage():
 def test_jitter_goes_and_hits_stay():
     rng = np.random.default_rng(0)
     frames = 80
-    clean = posed(frames, right_elbow=np.where((np.arange(frames) > 40) & (np.arange(frames) < 44), 90.0, 0.0))  # as quick as frames can hold
+    clean = posed(
+        frames, right_elbow=np.where((np.arange(frames) > 40) & (np.arange(frames) < 44), 90.0, 0.0)
+    )  # as quick as frames can hold
 
     def noisy(motion, size):
-        turns = Rotation.from_rotvec(size * rng.normal(size=(frames * HANDLE_COUNT, 3))).as_matrix().reshape(frames, HANDLE_COUNT, 3, 3)
+        turns = (
+            Rotation.from_rotvec(size * rng.normal(size=(frames * HANDLE_COUNT, 3)))
+            .as_matrix()
+            .reshape(frames, HANDLE_COUNT, 3, 3)
+        )
         turns[:, 0] = np.eye(3)
         return replace(motion, rotations=motion.rotations @ turns)
 
@@ -224,31 +283,37 @@ def test_jitter_goes_and_hits_stay():
 
     elbow = HANDLE_NAMES.index("right_elbow")
     dirty = noisy(clean, 0.001)
-    assert shake(smoothed(dirty), LEFT) < 0.5 * shake(dirty, LEFT)
+    assert shake(smooth(dirty), LEFT) < 0.5 * shake(dirty, LEFT)
 
     def speed(motion):
         return np.abs(np.diff(motion.rotations[:, elbow].astype(float), axis=0)).max()
 
-    assert speed(smoothed(dirty)) > 0.95 * speed(clean)
-    np.testing.assert_allclose(smoothed(clean).rotations, clean.rotations, atol=1e-5)  # without noise there is none to take out
+    assert speed(smooth(dirty)) > 0.95 * speed(clean)
+    np.testing.assert_allclose(
+        smooth(clean).rotations, clean.rotations, atol=1e-5
+    )  # without noise there is none to take out
 
 
 def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
     trimesh = pytest.importorskip("trimesh")
     body = reference_body()
-    vertices, faces, rows = trimesh.remesh.subdivide(body.vertices, body.faces, vertex_attributes={"weights": body.handle_weights})
+    vertices, faces, rows = trimesh.remesh.subdivide(
+        body.vertices, body.faces, vertex_attributes={"weights": body.handle_weights}
+    )
     character = Character("fine", vertices, faces)
     handles = Handles(body.handles.positions, rows["weights"] / rows["weights"].sum(axis=1, keepdims=True))
-    assert lighter(character, handles)[0] is character  # few enough
+    assert decimated(character, handles)[0] is character  # few enough
     motion = posed(20, left_hip=-30 + 20 * np.sin(np.linspace(0, 9, 20)), left_knee=40)
     full, joints = fit_motion(motion, character, handles), rest_turns(character, handles)[1]
     monkeypatch.setattr("bunraku.retarget.decimate.MANY", 8000)
     monkeypatch.setattr("bunraku.retarget.decimate.CELLS", 4000)
-    light, lighter_handles = lighter(character, handles)
+    light, lighter_handles = decimated(character, handles)
     assert len(light.vertices) < 0.7 * len(character.vertices)
     fast, found = fit_motion(motion, character, handles), rest_turns(light, lighter_handles)[1]
     assert (found.present == joints.present).all()
     assert np.linalg.norm(found.positions - joints.positions, axis=1)[joints.present].max() < 0.004 * character.height
-    away = np.linalg.norm(np.diff([Animation(character, handles, some).vertices() for some in (full, fast)], axis=0), axis=-1)
+    away = np.linalg.norm(
+        np.diff([Animation(character, handles, some).vertices() for some in (full, fast)], axis=0), axis=-1
+    )
     assert away.mean() < 0.003 * character.height
     assert away.max() < 0.01 * character.height

@@ -14,7 +14,7 @@ from bunraku.errors import CharacterError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.reference import motion_to_reference
-from bunraku.retarget.stages.joints import find_joints
+from bunraku.retarget.stages.attach import find_joints
 
 
 def swing(frames=20):
@@ -22,8 +22,15 @@ def swing(frames=20):
     body = reference_body()
     share = np.linspace(0, 1, frames)
     rotations = np.tile(np.eye(3), (frames, JOINT_COUNT, 1, 1))
-    for name, axis, degrees in (("left_shoulder", "z", -70), ("right_shoulder", "z", 70), ("left_knee", "x", 60), ("left_hip", "x", -60)):
-        rotations[:, JOINT_NAMES.index(name)] = Rotation.from_rotvec(np.radians(share * degrees)[:, None] * np.eye(3)["xyz".index(axis)]).as_matrix()
+    for name, axis, degrees in (
+        ("left_shoulder", "z", -70),
+        ("right_shoulder", "z", 70),
+        ("left_knee", "x", 60),
+        ("left_hip", "x", -60),
+    ):
+        rotations[:, JOINT_NAMES.index(name)] = Rotation.from_rotvec(
+            np.radians(share * degrees)[:, None] * np.eye(3)["xyz".index(axis)]
+        ).as_matrix()
     return handle_motion_of_body(SkeletalMotion(body.skeleton, rotations, np.tile(body.joints[0], (frames, 1))))
 
 
@@ -34,7 +41,9 @@ def rigid_pose(body, joint, rotation):
         rotations[0, JOINT_NAMES.index(name)] = rotation if name.startswith("left") else rotation.T
     vertices = body.pose(SkeletalMotion(body.skeleton, rotations, body.joints[:1]))[0]
     character = Character("posed", vertices, body.faces)
-    return character, Handles(handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces)), body.handle_weights)
+    return character, Handles(
+        handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces)), body.handle_weights
+    )
 
 
 def test_the_reference_body_keeps_its_own_motion():
@@ -70,7 +79,9 @@ def test_an_a_pose_ends_in_the_same_pose_as_a_t_pose():
     character, handles = rigid_pose(body, ("left_shoulder", "right_shoulder"), down)
     want = Animation(body.character(), body.handles, motion).vertices()[-1]
     with_stage = Animation(character, handles, fit_motion(motion, character, handles)).vertices()[-1]
-    without = Animation(character, handles, fit_motion(motion, character, handles, Stages(rest_pose=False))).vertices()[-1]
+    without = Animation(character, handles, fit_motion(motion, character, handles, Stages(rest_pose=False))).vertices()[
+        -1
+    ]
     hands = body.handle_weights[:, HANDLE_NAMES.index("left_wrist")] > 0.5
     near = np.linalg.norm(with_stage[hands] - want[hands], axis=1).mean() / character.height
     far = np.linalg.norm(without[hands] - want[hands], axis=1).mean() / character.height
@@ -79,8 +90,13 @@ def test_an_a_pose_ends_in_the_same_pose_as_a_t_pose():
 
 def test_long_arms_stay_attached():
     body, motion = reference_body(), swing()
-    vertices = body.vertices * np.array([1.6, 1, 1], np.float32)  # arms and shoulders 60 % longer than the motion was made for
-    character, handles = Character("wide", vertices, body.faces), Handles(body.handles.positions * [1.6, 1, 1], body.handle_weights)
+    vertices = body.vertices * np.array(
+        [1.6, 1, 1], np.float32
+    )  # arms and shoulders 60 % longer than the motion was made for
+    character, handles = (
+        Character("wide", vertices, body.faces),
+        Handles(body.handles.positions * [1.6, 1, 1], body.handle_weights),
+    )
     edges = np.unique(np.sort(body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
 
     def stretch(stages):
@@ -97,7 +113,10 @@ def test_ground_is_kept():
         body.vertices[:, 1:2] < 0.9, [0, 0.45, 0], [0, 0, 0]
     )
     short = (short - [0, short[:, 1].min(), 0]).astype(np.float32)
-    character, handles = Character("short", short, body.faces), Handles(body.handles.positions - [0, 0.45, 0], body.handle_weights)
+    character, handles = (
+        Character("short", short, body.faces),
+        Handles(body.handles.positions - [0, 0.45, 0], body.handle_weights),
+    )
     lowest = Animation(character, handles, fit_motion(motion, character, handles)).vertices()[..., 1].min(axis=1)
     assert np.abs(lowest).max() < 0.03 * character.height
 
@@ -115,7 +134,8 @@ def test_an_absent_handle_follows_its_parent():
 
 
 @pytest.mark.parametrize(
-    ("degrees", "arms", "straightened"), [(15, False, True), (48, False, False), (48, True, True), (85, False, True), (85, True, True)]
+    ("degrees", "arms", "straightened"),
+    [(15, False, True), (48, False, False), (48, True, True), (85, False, True), (85, True, True)],
 )
 def test_bent_legs_are_straightened_unless_they_are_built_so(degrees, arms, straightened):
     body, motion = reference_body(), swing(3)
@@ -149,7 +169,9 @@ def test_vertices_without_faces_do_not_matter():
     body, motion = reference_body(), swing()
     stray = np.array([[0, -50, 0], [3, 40, 9]], np.float32)
     character = Character("stray", np.concatenate([body.vertices, stray]), body.faces)
-    handles = Handles(body.handles.positions, np.concatenate([body.handle_weights, np.eye(2, body.handle_weights.shape[1])]))
+    handles = Handles(
+        body.handles.positions, np.concatenate([body.handle_weights, np.eye(2, body.handle_weights.shape[1])])
+    )
     want, got = fit_motion(motion, body.character(), body.handles), fit_motion(motion, character, handles)
     assert character.height == pytest.approx(body.character().height)
     np.testing.assert_allclose(got.root_translation, want.root_translation, atol=1e-5)
@@ -160,7 +182,9 @@ def test_feet_stay_on_the_ground_when_a_hand_holds_something_that_hangs_lower():
     body, motion = reference_body(), swing()
     wrist = HANDLE_NAMES.index("left_wrist")
     hand = body.handles.positions[wrist]
-    pole = hand + np.array([[0, 0, 0], [1.3, 0.02, 0], [1.3, -0.02, 0.02]], np.float32)  # below the feet once the arm comes down
+    pole = hand + np.array(
+        [[0, 0, 0], [1.3, 0.02, 0], [1.3, -0.02, 0.02]], np.float32
+    )  # below the feet once the arm comes down
     vertices = np.concatenate([body.vertices, pole])
     faces = np.concatenate([body.faces, [np.arange(3) + len(body.vertices)]])
     weights = np.concatenate([body.handle_weights, np.eye(len(body.handles.positions), dtype=np.float32)[[wrist] * 3]])
@@ -183,7 +207,10 @@ def test_a_body_that_lies_along_its_spine_takes_a_third_of_the_tilt():
     motion = handle_motion_of_body(SkeletalMotion(body.skeleton, rotations, np.tile(body.joints[0], (10, 1))))
     lying = Rotation.from_euler("x", 90, degrees=True).as_matrix()
     vertices = (body.vertices @ lying.T).astype(np.float32)
-    dog, handles = Character("dog", vertices, body.faces), Handles(body.handles.positions @ lying.T, body.handle_weights)
+    dog, handles = (
+        Character("dog", vertices, body.faces),
+        Handles(body.handles.positions @ lying.T, body.handle_weights),
+    )
 
     def tilt(fitted):
         return np.degrees(np.linalg.norm(Rotation.from_matrix(fitted.root_rotation[5]).as_rotvec()))

@@ -24,7 +24,9 @@ def posed(shoulder, elbow, frames=20):
         turns[:, _J[f"{side}_shoulder"], 2] = -sign * shoulder
         turns[:, _J[f"{side}_elbow"], 2] = -sign * elbow
     body = reference_body()
-    return body_handle_motion(SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (frames, 1)), 20.0))
+    return body_handle_motion(
+        SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (frames, 1)), 20.0)
+    )
 
 
 def wide(factor):
@@ -35,7 +37,9 @@ def wide(factor):
     share = body.handle_weights[:, columns].sum(axis=1)
     vertices[:, 0] *= 1 + (factor - 1) * share
     character = Character("wide", vertices, body.faces)
-    return character, Handles(handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces)), body.handle_weights)
+    return character, Handles(
+        handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces)), body.handle_weights
+    )
 
 
 def palm(motion, character, handles, side="left"):

@@ -54,7 +54,9 @@ def child(source):
     character = Character("child", vertices, body.faces)
     positions = handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces))
     handles = Handles(positions, body.handle_weights)
-    fitted = fit_motion(handle_motion_of_body(source), character, handles, Stages(smooth=False, feet=False, floor=False, ground=False))
+    fitted = fit_motion(
+        handle_motion_of_body(source), character, handles, Stages(smooth=False, feet=False, floor=False, ground=False)
+    )
     return Animation(character, handles, fitted)
 
 
@@ -97,6 +99,8 @@ def test_a_creature_has_one_too(source):
 def test_other_handles_are_refused():
     body = reference_body()
     weights = np.eye(3, dtype=np.float32)[np.arange(len(body.vertices)) % 3]
-    still = HandleMotion(np.zeros((2, 3, 3)), np.tile(np.eye(3), (2, 3, 1, 1)), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)))
+    still = HandleMotion(
+        np.zeros((2, 3, 3)), np.tile(np.eye(3), (2, 3, 1, 1)), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
+    )
     with pytest.raises(MotionError, match="this animation has 3"):
         humanoid_motion(Animation(body.character(), Handles(np.zeros((3, 3)), weights), still))

@@ -18,7 +18,10 @@ from bunraku.skeletons.bone_names import handle_of_joints
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 LEG = ("hip", "knee", "ankle", "foot")
-SPARE = {"left": ("head_top", "face", "left_wing", "tail"), "right": ("left_fingers", "right_fingers", "right_wing", "tail_tip")}
+SPARE = {
+    "left": ("head_top", "face", "left_wing", "tail"),
+    "right": ("left_fingers", "right_fingers", "right_wing", "tail_tip"),
+}
 
 
 def two_bodies() -> tuple[Character, Handles]:
@@ -64,13 +67,17 @@ def test_every_leg_does_what_the_first_does_about_its_own_hip() -> None:
     character, handles = two_bodies()
     rotations = np.tile(np.eye(3), (2, len(HANDLE_NAMES), 1, 1))
     rotations[1, [H[f"left_{part}"] for part in LEG]] = matrix_from_axis_angle(np.array([-0.8, 0, 0]))
-    motion = HandleMotion(np.zeros((2, len(HANDLE_NAMES), 3)), rotations, np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)))
+    motion = HandleMotion(
+        np.zeros((2, len(HANDLE_NAMES), 3)), rotations, np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
+    )
     fitted = fit_motion(motion, character, handles, Stages(ground=False))
     np.testing.assert_allclose(fitted.rotations[:, H["head_top"]], fitted.rotations[:, H["left_hip"]], atol=1e-5)
     posed = skin(character.vertices, handles.weights, fitted.transforms(handles.positions))
     half = len(character.vertices) // 2
     shin = np.flatnonzero(handles.weights[:half, H["left_knee"]] > 0.99)
-    np.testing.assert_allclose(posed[1, half + shin] - posed[1, shin], np.broadcast_to([0, 0, -1], (len(shin), 3)), atol=0.06)
+    np.testing.assert_allclose(
+        posed[1, half + shin] - posed[1, shin], np.broadcast_to([0, 0, -1], (len(shin), 3)), atol=0.06
+    )
     other = np.flatnonzero(handles.weights[half:, H[SPARE["right"][1]]] > 0.99) + half
     np.testing.assert_allclose(posed[1, other], posed[0, other], atol=0.02)
 
@@ -91,5 +98,7 @@ def test_names_of_further_joints_say_what_they_are() -> None:
 def test_their_names_are_understood() -> None:
     handles = two_bodies()[1]
     count = len(HANDLE_NAMES)
-    known = handle_of_joints(handle_names(handles), np.array([-1, *[0] * (count - 1)]), handles.positions, np.ones(count))
+    known = handle_of_joints(
+        handle_names(handles), np.array([-1, *[0] * (count - 1)]), handles.positions, np.ones(count)
+    )
     assert known.tolist() == handles.played.tolist()

@@ -29,7 +29,9 @@ def about(x=0.0, y=0.0, z=0.0):
 
 
 def degrees(a, b):
-    return np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(np.asarray(a, float) - b, axis=(-1, -2)) / np.sqrt(8), 0, 1)))
+    return np.degrees(
+        2 * np.arcsin(np.clip(np.linalg.norm(np.asarray(a, float) - b, axis=(-1, -2)) / np.sqrt(8), 0, 1))
+    )
 
 
 def track(rotation=None, position=(0, 0, 0), frames=1):
@@ -64,7 +66,9 @@ def test_what_bones_take_over():
     poses = pose_mmd(model, {"a": track(given, (0.3, 0, 0)), "half": track(about(y=0.1))})
     half = Rotation.from_rotvec(0.5 * Rotation.from_matrix(given).as_rotvec()).as_matrix()
     quarter = Rotation.from_rotvec(0.25 * Rotation.from_matrix(given).as_rotvec()).as_matrix()
-    assert np.allclose(poses.rotations[0, 1], about(y=0.1) @ half, atol=1e-6) and np.allclose(poses.positions[0, 1], [1.15, 0, 0])
+    assert np.allclose(poses.rotations[0, 1], about(y=0.1) @ half, atol=1e-6) and np.allclose(
+        poses.positions[0, 1], [1.15, 0, 0]
+    )
     assert np.allclose(poses.rotations[0, 2], quarter, atol=1e-6)  # of what is taken over, not of the bone's own keys
     assert np.allclose(poses.rotations[0, 3], np.eye(3), atol=1e-6)  # its parent's turn is taken back
     assert np.allclose(poses.positions[0, 4], poses.positions[0, 1] + poses.rotations[0, 1] @ [0, 1, 0], atol=1e-6)
@@ -72,7 +76,9 @@ def test_what_bones_take_over():
 
 def test_what_is_deformed_later_sees_what_was_deformed_before():
     early = bone("late source", (0, 0, 0), layer=2, append=MmdAppend(2, 1.0, True, False))
-    model = model_of(early, bone("follower", (1, 0, 0), layer=1, append=MmdAppend(0, 1.0, True, False)), bone("keyed", (2, 0, 0)))
+    model = model_of(
+        early, bone("follower", (1, 0, 0), layer=1, append=MmdAppend(0, 1.0, True, False)), bone("keyed", (2, 0, 0))
+    )
     poses = pose_mmd(model, {"keyed": track(about(x=0.5))})
     assert np.allclose(poses.rotations[0, 0], about(x=0.5), atol=1e-6)
     assert np.allclose(poses.rotations[0, 1], np.eye(3))  # it came before
@@ -83,7 +89,10 @@ def test_what_is_deformed_later_sees_what_was_deformed_before():
 def legs(frames=40, seed=0):
     """Feet that move about within reach, on a body that turns."""
     rng, time = np.random.default_rng(seed), np.linspace(0, 6, frames)[:, None]
-    feet = {mark: np.array([0.1, 0.15, 0.3]) * np.sin(time * rng.uniform(0.5, 2, 3) + rng.uniform(0, 6, 3)) + [0, 0.3, 0] for mark in "左右"}
+    feet = {
+        mark: np.array([0.1, 0.15, 0.3]) * np.sin(time * rng.uniform(0.5, 2, 3) + rng.uniform(0, 6, 3)) + [0, 0.3, 0]
+        for mark in "左右"
+    }
     turns = Rotation.from_rotvec(0.3 * np.sin(time * [1.0, 0.7, 0.4])).as_matrix()
     tracks = {f"{mark}足ＩＫ": (places, np.broadcast_to(np.eye(3), (frames, 3, 3))) for mark, places in feet.items()}
     return tracks | {"下半身": (np.zeros((frames, 3)), turns)}
@@ -97,7 +106,9 @@ def test_feet_reach_their_goals_and_knees_bend_backward_about_x_only():
         assert np.linalg.norm(poses.positions[:, ankle] - poses.positions[:, goal], axis=-1).max() < 1e-5
         bend = np.swapaxes(poses.rotations[:, hip], -1, -2) @ poses.rotations[:, knee]
         angles = Rotation.from_matrix(bend).as_rotvec()
-        assert np.abs(angles[:, 1:]).max() < 1e-5 and np.radians(0.4) < angles[:, 0].min() and angles[:, 0].max() < np.pi
+        assert (
+            np.abs(angles[:, 1:]).max() < 1e-5 and np.radians(0.4) < angles[:, 0].min() and angles[:, 0].max() < np.pi
+        )
     for name in ("頭", "左腕", "センター"):
         assert np.allclose(poses.rotations[:, model.bone(name)], np.eye(3))
 
@@ -131,21 +142,31 @@ def test_bones_that_follow_legs_take_what_inverse_kinematics_did():
 
 
 def test_chains_of_free_and_of_limited_links():
-    chain = [bone("0", (0, 0, 0)), *(bone(str(place), (0, place, 0), place - 1) for place in (1, 2, 3)), bone("end", (0, 4, 0), 3)]
+    chain = [
+        bone("0", (0, 0, 0)),
+        *(bone(str(place), (0, place, 0), place - 1) for place in (1, 2, 3)),
+        bone("end", (0, 4, 0), 3),
+    ]
     goal = MmdIk(4, 60, 1.0, tuple(MmdIkLink(place) for place in (3, 2, 1, 0)))
     free = model_of(*chain, bone("goal", (0, 4, 0), ik=goal, layer=1))
     poses = pose_mmd(free, {"goal": track(position=(1.5, -2.0, 1.0))})
     assert np.linalg.norm(poses.positions[0, 4] - [1.5, 2, 1]) < 1e-3
     limits = (np.radians([-20.0, -15, -10]), np.radians([20.0, 15, 10]))
     tight = replace(goal, links=tuple(MmdIkLink(place, *limits) for place in (3, 2, 1, 0)))
-    poses = pose_mmd(model_of(*chain, bone("goal", (0, 4, 0), ik=tight, layer=1)), {"goal": track(position=(3.0, -4.0, 1.0))})
+    poses = pose_mmd(
+        model_of(*chain, bone("goal", (0, 4, 0), ik=tight, layer=1)), {"goal": track(position=(3.0, -4.0, 1.0))}
+    )
     for place, parent in ((3, 2), (2, 1), (1, 0)):
-        y, x, z = Rotation.from_matrix(poses.rotations[0, parent].T @ poses.rotations[0, place]).as_euler("YXZ", degrees=True)
+        y, x, z = Rotation.from_matrix(poses.rotations[0, parent].T @ poses.rotations[0, place]).as_euler(
+            "YXZ", degrees=True
+        )
         assert abs(x) <= 20.01 and abs(y) <= 15.01 and abs(z) <= 10.01
 
 
 def test_a_link_that_is_not_above_the_target_is_passed_over():
-    model = model_of(bone("a", (0, 0, 0)), bone("b", (0, 1, 0)), bone("goal", (1, 0, 0), ik=MmdIk(0, 5, 1.0, (MmdIkLink(1),))))
+    model = model_of(
+        bone("a", (0, 0, 0)), bone("b", (0, 1, 0)), bone("goal", (1, 0, 0), ik=MmdIk(0, 5, 1.0, (MmdIkLink(1),)))
+    )
     assert np.allclose(pose_mmd(model, {}, frames=2).rotations, np.eye(3))
 
 
@@ -154,7 +175,9 @@ def vmd_of(tracks, switches=()):
     for name, (positions, rotations) in tracks.items():
         frames = np.arange(len(positions))
         quaternions = Rotation.from_matrix(rotations).as_quat()
-        bones[name] = VmdTrack(frames, np.array(positions), quaternions, np.tile([20, 20, 107, 107], (len(positions), 4, 1)) / 127)
+        bones[name] = VmdTrack(
+            frames, np.array(positions), quaternions, np.tile([20, 20, 107, 107], (len(positions), 4, 1)) / 127
+        )
     return VmdMotion("", bones, {}, tuple(switches))
 
 
@@ -179,7 +202,11 @@ def test_a_vmd_file_is_a_motion_for_any_character(tmp_path):
 
     path = write_vmd(MmdClip(legs(31)), tmp_path / "feet.vmd")
     motion = load_motion(path, fps=20.0)
-    assert len(motion) == 21 and motion.skeleton.names == JOINT_NAMES and np.allclose(motion.rotations, vmd_motion(path, fps=20.0).rotations)
+    assert (
+        len(motion) == 21
+        and motion.skeleton.names == JOINT_NAMES
+        and np.allclose(motion.rotations, vmd_motion(path, fps=20.0).rotations)
+    )
 
 
 def test_motions_and_models_that_do_not_fit():
@@ -198,11 +225,17 @@ def test_motions_and_models_that_do_not_fit():
 
 
 def dance(frames=20):
-    """A motion of SMPL's joints on the standard model's bones that no MMD motion would make, with the spine in one piece."""
+    """A motion of SMPL's joints on the standard model's bones that no MMD motion would make, with the spine in one
+    piece.
+    """
     from bunraku.body.reference import reference_body
 
     rng, time = np.random.default_rng(1), np.linspace(0, 3, frames)[:, None, None]
-    angles = 0.5 * np.sin(time * rng.uniform(0.5, 2, (1, 22, 1)) + rng.uniform(0, 6, (1, 22, 1))) * rng.normal(0, 1, (1, 22, 3))
+    angles = (
+        0.5
+        * np.sin(time * rng.uniform(0.5, 2, (1, 22, 1)) + rng.uniform(0, 6, (1, 22, 1)))
+        * rng.normal(0, 1, (1, 22, 3))
+    )
     rotations = Rotation.from_rotvec(angles.reshape(-1, 3)).as_matrix().reshape(frames, 22, 3, 3)
     rotations[:, JOINT_NAMES.index("spine2")] = np.eye(3)  # the standard model has two bones for three
     root = np.stack([np.sin(time), 1 + 0.1 * np.cos(time), time], -1)[:, 0, 0]
@@ -219,7 +252,9 @@ def test_smpl_onto_mmd_bones_and_back():
 
     scale = leg_length(back.skeleton.positions) / leg_length(motion.skeleton.positions)
     travel, wanted = np.ptp(back.root_translation, axis=0), np.ptp(motion.root_translation, axis=0) * scale
-    assert np.abs(travel - wanted).max() < 0.12  # the pelvis of MMD is at the waist, and the hips are what is carried over
+    assert (
+        np.abs(travel - wanted).max() < 0.12
+    )  # the pelvis of MMD is at the waist, and the hips are what is carried over
 
 
 def rigged(tmp_path, model):
@@ -254,20 +289,26 @@ def test_an_animation_of_the_rig_as_keys_and_played_again(tmp_path):
     character = rigged(tmp_path, replace(plain, bones=(*(replace(some, ik=None) for some in plain.bones), double)))
     solved = pose_mmd(plain, legs())
     tracks = {name: (np.zeros((40, 3)), np.swapaxes(solved.rotations[:, parent], -1, -2) @ solved.rotations[:, place])
-              for place, (name, parent) in enumerate(zip(plain.names, plain.parents, strict=True)) if parent >= 0}  # fmt: skip
+              for place, (name, parent) in enumerate(zip(plain.names, plain.parents,
+              strict=True)) if parent >= 0}  # fmt: skip
     from bunraku.core.rig_animation import RigAnimation
 
     poses = pose_mmd(mmd_model(character), tracks)
     clip = mmd_clip(RigAnimation.of_world(character, poses.rotations, poses.positions, 30.0))
     assert "左足" in clip.bones and "左足D" not in clip.bones  # MMD itself makes it follow
     again = play_vmd(character, read_vmd(Path("x.vmd"), pack_vmd(clip)))
-    assert np.abs(again.positions - poses.positions).max() < 1e-4 and degrees(again.rotations, poses.rotations).max() < 0.02
+    assert (
+        np.abs(again.positions - poses.positions).max() < 1e-4
+        and degrees(again.rotations, poses.rotations).max() < 0.02
+    )
 
 
 def test_helper_bones_follow_a_retargeted_motion(tmp_path):
     plain = standard_model()
     elbow = plain.bone("左ひじ")
-    helper = bone("ひじ補助", plain.positions[elbow], plain.bone("左腕"), layer=1, append=MmdAppend(elbow, 0.5, True, False))
+    helper = bone(
+        "ひじ補助", plain.positions[elbow], plain.bone("左腕"), layer=1, append=MmdAppend(elbow, 0.5, True, False)
+    )
     character = rigged(tmp_path, replace(plain, bones=(*(replace(some, ik=None) for some in plain.bones), helper)))
     from bunraku.core.rig_animation import RigAnimation
 
@@ -287,7 +328,9 @@ def test_soles_of_real_characters(file):
     poses = play_vmd(character, vmd)
     for mark in "左右":
         hip, knee, ankle, goal = (model.bone(mark + name) for name in ("足", "ひざ", "足首", "足ＩＫ"))
-        length = np.linalg.norm(model.positions[hip] - model.positions[knee]) + np.linalg.norm(model.positions[knee] - model.positions[ankle])
+        length = np.linalg.norm(model.positions[hip] - model.positions[knee]) + np.linalg.norm(
+            model.positions[knee] - model.positions[ankle]
+        )
         reachable = np.linalg.norm(poses.positions[:, goal] - poses.positions[:, hip], axis=-1) < length - 1e-3
         gap = np.linalg.norm(poses.positions[:, goal] - poses.positions[:, ankle], axis=-1)
         assert reachable.sum() > 20 and gap[reachable].max() < 1e-4
@@ -307,7 +350,16 @@ def test_hours_of_frames_are_refused_before_they_are_made():
 def test_models_that_ask_for_hours_are_refused_before_they_are_posed():
     import time
 
-    assert pose_work(model_of(bone("a", (0, 0, 0)), bone("b", (1, 0, 0), 0, append=MmdAppend(0, 1.0, True, False)), bone("c", (2, 0, 0), 1))) == 5
+    assert (
+        pose_work(
+            model_of(
+                bone("a", (0, 0, 0)),
+                bone("b", (1, 0, 0), 0, append=MmdAppend(0, 1.0, True, False)),
+                bone("c", (2, 0, 0), 1),
+            )
+        )
+        == 5
+    )
     plain = standard_model()
     assert pose_work(plain) < 2_000
     length = 600  # one chain, and half of it are goals of inverse kinematics that turn all above them, a thousand times
@@ -315,8 +367,12 @@ def test_models_that_ask_for_hours_are_refused_before_they_are_posed():
     greedy = MmdIk(length - 1, 1000, 1.0, tuple(MmdIkLink(place) for place in range(length - 2, length - 258, -1)))
     start = time.perf_counter()
     with pytest.raises(MotionError, match="too many"):
-        pose_mmd(model_of(*chain, *(bone(f"goal {number}", (1, 1, 1), ik=greedy, layer=1) for number in range(300))), {})
-    takers = [bone(str(place), (0, place, 0), place - 1, append=MmdAppend(0, 1.0, True, False)) for place in range(3000)]
+        pose_mmd(
+            model_of(*chain, *(bone(f"goal {number}", (1, 1, 1), ik=greedy, layer=1) for number in range(300))), {}
+        )
+    takers = [
+        bone(str(place), (0, place, 0), place - 1, append=MmdAppend(0, 1.0, True, False)) for place in range(3000)
+    ]
     with pytest.raises(MotionError, match="too many"):
         pose_mmd(model_of(*takers), {})
     assert time.perf_counter() - start < 2

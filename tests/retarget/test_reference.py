@@ -13,7 +13,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.reference import WayBack, motion_to_reference
-from bunraku.retarget.stages.joints import reference_joints
+from bunraku.retarget.stages.attach import reference_joints
 from bunraku.synthetic.samples import sample_character
 
 BARE = Stages(feet=False, smooth=False, floor=False)
@@ -33,7 +33,9 @@ def wild(height, frames=12, seed=0):
     translations = 0.02 * height * np.cos(phase) * random.normal(size=(1, 30, 3))
     rotations[:, 0], translations[:, 0] = np.eye(3), 0
     path = height * np.stack([np.sin(phase[:, 0, 0]), 2 + np.cos(phase[:, 0, 0]), phase[:, 0, 0]], axis=1)
-    root = Rotation.from_euler("YXZ", np.stack([phase[:, 0, 0], 0.5 * np.sin(phase[:, 0, 0]), phase[:, 0, 0] / 3], axis=1)).as_matrix()
+    root = Rotation.from_euler(
+        "YXZ", np.stack([phase[:, 0, 0], 0.5 * np.sin(phase[:, 0, 0]), phase[:, 0, 0] / 3], axis=1)
+    ).as_matrix()
     return HandleMotion(translations, rotations, path, root)
 
 
@@ -45,15 +47,22 @@ def test_there_and_back_is_the_same_clip(name):
     way = WayBack.of(character, handles)
     there = way.motion(here)
     again = way.motion(fit_motion(replace(there, native=True), character, handles, BARE))
-    first, second = (Animation(character, handles, fit_motion(replace(m, native=True), character, handles, BARE)).vertices() for m in (there, again))
+    first, second = (
+        Animation(character, handles, fit_motion(replace(m, native=True), character, handles, BARE)).vertices()
+        for m in (there, again)
+    )
     assert np.linalg.norm(first - second, axis=-1).max() < 1e-3 * character.height
 
 
 @pytest.mark.parametrize("name", ["dog", "dragon"])
 def test_a_clip_whose_parts_hold_together_comes_back(name):
     character, handles = beast(name)
-    clip = fit_motion(replace(WayBack.of(character, handles).motion(wild(character.height)), native=True), character, handles, BARE)
-    back = fit_motion(replace(motion_to_reference(clip, character, handles, native=True), native=True), character, handles, BARE)
+    clip = fit_motion(
+        replace(WayBack.of(character, handles).motion(wild(character.height)), native=True), character, handles, BARE
+    )
+    back = fit_motion(
+        replace(motion_to_reference(clip, character, handles, native=True), native=True), character, handles, BARE
+    )
     want, got = (Animation(character, handles, motion).vertices() for motion in (clip, back))
     assert np.linalg.norm(got - want, axis=-1).max() < 1e-3 * character.height
 
@@ -81,6 +90,8 @@ def test_parts_that_a_creature_lacks_move_with_their_parents():
     absent = [k for k in range(1, 30) if not way.joints.present[k]]
     assert absent
     for handle in absent:
-        np.testing.assert_allclose(there.rotations[:, handle], there.rotations[:, max(int(way.joints.parents[handle]), 0)], atol=1e-5)
+        np.testing.assert_allclose(
+            there.rotations[:, handle], there.rotations[:, max(int(way.joints.parents[handle]), 0)], atol=1e-5
+        )
     assert np.abs(there.translations).max() < 3 and np.isfinite(there.translations).all()
     assert reference_joints().present.sum() > 20

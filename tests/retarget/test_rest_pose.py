@@ -12,8 +12,8 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.evaluation.handles.rest_pose_transfer import code_made_motions
 from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.stages.joints import find_joints, refined_joints
-from bunraku.retarget.stance import neutral_pose, rest_turns
+from bunraku.retarget.stages.attach import find_joints, refined_joints
+from bunraku.retarget.stance import rest_turns, stance_of
 
 POSES = {
     "A": {"shoulder": ("z", -45)},
@@ -31,7 +31,9 @@ def posed(pose):
     rotations = np.tile(np.eye(3), (1, JOINT_COUNT, 1, 1))
     for part, (axis, degrees) in POSES[pose].items():
         for side, sign in (("left", 1), ("right", 1 if axis == "x" else -1)):
-            rotations[0, JOINT_NAMES.index(f"{side}_{part}")] = Rotation.from_euler(axis, sign * degrees, degrees=True).as_matrix()
+            rotations[0, JOINT_NAMES.index(f"{side}_{part}")] = Rotation.from_euler(
+                axis, sign * degrees, degrees=True
+            ).as_matrix()
     motion = SkeletalMotion(body.skeleton, rotations, body.joints[:1])
     vertices = body.pose(motion)[0]
     positions = handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces))
@@ -56,16 +58,23 @@ def test_bent_joints_are_found(pose):
     joints = refined_joints(character, handles, find_joints(character, handles), turns)
     for part in ("elbow", "wrist", "hip", "knee", "ankle"):
         joint = JOINT_NAMES.index(f"left_{part}")
-        assert np.linalg.norm(joints.positions[joint] - where[0, joint]) < 0.02 * reference_body().character().height, part
+        assert np.linalg.norm(joints.positions[joint] - where[0, joint]) < 0.02 * reference_body().character().height, (
+            part
+        )
 
 
 def test_who_sits_stands_up_on_the_same_floor():
     body = reference_body()
     character, handles, *_ = posed("sitting")
     turns, joints = rest_turns(character, handles)
-    stance, _ = neutral_pose(character, handles, joints, turns)
+    stance, _ = stance_of(character, handles, joints, turns)
     assert np.ptp(stance.vertices[:, 1]) == pytest.approx(np.ptp(body.vertices[:, 1]), rel=0.03)
-    assert np.linalg.norm((stance.vertices - body.vertices) - (stance.vertices - body.vertices).mean(axis=0), axis=1).mean() < 0.015 * 1.7
+    assert (
+        np.linalg.norm(
+            (stance.vertices - body.vertices) - (stance.vertices - body.vertices).mean(axis=0), axis=1
+        ).mean()
+        < 0.015 * 1.7
+    )
     motion = code_made_motions(1.0)["walk"]
     for stages in (Stages(), Stages(ground=False)):
         moved = Animation(character, handles, fit_motion(motion, character, handles, stages)).vertices()

@@ -1,4 +1,6 @@
-"""Motion on a character's own rig: limbs point where the source's point, bones keep their lengths, and the way back leads back."""
+"""Motion on a character's own rig: limbs point where the source's point, bones keep their lengths, and the way back
+leads back.
+"""
 
 from dataclasses import replace
 
@@ -45,7 +47,9 @@ def rested(scale=1.0, arms=0.0):
     for side, sign in (("left", -1), ("right", 1)):
         turns[0, _J[f"{side}_shoulder"], 2] = sign * arms
     rotations, places = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), body.joints[:1]).world()
-    affine = np.concatenate([rotations, (places - np.einsum("njab,jb->nja", rotations, body.joints))[..., None]], axis=-1)
+    affine = np.concatenate(
+        [rotations, (places - np.einsum("njab,jb->nja", rotations, body.joints))[..., None]], axis=-1
+    )
     plain, transforms = body.character(), np.tile(np.eye(4), (22, 1, 1))
     transforms[:, :3, 3] = places[0] * scale
     rig = Rig(JOINT_NAMES, plain.rig.parents, transforms, plain.rig.indices, plain.rig.weights)
@@ -90,7 +94,14 @@ def test_the_way_back():
     parts = RigParts.of(rested(0.7, 0.9))
     moved = fit_rig(reference, parts, CARRIED)
     back = rig_to_reference(parts, *moved.world(), 20.0, native=True)
-    assert np.degrees(np.linalg.norm(axis_angle_from_matrix(np.swapaxes(back.rotations, -1, -2) @ reference.rotations)[:, 1:22], axis=-1)).max() < 0.5
+    assert (
+        np.degrees(
+            np.linalg.norm(
+                axis_angle_from_matrix(np.swapaxes(back.rotations, -1, -2) @ reference.rotations)[:, 1:22], axis=-1
+            )
+        ).max()
+        < 0.5
+    )
     assert np.abs(back.root_translation - reference.root_translation).max() < 0.01
     again = fit_rig(back, parts, CARRIED)
     assert np.abs(again.vertices() - moved.vertices()).max() < 0.005 * parts.character.height
@@ -124,7 +135,8 @@ def test_bones_of_the_same_skeleton_are_copied():
 
 def test_a_wrist_bone_over_the_hand_leaves_the_turn_to_the_hand():
     plain = rested(1.0, 0.5)
-    parts = {"pelvis": "hips", "spine1": "spine", "spine2": "chest", "hip": "upperleg", "knee": "lowerleg", "ankle": "foot", "foot": "toes",
+    parts = {"pelvis": "hips", "spine1": "spine", "spine2": "chest", "hip": "upperleg", "knee": "lowerleg",
+    "ankle": "foot", "foot": "toes",
              "shoulder": "upperarm", "elbow": "lowerarm", "collar": "clavicle"}  # fmt: skip
     names = []
     for name in JOINT_NAMES:
@@ -137,7 +149,13 @@ def test_a_wrist_bone_over_the_hand_leaves_the_turn_to_the_hand():
     weights = np.concatenate([weights, hands], axis=1)
     order = np.argsort(-weights, axis=1)[:, :6]
     transforms = np.concatenate([rig.transforms, rig.transforms[wrists]])
-    with_hands = Rig((*names, "hand.l", "hand.r"), np.append(rig.parents, wrists), transforms, order, np.take_along_axis(weights, order, axis=1))
+    with_hands = Rig(
+        (*names, "hand.l", "hand.r"),
+        np.append(rig.parents, wrists),
+        transforms,
+        order,
+        np.take_along_axis(weights, order, axis=1),
+    )
     found = RigParts.of(replace(plain, rig=with_hands))
     assert found.humanoid and found.leads[[_J["left_wrist"], _J["right_wrist"]]].tolist() == [22, 23]
     moved = fit_rig(body_handle_motion(walking()), found, CARRIED)

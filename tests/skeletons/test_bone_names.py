@@ -19,7 +19,10 @@ def rig(text: str) -> tuple[list[str], list[int]]:
 
 def read(text: str, **options) -> dict[str, str]:
     names, parents = rig(text)
-    return {n: HANDLE_NAMES[h] if h >= 0 else "" for n, h in zip(names, handle_of_joints(names, parents, **options), strict=True)}
+    return {
+        n: HANDLE_NAMES[h] if h >= 0 else ""
+        for n, h in zip(names, handle_of_joints(names, parents, **options), strict=True)
+    }
 
 
 def check(found: dict[str, str], expected: str) -> None:
@@ -59,7 +62,10 @@ def test_kaykit_and_held_things():
     found = read(
         "root hips spine chest upperarm.l lowerarm.l wrist.l hand.l handslot.l head<chest upperleg.r<hips lowerleg.r foot.r toes.r kneeIK.r<root"
     )
-    check(found, "root= hips=pelvis spine=spine1 chest=spine3 upperarm.l=left_shoulder lowerarm.l=left_elbow hand.l=left_wrist")
+    check(
+        found,
+        "root= hips=pelvis spine=spine1 chest=spine3 upperarm.l=left_shoulder lowerarm.l=left_elbow hand.l=left_wrist",
+    )
     check(found, "handslot.l=left_wrist head=head foot.r=right_ankle toes.r=right_foot kneeIK.r=")
 
 
@@ -91,13 +97,17 @@ def test_dinosaur_with_a_belly_called_body():
 
 def test_legs_of_three_segments_dragons_and_fish():
     check(
-        read("Body Torso Chest Head UpperLeg.L<Body MidLeg.L LowerLeg.L FootBack.L"), "MidLeg.L=left_knee LowerLeg.L=left_ankle FootBack.L=left_foot"
+        read("Body Torso Chest Head UpperLeg.L<Body MidLeg.L LowerLeg.L FootBack.L"),
+        "MidLeg.L=left_knee LowerLeg.L=left_ankle FootBack.L=left_foot",
     )
     check(
         read("Root BodyRoot Body Neck Head Face Shoulder.R<Body Wing1.R UpperLeg.R<BodyRoot"),
         "BodyRoot=pelvis Body=spine2 Face=face Wing1.R=right_wing",
     )
-    check(read("Main1 Main2 Main3 Main4 Main5 Main6"), "Main1=head Main2=spine2 Main3=pelvis Main4=tail Main5=tail Main6=tail_tip")
+    check(
+        read("Main1 Main2 Main3 Main4 Main5 Main6"),
+        "Main1=head Main2=spine2 Main3=pelvis Main4=tail Main5=tail Main6=tail_tip",
+    )
     check(
         read("Root Spine1 Spine2 Spine3 Spine4 Tail TopFlipper.L<Spine1 MidFlipper.L BottomFlipper.L Head<Root"),
         "Root=pelvis Spine1=spine2 Spine2=pelvis Spine3=tail Tail=tail_tip TopFlipper.L=left_shoulder BottomFlipper.L=left_wrist Head=head",

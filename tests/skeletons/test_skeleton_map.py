@@ -22,7 +22,9 @@ LIMBS = ((1, 4), (2, 5), (4, 7), (5, 8), (16, 18), (17, 19), (18, 20), (19, 21))
 
 
 def degrees(rotations):
-    return np.degrees(Rotation.from_matrix(np.asarray(rotations, float).reshape(-1, 3, 3)).magnitude()).reshape(rotations.shape[:-2])
+    return np.degrees(Rotation.from_matrix(np.asarray(rotations, float).reshape(-1, 3, 3)).magnitude()).reshape(
+        rotations.shape[:-2]
+    )
 
 
 @pytest.mark.parametrize("dialect", DIALECTS, ids=str)
@@ -64,7 +66,9 @@ def test_elbows_and_knees_say_how_limbs_are_rolled(tmp_path):
     bends = np.zeros((60, 22, 3))
     swing = 0.5 * np.sin(2 * time)
     for side, sign in (("left", 1), ("right", -1)):
-        hip, knee, shoulder, elbow = (JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "shoulder", "elbow"))
+        hip, knee, shoulder, elbow = (
+            JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "shoulder", "elbow")
+        )
         bends[:, hip, 0], bends[:, knee, 0] = sign * swing, 0.6 + sign * swing
         bends[:, shoulder, 2], bends[:, elbow, 1] = -sign * (1.0 + 0.2 * swing), -sign * (0.8 + swing)
     truth = walk_about(60, fps=30.0)
@@ -89,9 +93,27 @@ def test_names_that_are_given_win():
     skeleton = Skeleton(
         ("base", "x", "x2", "x3", "y", "y2", "y3", "back", "top"),
         [-1, 0, 1, 2, 0, 4, 5, 0, 7],
-        [[0, 0, 0], [0.1, 0, 0], [0, -0.4, 0], [0, -0.4, 0], [-0.1, 0, 0], [0, -0.4, 0], [0, -0.4, 0], [0, 0.3, 0], [0, 0.3, 0]],
+        [
+            [0, 0, 0],
+            [0.1, 0, 0],
+            [0, -0.4, 0],
+            [0, -0.4, 0],
+            [-0.1, 0, 0],
+            [0, -0.4, 0],
+            [0, -0.4, 0],
+            [0, 0.3, 0],
+            [0, 0.3, 0],
+        ],
     )
-    names = {"pelvis": "base", "left_hip": "x", "left_knee": "x2", "right_hip": "y", "right_knee": "y2", "head": "top", "neck": ""}
+    names = {
+        "pelvis": "base",
+        "left_hip": "x",
+        "left_knee": "x2",
+        "right_hip": "y",
+        "right_knee": "y2",
+        "head": "top",
+        "neck": "",
+    }
     found = map_skeleton(skeleton, names)
     assert found.of("left_knee") == 2 and found.of("head") == 8 and found.of("neck") == -1
     assert found.how[JOINT_NAMES.index("left_hip")] == "given" and "left_wrist" in found.missing

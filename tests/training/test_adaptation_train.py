@@ -14,7 +14,7 @@ from bunraku.diffusion.denoiser import joint_offsets
 from bunraku.diffusion.features import encode
 from bunraku.errors import OptionError
 from bunraku.nn.checkpoints import load_training_state
-from bunraku.retarget.stages.joints import attached, reference_joints
+from bunraku.retarget.stages.attach import attach_joints, reference_joints
 from bunraku.training.adaptation.train import AdaptationConfig, _Run, train_adaptation
 
 
@@ -24,8 +24,19 @@ def settings(swings, bank_path, denoiser, tmp_path):
     torch.nn.init.zeros_(model.adaptation_out.weight)
     torch.nn.init.zeros_(model.adaptation_out.bias)
     path = save_denoiser(tmp_path / "denoiser.safetensors", model, {"characters": 3}, half=False)
-    small = {"pairs": 8, "frames": 16, "steps": 4, "batch": 4, "edges": 150, "mesh_size": 4, "validate_every": 2, "device": "cpu"}
-    return lambda **how: AdaptationConfig(**{"diffusion": path, "cache": bank_path, "data": swings, "out": tmp_path / "run", **small, **how})
+    small = {
+        "pairs": 8,
+        "frames": 16,
+        "steps": 4,
+        "batch": 4,
+        "edges": 150,
+        "mesh_size": 4,
+        "validate_every": 2,
+        "device": "cpu",
+    }
+    return lambda **how: AdaptationConfig(
+        **{"diffusion": path, "cache": bank_path, "data": swings, "out": tmp_path / "run", **small, **how}
+    )
 
 
 def test_distance_to_the_label_by_hand():
@@ -46,8 +57,8 @@ def test_moved_joints_are_what_attaching_them_elsewhere_gives():
     rotations = matrix_from_axis_angle(vectors)
     present = np.ones(30, bool)
     known = replace(joints, present=present)
-    before = attached(rotations, body.handles, known)[1]
-    after = attached(rotations, body.handles, replace(known, positions=joints.positions + moves))[1]
+    before = attach_joints(rotations, body.handles, known)[1]
+    after = attach_joints(rotations, body.handles, replace(known, positions=joints.positions + moves))[1]
     still = np.zeros((4, 3))
     features = torch.from_numpy(encode(HandleMotion(before, rotations, still, matrix_from_axis_angle(still))))[None]
     found = joint_offsets(torch.from_numpy(moves).float().expand(1, 4, 30, 3), features)
@@ -74,11 +85,17 @@ def test_the_head_folds_into_a_plain_layer():
 
 def test_only_the_layer_learns_and_edges_keep_their_lengths(settings, encoder, tmp_path):
     rows = []
-    path = train_adaptation(settings(steps=80, learning_rate=1e-3, validate_every=40, pairs=12), rows.append, encoder=encoder)
+    path = train_adaptation(
+        settings(steps=80, learning_rate=1e-3, validate_every=40, pairs=12), rows.append, encoder=encoder
+    )
     assert [row["step"] for row in rows] == [40, 80]
     assert rows[-1]["seen"] < rows[0]["seen"] < 1 and 0 < rows[-1]["delta"] < 0.05
     before, after = load_denoiser(settings().diffusion), load_denoiser(path)
-    assert after.config.adaptation_frame == "joints" and after.config.adaptation_mesh and after.notes["adaptation_steps"] == 80
+    assert (
+        after.config.adaptation_frame == "joints"
+        and after.config.adaptation_mesh
+        and after.notes["adaptation_steps"] == 80
+    )
     for name, value in before.state_dict().items():
         if not name.startswith("adaptation_out"):
             torch.testing.assert_close(after.state_dict()[name], value, atol=2e-3, rtol=1e-3)  # stored as float16
@@ -121,7 +138,9 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(settings, encoder, t
     assert load_training_state(state).step == 2
     train_adaptation(settings(), encoder=encoder)
     whole, parts = load_training_state(tmp_path / "whole" / "state.safetensors"), load_training_state(state)
-    assert parts.step == 4 and all(torch.equal(value, parts.models["head"][name]) for name, value in whole.models["head"].items())
+    assert parts.step == 4 and all(
+        torch.equal(value, parts.models["head"][name]) for name, value in whole.models["head"].items()
+    )
 
 
 def test_wrong_settings_are_clear(settings, encoder):

@@ -44,7 +44,11 @@ def test_a_batch_is_a_function_of_its_seed_and_number(clips):
 def test_batches_are_padded_with_zeros_and_finite(clips):
     for number in range(4):
         batch = clips().batch(0, number, 5, 0.3)
-        assert batch.values.dtype == np.float32 and batch.values.shape[1] == batch.lengths.max() <= 120 and np.isfinite(batch.values).all()
+        assert (
+            batch.values.dtype == np.float32
+            and batch.values.shape[1] == batch.lengths.max() <= 120
+            and np.isfinite(batch.values).all()
+        )
         for row, length in zip(batch.values, batch.lengths, strict=True):
             assert not row[length:].any() and row[length - 1].any()
 
@@ -81,7 +85,11 @@ def test_composed_sentences_name_both_parts(clips):
 
 def test_folders_are_read_by_split_and_faults_are_named(swings):
     clips = load_clips(swings)
-    assert len(clips) == 12 and clips["waves_0"]["features"].shape == (60, 271) and clips["waves_0"]["texts"] == ["the figure waves"]
+    assert (
+        len(clips) == 12
+        and clips["waves_0"]["features"].shape == (60, 271)
+        and clips["waves_0"]["texts"] == ["the figure waves"]
+    )
     assert sorted(load_clips(swings, splits={"test"})) == ["bows_2", "kicks_2", "nods_2", "waves_2"]
     (swings / "bows_0.npz").write_bytes((swings / "bows_0.npz").read_bytes()[:300])
     with pytest.raises(FormatError, match=r"bows_0\.npz.*bunraku data motions"):
@@ -103,7 +111,8 @@ def zoo(features, tmp_path):
         "wave": entry(features("left_elbow"), "a person waves with the left hand"),
         "walk": entry(features("spine1", frames=70), "walk"),
         "rest": entry(features("head", frames=70, height=0.05), "idle"),
-        "crow_fly": entry(features("left_wing", frames=40), "a crow flies") | {"species": "crow", "action": "fly", "character": "birds/Crow"},
+        "crow_fly": entry(features("left_wing", frames=40), "a crow flies")
+        | {"species": "crow", "action": "fly", "character": "birds/Crow"},
     }
     for number, (action, part) in enumerate((("gallop", "left_knee"), ("walk", "left_ankle"), ("eat", "head"))):
         for name in ("Horse", "Pony") if action == "walk" else ("Horse",):
@@ -135,7 +144,11 @@ def test_rows_carry_the_mesh_and_the_words_of_their_creature(zoo):
         elif mesh.startswith("animals"):
             assert sentence in horses
         else:
-            assert sentence in creature_variants("crow", "fly") or sentence == "a crow flies" or sentence.startswith("a crow")
+            assert (
+                sentence in creature_variants("crow", "fly")
+                or sentence == "a crow flies"
+                or sentence.startswith("a crow")
+            )
     assert meshes == {None, "animals/Horse", "animals/Pony", "birds/Crow"}
     batch = found.batch(0, 0, 12)
     assert len(batch.meshes) == len(batch.sentences) == 12 and set(batch.meshes) <= meshes
@@ -146,7 +159,9 @@ def test_creatures_are_joined_with_themselves_only(zoo):
     found, random, seen = zoo(computed=0.0, creatures=0.6), np.random.default_rng(3), set()
     for _ in range(150):
         row = found.draw(random, compose=1.0)
-        horse = any(word in row.sentence for word in ("gallop", "graz", "nibbl", "munch", "eat", "feed", "horse", "pony"))
+        horse = any(
+            word in row.sentence for word in ("gallop", "graz", "nibbl", "munch", "eat", "feed", "horse", "pony")
+        )
         person = any(word in row.sentence for word in ("wav", "hand", "idle", "still"))
         assert not (horse and person), row.sentence
         if row.mesh == "animals/Horse":
@@ -159,7 +174,9 @@ def test_a_creature_may_do_what_only_people_show(zoo):
     found, random = zoo(computed=0.0, borrowed=1.0, creatures=0.3), np.random.default_rng(4)
     rows = [found.draw(random) for _ in range(200)]
     waves = [row for row in rows if "wav" in row.sentence and row.mesh]
-    assert any(word in row.sentence for row in waves for word in ("horse", "crow")) and any(row.sentence.startswith("a person") for row in waves)
+    assert any(word in row.sentence for row in waves for word in ("horse", "crow")) and any(
+        row.sentence.startswith("a person") for row in waves
+    )
     # a walk is something that a horse shows by itself, so only the crow can borrow it
     walk = next(clip for clip in found.clips if clip.name == "walk").values
     borrowed = {row.mesh for row in rows if any(np.array_equal(row.values, one) for one in (walk, mirror(walk)))}
@@ -184,7 +201,10 @@ def test_computed_words_are_true_of_the_row_and_of_its_mirror_image():
         "bull": entry(walker(100, -1.7), "x") | {"species": "bull", "action": "walk", "character": "animals/Bull"},
     }
     statistics = FeatureStatistics.measure([clip["features"] for clip in found.values()])
-    clips, random = ClipSet(found, statistics, frames=100, computed=1.0, borrowed=0.0, creatures=0.5), np.random.default_rng(0)
+    clips, random = (
+        ClipSet(found, statistics, frames=100, computed=1.0, borrowed=0.0, creatures=0.5),
+        np.random.default_rng(0),
+    )
     told = {None: 0, "animals/Bull": 0}
     for _ in range(120):
         values, sentence, mesh = clips.draw(random)

@@ -7,7 +7,9 @@ from bunraku.training.handles.damage import DamageConfig, coarser, damage, noisy
 
 @pytest.fixture
 def mesh() -> TrainingMesh:
-    """A strip of two rows of vertices whose labels and poses are linear in x, so that any mean of rows must stay on the line."""
+    """A strip of two rows of vertices whose labels and poses are linear in x, so that any mean of rows must stay on the
+    line.
+    """
     count = 40
     x = np.repeat(np.linspace(-0.5, 0.5, count // 2), 2)
     vertices = np.stack([x, np.tile([0.0, 0.05], count // 2), 0 * x], axis=1).astype(np.float32)
@@ -16,8 +18,10 @@ def mesh() -> TrainingMesh:
     target = np.zeros((count, 30), np.float32)
     target[:, 3:5] = weights
     return TrainingMesh(
-        vertices=vertices, normals=np.tile(np.float32([0, 0, 1]), (count, 1)), areas=np.full(count, 0.1, np.float32), edges=edges, weights=weights,
-        handles=np.array([3, 4]), target=target, root=np.zeros(3, np.float32), height=0.05, posed=np.stack([2 * vertices, vertices + 1]),
+        vertices=vertices, normals=np.tile(np.float32([0, 0, 1]), (count, 1)), areas=np.full(count, 0.1, np.float32),
+        edges=edges, weights=weights,
+        handles=np.array([3, 4]), target=target, root=np.zeros(3, np.float32), height=0.05,
+        posed=np.stack([2 * vertices, vertices + 1]),
     )  # fmt: skip
 
 
@@ -68,5 +72,7 @@ def test_damage_is_random_but_repeatable(mesh):
 
 def test_noise_is_the_same_in_all_poses(mesh):
     out = noisy(mesh, np.random.default_rng(3), 0.01, 0.1)
-    np.testing.assert_allclose(out.posed - mesh.posed, np.broadcast_to(out.vertices - mesh.vertices, mesh.posed.shape), atol=1e-6)
+    np.testing.assert_allclose(
+        out.posed - mesh.posed, np.broadcast_to(out.vertices - mesh.vertices, mesh.posed.shape), atol=1e-6
+    )
     assert 0.007 < (out.vertices - mesh.vertices).std() < 0.013 and 0.07 < (out.normals - mesh.normals).std() < 0.13

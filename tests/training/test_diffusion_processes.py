@@ -28,7 +28,8 @@ torch.set_num_threads(1)
 spec = importlib.util.spec_from_file_location("helpers", sys.argv[1])
 helpers = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(helpers)
-config = TrainingConfig(data=Path(sys.argv[2]), out=Path(sys.argv[3]), minutes=None, steps=3, batch=3, device="cpu", bf16=False, validate_every=3)
+config = TrainingConfig(data=Path(sys.argv[2]), out=Path(sys.argv[3]), minutes=None, steps=3, batch=3,
+                        device="cpu", bf16=False, validate_every=3)
 train_diffusion(config, helpers.tiny_config(), helpers.WordEncoder())
 """
 
@@ -37,10 +38,27 @@ def test_two_processes_are_one_with_both_batches(swings, tmp_path, config, encod
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
-    words = [sys.executable, "-c", SCRIPT, str(Path(__file__).parents[1] / "conftest.py"), str(swings), str(tmp_path / "run")]
-    common = {**os.environ, "WORLD_SIZE": "2", "LOCAL_WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "OMP_NUM_THREADS": "1"}
+    words = [
+        sys.executable,
+        "-c",
+        SCRIPT,
+        str(Path(__file__).parents[1] / "conftest.py"),
+        str(swings),
+        str(tmp_path / "run"),
+    ]
+    common = {
+        **os.environ,
+        "WORLD_SIZE": "2",
+        "LOCAL_WORLD_SIZE": "2",
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": port,
+        "OMP_NUM_THREADS": "1",
+    }
     common |= {"ACCELERATE_USE_CPU": "true"}
-    started = [subprocess.Popen(words, env={**common, "RANK": rank, "LOCAL_RANK": rank}, stdout=-1, stderr=-1, text=True) for rank in "01"]
+    started = [
+        subprocess.Popen(words, env={**common, "RANK": rank, "LOCAL_RANK": rank}, stdout=-1, stderr=-1, text=True)
+        for rank in "01"
+    ]
     said = [process.communicate(timeout=120) for process in started]
     assert [process.returncode for process in started] == [0, 0], said
     assert "2 processes" in " ".join(said[0][0].split()) and "saved" not in said[1][0]
@@ -58,7 +76,10 @@ def test_two_processes_are_one_with_both_batches(swings, tmp_path, config, encod
             batch = train.batch(0, number, 3, run.compose)
             example = trainer.example(batch, bank(batch.sentences), [0, number])
             motion, velocity = (
-                part.mean() for part in motion_losses(trainer.predict(trainer.model, example)[0], example.clean, example.lengths, trainer.weights)
+                part.mean()
+                for part in motion_losses(
+                    trainer.predict(trainer.model, example)[0], example.clean, example.lengths, trainer.weights
+                )
             )
             (0.5 * (motion + run.velocity_weight * velocity)).backward()
         trainer._step(learns=False)

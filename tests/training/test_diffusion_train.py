@@ -13,7 +13,9 @@ from bunraku.training.diffusion.trainer import Trainer
 
 @pytest.fixture
 def settings(swings, tmp_path):
-    return lambda **how: TrainingConfig(**{"data": swings, "out": tmp_path / "run", "minutes": None, "steps": 4, "batch": 4, "device": "cpu", **how})
+    return lambda **how: TrainingConfig(
+        **{"data": swings, "out": tmp_path / "run", "minutes": None, "steps": 4, "batch": 4, "device": "cpu", **how}
+    )
 
 
 def weights(path):
@@ -60,7 +62,11 @@ def test_training_learns(settings, config, encoder):
     """The motion loss of the four motions falls well below that of the mean pose, which is about their variance."""
     import csv
 
-    path = train_diffusion(settings(steps=180, batch=8, learning_rate=3e-3, warmup=10, bf16=False, validate_every=60, compose=0.0), config(), encoder)
+    path = train_diffusion(
+        settings(steps=180, batch=8, learning_rate=3e-3, warmup=10, bf16=False, validate_every=60, compose=0.0),
+        config(),
+        encoder,
+    )
     with (path.parent / "log.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["step"] for row in rows] == ["20", "60", "120", "180"]
@@ -68,7 +74,12 @@ def test_training_learns(settings, config, encoder):
 
 
 def test_wrong_settings_are_clear(settings, config, encoder, tmp_path):
-    for how, words in {"preset": ("huge", "unknown"), "batch": (0, "positive"), "steps": (-1, "positive"), "minutes": (-5.0, "positive")}.items():
+    for how, words in {
+        "preset": ("huge", "unknown"),
+        "batch": (0, "positive"),
+        "steps": (-1, "positive"),
+        "minutes": (-5.0, "positive"),
+    }.items():
         with pytest.raises(OptionError, match=words[1]):
             train_diffusion(settings(**{how: words[0]}), config(), encoder)
     with pytest.raises(FormatError, match="bunraku data motions"):

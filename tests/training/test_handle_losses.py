@@ -14,7 +14,9 @@ def test_root_loss_by_hand():
     # handle 0 at (0.75 * 0 + 0.25 * 2) / 1 = 0.5, so 0.5^2 + 1
     assert losses.root_loss(positions, weights, torch.tensor([0.0, 1.0, 0.0])).item() == pytest.approx(1.25)
     # twice the area on the second vertex: (0.25 * 2 * 2) / (0.75 + 0.5) = 0.8
-    assert losses.root_loss(positions, weights, torch.tensor([0.0, 0, 0]), torch.tensor([1.0, 2.0])).item() == pytest.approx(0.64)
+    assert losses.root_loss(
+        positions, weights, torch.tensor([0.0, 0, 0]), torch.tensor([1.0, 2.0])
+    ).item() == pytest.approx(0.64)
 
 
 def test_skinning_loss_by_hand():
@@ -25,7 +27,9 @@ def test_skinning_loss_by_hand():
     assert losses.skinning_loss(logits, i, j, torch.tensor([1.0])).item() == pytest.approx(kl)
     assert losses.skinning_loss(logits, i, j, torch.tensor([-1.0])).item() == pytest.approx(-kl)
     assert losses.skinning_loss(logits * 100, i, j, torch.tensor([-1.0]), apart=3.0).item() == pytest.approx(-3.0)
-    assert losses.skinning_loss(logits * 100, i, j, torch.tensor([-1.0]), apart=math.inf).item() < -3  # Eq. 13 as it is written
+    assert (
+        losses.skinning_loss(logits * 100, i, j, torch.tensor([-1.0]), apart=math.inf).item() < -3
+    )  # Eq. 13 as it is written
 
 
 def test_smoothness_by_hand():

@@ -6,7 +6,14 @@ import torch
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.datasets.characters.build import reference_characters
-from bunraku.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment, forward_kinematics, handle_target, plain_mesh
+from bunraku.datasets.characters.training_character import (
+    AugmentConfig,
+    TrainingCharacter,
+    augment,
+    forward_kinematics,
+    handle_target,
+    plain_mesh,
+)
 from bunraku.errors import FormatError
 from bunraku.handles.graph import mesh_graph
 from bunraku.handles.predictor import HandlePredictor, PredictorConfig, load_predictor
@@ -28,7 +35,8 @@ def worm(name: str = "pack/worm", count: int = 60) -> TrainingCharacter:
     joints = np.array([[0, -0.5, 0], [0, -1 / 6, 0], [0, 1 / 6, 0]])
     normals = vertices * [1, 0, 1] / 0.1
     return TrainingCharacter(
-        name, vertices, normals.astype(np.float32), np.ones(count, np.float32), edges, weights, joints, np.array([-1, 0, 1]), handles,
+        name, vertices, normals.astype(np.float32), np.ones(count, np.float32), edges, weights, joints, np.array([-1, 0,
+        1]), handles,
         handle_target(weights, handles), joints[0].astype(np.float32), 1.0,
     )  # fmt: skip
 
@@ -39,7 +47,9 @@ def test_forward_kinematics_of_an_arm_by_hand():
     transforms = forward_kinematics(joints, np.array([-1, 0]), np.stack([quarter, quarter]))
     tip = transforms[1] @ [2.0, 0, 0, 1]
     np.testing.assert_allclose(tip, [-1.0, 1, 0], atol=1e-12)  # the elbow goes to +Y, the forearm then points to -X
-    np.testing.assert_allclose(forward_kinematics(joints[::-1], np.array([1, -1]), np.stack([quarter, quarter]))[0], transforms[1], atol=1e-12)
+    np.testing.assert_allclose(
+        forward_kinematics(joints[::-1], np.array([1, -1]), np.stack([quarter, quarter]))[0], transforms[1], atol=1e-12
+    )
 
 
 def test_augmented_examples_are_normalised_and_the_root_rests():
@@ -50,7 +60,9 @@ def test_augmented_examples_are_normalised_and_the_root_rests():
         np.testing.assert_allclose(mesh.vertices.min(0) + mesh.vertices.max(0), 0, atol=1e-5)
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-4)
         pelvis = mesh.weights[:, 0] == 1
-        np.testing.assert_allclose(mesh.posed[:, pelvis], np.broadcast_to(mesh.vertices[pelvis], mesh.posed[:, pelvis].shape), atol=1e-5)
+        np.testing.assert_allclose(
+            mesh.posed[:, pelvis], np.broadcast_to(mesh.vertices[pelvis], mesh.posed[:, pelvis].shape), atol=1e-5
+        )
         assert np.isfinite(mesh.posed).all()
 
 
@@ -108,7 +120,9 @@ def test_train_handles_writes_a_checkpoint_and_a_log(tmp_path):
         folder.mkdir(parents=True, exist_ok=True)
         worm(f"pack/worm{number}").save(folder / f"worm{number}.npz")
     rows = []
-    config = HandleTrainConfig(cache=tmp_path / "cache", out=tmp_path / "run", minutes=0, epochs=1, predictor=SMALL, reference_share=0.0)
+    config = HandleTrainConfig(
+        cache=tmp_path / "cache", out=tmp_path / "run", minutes=0, epochs=1, predictor=SMALL, reference_share=0.0
+    )
     path = train_handles(config, rows.append)
     assert load_predictor(path).config == SMALL
     assert len((tmp_path / "run" / "log.csv").read_text().splitlines()) == 2 and rows[0]["epoch"] == 1

@@ -27,7 +27,10 @@ def order(sentence, words):
 
 def test_sentences_of_two_and_three_parts_keep_their_order():
     random = np.random.default_rng(0)
-    for phrases, words in ((("{walk} ahead", "{wave}"), ["walk", "wav"]), (("{sit} down", "{stand} up", "{run} away"), ["sit", "stand", "run"])):
+    for phrases, words in (
+        (("{walk} ahead", "{wave}"), ["walk", "wav"]),
+        (("{sit} down", "{stand} up", "{run} away"), ["sit", "stand", "run"]),
+    ):
         made = {link(phrases, random) for _ in range(400)}
         assert len(made) > 40
         for sentence in made:

@@ -15,16 +15,28 @@ def learning(bank):
 
 
 def test_rows_are_drawn_from_people_without_a_character_of_their_own(learning):
-    draw = learning.draw(np.random.default_rng(0), np.array([40, 5, 60, 30]), [None, None, "quaternius/animals_pack/Horse", None], cross=0.0)
+    draw = learning.draw(
+        np.random.default_rng(0),
+        np.array([40, 5, 60, 30]),
+        [None, None, "quaternius/animals_pack/Horse", None],
+        cross=0.0,
+    )
     assert draw.rows.tolist() == [0, 3] and draw.frames == 12 and draw.picked.shape == (2, 100)
     assert bool(learning.bank.humanoid[draw.characters].all()) and bool((draw.characters > 0).all())
-    again = learning.draw(np.random.default_rng(0), np.array([40, 5, 60, 30]), [None, None, "quaternius/animals_pack/Horse", None], cross=0.0)
+    again = learning.draw(
+        np.random.default_rng(0),
+        np.array([40, 5, 60, 30]),
+        [None, None, "quaternius/animals_pack/Horse", None],
+        cross=0.0,
+    )
     assert torch.equal(draw.starts, again.starts) and torch.equal(draw.characters, again.characters)
     assert learning.draw(np.random.default_rng(0), np.array([40]), ["a creature"], 0.0) is None
 
 
 def test_only_the_adaptation_is_judged(learning, features, bank):
-    """Gradients reach delta and nothing else; the discriminator learns only in its turn, the denoiser in the other (A.2)."""
+    """Gradients reach delta and nothing else; the discriminator learns only in its turn, the denoiser in the other
+    (A.2).
+    """
     clean = torch.from_numpy(features("left_elbow"))[None].float().expand(3, -1, -1).clone().requires_grad_(True)
     delta = torch.zeros(3, 60, 30, 3, requires_grad=True)
     draw = learning.draw(np.random.default_rng(0), np.array([60, 60, 60]), None, cross=1.0)
@@ -59,7 +71,11 @@ def test_a_damaged_bank_is_refused(bank_path, tmp_path):
         load_character_bank(tmp_path / "none.npz")
     with np.load(bank_path) as file:
         whole = dict(file)
-    for name, value in {"edge_index": whole["edge_index"] + 40, "features": whole["features"][:2], "handles": whole["handles"] * np.nan}.items():
+    for name, value in {
+        "edge_index": whole["edge_index"] + 40,
+        "features": whole["features"][:2],
+        "handles": whole["handles"] * np.nan,
+    }.items():
         np.savez(tmp_path / "bad.npz", **{**whole, name: value})
         with pytest.raises(FormatError, match=r"bad\.npz.*bunraku data character-bank"):
             load_character_bank(tmp_path / "bad.npz")
@@ -74,7 +90,9 @@ def test_a_row_takes_the_mesh_of_its_character(tmp_path):
     names = ["a/Horse", "a/Horse~posed", "b/Man", "b/Man~fine", "c/Held"]
     features = np.arange(5, dtype=np.float32)[:, None] * np.ones((5, 3), np.float32)
     split, humanoid = ["train"] * 4 + ["test"], [False, False, True, True, True]
-    bank = load_mesh_bank(write(tmp_path / "bank.npz", features=features, names=names, split=split, humanoid=humanoid), 3)
+    bank = load_mesh_bank(
+        write(tmp_path / "bank.npz", features=features, names=names, split=split, humanoid=humanoid), 3
+    )
     assert len(bank) == 4
     random = np.random.default_rng(0)
     drawn = [bank.draw(["a/Horse", None, "a/Cow", "c/Held"], 4, random) for _ in range(40)]

@@ -9,7 +9,13 @@ from bunraku.errors import OptionError
 from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.handles.orientation_net import OrientationConfig
 from bunraku.synthetic.samples import sample_character
-from bunraku.training.orientation.measures import UPRIGHT, fitted_temperature, orientation_results, turn_rates, validate_orientation
+from bunraku.training.orientation.measures import (
+    UPRIGHT,
+    fitted_temperature,
+    orientation_results,
+    turn_rates,
+    validate_orientation,
+)
 from bunraku.training.orientation.train import OrientationTrainConfig, OrientationTrainer, train_orientation
 
 SMALL = OrientationConfig(width=16, layers=1, heads=2, anchors=24)
@@ -17,11 +23,22 @@ SMALL = OrientationConfig(width=16, layers=1, heads=2, anchors=24)
 
 @pytest.fixture(scope="module")
 def characters():
-    return [training_character(sample_character(name, rigged=True), f"samples/{name}", 300) for name in ("mushroom", "robot")]
+    return [
+        training_character(sample_character(name, rigged=True), f"samples/{name}", 300)
+        for name in ("mushroom", "robot")
+    ]
 
 
 def settings(tmp_path, **changes):
-    values = {"cache": tmp_path / "cache", "out": tmp_path / "run", "minutes": 0, "steps": 6, "batch": 2, "warmup": 2, "validate_every": 3}
+    values = {
+        "cache": tmp_path / "cache",
+        "out": tmp_path / "run",
+        "minutes": 0,
+        "steps": 6,
+        "batch": 2,
+        "warmup": 2,
+        "validate_every": 3,
+    }
     return OrientationTrainConfig(predictor=SMALL, **(values | changes))
 
 

@@ -34,4 +34,9 @@ def test_a_spring_needs_both_ends():
     roles[HANDLE_NAMES.index("right_wrist")] = HANDLE_NAMES.index("right_ankle")  # plays another part
     kept = {LIMB_SPRINGS[i] for i in torch.nonzero(springs_present(present, roles)).flatten().tolist()}
     gone = {(HANDLE_NAMES[a], HANDLE_NAMES[b]) for a, b in set(LIMB_SPRINGS) - kept}
-    assert gone == {("left_hip", "left_knee"), ("left_knee", "left_ankle"), ("right_elbow", "right_wrist"), ("right_wrist", "right_fingers")}
+    assert gone == {
+        ("left_hip", "left_knee"),
+        ("left_knee", "left_ankle"),
+        ("right_elbow", "right_wrist"),
+        ("right_wrist", "right_fingers"),
+    }

@@ -8,7 +8,9 @@ from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import OptionError
 from bunraku.training.diffusion.warm_start import rescaled, start_from
 
-TINY = DenoiserConfig(width=32, layers=2, heads=2, feedforward=48, frames=24, frames_per_token=4, text_size=8, pooled_size=8)
+TINY = DenoiserConfig(
+    width=32, layers=2, heads=2, feedforward=48, frames=24, frames_per_token=4, text_size=8, pooled_size=8
+)
 
 
 def denoiser(config=TINY, seed=0):

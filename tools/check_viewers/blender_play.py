@@ -2,8 +2,8 @@
 
 blender --background --factory-startup --python blender_play.py -- JOBS
 
-JOBS is a JSON file: [{"glb": ..., "times": [s, ...], "fps": ..., "out": ...}]. OUT gets 32-bit floats: for each time, for each mesh
-object, x, y and z of each vertex in the world, turned back to glTF's axes; OUT.json lists the objects.
+JOBS is a JSON file: [{"glb": ..., "times": [s, ...], "fps": ..., "out": ...}]. OUT gets 32-bit floats: for each time,
+for each mesh object, x, y and z of each vertex in the world, turned back to glTF's axes; OUT.json lists the objects.
 """
 
 import json

@@ -1,9 +1,11 @@
-"""Are GLBs in three.js and in Blender what Bunraku says they are? Vertices at three times, for characters with a motion.
+"""Are GLBs in three.js and in Blender what Bunraku says they are? Vertices at three times, for characters with a
+motion.
 
 python tools/check_viewers/check.py CHARACTER.glb ... --motion walk.bvh
 
-Each character is written three times: its rig moved, its 30 handles moved, and vertices that also move on their own (a wave that grows
-with the height, as morph targets). The table has the largest and the mean distance from `vertices()`, in per cent of the height.
+Each character is written three times: its rig moved, its 30 handles moved, and vertices that also move on their own (a
+wave that grows with the height, as morph targets). The table has the largest and the mean distance from `vertices()`,
+in per cent of the height.
 """
 
 from __future__ import annotations
@@ -34,12 +36,16 @@ def waving(animation: Any) -> PointAnimation:
     posed, character = animation.vertices(), animation.character
     share = ((character.vertices - character.vertices.min(0)) / character.height)[:, 1]
     phase = np.arange(len(posed))[:, None] * 0.4 + 6 * share[None]
-    offsets = 0.03 * character.height * share[None, :, None] * np.stack([np.sin(phase), 0 * phase, np.cos(phase)], axis=-1)
+    offsets = (
+        0.03 * character.height * share[None, :, None] * np.stack([np.sin(phase), 0 * phase, np.cos(phase)], axis=-1)
+    )
     return PointAnimation.of_vertices(animation, posed + offsets)
 
 
 def written(path: Path, motion: Any, folder: Path) -> Iterator[tuple[str, Path, np.ndarray, list[int], float, float]]:
-    """The GLBs of a character: what is moved, the file, its vertices (3, V, 3), their frames, frames a second, and the height."""
+    """The GLBs of a character: what is moved, the file, its vertices (3, V, 3), their frames, frames a second, and the
+    height.
+    """
     character = bunraku.load_character(path)
     handles = bunraku.rig(character)
     made: dict[str, Any] = {}
@@ -80,7 +86,10 @@ def main() -> None:
             found["three.js"] = three_vertices(shots)
         if not asked["Blender"]:
             found["Blender"] = blender_vertices(shots, motion.fps)
-    print(f"{'character':<28} {'moved':<8} {'vertices':>8}" + "".join(f"  {name + ' largest':>16} {'mean':>8}" for name in found))
+    print(
+        f"{'character':<28} {'moved':<8} {'vertices':>8}"
+        + "".join(f"  {name + ' largest':>16} {'mean':>8}" for name in found)
+    )
     worst = dict.fromkeys(found, 0.0)
     for number, (path, kind, _, known, _, _, height) in enumerate(made):
         line = f"{path.stem[:28]:<28} {kind:<8} {known.shape[1]:>8}"

@@ -1,7 +1,7 @@
 """Written GLBs as three.js and Blender show them: vertices at some times, to compare with Bunraku's own.
 
-Both are optional. three.js needs node and `npm install` in this folder (or BUNRAKU_THREE, a folder with node_modules/three); Blender is
-found as `bunraku.formats.fbx.export` finds it.
+Both are optional. three.js needs node and `npm install` in this folder (or BUNRAKU_THREE, a folder with
+node_modules/three); Blender is found as `bunraku.formats.fbx.export` finds it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,10 @@ def blender_missing() -> str:
 def three_vertices(shots: Shots) -> list[np.ndarray]:
     """Vertices of GLBs at times [s], one array for each file of shape (T, V, 3), in the order of the file's nodes."""
     with tempfile.TemporaryDirectory() as folder:
-        jobs = [{"glb": str(Path(glb).resolve()), "times": list(map(float, times)), "out": f"{folder}/{k}"} for k, (glb, times) in enumerate(shots)]
+        jobs = [
+            {"glb": str(Path(glb).resolve()), "times": list(map(float, times)), "out": f"{folder}/{k}"}
+            for k, (glb, times) in enumerate(shots)
+        ]
         _run(["node", str(HERE / "three_play.mjs"), str(THREE)], json.dumps(jobs))
         return [_three_order(Path(job["glb"]), Path(job["out"]), len(job["times"])) for job in jobs]
 
@@ -72,14 +75,18 @@ def blender_vertices(shots: Shots, fps: float) -> list[np.ndarray]:
 
 
 def _run(command: list[str], given: str = "") -> None:
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}  # Blender's Python is another one
+    kept = {
+        key: value for key, value in os.environ.items() if not key.startswith("PYTHON")
+    }  # Blender's Python is another one
     done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=SECONDS, env=kept)
     if done.returncode:
         raise RuntimeError(f"{command[0]} failed: {(done.stderr or done.stdout).strip()[-2000:]}")
 
 
 def _meshes(glb: Path) -> tuple[dict, bytes, list[tuple[int, list[list[int]], int]]]:
-    """The tree, the binary part, and for each node with a mesh: its primitives by the positions they share, with the number of these."""
+    """The tree, the binary part, and for each node with a mesh: its primitives by the positions they share, with the
+    number of these.
+    """
     data = glb.read_bytes()
     length = struct.unpack_from("<I", data, 12)[0]
     tree = json.loads(data[20 : 20 + length])
@@ -97,7 +104,10 @@ def _three_order(glb: Path, out: Path, times: int) -> np.ndarray:
     listed = json.loads(Path(f"{out}.json").read_text())
     starts = np.cumsum([0] + [entry["count"] for entry in listed])
     found = np.fromfile(out, "<f4").reshape(times, -1, 3)
-    place = {(entry["node"], entry["primitive"]): found[:, start : start + entry["count"]] for entry, start in zip(listed, starts, strict=False)}
+    place = {
+        (entry["node"], entry["primitive"]): found[:, start : start + entry["count"]]
+        for entry, start in zip(listed, starts, strict=False)
+    }
     return np.concatenate([place[node, members[0]] for node, members, _ in _meshes(glb)[2]], axis=1)
 
 
@@ -105,7 +115,9 @@ def _blender_order(glb: Path, out: Path, times: int) -> np.ndarray:
     listed = json.loads(Path(f"{out}.json").read_text())
     starts = np.cumsum([0] + [entry["count"] for entry in listed])
     found = np.fromfile(out, "<f4").reshape(times, -1, 3)
-    place = {entry["node"]: found[:, start : start + entry["count"]] for entry, start in zip(listed, starts, strict=False)}
+    place = {
+        entry["node"]: found[:, start : start + entry["count"]] for entry, start in zip(listed, starts, strict=False)
+    }
     tree, binary, meshes = _meshes(glb)
     parts = {(node, members[0]): np.full((times, count, 3), np.nan) for node, members, count in meshes}
     first = {(node, member): members[0] for node, members, _ in meshes for member in members}

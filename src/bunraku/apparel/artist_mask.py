@@ -1,4 +1,6 @@
-"""A mask of apparel that somebody made by hand, in a file beside the character's: what it says counts, whatever physics move."""
+"""A mask of apparel that somebody made by hand, in a file beside the character's: what it says counts, whatever physics
+move.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def artist_mask(character: Character) -> np.ndarray | None:
 
 
 def artist_mask_file(character: Character) -> Path | None:
-    """The file of such a mask: for `gene.pmx` the first of `gene.apparel.npy`, `.txt`, `.ply` and `.glb` that is there."""
+    """The file of such a mask: for `gene.pmx` the first of `gene.apparel.npy`, `.txt`, `.ply` and `.glb` that is
+    there.
+    """
     source = character.source
     path = getattr(source, "path", None) or getattr(getattr(source, "document", None), "path", None)
     if not isinstance(path, Path):
@@ -43,9 +47,9 @@ def read_artist_mask(path: str | Path, character: Character) -> np.ndarray:
     """A mask from a file.
 
     Args:
-        path: NPY with a number for each vertex, apparel above a half; text with the number of an apparel vertex in each line, counted
-            from 0; or a PLY or GLB of the same mesh whose vertices are painted red where they are apparel. Its vertices may stand in
-            another order.
+        path: NPY with a number for each vertex, apparel above a half; text with the number of an apparel vertex in each
+            line, counted from 0; or a PLY or GLB of the same mesh whose vertices are painted red where they are
+            apparel. Its vertices may stand in another order.
         character: The character that it is of.
 
     Returns:
@@ -62,16 +66,25 @@ def read_artist_mask(path: str | Path, character: Character) -> np.ndarray:
     if suffix == ".npy":
         values = read_npy(path, data)
         if values.shape != (count,):
-            raise FormatError(path, f"the mask has shape {values.shape}, but the character has {count:,} vertices; make it for this mesh")
+            raise FormatError(
+                path,
+                f"the mask has shape {values.shape}, but the character has {count:,} vertices; make it for this mesh",
+            )
         return np.asarray(values > 0.5)
     if suffix != ".txt":
-        raise FormatError(path, "a mask of apparel is an .npy, a .txt, or a painted .ply or .glb; save it as one of these")
+        raise FormatError(
+            path, "a mask of apparel is an .npy, a .txt, or a painted .ply or .glb; save it as one of these"
+        )
     try:
         numbers = np.array([int(line) for line in data.decode("utf-8-sig").split()], np.int64)
     except (UnicodeDecodeError, ValueError, OverflowError):
-        raise FormatError(path, "this is not a list of vertex numbers; write the number of one apparel vertex in each line") from None
+        raise FormatError(
+            path, "this is not a list of vertex numbers; write the number of one apparel vertex in each line"
+        ) from None
     if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
-        raise FormatError(path, f"it names a vertex that the character does not have (0 to {count - 1:,}); make it for this mesh")
+        raise FormatError(
+            path, f"it names a vertex that the character does not have (0 to {count - 1:,}); make it for this mesh"
+        )
     out = np.zeros(count, bool)
     out[numbers] = True
     return out
@@ -86,7 +99,10 @@ def _painted(path: Path, character: Character) -> np.ndarray:
         raise FormatError(path, "its vertices have no colours; paint apparel red")
     distance, nearest = cKDTree(painted.vertices).query(character.vertices[character.surface])
     if distance.max() > NEAR * float(np.ptp(character.vertices[character.surface], axis=0).max()):
-        raise FormatError(path, "its vertices are not where the character's are; paint the same mesh in the same pose, +Y up and facing +Z")
+        raise FormatError(
+            path,
+            "its vertices are not where the character's are; paint the same mesh in the same pose, +Y up and facing +Z",
+        )
     red, green, blue = painted.colors.astype(int).T
     out = np.zeros(len(character.vertices), bool)
     out[character.surface] = ((red > 100) & (red > 2 * green) & (red > 2 * blue))[nearest]

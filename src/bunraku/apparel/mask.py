@@ -1,4 +1,6 @@
-"""Which vertices of a character are apparel: those that an artist says, or else those that the physics of an MMD or VRM file move."""
+"""Which vertices of a character are apparel: those that an artist says, or else those that the physics of an MMD or VRM
+file move.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ APPAREL_SHARE = 0.5
 
 
 def apparel_mask(character: Character, model: MmdModel | VrmModel | None = None) -> np.ndarray | None:
-    """Vertices whose weight on joints that physics move exceeds a half, shape (V,), bool; None where the file says nothing of physics.
+    """Vertices whose weight on joints that physics move exceeds a half, shape (V,), bool; None where the file says
+    nothing of physics.
 
     A mask beside the file (`artist_mask`) replaces that.
 
@@ -37,7 +40,9 @@ def apparel_mask(character: Character, model: MmdModel | VrmModel | None = None)
 
 
 def moved_joints(character: Character, model: MmdModel | VrmModel | None = None) -> np.ndarray | None:
-    """Joints of the rig with dynamic rigid bodies or on springs, and all joints below them, shape (J,), bool; None as above."""
+    """Joints of the rig with dynamic rigid bodies or on springs, and all joints below them, shape (J,), bool; None as
+    above.
+    """
     rig = character.rig
     model = model or mmd_model(character) or vrm_model(character)
     if model is None or rig is None:

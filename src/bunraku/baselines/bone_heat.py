@@ -1,7 +1,7 @@
 """Bone-heat skinning (Baran & Popovic 2007, section 4): weights as the equilibrium of heat that bones give off.
 
-The surface conducts heat. Each vertex is heated by the nearest bone that it sees, the harder the nearer it is; a bone is kept at 1
-while the others are at 0. Its temperature is the bone's weight.
+The surface conducts heat. Each vertex is heated by the nearest bone that it sees, the harder the nearer it is; a bone
+is kept at 1 while the others are at 0. Its temperature is the bone's weight.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _HEAT = 0.22  # c of the paper, where the mesh is scaled to fit a unit cube
 def cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> csr_matrix:
     """Minus the cotangent Laplacian: conductances of the edges off the diagonal, negative, rows sum to 0, shape (V, V).
 
-    Negative conductances, which obtuse triangles bring, are cut to 0, so that weights stay between 0 and 1. Loose parts are
-    joined by bridges that conduct as the average edge does.
+    Negative conductances, which obtuse triangles bring, are cut to 0, so that weights stay between 0 and 1. Loose parts
+    are joined by bridges that conduct as the average edge does.
     """
     count = len(vertices)
     rows, columns, values = [], [], []
@@ -42,7 +42,9 @@ def cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> csr_matrix:
     matrix.data = np.maximum(matrix.data, 1e-6)
     bridges = bridge_edges(vertices, mesh_parts(unique_edges(faces, count), count))
     if len(bridges):
-        links = csr_matrix((np.full(len(bridges), float(matrix.data.mean())), (bridges[:, 0], bridges[:, 1])), shape=(count, count))
+        links = csr_matrix(
+            (np.full(len(bridges), float(matrix.data.mean())), (bridges[:, 0], bridges[:, 1])), shape=(count, count)
+        )
         matrix = matrix + links + links.T
     return csr_matrix(diags(np.asarray(matrix.sum(axis=1)).ravel()) - matrix)
 
@@ -57,13 +59,18 @@ def bone_distances(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> 
 
 
 def bone_heat(
-    vertices: np.ndarray, faces: np.ndarray, starts: np.ndarray, ends: np.ndarray, owners: Sequence[int] | np.ndarray, volume: Volume | None = None
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    starts: np.ndarray,
+    ends: np.ndarray,
+    owners: Sequence[int] | np.ndarray,
+    volume: Volume | None = None,
 ) -> np.ndarray:
     """Weights of bones: the solution of `(-L + H) w = H p`.
 
-    H of a vertex is c over the squared distance to its nearest visible bone, per unit of area; where several bones are as near,
-    p gives each an equal share. A bone is visible where the line to it stays inside the mesh; vertices that see none, as on
-    sheets, take no heat of their own, and where a whole mesh is so, all bones count as visible.
+    H of a vertex is c over the squared distance to its nearest visible bone, per unit of area; where several bones are
+    as near, p gives each an equal share. A bone is visible where the line to it stays inside the mesh; vertices that
+    see none, as on sheets, take no heat of their own, and where a whole mesh is so, all bones count as visible.
 
     Args:
         vertices: Welded positions, largest extent 1, shape (V, 3).

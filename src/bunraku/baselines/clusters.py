@@ -46,7 +46,9 @@ def _seeds(graph: csr_matrix, areas: np.ndarray, count: int, rng: np.random.Gene
 
 
 def _medoid(graph: csr_matrix, members: np.ndarray, points: np.ndarray, areas: np.ndarray) -> int:
-    """The member with the least area-weighted sum of squared geodesic distances to the others, among those near their mean."""
+    """The member with the least area-weighted sum of squared geodesic distances to the others, among those near their
+    mean.
+    """
     mean = np.average(points[members], axis=0, weights=areas[members])
     order = np.argsort(np.square(points[members] - mean).sum(axis=1), kind="stable")
     tried = order[:: max(1, len(order) // (4 * _MEDOIDS))][:_MEDOIDS]

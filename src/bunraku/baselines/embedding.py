@@ -1,8 +1,9 @@
 """A human skeleton placed inside any mesh, after Pinocchio (Baran & Popovic 2007), to compare handles with.
 
 Joints go to centres of spheres packed inside the mesh. The best placement of the whole tree is found exactly by dynamic
-programming over the skeleton's tree: each bone has a cost of length, direction and leaving the mesh, each joint one of standing
-off the middle of the volume or on the wrong side of the body. Then each joint is moved a little to where its bones cost least.
+programming over the skeleton's tree: each bone has a cost of length, direction and leaving the mesh, each joint one of
+standing off the middle of the volume or on the wrong side of the body. Then each joint is moved a little to where its
+bones cost least.
 """
 
 from __future__ import annotations
@@ -72,7 +73,13 @@ def human_template() -> Template:
         joint = JOINT_NAMES.index(name)
         own = body.vertices[body.joint_weights[:, joint] > 0.5]
         axis = body.joints[joint] - body.joints[JOINT_PARENTS[joint]]
-        axis = np.array([0, 1.0, 0]) if name == "head" else np.array([0, 0, 1.0]) if name.endswith("foot") else axis / np.linalg.norm(axis)
+        axis = (
+            np.array([0, 1.0, 0])
+            if name == "head"
+            else np.array([0, 0, 1.0])
+            if name.endswith("foot")
+            else axis / np.linalg.norm(axis)
+        )
         reach = float(((own - body.joints[joint]) @ axis).max())
         points.append(body.joints[joint] + 0.9 * reach * axis)
         parents.append(joint)
@@ -162,7 +169,9 @@ def embed_skeleton(template: Template, volume: Volume, low: np.ndarray, high: np
     best = np.zeros((count, len(points)), np.int64)  # where each point goes, for each place of its parent
     for point in range(count - 1, 0, -1):
         parent = int(template.parents[point])
-        bones = _bone_costs(points[:, None], points[None], (template.points[point] - template.points[parent]) * size, size)
+        bones = _bone_costs(
+            points[:, None], points[None], (template.points[point] - template.points[parent]) * size, size
+        )
         total = bones + outside + costs[point]
         best[point] = total.argmin(axis=1)
         costs[parent] += total.min(axis=1)
@@ -174,7 +183,15 @@ def embed_skeleton(template: Template, volume: Volume, low: np.ndarray, high: np
     return EmbeddedSkeleton(found, template.parents, template.joints, float(costs[0].min()))
 
 
-def _refined(template: Template, points: np.ndarray, volume: Volume, low: np.ndarray, high: np.ndarray, size: float, rounds: int = 6) -> np.ndarray:
+def _refined(
+    template: Template,
+    points: np.ndarray,
+    volume: Volume,
+    low: np.ndarray,
+    high: np.ndarray,
+    size: float,
+    rounds: int = 6,
+) -> np.ndarray:
     """Joints moved by shrinking steps wherever that lowers the cost of what they touch."""
     points = points.copy()
     middle = float(low[0] + high[0]) / 2
@@ -184,13 +201,19 @@ def _refined(template: Template, points: np.ndarray, volume: Volume, low: np.nda
         step = 1.5 * volume.step * 0.7**turn
         for point, parent in enumerate(template.parents):
             tried = points[point] + step * offsets
-            unary = template.__class__(template.points[[point]], template.parents[[point]], template.sides[[point]], 1, template.lean)
+            unary = template.__class__(
+                template.points[[point]], template.parents[[point]], template.sides[[point]], 1, template.lean
+            )
             cost = _joint_costs(unary, tried, np.maximum(volume.at(tried), 0), middle, size)[0]
             if parent >= 0:
-                cost += _bone_costs(points[parent], tried, (template.points[point] - template.points[parent]) * size, size)
+                cost += _bone_costs(
+                    points[parent], tried, (template.points[point] - template.points[parent]) * size, size
+                )
                 cost += _outside_costs(points[parent], tried, volume, size)
             for child in children[point]:
-                cost += _bone_costs(tried, points[child], (template.points[child] - template.points[point]) * size, size)
+                cost += _bone_costs(
+                    tried, points[child], (template.points[child] - template.points[point]) * size, size
+                )
                 cost += _outside_costs(tried, points[child], volume, size)
             points[point] = tried[cost.argmin()]
     return points

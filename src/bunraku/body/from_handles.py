@@ -1,10 +1,11 @@
-"""Handle motions of the reference body as motions of SMPL's 22 joints: the way back of `datasets.motions.handle_motion_of_body`.
+"""Handle motions of the reference body as motions of SMPL's 22 joints: the way back of
+`datasets.motions.handle_motion_of_body`.
 
-A handle's rotation is the rigid motion that fits all the skin that it weighs, and near joints that skin is shared: the handle of a
-collar, most of whose skin is the chest's or the arm's too, turns twelve degrees less or more than the joint. So the joints' rotations are those
-whose skin, posed and registered, gives the handles' rotations back. The covariances that registration takes the rotations from are
-linear in the joints' transforms, so no vertex is posed on the way: each round is two matrix products and turns every joint by what its
-handle lacks.
+A handle's rotation is the rigid motion that fits all the skin that it weighs, and near joints that skin is shared: the
+handle of a collar, most of whose skin is the chest's or the arm's too, turns twelve degrees less or more than the
+joint. So the joints' rotations are those whose skin, posed and registered, gives the handles' rotations back. The
+covariances that registration takes the rotations from are linear in the joints' transforms, so no vertex is posed on
+the way: each round is two matrix products and turns every joint by what its handle lacks.
 """
 
 from __future__ import annotations
@@ -59,24 +60,31 @@ def _moments() -> _Moments:
 def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> SkeletalMotion:
     """The motion of SMPL's 22 joints that moves the reference body as a handle motion does.
 
-    The skeleton is the reference body's. What handles do beyond turning about joints (soft bending, tails, fingers) is left out;
-    `joint_errors` says how much that is.
+    The skeleton is the reference body's. What handles do beyond turning about joints (soft bending, tails, fingers) is
+    left out; `joint_errors` says how much that is.
 
     Args:
         motion: Of the reference body's handles: at least 22, those of SMPL's joints first.
-        rounds: How often the joints are turned by what the handles lack; 0 takes the handles' rotations for the joints'.
+        rounds: How often the joints are turned by what the handles lack; 0 takes the handles' rotations for the
+            joints'.
 
     Raises:
         MotionError: The motion has fewer handles.
     """
     if motion.rotations.shape[1] < JOINT_COUNT:
-        raise MotionError(f"a motion of {motion.rotations.shape[1]} handles is not one of the reference body, which has 30; retarget it first")
+        raise MotionError(
+            f"a motion of {motion.rotations.shape[1]} handles is not one of the reference body, which has 30; "
+            "retarget it first"
+        )
     body = reference_body()
     want = motion.root_rotation[:, None].astype(float) @ motion.rotations[:, :JOINT_COUNT]
     world = np.concatenate([_world(want[start : start + CHUNK], rounds) for start in range(0, len(want), CHUNK)])
-    # The place of the pelvis handle is a mean of skin, to which the thighs belong too: the root joint is where that mean comes out right.
+    # The place of the pelvis handle is a mean of skin, to which the thighs belong too: the root joint is where that
+    # mean comes out right.
     root = motion.root_translation + body.handles.positions[0] - _mean_of_root(world)
-    return SkeletalMotion(Skeleton(JOINT_NAMES, _PARENTS, body.skeleton.offsets), local_rotations(world, _PARENTS), root, motion.fps)
+    return SkeletalMotion(
+        Skeleton(JOINT_NAMES, _PARENTS, body.skeleton.offsets), local_rotations(world, _PARENTS), root, motion.fps
+    )
 
 
 def _joint_places(world: np.ndarray) -> np.ndarray:
@@ -96,7 +104,9 @@ def _world(want: np.ndarray, rounds: int) -> np.ndarray:
     for _ in range(rounds):
         wide = world.transpose(0, 2, 1, 3).reshape(3 * frames, -1)  # rows: frame and axis; columns: joint and its axis
         places = _joint_places(world).transpose(0, 2, 1).reshape(3 * frames, -1)
-        covariance = (wide @ moments.linear + places @ moments.shift).reshape(frames, 3, JOINT_COUNT, 3).transpose(0, 2, 1, 3)
+        covariance = (
+            (wide @ moments.linear + places @ moments.shift).reshape(frames, 3, JOINT_COUNT, 3).transpose(0, 2, 1, 3)
+        )
         lacking = axis_angle_from_matrix(want @ np.swapaxes(nearest_rotation(covariance), -1, -2))
         world = matrix_from_axis_angle(lacking) @ world
     return world
@@ -109,11 +119,14 @@ def _mean_of_root(world: np.ndarray) -> np.ndarray:
     mass /= mass.sum()
     shares = mass[:, None] * body.joint_weights
     arms = np.einsum("vj,vja->ja", shares, body.vertices[:, None].astype(float) - body.joints)
-    return np.asarray(np.einsum("njab,jb->na", world, arms) + np.einsum("j,nja->na", shares.sum(axis=0), _joint_places(world)))
+    return np.asarray(
+        np.einsum("njab,jb->na", world, arms) + np.einsum("j,nja->na", shares.sum(axis=0), _joint_places(world))
+    )
 
 
 def joint_errors(motion: HandleMotion, found: SkeletalMotion) -> np.ndarray:
-    """How far joints are from where the handles above and below them take them, in the mean over frames [m], shape (22,).
+    """How far joints are from where the handles above and below them take them, in the mean over frames [m], shape
+    (22,).
 
     Args:
         motion: Of the reference body's handles.

@@ -1,8 +1,8 @@
 """Joint rotations from joint positions: what sets of positions only (HumanML3D) leave out.
 
-Positions say where each bone points, not how it is rolled about itself. Parts with several joints (pelvis, chest) are turned by the
-rigid transform that fits them, others by the smallest turn from their parent that points them right; upper arms and thighs are then
-rolled so that elbows and knees bend the way they can, as far as they are bent.
+Positions say where each bone points, not how it is rolled about itself. Parts with several joints (pelvis, chest) are
+turned by the rigid transform that fits them, others by the smallest turn from their parent that points them right;
+upper arms and thighs are then rolled so that elbows and knees bend the way they can, as far as they are bent.
 """
 
 from __future__ import annotations
@@ -79,7 +79,9 @@ def _rest_offsets(bones: np.ndarray) -> np.ndarray:
 def _frame(bones: np.ndarray, left: int, right: int, above: int) -> np.ndarray:
     """Axes of a part as columns: to its left, up along it, forward; shape (..., 3, 3) from bones (..., 22, 3)."""
     across = bones[..., left, :] - bones[..., right, :]
-    low = (bones[..., left, :] + bones[..., right, :]) / 2 if left == _PARTS[0][0] else 0  # collar bones may be over the neck's end
+    low = (
+        (bones[..., left, :] + bones[..., right, :]) / 2 if left == _PARTS[0][0] else 0
+    )  # collar bones may be over the neck's end
     forward = np.cross(across, bones[..., above, :] - low)
     axes = [across, np.cross(forward, across), forward]
     return np.stack([axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12) for axis in axes], -1)
@@ -98,6 +100,8 @@ def _rolled(world: np.ndarray, joint: int, offsets: np.ndarray, bones: np.ndarra
     way -= axis * (axis @ way)
     bent = np.einsum("nji,nj->ni", world, bones[:, LIMB_CHILD[child]])
     bent /= np.maximum(np.linalg.norm(bent, axis=-1, keepdims=True), 1e-9)
-    pair = np.stack([bent @ way + _PULL, bent @ np.cross(axis, way)], -1)  # the direction that the roll should turn `way` to
+    pair = np.stack(
+        [bent @ way + _PULL, bent @ np.cross(axis, way)], -1
+    )  # the direction that the roll should turn `way` to
     pair = gaussian_filter1d(pair, _SMOOTH * fps, axis=0, mode="nearest")
     return np.asarray(world @ matrix_from_axis_angle(np.arctan2(pair[:, 1], pair[:, 0])[:, None] * axis))

@@ -1,18 +1,29 @@
 """The words for body parts: SMPL's 22 joints and Bunraku's 30 handles.
 
 The first 22 handles are the parts that SMPL's 22 joints move, so handle 7 of any character means what it means on the
-reference body. The other eight are parts that many characters have and people lack or share with a neighbour: fingers, what
-stands on the head (hair, hats, horns, ears), the front of the face (snout, beak, jaw), two wings (on a person the two halves
-of the upper back, on a character with a cape the cape) and a tail of two pieces.
+reference body. The other eight are parts that many characters have and people lack or share with a neighbour: fingers,
+what stands on the head (hair, hats, horns, ears), the front of the face (snout, beak, jaw), two wings (on a person the
+two halves of the upper back, on a character with a cape the cape) and a tail of two pieces.
 """
 
 from __future__ import annotations
 
-__all__ = ["HANDLE_COUNT", "HANDLE_MIRROR", "HANDLE_NAMES", "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES", "JOINT_PARENTS"]
+__all__ = [
+    "HANDLE_COUNT",
+    "HANDLE_MIRROR",
+    "HANDLE_NAMES",
+    "HANDLE_PARENTS",
+    "JOINT_COUNT",
+    "JOINT_MIRROR",
+    "JOINT_NAMES",
+    "JOINT_PARENTS",
+]
 
 JOINT_NAMES: tuple[str, ...] = (
-    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
-    "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
+    "spine3",
+    "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder",
+    "left_elbow",
     "right_elbow", "left_wrist", "right_wrist",
 )  # fmt: skip
 JOINT_PARENTS: tuple[int, ...] = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)

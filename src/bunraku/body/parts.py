@@ -42,7 +42,8 @@ def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
     """Which handles words name, shape (K,), bool.
 
     Args:
-        keep: Parts (`PARTS`) or single handles (`HANDLE_NAMES`), as a list or parted by commas; case, hyphens and underscores do not
+        keep: Parts (`PARTS`) or single handles (`HANDLE_NAMES`), as a list or parted by commas; case, hyphens and
+            underscores do not
             matter.
 
     Raises:
@@ -59,7 +60,10 @@ def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
         elif plain.replace(" ", "_") in HANDLE_NAMES:
             out[HANDLE_NAMES.index(plain.replace(" ", "_"))] = True
         else:
-            raise OptionError(f"there is no part '{word.strip()}' to keep; there are {', '.join(PARTS)}, and single handles such as left_wrist")
+            raise OptionError(
+                f"there is no part '{word.strip()}' to keep; there are {', '.join(PARTS)}, and single handles such as "
+                "left_wrist"
+            )
     if out.all():
         raise OptionError("all handles are kept, so there is nothing to generate; keep fewer")
     return out

@@ -51,7 +51,10 @@ class ReferenceBody:
         """The canonical handles; one that has no vertices on a person stands at its parent (see `handle_positions`)."""
         from bunraku.geometry.areas import vertex_areas
 
-        return Handles(handle_positions(self.vertices, self.handle_weights, vertex_areas(self.vertices, self.faces)), self.handle_weights)
+        return Handles(
+            handle_positions(self.vertices, self.handle_weights, vertex_areas(self.vertices, self.faces)),
+            self.handle_weights,
+        )
 
     def character(self) -> Character:
         """The body as a rigged character."""
@@ -59,13 +62,16 @@ class ReferenceBody:
         weights = np.take_along_axis(self.joint_weights, indices, axis=1)
         transforms = np.tile(np.eye(4), (len(self.joints), 1, 1))
         transforms[:, :3, 3] = self.joints
-        rig = Rig(JOINT_NAMES, np.array(JOINT_PARENTS), transforms, indices, weights / weights.sum(axis=1, keepdims=True))
+        rig = Rig(
+            JOINT_NAMES, np.array(JOINT_PARENTS), transforms, indices, weights / weights.sum(axis=1, keepdims=True)
+        )
         return Character(f"reference-{self.name}", self.vertices, self.faces, rig)
 
     def pose(self, motion: SkeletalMotion) -> np.ndarray:
         """Vertices of the body in every frame of a motion of the 22 joints [m], shape (N, V, 3).
 
-        The body keeps its own bones: joints turn as the motion says, and the root's path is scaled by the ratio of leg lengths.
+        The body keeps its own bones: joints turn as the motion says, and the root's path is scaled by the ratio of leg
+        lengths.
 
         Raises:
             MotionError: The motion has other joints.
@@ -75,13 +81,22 @@ class ReferenceBody:
         scale = leg_length(self.joints) / leg_length(motion.skeleton.positions)
         own = SkeletalMotion(self.skeleton, motion.rotations, motion.root_translation * scale, motion.fps)
         rotations, positions = own.world()
-        transforms = np.concatenate([rotations, (positions - np.einsum("njab,jb->nja", rotations, self.joints))[..., None]], axis=-1)
+        transforms = np.concatenate(
+            [rotations, (positions - np.einsum("njab,jb->nja", rotations, self.joints))[..., None]], axis=-1
+        )
         return skin(self.vertices, self.joint_weights, transforms)
 
 
 def leg_length(joints: np.ndarray) -> float:
     """Mean length of the two legs from hip to ankle [m], from joint positions (22, 3)."""
-    return float(np.mean([np.linalg.norm(joints[a] - joints[b]) + np.linalg.norm(joints[b] - joints[c]) for a, b, c in ((1, 4, 7), (2, 5, 8))]))
+    return float(
+        np.mean(
+            [
+                np.linalg.norm(joints[a] - joints[b]) + np.linalg.norm(joints[b] - joints[c])
+                for a, b, c in ((1, 4, 7), (2, 5, 8))
+            ]
+        )
+    )
 
 
 def handle_positions(vertices: np.ndarray, weights: np.ndarray, areas: np.ndarray) -> np.ndarray:
@@ -109,7 +124,10 @@ def handle_positions(vertices: np.ndarray, weights: np.ndarray, areas: np.ndarra
 
 @lru_cache(maxsize=1)
 def _asset() -> dict[str, np.ndarray]:
-    with files("bunraku.body").joinpath("reference.npz").open("rb") as handle, np.load(handle, allow_pickle=False) as archive:
+    with (
+        files("bunraku.body").joinpath("reference.npz").open("rb") as handle,
+        np.load(handle, allow_pickle=False) as archive,
+    ):
         return {key: archive[key] for key in archive.files}
 
 
@@ -137,6 +155,7 @@ def reference_body(shape: str = "average") -> ReferenceBody:
         return dense / dense.sum(axis=1, keepdims=True)
 
     return ReferenceBody(
-        shape, vertices, asset["faces"].astype(np.int64), asset["shape_joints"][index], weights("joint_weights"), weights("handle_weights"),
+        shape, vertices, asset["faces"].astype(np.int64), asset["shape_joints"][index], weights("joint_weights"),
+        weights("handle_weights"),
         asset["mirror"].astype(np.int64),
     )  # fmt: skip

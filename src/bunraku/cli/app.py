@@ -29,19 +29,43 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("data", "motions"): ("data.samples", "Motions", "turn a motion archive into handle motions to train on"),
     ("data", "characters"): ("data.samples", "Characters", "turn rigged characters into samples to train on"),
     ("data", "mesh-bank"): ("data.samples", "MeshBank", "write the mesh features of characters to train with"),
-    ("data", "character-bank"): ("data.character_bank", "CharacterBank", "pack rigged characters for the losses of mesh-specific motion learning"),
-    ("data", "wardrobe"): ("data.wardrobe", "Wardrobe", "make dressed characters with rigid bodies for their apparel, as PMX files"),
-    ("data", "apparel"): ("data.apparel", "Apparel", "simulate the apparel of characters in motion, as data to train on"),
+    ("data", "character-bank"): (
+        "data.character_bank",
+        "CharacterBank",
+        "pack rigged characters for the losses of mesh-specific motion learning",
+    ),
+    ("data", "wardrobe"): (
+        "data.wardrobe",
+        "Wardrobe",
+        "make dressed characters with rigid bodies for their apparel, as PMX files",
+    ),
+    ("data", "apparel"): (
+        "data.apparel",
+        "Apparel",
+        "simulate the apparel of characters in motion, as data to train on",
+    ),
     ("train", "handles"): ("train", "handles", "train the Mesh Handle Predictor"),
     ("train", "orientation"): ("train", "orientation", "train the network that knows how a character stands"),
     ("train", "diffusion"): ("train", "diffusion", "train the Shape-aware Motion Diffusion"),
-    ("train", "extractor"): ("train", "extractor", "train the feature extractor that generated motion is measured with"),
+    ("train", "extractor"): (
+        "train",
+        "extractor",
+        "train the feature extractor that generated motion is measured with",
+    ),
     ("train", "adaptation"): ("train", "adaptation", "fine-tune the adaptation of motions to meshes"),
     ("evaluate", "handles"): ("evaluate.handles", "EvaluateHandles", "measure the handles on rigged characters"),
     ("evaluate", "motion"): ("evaluate.motion", "EvaluateMotion", "measure generated motion on held-out clips"),
     ("evaluate", "transfer"): ("evaluate.transfer", "EvaluateTransfer", "measure motion transfer on rigged characters"),
-    ("evaluate", "physics"): ("evaluate.physics", "EvaluatePhysics", "measure the simulated apparel of MMD and VRM characters"),
-    ("evaluate", "retrieval"): ("evaluate.retrieval", "Retrieval", "test how well sentences are found back from motions"),
+    ("evaluate", "physics"): (
+        "evaluate.physics",
+        "EvaluatePhysics",
+        "measure the simulated apparel of MMD and VRM characters",
+    ),
+    ("evaluate", "retrieval"): (
+        "evaluate.retrieval",
+        "Retrieval",
+        "test how well sentences are found back from motions",
+    ),
 }
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -145,7 +169,10 @@ def _print_help(verbs: dict[tuple[str, ...], tuple[str, str, str]], group: str =
         print(f"  {' '.join(verb):<{width}}  {summary}")
     if not group:
         print("\n  --version  print the version\n  --debug    show the traceback of an error (or set BUNRAKU_DEBUG=1)")
-        print('\nexample: bunraku animate dragon.glb "walks forward, then waves" --seconds 6 -o dragon-wave.glb --preview dragon-wave.mp4')
+        print(
+            '\nexample: bunraku animate dragon.glb "walks forward, then waves" --seconds 6 -o dragon-wave.glb '
+            "--preview dragon-wave.mp4"
+        )
     print(f"\n`{prefix} COMMAND --help` tells the options of a command.")
 
 
@@ -162,10 +189,16 @@ def _explain(error: Exception) -> tuple[int, str]:
         if isinstance(error, PermissionError):
             return 2, f"{where}permission denied; choose a file or folder that you may use"
         return 2, f"{where}{error.strerror or error}"
-    return 1, f"this is a fault of Bunraku, not yours: {type(error).__name__}: {error}; run again with --debug and report what it prints"
+    return (
+        1,
+        f"this is a fault of Bunraku, not yours: {type(error).__name__}: {error}; run again with --debug and report "
+        "what it prints",
+    )
 
 
 def _is_allocation_failure(error: Exception) -> bool:
     """Whether torch, which raises RuntimeError for it, ran out of memory on the CPU or on a GPU."""
     text = str(error)
-    return isinstance(error, RuntimeError) and ("not enough memory" in text or "can't allocate memory" in text or "out of memory" in text)
+    return isinstance(error, RuntimeError) and (
+        "not enough memory" in text or "can't allocate memory" in text or "out of memory" in text
+    )

@@ -46,7 +46,9 @@ def check_sequence(prompt: str, seconds: float) -> None:
 
 
 def check_input(path: Path) -> None:
-    """Raise FormatError unless this is a plain file that can be opened, holds something, and is not too large to read."""
+    """Raise FormatError unless this is a plain file that can be opened, holds something, and is not too large to
+    read.
+    """
     from bunraku.formats import files
 
     files.check_input(path)
@@ -97,7 +99,9 @@ def check_different(paths: Iterable[Path]) -> None:
     for path in paths:
         target = path.resolve().with_suffix("") if path.suffix.lower() in SEQUENCES else path.resolve()
         if target in seen:
-            raise OptionError(f"{seen[target]} and {path} would both be written to {target.name}; choose another name for one of them")
+            raise OptionError(
+                f"{seen[target]} and {path} would both be written to {target.name}; choose another name for one of them"
+            )
         seen[target] = path
 
 
@@ -115,7 +119,9 @@ def check_folder(folder: Path) -> None:
         with tempfile.NamedTemporaryFile(dir=nearest, prefix=".bunraku-"):
             pass
     except OSError as error:
-        raise FormatError(folder, f"the folder cannot be written to ({error.strerror or error}); choose another one") from error
+        raise FormatError(
+            folder, f"the folder cannot be written to ({error.strerror or error}); choose another one"
+        ) from error
 
 
 def make_folder(path: Path) -> None:
@@ -130,7 +136,9 @@ def make_folder(path: Path) -> None:
 
 
 def slug(text: str, length: int = 40) -> str:
-    """Words of a sentence as a part of a file name, cut at a word: "Walks forward, then waves!" -> "walks-forward-then-waves"."""
+    """Words of a sentence as a part of a file name, cut at a word: "Walks forward, then waves!" ->
+    "walks-forward-then-waves".
+    """
     words = re.findall(r"\w+", text.lower())
     out = ""
     for word in words:

@@ -19,9 +19,11 @@ class GeneratingOptions:
     """How a motion is drawn from a sentence, fitted to a character and written."""
 
     output: OutputOption = ()
-    """File to write: .glb, .usd, .usdc, .usdz, .fbx (with Blender), .npz (the handle motion), .bvh or .vrma (what the humanoid skeleton
-    does), .vmd (of MMD characters), .obj or .ply (a folder with one mesh a frame), .mp4, .webp, .gif or .png. May be given more than once.
-    Default: a name made of the input's and the sentence, in this folder."""
+    """File to write: .glb, .usd, .usdc, .usdz, .fbx (with Blender), .npz (the handle motion), .bvh or .vrma (what the
+    humanoid skeleton does), .vmd (of MMD characters), .obj or .ply (a folder with one mesh a frame), .mp4, .webp, .gif
+    or .png. May be given more than once.
+    Default: a name made of the input's and the sentence, in this folder.
+    """
     preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
     seed: int = 0
@@ -33,13 +35,19 @@ class GeneratingOptions:
     fps: float = 30.0
     """Frames a second of the files, 1 to 120."""
     handles: Literal["predict", "rig"] = "predict"
-    """Where the character's handles come from: "predict" finds them from the shape, "rig" takes the file's own bones, by their names."""
+    """Where the character's handles come from: "predict" finds them from the shape, "rig" takes the file's own bones,
+    by their names.
+    """
     up: AxisOption = "auto"
-    """The axis that is up in the character's file. "auto" goes by the rule of the format, and by the shape where it has none."""
+    """The axis that is up in the character's file. "auto" goes by the rule of the format, and by the shape where it has
+    none.
+    """
     front: AxisOption = "auto"
     """The axis that the character faces in its file."""
     without: WithoutOption = ()
-    """Leave out a stage that fits the motion to the character: rest-pose, attach, shape, ground, feet, smooth or floor. May be repeated."""
+    """Leave out a stage that fits the motion to the character: rest-pose, attach, shape, ground, feet, smooth or floor.
+    May be repeated.
+    """
 
     def check(self) -> None:
         """Raise OptionError unless a motion can be made with these."""

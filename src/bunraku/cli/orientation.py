@@ -35,7 +35,9 @@ def check_axes(up: str, front: str) -> None:
             except OptionError as error:
                 raise OptionError(f"{option}: {error}, or auto") from None
     if len(names) == 2 and names["--up"][1] == names["--front"][1]:
-        raise OptionError(f"--up {names['--up']} and --front {names['--front']} lie along the same axis; choose two at a right angle")
+        raise OptionError(
+            f"--up {names['--up']} and --front {names['--front']} lie along the same axis; choose two at a right angle"
+        )
 
 
 def stand_up(character: Character, path: Path, up: str = "auto", front: str = "auto") -> Character:
@@ -60,22 +62,33 @@ def stand_up(character: Character, path: Path, up: str = "auto", front: str = "a
 def settle_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[Settled, str]:
     """How a character of a file is taken to stand, and what there is to say about it.
 
-    Where the format has a rule and no option says otherwise, the rule holds, and a guess that is sure of something else is told.
+    Where the format has a rule and no option says otherwise, the rule holds, and a guess that is sure of something else
+    is told.
     """
     from bunraku.handles.orientation import SURE, settle
 
-    rule = getattr(character.source, "suffix", ".obj") not in SILENT and up.strip().lower() == front.strip().lower() == "auto"
+    rule = (
+        getattr(character.source, "suffix", ".obj") not in SILENT
+        and up.strip().lower() == front.strip().lower() == "auto"
+    )
     settled = settle(character, up, front, sure=math.inf if rule else SURE)
     guess = settled.guess
     if not rule or guess is None:
         return settled, said_axes(settled, up, front)
     bones = _front_of_bones(character)
     if bones not in ("", settled.front):
-        return settled, f"its bones face {bones.upper()}, if left and right are named rightly; left as it is. Say --front {bones} to turn it."
+        return (
+            settled,
+            f"its bones face {bones.upper()}, if left and right are named rightly; left as it is. Say --front {bones} "
+            "to turn it.",
+        )
     if guess.confidence < SURE or (guess.up, guess.front) == (settled.up, settled.front):
         return settled, ""
     seen = f"{guess.up.upper()} up and face {guess.front.upper()} ({_percent(guess.confidence)} sure)"
-    return settled, f"seems to have {seen}, against the rule of its format; left as it is. Say --up and --front to turn it."
+    return (
+        settled,
+        f"seems to have {seen}, against the rule of its format; left as it is. Say --up and --front to turn it.",
+    )
 
 
 def _front_of_bones(character: Character) -> str:
@@ -97,10 +110,18 @@ def said_axes(settled: Settled, up: str = "auto", front: str = "auto") -> str:
     from bunraku.geometry.axes import default_orientation
     from bunraku.handles.orientation import MAYBE
 
-    guess, options = settled.guess, [option for option, value in zip(OPTIONS, (up, front), strict=True) if value.strip().lower() == "auto"]
+    guess, options = (
+        settled.guess,
+        [option for option, value in zip(OPTIONS, (up, front), strict=True) if value.strip().lower() == "auto"],
+    )
     if guess is None:
         return ""
-    usual = default_orientation(*(None if option in options else axis for option, axis in zip(OPTIONS, (settled.up, settled.front), strict=True)))
+    usual = default_orientation(
+        *(
+            None if option in options else axis
+            for option, axis in zip(OPTIONS, (settled.up, settled.front), strict=True)
+        )
+    )
     turned = (settled.up, settled.front) != usual
     if (guess.up, guess.front) == usual or not (turned or guess.confidence >= MAYBE):
         return ""
@@ -110,7 +131,9 @@ def said_axes(settled: Settled, up: str = "auto", front: str = "auto") -> str:
     if "--front" in options and (not turned or settled.front == guess.front):
         words.append(f"face {guess.front.upper()} ({_percent(guess.front_confidence)} sure)")
     verdict = "turned" if turned else f"taken as {settled.up.upper()} up, facing {settled.front.upper()}"
-    return f"{'seems to' if turned else 'may'} {' and '.join(words)}; {verdict}. Say {' and '.join(options)} to settle it."
+    return (
+        f"{'seems to' if turned else 'may'} {' and '.join(words)}; {verdict}. Say {' and '.join(options)} to settle it."
+    )
 
 
 def _percent(share: float) -> str:

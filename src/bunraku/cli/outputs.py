@@ -1,4 +1,6 @@
-"""What the verbs that make animations share: options of sampling, of fitting and of the files, and how these are checked and written."""
+"""What the verbs that make animations share: options of sampling, of fitting and of the files, and how these are
+checked and written.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +20,42 @@ if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
     from bunraku.retarget.fit import Stages
 
-__all__ = ["PREVIEWS", "OutputOption", "PreviewOption", "WithoutOption", "check_outputs", "check_stages", "fitting_stages", "save_all"]
+__all__ = [
+    "PREVIEWS",
+    "OutputOption",
+    "PreviewOption",
+    "WithoutOption",
+    "check_outputs",
+    "check_stages",
+    "fitting_stages",
+    "save_all",
+]
 
 PREVIEWS = (".mp4", ".webp", ".gif", ".png")
-OUTPUTS = (".glb", ".npz", ".bvh", ".vrma", ".vmd", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".obj", ".ply", *PREVIEWS)
+OUTPUTS = (
+    ".glb",
+    ".npz",
+    ".bvh",
+    ".vrma",
+    ".vmd",
+    ".usd",
+    ".usda",
+    ".usdc",
+    ".usdz",
+    ".fbx",
+    ".obj",
+    ".ply",
+    *PREVIEWS,
+)
 
 OutputOption = Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction]
 PreviewOption = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction]
 WithoutOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction]
 
 
-def check_outputs(outputs: Sequence[Path], previews: Sequence[Path], inputs: Sequence[Path], suffixes: Sequence[str] = OUTPUTS) -> None:
+def check_outputs(
+    outputs: Sequence[Path], previews: Sequence[Path], inputs: Sequence[Path], suffixes: Sequence[str] = OUTPUTS
+) -> None:
     """Raise FormatError or OptionError unless all files can be written.
 
     Args:
@@ -75,7 +102,9 @@ def save_all(
 
             make_folder(path)
             shown = Animation(animation.character, animation.handles, animation.motion)
-            written.append(save_preview(shown, path, fps=fps, progress=lambda done, total: report("preview", done / total)))
+            written.append(
+                save_preview(shown, path, fps=fps, progress=lambda done, total: report("preview", done / total))
+            )
     finally:  # what is whole stays
         for path in written:
             wrote(path)

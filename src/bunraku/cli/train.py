@@ -52,8 +52,8 @@ def orientation() -> tuple[type, Callable[[Any], None]]:
 def diffusion() -> tuple[type, Callable[[Any], None]]:
     """Train the Shape-aware Motion Diffusion (section 3.2 of TapMo).
 
-    The same command goes on where a run stopped. The preset "small" trains on a processor in hours. Several GPUs or processes train
-    together under `accelerate launch -m bunraku train diffusion ...`.
+    The same command goes on where a run stopped. The preset "small" trains on a processor in hours. Several GPUs or
+    processes train together under `accelerate launch -m bunraku train diffusion ...`.
 
     Example: bunraku train diffusion --data data/motions --out runs/diffusion --minutes 240
     """
@@ -67,7 +67,8 @@ def adaptation() -> tuple[type, Callable[[Any], None]]:
 
     Only the linear layer of the adaptation learns. The same command goes on where a run stopped.
 
-    Example: bunraku train adaptation --diffusion runs/diffusion/diffusion.safetensors --cache data/characters.npz --out runs/adaptation
+    Example: bunraku train adaptation --diffusion runs/diffusion/diffusion.safetensors --cache data/characters.npz --out
+    runs/adaptation
     """
     from bunraku.training.adaptation.train import AdaptationConfig, train_adaptation
 

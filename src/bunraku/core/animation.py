@@ -26,7 +26,8 @@ class Animation:
         character: The character.
         handles: Its K handles.
         motion: Their motion.
-        reference: The motion of the reference body that `motion` was fitted from, where it is known; it is what `bunraku.edit` edits.
+        reference: The motion of the reference body that `motion` was fitted from, where it is known; it is what
+            `bunraku.edit` edits.
 
     Raises:
         CharacterError: The handles weigh another number of vertices than the character has.
@@ -40,9 +41,15 @@ class Animation:
 
     def __post_init__(self) -> None:
         if len(self.handles.weights) != len(self.character.vertices):
-            raise CharacterError(f"the handles weigh {len(self.handles.weights)} vertices but the character has {len(self.character.vertices)}")
+            raise CharacterError(
+                f"the handles weigh {len(self.handles.weights)} vertices but the character has "
+                f"{len(self.character.vertices)}"
+            )
         if self.motion.translations.shape[1] != len(self.handles.positions):
-            raise MotionError(f"the motion has {self.motion.translations.shape[1]} handles but the character has {len(self.handles.positions)}")
+            raise MotionError(
+                f"the motion has {self.motion.translations.shape[1]} handles but the character has "
+                f"{len(self.handles.positions)}"
+            )
 
     @property
     def fps(self) -> float:

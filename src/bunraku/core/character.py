@@ -16,7 +16,9 @@ __all__ = ["Character", "Handles", "Rig", "top_influences"]
 def _frozen(array: Any, dtype: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
     """The array as a read-only one of this type and shape; None in the shape stands for any length."""
     out = np.ascontiguousarray(array, dtype=dtype)
-    if out.ndim != len(shape) or any(want is not None and have != want for have, want in zip(out.shape, shape, strict=True)):
+    if out.ndim != len(shape) or any(
+        want is not None and have != want for have, want in zip(out.shape, shape, strict=True)
+    ):
         raise CharacterError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
     if out is array:
         out = out.view()
@@ -83,7 +85,8 @@ class Character:
             materials, textures, UVs and vertex order back untouched.
 
     Raises:
-        CharacterError: No vertices, no faces, a coordinate that is not finite, an index outside the vertices, or no extent.
+        CharacterError: No vertices, no faces, a coordinate that is not finite, an index outside the vertices, or no
+            extent.
     """
 
     name: str
@@ -100,22 +103,34 @@ class Character:
         if count == 0:
             raise CharacterError(f"{self.name}: the mesh is empty; export it again with its vertices")
         if len(self.faces) == 0:
-            raise CharacterError(f"{self.name}: these are points without faces; make a surface of them first (for example with Blender's remesh)")
+            raise CharacterError(
+                f"{self.name}: these are points without faces; make a surface of them first (for example with "
+                "Blender's remesh)"
+            )
         if self.faces.min() < 0 or self.faces.max() >= count:
-            raise CharacterError(f"{self.name}: a face uses vertex {int(self.faces.max())} but there are only {count}; the file is broken")
+            raise CharacterError(
+                f"{self.name}: a face uses vertex {int(self.faces.max())} but there are only {count}; the file is "
+                "broken"
+            )
         bad = int((~np.isfinite(self.vertices).all(axis=1)).sum())
         if bad:
-            raise CharacterError(f"{self.name}: {bad} vertices have coordinates that are not numbers; clean the mesh and export it again")
+            raise CharacterError(
+                f"{self.name}: {bad} vertices have coordinates that are not numbers; clean the mesh and export it again"
+            )
         if float(np.ptp(self.vertices, axis=0).max()) <= 0:
             raise CharacterError(f"{self.name}: all vertices are at one point; there is nothing to animate")
         if self.colors is not None:
             object.__setattr__(self, "colors", _frozen(self.colors, np.uint8, (count, 3), "colors"))
         if self.rig is not None and len(self.rig.indices) != count:
-            raise CharacterError(f"{self.name}: the rig weights {len(self.rig.indices)} vertices but the mesh has {count}")
+            raise CharacterError(
+                f"{self.name}: the rig weights {len(self.rig.indices)} vertices but the mesh has {count}"
+            )
 
     @cached_property
     def surface(self) -> np.ndarray:
-        """Which vertices have faces, shape (V,), bool. Files bring stray ones; nobody sees them, so nothing is measured by them."""
+        """Which vertices have faces, shape (V,), bool. Files bring stray ones; nobody sees them, so nothing is measured
+        by them.
+        """
         used = np.zeros(len(self.vertices), bool)
         used[self.faces] = True
         used.flags.writeable = False
@@ -136,11 +151,13 @@ class Handles:
         positions: Handle positions h in the rest pose [m], shape (K, 3).
         weights: Skinning weights s, shape (V, K), rows sum to 1.
         features: The mesh deformation feature f_phi, shape (448,), when the predictor made the handles.
-        roles: The handle whose part each handle plays, shape (K,), where spare handles move further limbs: the second left knee of
+        roles: The handle whose part each handle plays, shape (K,), where spare handles move further limbs: the second
+            left knee of
             a spider plays that of the left knee. None where each plays its own.
 
     Raises:
-        CharacterError: Shapes disagree, a value is not finite, rows do not sum to 1, or a role is that of no handle or the root's.
+        CharacterError: Shapes disagree, a value is not finite, rows do not sum to 1, or a role is that of no handle or
+            the root's.
     """
 
     positions: np.ndarray
@@ -150,7 +167,9 @@ class Handles:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", _frozen(self.positions, np.float32, (None, 3), "handle positions"))
-        object.__setattr__(self, "weights", _frozen(self.weights, np.float32, (None, len(self.positions)), "handle weights"))
+        object.__setattr__(
+            self, "weights", _frozen(self.weights, np.float32, (None, len(self.positions)), "handle weights")
+        )
         if not np.isfinite(self.weights).all() or not np.isfinite(self.positions).all():
             raise CharacterError("handles must be finite")
         if np.abs(self.weights.sum(axis=1) - 1).max(initial=0) > 1e-3:
@@ -159,7 +178,9 @@ class Handles:
             count = len(self.positions)
             object.__setattr__(self, "roles", _frozen(self.roles, np.int64, (count,), "handle roles"))
             if count and (self.roles[0] != 0 or self.roles[1:].min(initial=1) < 1 or self.roles.max() >= count):
-                raise CharacterError("handle 0 plays the root, and every other handle the part of one that exists and is not the root")
+                raise CharacterError(
+                    "handle 0 plays the root, and every other handle the part of one that exists and is not the root"
+                )
 
     @property
     def played(self) -> np.ndarray:
@@ -167,7 +188,9 @@ class Handles:
         return np.arange(len(self.positions)) if self.roles is None else self.roles
 
     def top(self, count: int = 4) -> Handles:
-        """The same handles with only the largest `count` weights of each vertex kept and renormalised, as viewers read them."""
+        """The same handles with only the largest `count` weights of each vertex kept and renormalised, as viewers read
+        them.
+        """
         indices, shares = top_influences(self.weights, count)
         kept = np.zeros_like(self.weights)
         np.put_along_axis(kept, indices, shares, axis=1)

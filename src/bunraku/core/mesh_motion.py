@@ -34,7 +34,13 @@ class MeshMotion:
         vertices, faces = np.asarray(self.vertices, np.float32), np.asarray(self.faces, np.int64)
         if vertices.ndim != 3 or vertices.shape[2] != 3 or not vertices.size:
             raise MotionError(f"a moving mesh needs vertices of shape (frames, vertices, 3), not {vertices.shape}")
-        if faces.ndim != 2 or faces.shape[1:] != (3,) or not len(faces) or faces.min() < 0 or faces.max() >= vertices.shape[1]:
+        if (
+            faces.ndim != 2
+            or faces.shape[1:] != (3,)
+            or not len(faces)
+            or faces.min() < 0
+            or faces.max() >= vertices.shape[1]
+        ):
             raise MotionError("a moving mesh needs triangles of shape (F, 3) that name its vertices")
         if not np.isfinite(vertices).all():
             raise MotionError("a moving mesh has coordinates that are not numbers")

@@ -19,7 +19,9 @@ __all__ = ["HandleMotion", "SkeletalMotion", "Skeleton", "line_up", "local_rotat
 
 def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
     out = np.ascontiguousarray(value, dtype=dtype)
-    if out.ndim != len(shape) or any(want is not None and have != want for have, want in zip(out.shape, shape, strict=True)):
+    if out.ndim != len(shape) or any(
+        want is not None and have != want for have, want in zip(out.shape, shape, strict=True)
+    ):
         raise MotionError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
     if not np.isfinite(out).all():
         raise MotionError(f"{what} holds values that are not numbers")
@@ -47,7 +49,12 @@ class Skeleton:
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "parents", _array(self.parents, (len(self.names),), "skeleton parents", np.int64))
         object.__setattr__(self, "offsets", _array(self.offsets, (len(self.names), 3), "skeleton offsets"))
-        if not len(self.names) or self.parents[0] != -1 or (self.parents[1:] >= np.arange(1, len(self.names))).any() or (self.parents[1:] < 0).any():
+        if (
+            not len(self.names)
+            or self.parents[0] != -1
+            or (self.parents[1:] >= np.arange(1, len(self.names))).any()
+            or (self.parents[1:] < 0).any()
+        ):
             raise MotionError("a skeleton needs one root, first, and every parent before its children")
 
     @property
@@ -98,7 +105,9 @@ class SkeletalMotion:
     def __post_init__(self) -> None:
         joints = len(self.skeleton.names)
         object.__setattr__(self, "rotations", _array(self.rotations, (None, joints, 3, 3), "joint rotations"))
-        object.__setattr__(self, "root_translation", _array(self.root_translation, (len(self.rotations), 3), "root translation"))
+        object.__setattr__(
+            self, "root_translation", _array(self.root_translation, (len(self.rotations), 3), "root translation")
+        )
         if not 0 < self.fps < math.inf:
             raise MotionError("frames a second must be positive and finite")
 
@@ -117,7 +126,9 @@ class SkeletalMotion:
         return rotations, positions
 
     def save(self, path: str | Path, **options: Any) -> Path:
-        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see `bunraku.io.save_motion`)."""
+        """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see
+        `bunraku.io.save_motion`).
+        """
         return save(self, path, **options)
 
 
@@ -133,8 +144,9 @@ class HandleMotion:
         root_translation: Global translation t_g [m], shape (N, 3).
         root_rotation: Global rotation R_g, shape (N, 3, 3).
         fps: Frames a second [1/s].
-        native: A motion of the reference body that was generated for one body of its own kind, by weights that know creatures: it brings
-            its height over the floor, lying bodies keep the pelvis' tilt, and soft ones bend farther than people. `fit_motion` reads it.
+        native: A motion of the reference body that was generated for one body of its own kind, by weights that know
+            creatures: it brings its height over the floor, lying bodies keep the pelvis' tilt, and soft ones bend
+            farther than people. `fit_motion` reads it.
 
     Raises:
         MotionError: Shapes disagree, a value is not finite, or handle 0 moves locally.
@@ -194,7 +206,9 @@ class HandleMotion:
         local = handle_offsets(h, self.translations, self.rotations)
         out = np.empty((*self.translations.shape[:2], 3, 4), np.float32)
         out[..., :3] = self.root_rotation[:, None] @ self.rotations
-        out[..., 3] = np.einsum("nij,nkj->nki", self.root_rotation, local - h[0]) + h[0] + self.root_translation[:, None]
+        out[..., 3] = (
+            np.einsum("nij,nkj->nki", self.root_rotation, local - h[0]) + h[0] + self.root_translation[:, None]
+        )
         return out
 
     def save(self, path: str | Path, **options: Any) -> Path:

@@ -48,7 +48,10 @@ class PointAnimation:
     def of_vertices(cls, animation: Animation, vertices: np.ndarray) -> PointAnimation:
         """From where all vertices are in each frame [m], shape (N, V, 3)."""
         if np.shape(vertices) != (len(animation.motion), len(animation.character.vertices), 3):
-            raise MotionError(f"vertices must be those of {len(animation.motion)} frames of the animation, not of shape {np.shape(vertices)}")
+            raise MotionError(
+                f"vertices must be those of {len(animation.motion)} frames of the animation, not of shape "
+                f"{np.shape(vertices)}"
+            )
         return cls(animation, np.asarray(vertices, np.float32) - animation.vertices())
 
     @property
@@ -80,8 +83,8 @@ class PointAnimation:
     def save(self, path: str | Path, **options: Any) -> Path:
         """Write the animation in the format that the file's suffix names and return the path.
 
-        A .glb has the skin, and morph targets for what moves on its own; .usd, .usdc, .usda and .usdz have the points of every frame;
-        .obj and .ply are a sequence of meshes.
+        A .glb has the skin, and morph targets for what moves on its own; .usd, .usdc, .usda and .usdz have the points
+        of every frame; .obj and .ply are a sequence of meshes.
 
         Raises:
             FormatError: The suffix is unknown, or the file cannot be written.

@@ -30,7 +30,9 @@ def resample_motion(motion: SkeletalMotion, fps: float) -> SkeletalMotion:
     if abs(motion.fps - fps) < 1e-6 * fps:
         return motion
     between = Resampling.of(len(motion), motion.fps, fps)
-    return SkeletalMotion(motion.skeleton, between.rotations(motion.rotations), between.linear(motion.root_translation.astype(float)), fps)
+    return SkeletalMotion(
+        motion.skeleton, between.rotations(motion.rotations), between.linear(motion.root_translation.astype(float)), fps
+    )
 
 
 def cut_motion(motion: SkeletalMotion, start: float, end: float) -> SkeletalMotion:
@@ -41,8 +43,12 @@ def cut_motion(motion: SkeletalMotion, start: float, end: float) -> SkeletalMoti
     """
     first, stop = max(round(start * motion.fps), 0), min(round(end * motion.fps), len(motion))
     if stop <= first:
-        raise MotionError(f"no frame lies between {start:g} s and {end:g} s of a motion of {len(motion) / motion.fps:.2f} s")
-    return SkeletalMotion(motion.skeleton, motion.rotations[first:stop], motion.root_translation[first:stop], motion.fps)
+        raise MotionError(
+            f"no frame lies between {start:g} s and {end:g} s of a motion of {len(motion) / motion.fps:.2f} s"
+        )
+    return SkeletalMotion(
+        motion.skeleton, motion.rotations[first:stop], motion.root_translation[first:stop], motion.fps
+    )
 
 
 def checked_fps(fps: float | None, default: float) -> float:
@@ -73,4 +79,6 @@ def resample(motion: HandleMotion, fps: float) -> HandleMotion:
         return motion if len(motion) > 1 else replace(motion, fps=fps)
     between = Resampling.of(len(motion), motion.fps, fps)
     moves, path = (between.linear(values.astype(float)) for values in (motion.translations, motion.root_translation))
-    return HandleMotion(moves, between.rotations(motion.rotations), path, between.rotations(motion.root_rotation), fps, motion.native)
+    return HandleMotion(
+        moves, between.rotations(motion.rotations), path, between.rotations(motion.root_rotation), fps, motion.native
+    )

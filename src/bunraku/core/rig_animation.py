@@ -24,13 +24,14 @@ __all__ = ["RigAnimation", "bone_order"]
 class RigAnimation:
     """A character driven by the J bones of its own rig.
 
-    A bone's turn is counted from the rest pose, in axes that are the world's there, as in `SkeletalMotion`: identities and zeros put
-    the character into its rest pose.
+    A bone's turn is counted from the rest pose, in axes that are the world's there, as in `SkeletalMotion`: identities
+    and zeros put the character into its rest pose.
 
     Args:
         character: The character, with its rig.
         rotations: Turn of each bone in its parent's frame, shape (N, J, 3, 3).
-        translations: How far each bone's head leaves its rest place, in its parent's frame [m], shape (N, J, 3); zero where bones keep
+        translations: How far each bone's head leaves its rest place, in its parent's frame [m], shape (N, J, 3); zero
+            where bones keep
             their lengths. For a bone without a parent it is in the world.
         fps: Frames a second [1/s].
         reference: The motion of the reference body that this was fitted from, where it is known.
@@ -66,7 +67,12 @@ class RigAnimation:
 
     @classmethod
     def of_world(
-        cls, character: Character, turns: np.ndarray, positions: np.ndarray, fps: float = 20.0, reference: HandleMotion | None = None
+        cls,
+        character: Character,
+        turns: np.ndarray,
+        positions: np.ndarray,
+        fps: float = 20.0,
+        reference: HandleMotion | None = None,
     ) -> RigAnimation:
         """From what `world` gives.
 
@@ -98,7 +104,9 @@ class RigAnimation:
         return len(self) / self.fps
 
     def world(self) -> tuple[np.ndarray, np.ndarray]:
-        """Forward kinematics: world turn of each bone from its rest pose (N, J, 3, 3), and where its head is [m] (N, J, 3), float64."""
+        """Forward kinematics: world turn of each bone from its rest pose (N, J, 3, 3), and where its head is [m] (N, J,
+        3), float64.
+        """
         rig = self.character.rig
         assert rig is not None
         rest = rig.positions
@@ -124,13 +132,17 @@ class RigAnimation:
 
     @cached_property
     def handles(self) -> Handles:
-        """Bones as handles: a first one that stands still and holds nothing, then one for each bone that holds something."""
+        """Bones as handles: a first one that stands still and holds nothing, then one for each bone that holds
+        something.
+        """
         rig = self.character.rig
         assert rig is not None
         dense = rig.dense_weights()
         weights = np.concatenate([np.zeros((len(dense), 1), np.float32), dense[:, self._used]], axis=1)
         weights[:, 0] = np.maximum(1 - weights[:, 1:].sum(axis=1), 0)
-        return Handles(np.concatenate([np.zeros((1, 3)), rig.positions[self._used]]), weights / weights.sum(axis=1, keepdims=True))
+        return Handles(
+            np.concatenate([np.zeros((1, 3)), rig.positions[self._used]]), weights / weights.sum(axis=1, keepdims=True)
+        )
 
     @cached_property
     def _used(self) -> np.ndarray:
@@ -141,13 +153,18 @@ class RigAnimation:
     @cached_property
     def motion(self) -> HandleMotion:
         """The motion of `handles`, so that all that plays or writes an `Animation` plays and writes this."""
-        affine, positions = self._affine[:, self._used].astype(np.float64), self.handles.positions[1:].astype(np.float64)
+        affine, positions = (
+            self._affine[:, self._used].astype(np.float64),
+            self.handles.positions[1:].astype(np.float64),
+        )
         frames = len(affine)
         rotations = np.tile(np.eye(3), (frames, len(positions) + 1, 1, 1))
         rotations[:, 1:] = affine[..., :3]
         translations = np.zeros((frames, len(positions) + 1, 3))
         translations[:, 1:] = affine[..., 3] - positions + np.einsum("njab,jb->nja", affine[..., :3], positions)
-        return HandleMotion(translations, rotations, np.zeros((frames, 3)), np.broadcast_to(np.eye(3), (frames, 3, 3)), self.fps)
+        return HandleMotion(
+            translations, rotations, np.zeros((frames, 3)), np.broadcast_to(np.eye(3), (frames, 3, 3)), self.fps
+        )
 
     def animation(self) -> Animation:
         """The same as an animation of `handles`."""
@@ -167,7 +184,8 @@ class RigAnimation:
         return RigAnimation(self.character, between.rotations(self.rotations), moved, fps)
 
     def save(self, path: str | Path, **options: Any) -> Path:
-        """Write the animation: a .glb keeps the file's own nodes, skins and materials, a .vmd the bones of an MMD model.
+        """Write the animation: a .glb keeps the file's own nodes, skins and materials, a .vmd the bones of an MMD
+        model.
 
         Other formats are those of `Animation.save`.
 

@@ -1,7 +1,8 @@
-"""Eq. 3 of TapMo, its only home: the affine transforms of handles, and linear blend skinning of all frames as one matrix product.
+"""Eq. 3 of TapMo, its only home: the affine transforms of handles, and linear blend skinning of all frames as one
+matrix product.
 
-`v' = R_g (sum_k s_k (R_k (v - h_k) + h_k + t_k) - h_0) + h_0 + t_g`. Handle 0 is the root and has the identity as its local transform, so its share
-of the weights is not lost. The readable reference of the product stands beside it.
+`v' = R_g (sum_k s_k (R_k (v - h_k) + h_k + t_k) - h_0) + h_0 + t_g`. Handle 0 is the root and has the identity as its
+local transform, so its share of the weights is not lost. The readable reference of the product stands beside it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ def _product(matrices: Array, points: Array) -> Array:
 
 
 def handle_offsets(positions: Array, translations: Array, rotations: Array) -> Array:
-    """What a handle's local transform adds to a rotated vertex, `R (v - h) + h + t = R v + (h + t - R h)`; numpy arrays or torch tensors.
+    """What a handle's local transform adds to a rotated vertex, `R (v - h) + h + t = R v + (h + t - R h)`; numpy arrays
+    or torch tensors.
 
     Args:
         positions: Rest positions h of the handles [m], shape (..., K, 3).
@@ -59,7 +61,8 @@ def skin(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> n
         transforms: Affine transform of each handle, shape (N, K, 3, 4).
 
     Returns:
-        Posed positions [m], shape (N, V, 3), float32: a view with coordinates apart, `result[n]` is cheap to make contiguous.
+        Posed positions [m], shape (N, V, 3), float32: a view with coordinates apart, `result[n]` is cheap to make
+        contiguous.
     """
     frames, count = transforms.shape[:2]
     basis = skin_basis(vertices, weights)

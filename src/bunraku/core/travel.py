@@ -37,7 +37,9 @@ def moved(motion: HandleMotion, angle: float, place: np.ndarray) -> HandleMotion
 
 
 def placed_at(motion: HandleMotion, frame: int, like: HandleMotion, there: int) -> HandleMotion:
-    """The motion moved over the ground and turned so that in one frame its root is, and faces, as that of another in a frame of its own."""
+    """The motion moved over the ground and turned so that in one frame its root is, and faces, as that of another in a
+    frame of its own.
+    """
     turned = moved(motion, _turn(motion.root_rotation[frame], like.root_rotation[there]), np.zeros(3))
     way = like.root_translation[there].astype(float) - turned.root_translation[frame]
     way[1] = 0
@@ -45,7 +47,8 @@ def placed_at(motion: HandleMotion, frame: int, like: HandleMotion, there: int) 
 
 
 def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
-    """A loop with frames of other rounds before its first and after its last, each round going on where the one before ended.
+    """A loop with frames of other rounds before its first and after its last, each round going on where the one before
+    ended.
 
     Args:
         motion: N + 1 frames of which the last is the first of the next round.
@@ -64,7 +67,10 @@ def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
         turns[index], places[index] = step @ turns[index - 1], step @ places[index - 1] + way
     for index in range(-1, min(int(rounds.min()), 0) - 1, -1):
         turns[index], places[index] = step.T @ turns[index + 1], step.T @ (places[index + 1] - way)
-    turned, moves = np.stack([turns[index] for index in rounds.tolist()]), np.stack([places[index] for index in rounds.tolist()])
+    turned, moves = (
+        np.stack([turns[index] for index in rounds.tolist()]),
+        np.stack([places[index] for index in rounds.tolist()]),
+    )
     return HandleMotion(
         motion.translations[frames],
         motion.rotations[frames],
@@ -98,14 +104,23 @@ def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> Hand
 
     def turned(rotations: np.ndarray, there: np.ndarray) -> np.ndarray:
         off = axis_angle_from_matrix(there.astype(float) @ np.swapaxes(rotations[-1], -1, -2).astype(float))
-        out = (matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ rotations.astype(float)).astype(np.float32)
+        out = (matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ rotations.astype(float)).astype(
+            np.float32
+        )
         out[-1] = there
         return out
 
-    translations = motion.translations + (share[:, None, None] * (motion.translations[0] - motion.translations[-1])).astype(np.float32)
+    translations = motion.translations + (
+        share[:, None, None] * (motion.translations[0] - motion.translations[-1])
+    ).astype(np.float32)
     translations[-1] = motion.translations[0]
     return HandleMotion(
-        translations, turned(motion.rotations, motion.rotations[0]), path, turned(motion.root_rotation, goal_rotation), motion.fps, motion.native
+        translations,
+        turned(motion.rotations, motion.rotations[0]),
+        path,
+        turned(motion.root_rotation, goal_rotation),
+        motion.fps,
+        motion.native,
     )
 
 
@@ -135,13 +150,17 @@ FADE = 8  # frames over which a difference at the edge of a span fades out
 
 
 def follow(motion: HandleMotion, before: HandleMotion) -> HandleMotion:
-    """A motion that goes on from another nearly, moved and bent so that its first frame is the other's last, bit for bit."""
+    """A motion that goes on from another nearly, moved and bent so that its first frame is the other's last, bit for
+    bit.
+    """
     still = before.take(np.full(len(motion), len(before) - 1))
     none = np.zeros(motion.translations.shape[1], bool)
     return put_back(placed_at(motion, 0, before, len(before) - 1), still, none, 1, len(motion))
 
 
-def put_back(made: HandleMotion, original: HandleMotion, handles: np.ndarray, first: int, after: int, fade: int = FADE) -> HandleMotion:
+def put_back(
+    made: HandleMotion, original: HandleMotion, handles: np.ndarray, first: int, after: int, fade: int = FADE
+) -> HandleMotion:
     """The made motion with what is kept of the original, bit for bit.
 
     Args:
@@ -150,8 +169,9 @@ def put_back(made: HandleMotion, original: HandleMotion, handles: np.ndarray, fi
         handles: Handles that are kept in all frames, shape (K,), bool; handle 0 stands for the root's path.
         first: First frame that was made; all before it are kept.
         after: The frame after the last that was made.
-        fade: Frames at the edges of the span over which a difference between the two at the next kept frame fades out; one in the
-            root's place on the ground fades over the whole span, so that no foot slides for it. 0 leaves differences as they are.
+        fade: Frames at the edges of the span over which a difference between the two at the next kept frame fades out;
+            one in the root's place on the ground fades over the whole span, so that no foot slides for it. 0 leaves
+            differences as they are.
     """
     count = len(original)
     arrays = {name: np.array(getattr(made, name)) for name in HandleMotion.arrays}
@@ -165,12 +185,16 @@ def put_back(made: HandleMotion, original: HandleMotion, handles: np.ndarray, fi
                 off = there - array[edge]
                 if name.startswith("root"):
                     wide = _fade(after - first) if len(edges) == 2 else np.ones(after - first)
-                    array[edge + way * np.arange(1, after - first + 1)] += (wide[:, None] * off * [1, 0, 1]).astype(np.float32)
+                    array[edge + way * np.arange(1, after - first + 1)] += (wide[:, None] * off * [1, 0, 1]).astype(
+                        np.float32
+                    )
                     off = off * [0, 1, 0]
                 array[frames] += (share.reshape(-1, *[1] * there.ndim) * off).astype(np.float32)
             else:
                 off = axis_angle_from_matrix(there @ np.swapaxes(array[edge], -1, -2).astype(float))
-                array[frames] = matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ array[frames].astype(float)
+                array[frames] = matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ array[frames].astype(
+                    float
+                )
     kept = np.ones(count, bool)
     kept[first:after] = False
     for name, array in arrays.items():

@@ -18,5 +18,7 @@ def present_files(folder: Path, files: Iterable[str]) -> list[str]:
     """
     present = [file for file in files if (folder / f"{file}.glb").is_file()]
     if not present:
-        raise FormatError(folder, "none of the known characters is here; give the folder of the unpacked character archive")
+        raise FormatError(
+            folder, "none of the known characters is here; give the folder of the unpacked character archive"
+        )
     return present

@@ -82,7 +82,8 @@ def whitening(seen: Tensor, hidden: int, mesh_size: int) -> tuple[Tensor, Tensor
 
 
 def label_distance(delta: Tensor, label: Tensor) -> Tensor:
-    """[TapMo 11]: the squared distance of the adaptation from its pseudo-label, mean over frames and handles but the root [cm^2].
+    """[TapMo 11]: the squared distance of the adaptation from its pseudo-label, mean over frames and handles but the
+    root [cm^2].
 
     Args:
         delta: What the layer says [m], shape (B, N, K, 3).

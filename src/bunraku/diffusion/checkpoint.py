@@ -54,5 +54,8 @@ def load_denoiser(path: str | Path, device: str | torch.device = "cpu") -> Denoi
         model.load_state_dict(state, assign=True)
         model.notes = dict(notes or {})
     except Exception as error:
-        raise WeightsError(f"{path}: the config and the weights of this denoiser disagree ({str(error).splitlines()[0]}); train it again") from error
+        raise WeightsError(
+            f"{path}: the config and the weights of this denoiser disagree ({str(error).splitlines()[0]}); train it "
+            "again"
+        ) from error
     return model.to(device).eval().requires_grad_(False)

@@ -10,14 +10,15 @@ import torch
 from torch import Tensor
 
 from bunraku.diffusion.features import feature_mask
-from bunraku.language.concurrent import Voice
+from bunraku.language.concurrent import BodyPartPrompt
 
-__all__ = ["Twin"]
+__all__ = ["PartTrack"]
 
 
 @dataclass(frozen=True)
-class Twin:
-    """A second time line for a motion in which something happens at the same time: it hears the gestures, and moves as the first one else.
+class PartTrack:
+    """A second time line for a motion in which something happens at the same time: it hears the gestures, and moves as
+    the first one else.
 
     The first does not see the second: a walk whose arms wave would soon stand still, as people do who wave.
 
@@ -32,7 +33,7 @@ class Twin:
     handles: np.ndarray
 
     @classmethod
-    def of(cls, motion: int, heard: Sequence[tuple[Voice, ...]]) -> Twin | None:
+    def of(cls, motion: int, heard: Sequence[tuple[BodyPartPrompt, ...]]) -> PartTrack | None:
         """The second time line of a motion with these voices for each sentence; None where all have one."""
         own = [voice.handles for some in heard for voice in some[1:] if voice.handles is not None]
         return cls(motion, tuple(some[-1].sentence for some in heard), np.any(own, axis=0)) if own else None

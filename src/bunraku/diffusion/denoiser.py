@@ -1,10 +1,11 @@
 """The denoiser of Shape-aware Motion Diffusion: a transformer decoder that predicts the clean motion (Eq. 2 of TapMo).
 
-Motion tokens attend to each other and to a memory of at most 30 text tokens and one mesh token. Two linear heads give the
-motion and the adaptation of local translations (section 3.2). Where the paper is silent: layers are pre-norm; the diffusion
-step and the sentence's pooled vector steer every layer by scale, shift and gate (adaptive layer norm, Peebles & Xie 2023, with one
-shared projection and an offset for each layer, Chen et al. 2023); time enters by rotary positions, so a clip of any length means
-the same. A token holds `frames_per_token` frames, which lets the small preset train on a CPU.
+Motion tokens attend to each other and to a memory of at most 30 text tokens and one mesh token. Two linear heads give
+the motion and the adaptation of local translations (section 3.2). Where the paper is silent: layers are pre-norm; the
+diffusion step and the sentence's pooled vector steer every layer by scale, shift and gate (adaptive layer norm, Peebles
+& Xie 2023, with one shared projection and an offset for each layer, Chen et al. 2023); time enters by rotary positions,
+so a clip of any length means the same. A token holds `frames_per_token` frames, which lets the small preset train on a
+CPU.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ def _turn(value: Tensor, rotary: tuple[Tensor, Tensor]) -> Tensor:
 
 
 def _attend(query: Tensor, key: Tensor, value: Tensor, mask: Tensor | None) -> Tensor:
-    """Attention, shapes (B, H, T, d/H). On a CPU torch's fused backward takes most of a training step (1.7 s against 0.6 s
-    for 64 clips with plain products), so training there writes the products out."""
+    """Attention, shapes (B, H, T, d/H). On a CPU torch's fused backward takes most of a training step (1.7 s against
+    0.6 s for 64 clips with plain products), so training there writes the products out.
+    """
     if not (torch.is_grad_enabled() and query.device.type == "cpu"):
         return F.scaled_dot_product_attention(query, key, value, attn_mask=mask)
     scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
@@ -57,14 +59,24 @@ class _Layer(nn.Module):
         self.heads = heads
         self.offset = nn.Parameter(torch.zeros(9, width))
         self.self_in, self.self_out = nn.Linear(width, 3 * width), nn.Linear(width, width)
-        self.cross_query, self.cross_memory, self.cross_out = nn.Linear(width, width), nn.Linear(width, 2 * width), nn.Linear(width, width)
+        self.cross_query, self.cross_memory, self.cross_out = (
+            nn.Linear(width, width),
+            nn.Linear(width, 2 * width),
+            nn.Linear(width, width),
+        )
         self.wide, self.narrow = nn.Linear(width, feedforward), nn.Linear(feedforward, width)
 
     def _split(self, value: Tensor) -> Tensor:
         return value.unflatten(-1, (self.heads, -1)).transpose(1, 2)
 
     def forward(
-        self, x: Tensor, memory: Tensor, steer: Tensor, rotary: tuple[Tensor, Tensor], mask: Tensor | None, memory_mask: Tensor | None
+        self,
+        x: Tensor,
+        memory: Tensor,
+        steer: Tensor,
+        rotary: tuple[Tensor, Tensor],
+        mask: Tensor | None,
+        memory_mask: Tensor | None,
     ) -> Tensor:
         """x (B, T, d), memory (B, M, d), steer (B, 9, d), masks (B, 1, 1, T) and (B, 1, 1, M), True where real."""
         parts = (steer + self.offset).to(x.dtype).unsqueeze(2).unbind(1)
@@ -82,10 +94,11 @@ class _Layer(nn.Module):
 
 
 def joint_offsets(moves: Tensor, features: Tensor) -> Tensor:
-    """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B, N, K, 3).
+    """The adaptation that moves joints: delta_k = delta_p + (R_p - R_k) d_k for a handle k and its parent p, shape (B,
+    N, K, 3).
 
-    It is what `attached` does to the translations when the joint of k is held d_k farther off. It turns with the body and fades where
-    nothing bends, so one d_k serves all poses.
+    It is what `attach_joints` does to the translations when the joint of k is held d_k farther off. It turns with the
+    body and fades where nothing bends, so one d_k serves all poses.
 
     Args:
         moves: d, how far each joint is moved [m], shape (B, N, K, 3).
@@ -105,7 +118,8 @@ def joint_offsets(moves: Tensor, features: Tensor) -> Tensor:
 class Denoiser(nn.Module):
     """Predicts x0 and the adaptation from a noisy motion, the step, a sentence and a mesh feature (Eq. 2).
 
-    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights as buffers.
+    Motion enters and leaves in network units (see `FeatureStatistics`); the statistics travel with the weights as
+    buffers.
     """
 
     mean: Tensor
@@ -139,7 +153,9 @@ class Denoiser(nn.Module):
         with torch.no_grad():
             self.steer.weight.mul_(0.1)
             self.steer.bias.zero_()
-            self.steer.bias.view(9, width)[[2, 5, 8]] = 1  # gates start open: the residual branches themselves start small
+            self.steer.bias.view(9, width)[[2, 5, 8]] = (
+                1  # gates start open: the residual branches themselves start small
+            )
         for linear in (self.final, self.adaptation_out):
             nn.init.zeros_(linear.weight)
             nn.init.zeros_(linear.bias)
@@ -152,7 +168,13 @@ class Denoiser(nn.Module):
         return bool(self.notes.get("characters"))
 
     def condition(
-        self, text: Tensor | None, text_mask: Tensor | None, pooled: Tensor | None, mesh: Tensor | None, keep_text: Tensor, keep_mesh: Tensor
+        self,
+        text: Tensor | None,
+        text_mask: Tensor | None,
+        pooled: Tensor | None,
+        mesh: Tensor | None,
+        keep_text: Tensor,
+        keep_mesh: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Memory tokens and the pooled vector, which do not depend on the step.
 
@@ -165,12 +187,16 @@ class Denoiser(nn.Module):
             keep_mesh: False where the mesh feature is unknown, shape (B,).
 
         Returns:
-            Memory (B, 1 + 1 + L, d), its mask (B, 1, 1, 2 + L), pooled (B, d). Token 0 is the mesh, token 1 the learned null
-            sentence, which stands only where the sentence is dropped.
+            Memory (B, 1 + 1 + L, d), its mask (B, 1, 1, 2 + L), pooled (B, d). Token 0 is the mesh, token 1 the learned
+            null sentence, which stands only where the sentence is dropped.
         """
         batch, device = len(keep_text), keep_text.device
         null_mesh = self.null_mesh.expand(batch, -1)
-        token = null_mesh if mesh is None else torch.where(keep_mesh[:, None], self.mesh_in(mesh).to(null_mesh.dtype), null_mesh)
+        token = (
+            null_mesh
+            if mesh is None
+            else torch.where(keep_mesh[:, None], self.mesh_in(mesh).to(null_mesh.dtype), null_mesh)
+        )
         memory = [token[:, None], self.null_text.expand(batch, 1, -1)]
         mask = [torch.ones(batch, 1, dtype=torch.bool, device=device), ~keep_text[:, None]]
         sentence = self.null_pooled.expand(batch, -1)
@@ -179,9 +205,15 @@ class Denoiser(nn.Module):
             mask.append(text_mask & keep_text[:, None])
             scaled = self.pooled_in(pooled * math.sqrt(self.config.pooled_size))
             sentence = torch.where(keep_text[:, None], scaled.to(sentence.dtype), sentence)
-        return torch.cat([part.to(memory[-1].dtype) for part in memory], dim=1), torch.cat(mask, dim=1)[:, None, None], sentence
+        return (
+            torch.cat([part.to(memory[-1].dtype) for part in memory], dim=1),
+            torch.cat(mask, dim=1)[:, None, None],
+            sentence,
+        )
 
-    def forward(self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, Tensor, Tensor]
+    ) -> tuple[Tensor, Tensor]:
         """Clean motion and adaptation [TapMo 2].
 
         Args:
@@ -196,13 +228,17 @@ class Denoiser(nn.Module):
         batch, frames, _ = x.shape
         h = self.hidden(x, step, lengths, condition)
         motion = self.motion_out(h).reshape(batch, -1, self.config.features)[:, :frames]
-        said = self.adaptation_out(self.adaptation_input(h, condition)).reshape(batch, -1, self.config.handles, 3)[:, :frames]
+        said = self.adaptation_out(self.adaptation_input(h, condition)).reshape(batch, -1, self.config.handles, 3)[
+            :, :frames
+        ]
         if self.config.adaptation_frame == "joints":
             said = capped(joint_offsets(said, motion.detach().float() * self.std + self.mean))
         return motion, said
 
     def adaptation_input(self, hidden: Tensor, condition: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """What the adaptation's linear layer sees: last hidden states (B, T, d), with the mesh token where the config says so."""
+        """What the adaptation's linear layer sees: last hidden states (B, T, d), with the mesh token where the config
+        says so.
+        """
         if not self.config.adaptation_mesh:
             return hidden
         return torch.cat([hidden, condition[0][:, :1].to(hidden.dtype).expand(-1, hidden.shape[1], -1)], dim=-1)
@@ -231,5 +267,7 @@ class Denoiser(nn.Module):
 
 
 def drawn(value: Tensor, deviation: float) -> Tensor:
-    """The tensor, filled with normal noise; one on the meta device stays as it is, since torch takes two seconds to load what would fill it."""
+    """The tensor, filled with normal noise; one on the meta device stays as it is, since torch takes two seconds to
+    load what would fill it.
+    """
     return value if value.is_meta else nn.init.normal_(value, std=deviation)

@@ -32,7 +32,8 @@ class DenoiserConfig:
         fps: Frames a second [1/s].
         architecture: "decoder" for `Denoiser`, "encoder" for the one that the paper calls "TapMo (MDM)".
         adaptation_mesh: Whether the adaptation's linear layer sees the mesh token beside the hidden state.
-        adaptation_frame: What that layer says: "root", offsets in the root's frame as in the paper; or "joints", how far the joint between each
+        adaptation_frame: What that layer says: "root", offsets in the root's frame as in the paper; or "joints", how
+            far the joint between each
             handle and its parent should be moved, which gives `joint_offsets`.
     """
 

@@ -1,9 +1,9 @@
 """Editing: keep chosen handles, or all but a span of frames, and generate the rest (section A.3 of TapMo, Figure 8).
 
-What is kept overwrites the predicted x0 at every step, so the rest is made to fit it, and its own arrays are put back at the end,
-so it comes back bit for bit. Where a span meets what is kept, the model's own idea of the last kept frame tells how far off it is
-there; the difference is added to the frames of the span, fading out, before the next step. A span's root is led to where the kept
-frames after it go on.
+What is kept overwrites the predicted x0 at every step, so the rest is made to fit it, and its own arrays are put back
+at the end, so it comes back bit for bit. Where a span meets what is kept, the model's own idea of the last kept frame
+tells how far off it is there; the difference is added to the frames of the span, fading out, before the next step. A
+span's root is led to where the kept frames after it go on.
 """
 
 from __future__ import annotations
@@ -45,7 +45,10 @@ def span_frames(span: tuple[float, float], frames: int, fps: float) -> tuple[int
     start, end = span
     seconds = frames / fps
     if not (math.isfinite(start) and math.isfinite(end) and 0 <= start < end and start < seconds):
-        raise OptionError(f"a span goes from one second of the motion to a later one, such as 1.0:3.0; it has {seconds:g} s, not {start:g}:{end:g}")
+        raise OptionError(
+            f"a span goes from one second of the motion to a later one, such as 1.0:3.0; it has {seconds:g} s, not "
+            f"{start:g}:{end:g}"
+        )
     first, after = round(start * fps), min(round(end * fps), frames)
     if after <= first:
         raise OptionError(f"the span {start:g}:{end:g} holds no frame; there are {fps:g} a second")
@@ -83,7 +86,10 @@ def edit_motion(
     handles = kept_handles(keep) if keep else np.zeros(HANDLE_COUNT, bool)
     first, after = (0, len(motion)) if span is None else span_frames(span, len(motion), motion.fps)
     if not handles.any() and after - first == len(motion):
-        raise OptionError("nothing is kept of the motion; name what stays with keep (such as 'legs'), or the span of seconds that changes")
+        raise OptionError(
+            "nothing is kept of the motion; name what stays with keep (such as 'legs'), or the span of seconds that "
+            "changes"
+        )
     model, _ = load_generator(how.checkpoint)
     _check(motion, model)
     low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
@@ -91,11 +97,15 @@ def edit_motion(
     made = _generate(part, first - low, after - low, handles, prompt, [high - low], seed, how)
     anchor = high - low - 1 if first == low and after < high else 0  # a kept frame where there is one
     made = placed_at(made, anchor, part, anchor)
-    whole = made.take(np.clip(np.arange(len(motion)) - low, 0, len(made) - 1))  # what is kept beyond the part comes next
+    whole = made.take(
+        np.clip(np.arange(len(motion)) - low, 0, len(made) - 1)
+    )  # what is kept beyond the part comes next
     return replace(put_back(whole, motion, handles, first, after, fade=0), native=motion.native)
 
 
-def continue_motion(motion: HandleMotion, script: Sequence[tuple[str, float]], *, seed: int = 0, **sampling: Any) -> HandleMotion:
+def continue_motion(
+    motion: HandleMotion, script: Sequence[tuple[str, float]], *, seed: int = 0, **sampling: Any
+) -> HandleMotion:
     """A motion that starts in the last pose of another, at its place and speed.
 
     Args:
@@ -131,13 +141,25 @@ def _check(motion: HandleMotion, model: Denoiser) -> None:
     if motion.translations.shape[1] != HANDLE_COUNT or model.config.features != FEATURE_SIZE:
         raise MotionError(f"a motion that is edited has {HANDLE_COUNT} handles, not {motion.translations.shape[1]}")
     if abs(motion.fps - model.config.fps) > 1e-3:
-        raise MotionError(f"a motion that is edited has {model.config.fps:g} frames a second, not {motion.fps:g}; save it at that rate")
+        raise MotionError(
+            f"a motion that is edited has {model.config.fps:g} frames a second, not {motion.fps:g}; save it at that "
+            "rate"
+        )
 
 
 def _generate(
-    original: HandleMotion, first: int, after: int, handles: np.ndarray, prompts: str | list[str], lengths: list[int], seed: int, how: Sampling
+    original: HandleMotion,
+    first: int,
+    after: int,
+    handles: np.ndarray,
+    prompts: str | list[str],
+    lengths: list[int],
+    seed: int,
+    how: Sampling,
 ) -> HandleMotion:
-    """All frames of the original with frames first..after-1 made anew, but for the kept handles; the root's path from x = z = 0 facing +Z."""
+    """All frames of the original with frames first..after-1 made anew, but for the kept handles; the root's path from x
+    = z = 0 facing +Z.
+    """
     import torch
 
     from bunraku.diffusion.windows import plan_windows, sample_plans
@@ -171,7 +193,9 @@ def _generate(
         return x0
 
     with fitting_threads(model):
-        found = sample_plans(model, text, [plan], seeds=seed, known=(held, share), refine=refine, **how.options(model, len(text.mask)))[0]
+        found = sample_plans(
+            model, text, [plan], seeds=seed, known=(held, share), refine=refine, **how.options(model, len(text.mask))
+        )[0]
     made = statistics.restore(found.values[:frames].cpu().numpy())
     made[mask[:frames]] = features[mask[:frames]]
     adaptation = found.adaptation[:frames].cpu().numpy()
@@ -186,4 +210,7 @@ def _generate(
 def _goal(features: np.ndarray, first: int, after: int, fps: float) -> tuple[float, tuple[float, float]]:
     """Turn [rad] and way [m] of the original over the frames of a span, seen from the heading before it."""
     path = decode(np.concatenate([features[first - 1 : first], features[first:after]]), fps)
-    return float(features[first:after, 0].sum() / fps), (float(path.root_translation[-1, 0]), float(path.root_translation[-1, 2]))
+    return float(features[first:after, 0].sum() / fps), (
+        float(path.root_translation[-1, 0]),
+        float(path.root_translation[-1, 2]),
+    )

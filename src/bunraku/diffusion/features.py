@@ -26,7 +26,17 @@ from bunraku.errors import MotionError
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d, matrix_y
 
-__all__ = ["decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics", "HANDLE_SIZE", "mirror", "ROOT_SIZE"]
+__all__ = [
+    "decode",
+    "encode",
+    "feature_mask",
+    "FEATURE_SIZE",
+    "feature_weights",
+    "FeatureStatistics",
+    "HANDLE_SIZE",
+    "mirror",
+    "ROOT_SIZE",
+]
 
 ROOT_SIZE, HANDLE_SIZE = 10, 9
 FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)
@@ -131,7 +141,8 @@ class FeatureStatistics:
 
     Args:
         mean: Shape (271,).
-        std: Shape (271,), one value for each group of a kind (the three coordinates of a translation, the six numbers of a
+        std: Shape (271,), one value for each group of a kind (the three coordinates of a translation, the six numbers
+            of a
             rotation), with a floor of 3 cm and 0.12, so that a handle that hardly moves is not blown up.
     """
 
@@ -166,5 +177,7 @@ class FeatureStatistics:
 
 
 def feature_mask(handles: np.ndarray) -> np.ndarray:
-    """Which features the handles decide, shape (271,), bool: ten numbers for the root and nine for each other (see `features`)."""
+    """Which features the handles decide, shape (271,), bool: ten numbers for the root and nine for each other (see
+    `features`).
+    """
     return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])

@@ -36,7 +36,8 @@ class Sampling:
     Args:
         steps: Sampling steps, 1 to 1,000; None takes 20.
         guidance: Classifier-free guidance scale, 0 to 20; None takes 2.5.
-        mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters, generate for
+        mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
+            generate for
             no mesh in particular.
         progress: Called with a stage's name and the share done.
         checkpoint: Weights in place of the shipped ones.
@@ -96,7 +97,11 @@ def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: A
 
 
 def generate_motions(
-    scripts: Sequence[Sequence[tuple[str, float]]], *, seeds: int | Sequence[int] = 0, loop: bool = False, **sampling: Any
+    scripts: Sequence[Sequence[tuple[str, float]]],
+    *,
+    seeds: int | Sequence[int] = 0,
+    loop: bool = False,
+    **sampling: Any,
 ) -> list[HandleMotion]:
     """Handle motions of the reference body, all in one batch, each from one sentence or several in a row.
 
@@ -122,9 +127,9 @@ def generate_motions(
 
     import torch
 
-    from bunraku.diffusion.composition import Twin
+    from bunraku.diffusion.composition import PartTrack
     from bunraku.diffusion.windows import drawn_noise, plan_windows, sample_plans
-    from bunraku.language.concurrent import voices
+    from bunraku.language.concurrent import body_part_prompts
     from bunraku.nn.threads import fitting_threads
 
     if how.progress:
@@ -132,9 +137,11 @@ def generate_motions(
     model, encoder = load_generator(how.checkpoint)
     lengths = [frames_of([seconds for _, seconds in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
-    heard = [[voices(prompt) for prompt, _ in script] for script in scripts]
-    twins = [twin for index, some in enumerate(heard) if (twin := Twin.of(index, some))]
-    told = [voice[0].sentence for some in heard for voice in some] + [sentence for twin in twins for sentence in twin.sentences]
+    heard = [[body_part_prompts(prompt) for prompt, _ in script] for script in scripts]
+    twins = [twin for index, some in enumerate(heard) if (twin := PartTrack.of(index, some))]
+    told = [voice[0].sentence for some in heard for voice in some] + [
+        sentence for twin in twins for sentence in twin.sentences
+    ]
     text = encoder.encode(told)
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     noise = drawn_noise(seeds, len(scripts))
@@ -148,7 +155,14 @@ def generate_motions(
         return torch.cat([closed(part, model) for part in parts] if loop else parts)
 
     with fitting_threads(model):
-        found = sample_plans(model, text, plans, seeds=noise, refine=refine if loop or twins else None, **how.options(model, len(text.mask)))
+        found = sample_plans(
+            model,
+            text,
+            plans,
+            seeds=noise,
+            refine=refine if loop or twins else None,
+            **how.options(model, len(text.mask)),
+        )
     for twin, own in zip(twins, found[len(scripts) :], strict=True):
         found[twin.motion] = replace(own, adaptation=twin.adapt(found[twin.motion].adaptation, own.adaptation))
     motions = []
@@ -161,14 +175,18 @@ def generate_motions(
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:
-    """Frames of each part, at least one, so that the parts end where the sum of their seconds says, whatever the rounding."""
+    """Frames of each part, at least one, so that the parts end where the sum of their seconds says, whatever the
+    rounding.
+    """
     ends = [round(float(end) * fps) for end in np.cumsum(seconds)]
     out = [max(1, after - before) for before, after in zip([0, *ends], ends, strict=False)]
     return out
 
 
 def closed(values: Tensor, model: Denoiser) -> Tensor:
-    """Values of a loop, shape (N, D) in network units, whose root ends facing as it starts, and where it starts if it hardly travels."""
+    """Values of a loop, shape (N, D) in network units, whose root ends facing as it starts, and where it starts if it
+    hardly travels.
+    """
     import torch
 
     from bunraku.diffusion.root_path import arrive

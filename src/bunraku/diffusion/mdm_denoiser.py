@@ -1,8 +1,10 @@
-"""The denoiser that TapMo is compared with, "TapMo (MDM)" of its Table 1: MDM's transformer encoder with one text token.
+"""The denoiser that TapMo is compared with, "TapMo (MDM)" of its Table 1: MDM's transformer encoder with one text
+token.
 
-As in MDM (Tevet et al. 2022) the sentence's one vector and the diffusion step are summed into a single token, here with the
-mesh feature, which stands before the motion tokens and is all that tells them what to do: no cross-attention, no tokens of
-words, no adaptive norm. Positions are sinusoidal. Width, layers, frames a token, heads and both outputs are those of
+As in MDM (Tevet et al. 2022) the sentence's one vector and the diffusion step are summed into a single token, here with
+the
+mesh feature, which stands before the motion tokens and is all that tells them what to do: no cross-attention, no tokens
+of words, no adaptive norm. Positions are sinusoidal. Width, layers, frames a token, heads and both outputs are those of
 `Denoiser`; the feed-forward blocks are wider by twice the width, which takes the place of cross-attention, so that both
 networks have about the same number of parameters.
 """
@@ -34,7 +36,10 @@ class _EncoderLayer(nn.Module):
 
     def forward(self, x: Tensor, mask: Tensor | None) -> Tensor:
         """x (B, T, d), mask (B, 1, 1, T), True where real."""
-        query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in self.self_in(self.norm_a(x)).chunk(3, dim=-1))
+        query, key, value = (
+            part.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+            for part in self.self_in(self.norm_a(x)).chunk(3, dim=-1)
+        )
         if torch.is_grad_enabled() and x.device.type == "cpu":  # torch's fused backward is slow there, see `Denoiser`
             scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
             scores = scores if mask is None else scores.masked_fill(~mask, -1e4)
@@ -72,7 +77,13 @@ class EncoderDenoiser(Denoiser):
                 nn.init.zeros_(linear.bias)
 
     def condition(
-        self, text: Tensor | None, text_mask: Tensor | None, pooled: Tensor | None, mesh: Tensor | None, keep_text: Tensor, keep_mesh: Tensor
+        self,
+        text: Tensor | None,
+        text_mask: Tensor | None,
+        pooled: Tensor | None,
+        mesh: Tensor | None,
+        keep_text: Tensor,
+        keep_mesh: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """The one token, as a memory of one, but for the step that `forward` adds.
 

@@ -17,10 +17,12 @@ def arrive(root: Tensor, fps: float, turn: float | None, travel: tuple[float, fl
     """Root velocities changed as little and as evenly as they can be so that they lead to a given place.
 
     Args:
-        root: Yaw velocity [rad/s] and planar velocity in the heading of each frame [m/s], shape (N, 3), as `features` has them.
+        root: Yaw velocity [rad/s] and planar velocity in the heading of each frame [m/s], shape (N, 3), as `features`
+            has them.
         fps: Frames a second [1/s].
         turn: Turn of all frames together [rad]; None for the nearest whole number of turns.
-        travel: Way (x, z) of all frames together [m], seen from the heading before the first; None keeps the way unless it is so
+        travel: Way (x, z) of all frames together [m], seen from the heading before the first; None keeps the way unless
+            it is so
             short that it is meant to be none.
 
     Returns:

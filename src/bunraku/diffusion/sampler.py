@@ -45,7 +45,8 @@ class Window:
     """A stretch of the time line that the denoiser sees at once.
 
     Args:
-        frames: Which frames of the time line, shape (L,); a loop's run on from its end to its start, and may come twice.
+        frames: Which frames of the time line, shape (L,); a loop's run on from its end to its start, and may come
+            twice.
         share: What the window's prediction of each frame counts among those of all windows, shape (L,).
         row: The sentence, and mesh feature, that it is given.
     """
@@ -68,9 +69,13 @@ class Sample:
     adaptation: Tensor
 
 
-def guided(conditional: Tensor, unconditional: Tensor, guidance: float, rescale: float = 0.0, real: Tensor | None = None) -> Tensor:
-    """Classifier-free guidance on x0 (Ho & Salimans 2022), brought back towards the conditional's deviation by the share
-    `rescale` (Lin et al. 2023), shape (B, N, D); `real` (B, N) is False in padding, which does not count in the deviation."""
+def guided(
+    conditional: Tensor, unconditional: Tensor, guidance: float, rescale: float = 0.0, real: Tensor | None = None
+) -> Tensor:
+    """Classifier-free guidance on x0 (Ho & Salimans 2022), brought back towards the conditional's deviation by the
+    share `rescale` (Lin et al. 2023), shape (B, N, D); `real` (B, N) is False in padding, which does not count in the
+    deviation.
+    """
     x0 = unconditional + guidance * (conditional - unconditional)
     if rescale > 0:
         factor = _deviation(conditional, real) / _deviation(x0, real).clamp(min=1e-8)
@@ -90,8 +95,9 @@ def starting_noise(rows: int, frames: int, features: int, seed: int) -> Tensor:
 
 
 def row_noise(frames: int, features: int, seed: int, row: int = 0) -> Tensor:
-    """x_T of one row of a batch, shape (frames, features). It is drawn from a generator of (seed, row) of its own, on the CPU on
-    every machine, so a row is the same in any batch."""
+    """x_T of one row of a batch, shape (frames, features). It is drawn from a generator of (seed, row) of its own, on
+    the CPU on every machine, so a row is the same in any batch.
+    """
     return torch.randn(frames, features, generator=_generator(seed, row))
 
 
@@ -125,7 +131,8 @@ def sample(
     Args:
         model: The denoiser.
         text: B encoded sentences.
-        frames: Length N of the motions, at most the model's `frames`; or that of each, and all are padded with zeros to the longest.
+        frames: Length N of the motions, at most the model's `frames`; or that of each, and all are padded with zeros to
+            the longest.
         mesh_features: f_phi of each row's character, shape (B, 448); None for no mesh in particular.
         steps: Predictions of x0 that are made, one after the other.
         guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
@@ -139,10 +146,14 @@ def sample(
     rows = len(text.mask)
     lengths = [frames] * rows if isinstance(frames, int) else list(frames)
     longest = max(lengths)
-    windows = [Window(torch.arange(row * longest, row * longest + length), torch.ones(length), row) for row, length in enumerate(lengths)]
+    windows = [
+        Window(torch.arange(row * longest, row * longest + length), torch.ones(length), row)
+        for row, length in enumerate(lengths)
+    ]
     noise = starting_noise(rows, longest, model.config.features, seed).flatten(0, 1)
     found = sample_windows(
-        model, text, windows, noise, mesh_features=mesh_features, steps=steps, guidance=guidance, rescale=rescale, seed=seed,
+        model, text, windows, noise, mesh_features=mesh_features, steps=steps, guidance=guidance, rescale=rescale,
+        seed=seed,
         known=None if known is None else known.spread(), method=method, bf16=bf16, progress=progress,
     )  # fmt: skip
     return Sample(found.values.unflatten(0, (rows, longest)), found.adaptation.unflatten(0, (rows, longest)))
@@ -166,11 +177,12 @@ def sample_windows(
     bf16: bool = False,
     progress: Progress | None = None,
 ) -> Sample:
-    """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they predict.
+    """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they
+    predict.
 
-    Neighbours thus agree while the motion takes shape, and not only afterwards (as in DiffCollage, Zhang et al. 2023, and the first
-    take of DoubleTake, Shafir et al. 2023). Motions of a batch lie one after the other on the time line, no window reaching from one
-    into another.
+    Neighbours thus agree while the motion takes shape, and not only afterwards (as in DiffCollage, Zhang et al. 2023,
+    and the first take of DoubleTake, Shafir et al. 2023). Motions of a batch lie one after the other on the time line,
+    no window reaching from one into another.
 
     Args:
         model: The denoiser.
@@ -195,7 +207,10 @@ def sample_windows(
     text, noise = text.to(device), noise.to(device)
     order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
     with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
-        groups = [_Group(model, text, order[start : start + GROUP], mesh_features, guidance, rescale) for start in range(0, len(order), GROUP)]
+        groups = [
+            _Group(model, text, order[start : start + GROUP], mesh_features, guidance, rescale)
+            for start in range(0, len(order), GROUP)
+        ]
     total = torch.zeros(len(noise), 1, device=device)
     for group in groups:
         total.index_add_(0, group.frames[group.real], group.share[group.real][:, None])
@@ -232,7 +247,15 @@ def sample_windows(
 class _Group:
     """Windows that go through the denoiser together, with what does not depend on the step."""
 
-    def __init__(self, model: Denoiser, text: TextBatch, windows: Sequence[Window], mesh_features: Tensor | None, guidance: float, rescale: float):
+    def __init__(
+        self,
+        model: Denoiser,
+        text: TextBatch,
+        windows: Sequence[Window],
+        mesh_features: Tensor | None,
+        guidance: float,
+        rescale: float,
+    ):
         device = model.mean.device
         count, longest = len(windows), max(len(window.frames) for window in windows)
         self.guidance, self.rescale, self.twice = guidance, rescale, 1 if guidance == 1 else 2
@@ -241,19 +264,27 @@ class _Group:
         self.frames = torch.zeros(count, longest, dtype=torch.long, device=device)
         self.share = torch.zeros(count, longest, device=device)
         for row, window in enumerate(windows):
-            self.frames[row, : len(window.frames)], self.share[row, : len(window.frames)] = window.frames.to(device), window.share.to(device)
+            self.frames[row, : len(window.frames)], self.share[row, : len(window.frames)] = (
+                window.frames.to(device),
+                window.share.to(device),
+            )
         rows = torch.tensor([window.row for window in windows], device=device)
-        tokens, mask, pooled = (part[rows].repeat(self.twice, *[1] * (part.ndim - 1)) for part in (text.tokens, text.mask, text.pooled))
+        tokens, mask, pooled = (
+            part[rows].repeat(self.twice, *[1] * (part.ndim - 1)) for part in (text.tokens, text.mask, text.pooled)
+        )
         mesh = None if mesh_features is None else mesh_features.to(device).float()[rows].repeat(self.twice, 1)
         keep_text = torch.arange(self.twice * count, device=device) < count
-        self.condition = model.condition(tokens, mask, pooled, mesh, keep_text, torch.full_like(keep_text, mesh is not None))
+        self.condition = model.condition(
+            tokens, mask, pooled, mesh, keep_text, torch.full_like(keep_text, mesh is not None)
+        )
 
     def predict(self, model: Denoiser, x: Tensor, step: int, final: bool) -> tuple[Tensor, Tensor]:
         """x0 (G, L, D) and adaptation (G, L, K, 3) of each window, from x_t on the time line (F, D)."""
         seen, patch = x[self.frames], model.config.frames_per_token
         x0, adaptation = self._run(model, seen, step, self.lengths)
         if final and patch > 1:
-            # Frames of one token agree better than neighbours across two: a second grid, moved by half a token, heals the seams.
+            # Frames of one token agree better than neighbours across two: a second grid, moved by half a token, heals
+            # the seams.
             ahead = patch // 2
             moved = torch.cat([seen[:, :ahead].flip(1), seen], 1)
             other, other_adaptation = (part[:, ahead:] for part in self._run(model, moved, step, self.lengths + ahead))

@@ -29,11 +29,12 @@ def add_noise(clean: Tensor, noise: Tensor, step: Tensor, curve: Tensor) -> Tens
 
 
 def sampling_steps(count: int) -> list[int]:
-    """Training steps that a sampler of `count` steps, 1 to 1,000, visits: falling from 999, even in the log of the signal-to-noise ratio.
+    """Training steps that a sampler of `count` steps, 1 to 1,000, visits: falling from 999, even in the log of the
+    signal-to-noise ratio.
 
-    The high end decides what happens and the low end how crisply, and both get more of such steps than of even ones: 20 even steps
-    lose a sixth of the motion's spread and end four times as far from the limit of many steps. 12 of these end nearer to it than 20
-    that are dense at both ends as a cosine is.
+    The high end decides what happens and the low end how crisply, and both get more of such steps than of even ones: 20
+    even steps lose a sixth of the motion's spread and end four times as far from the limit of many steps. 12 of these
+    end nearer to it than 20 that are dense at both ends as a cosine is.
     """
     curve = alphas_cumprod()
     ratio = 0.5 * torch.log(curve / (1 - curve)).numpy()  # the lambda of DPM-Solver++, falling

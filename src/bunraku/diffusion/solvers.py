@@ -1,8 +1,8 @@
 """Solvers: from x_T to x_0 by predictions of x_0.
 
-The default is DPM-Solver++ (2M) for networks that predict x0 (Lu et al. 2022, algorithm 2), which needs 10 to 30 steps; the
-ancestral sampler of DDPM (Ho et al. 2020) is the reference beside it. The solver is written out here because importing
-diffusers' takes twice as long as torch itself; a test holds the two together.
+The default is DPM-Solver++ (2M) for networks that predict x0 (Lu et al. 2022, algorithm 2), which needs 10 to 30 steps;
+the ancestral sampler of DDPM (Ho et al. 2020) is the reference beside it. The solver is written out here because
+importing diffusers' takes twice as long as torch itself; a test holds the two together.
 """
 
 from __future__ import annotations
@@ -54,8 +54,11 @@ def dpm_solver(predict: Predict, noise: Tensor, steps: list[int], progress: Prog
     return x
 
 
-def ancestral(predict: Predict, noise: Tensor, steps: list[int], generator: torch.Generator, progress: Progress | None = None) -> Tensor:
-    """The sampler of DDPM: draws each x_{t-1} from the posterior q(x_{t-1} | x_t, x0); with all 1,000 steps, the reference.
+def ancestral(
+    predict: Predict, noise: Tensor, steps: list[int], generator: torch.Generator, progress: Progress | None = None
+) -> Tensor:
+    """The sampler of DDPM: draws each x_{t-1} from the posterior q(x_{t-1} | x_t, x0); with all 1,000 steps, the
+    reference.
 
     Args:
         predict: (x_t, t) -> x0.
@@ -70,7 +73,10 @@ def ancestral(predict: Predict, noise: Tensor, steps: list[int], generator: torc
         share_next = float(curve[steps[index + 1]]) if index + 1 < len(steps) else 1.0
         kept = share / share_next
         clean = predict(x, step)
-        mean = math.sqrt(share_next) * (1 - kept) / (1 - share) * clean + math.sqrt(kept) * (1 - share_next) / (1 - share) * x
+        mean = (
+            math.sqrt(share_next) * (1 - kept) / (1 - share) * clean
+            + math.sqrt(kept) * (1 - share_next) / (1 - share) * x
+        )
         variance = (1 - kept) * (1 - share_next) / (1 - share)
         x = mean + math.sqrt(variance) * torch.randn(x.shape, generator=generator).to(x) if variance > 0 else mean
         if progress is not None:

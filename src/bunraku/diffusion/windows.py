@@ -1,8 +1,8 @@
 """Motions longer than the denoiser's window, and sentences in a row: windows that overlap and are denoised together.
 
-A motion is cut into pieces, each within one sentence and short enough for the denoiser. The window of a piece reaches over both
-its ends into its neighbours, and at every step of sampling the predictions of two windows fade into each other there (see
-`sample_windows`). A loop is the same on a circle.
+A motion is cut into pieces, each within one sentence and short enough for the denoiser. The window of a piece reaches
+over both its ends into its neighbours, and at every step of sampling the predictions of two windows fade into each
+other there (see `sample_windows`). A loop is the same on a circle.
 """
 
 from __future__ import annotations
@@ -67,7 +67,12 @@ def plan_windows(lengths: Sequence[int], longest: int, *, loop: bool = False, ov
         start += length
     count = len(pieces)
     fades = [  # half of what piece i shares with the next one
-        min(overlap // 2, (pieces[i][1] - pieces[i][0]) // 2, (pieces[(i + 1) % count][1] - pieces[(i + 1) % count][0]) // 2) for i in range(count)
+        min(
+            overlap // 2,
+            (pieces[i][1] - pieces[i][0]) // 2,
+            (pieces[(i + 1) % count][1] - pieces[(i + 1) % count][0]) // 2,
+        )
+        for i in range(count)
     ]
     if not loop:
         fades[-1] = 0
@@ -106,7 +111,8 @@ def sample_plans(
         model: The denoiser.
         text: The sentences of the first plan, then those of the second, and so on.
         plans: One for each motion.
-        seeds: Of the starting noise; one number gives each motion noise of its own, the first as when it is alone. See `drawn_noise`.
+        seeds: Of the starting noise; one number gives each motion noise of its own, the first as when it is alone. See
+            `drawn_noise`.
         mesh_features: f_phi for each sentence, shape (B, 448).
         options: Others of `sample_windows`.
 
@@ -121,7 +127,9 @@ def sample_plans(
     lengths, size = [plan.frames for plan in plans], model.config.features
     drawn = drawn_noise(seeds, len(plans))
     noise = [row_noise(length, size, *pair) for length, pair in zip(lengths, drawn, strict=True)]
-    found = sample_windows(model, text, windows, torch.cat(noise), mesh_features=mesh_features, seed=drawn[0][0], **options)
+    found = sample_windows(
+        model, text, windows, torch.cat(noise), mesh_features=mesh_features, seed=drawn[0][0], **options
+    )
     return [Sample(*parts) for parts in zip(found.values.split(lengths), found.adaptation.split(lengths), strict=True)]
 
 
@@ -133,9 +141,16 @@ def drawn_noise(seeds: int | Sequence[int] | Sequence[tuple[int, int]], count: i
 
 
 def sample_long(
-    model: Denoiser, text: TextBatch, frames: int, *, seed: int = 0, progress: Callable[[int, int], None] | None = None, **options: Any
+    model: Denoiser,
+    text: TextBatch,
+    frames: int,
+    *,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
 ) -> Sample:
-    """Like `sample`, for any number of frames: long motions in windows, very short ones cut from the start of longer ones.
+    """Like `sample`, for any number of frames: long motions in windows, very short ones cut from the start of longer
+    ones.
 
     Every window is given the whole sentence, so a sentence about one event is done once a window.
 
@@ -149,4 +164,6 @@ def sample_long(
     """
     plan = plan_windows([frames], model.config.frames)
     found = sample_plans(model, text, [plan] * len(text.mask), seeds=seed, progress=progress, **options)
-    return Sample(torch.stack([part.values[:frames] for part in found]), torch.stack([part.adaptation[:frames] for part in found]))
+    return Sample(
+        torch.stack([part.values[:frames] for part in found]), torch.stack([part.adaptation[:frames] for part in found])
+    )

@@ -1,4 +1,6 @@
-"""Files as the formats see them: bounded reading, paths that stay in their folder, and writing that leaves nothing half-done."""
+"""Files as the formats see them: bounded reading, paths that stay in their folder, and writing that leaves nothing
+half-done.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,16 @@ from urllib.parse import unquote
 
 from bunraku.errors import FormatError
 
-__all__ = ["MAX_BYTES", "MAX_TEXT_BYTES", "atomic_write", "check_input", "check_output_folder", "check_text", "inside", "read_bounded"]
+__all__ = [
+    "MAX_BYTES",
+    "MAX_TEXT_BYTES",
+    "atomic_write",
+    "check_input",
+    "check_output_folder",
+    "check_text",
+    "inside",
+    "read_bounded",
+]
 
 MAX_BYTES = 2 << 30
 """Largest file that is read [bytes]."""
@@ -34,7 +45,9 @@ def check_input(path: Path) -> int:
     except FileNotFoundError:
         raise FormatError(path, "there is no such file; check the path") from None
     except (OSError, ValueError) as error:
-        raise FormatError(path, f"the file cannot be opened ({_reason(error)}); check the path and its permissions") from None
+        raise FormatError(
+            path, f"the file cannot be opened ({_reason(error)}); check the path and its permissions"
+        ) from None
     if stat.S_ISDIR(status.st_mode):
         raise FormatError(path, "this is a folder; name a file inside it")
     if not stat.S_ISREG(status.st_mode):
@@ -42,7 +55,11 @@ def check_input(path: Path) -> int:
     if status.st_size == 0:
         raise FormatError(path, "the file is empty; export it again")
     if status.st_size > MAX_BYTES:
-        raise FormatError(path, f"the file has {status.st_size / 2**30:.1f} GiB but at most {MAX_BYTES >> 30} GiB are read; simplify the mesh first")
+        raise FormatError(
+            path,
+            f"the file has {status.st_size / 2**30:.1f} GiB but at most {MAX_BYTES >> 30} GiB are read; simplify the "
+            "mesh first",
+        )
     return status.st_size
 
 
@@ -53,7 +70,11 @@ def check_text(path: Path, data: bytes) -> None:
         FormatError: It has more than `MAX_TEXT_BYTES`.
     """
     if len(data) > MAX_TEXT_BYTES:
-        raise FormatError(path, f"{len(data) >> 20} MiB of text are too many, at most {MAX_TEXT_BYTES >> 20} are read; save it as GLB or binary PLY")
+        raise FormatError(
+            path,
+            f"{len(data) >> 20} MiB of text are too many, at most {MAX_TEXT_BYTES >> 20} are read; save it as GLB or "
+            "binary PLY",
+        )
 
 
 def read_bounded(path: Path) -> bytes:
@@ -76,7 +97,13 @@ def inside(folder: Path, uri: str) -> Path | None:
     URLs, absolute paths, `..` and links that lead out of the folder are all elsewhere.
     """
     name = unquote(uri).replace("\\", "/")
-    if not name or name.startswith("/") or "\0" in name or re.match(r"[A-Za-z][A-Za-z0-9+.\-]*:", name) or ".." in name.split("/"):
+    if (
+        not name
+        or name.startswith("/")
+        or "\0" in name
+        or re.match(r"[A-Za-z][A-Za-z0-9+.\-]*:", name)
+        or ".." in name.split("/")
+    ):
         return None
     try:
         target = (folder / name).resolve()
@@ -105,7 +132,9 @@ def check_output_folder(path: Path) -> None:
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise FormatError(path, f"the folder {folder} cannot be created ({_reason(error)}); choose another place") from None
+        raise FormatError(
+            path, f"the folder {folder} cannot be created ({_reason(error)}); choose another place"
+        ) from None
 
 
 @contextmanager
@@ -128,7 +157,9 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes files that only their owner can read
         os.replace(temporary, path)
     except OSError as error:
-        raise FormatError(path, f"the file cannot be written ({_reason(error)}); choose another place or free some space") from None
+        raise FormatError(
+            path, f"the file cannot be written ({_reason(error)}); choose another place or free some space"
+        ) from None
     finally:
         if temporary:
             with suppress(OSError):
@@ -140,5 +171,7 @@ def _reason(error: Exception) -> str:
 
 
 def weights_folder() -> Path:
-    """Where the shipped checkpoints lie: in the folder that the environment variable BUNRAKU_WEIGHTS names, or in the package."""
+    """Where the shipped checkpoints lie: in the folder that the environment variable BUNRAKU_WEIGHTS names, or in the
+    package.
+    """
     return Path(os.environ.get("BUNRAKU_WEIGHTS") or Path(__file__).resolve().parents[1] / "weights")

@@ -1,7 +1,8 @@
 """Turn a character by right angles, and the document that it came from with it.
 
-A document keeps its positions, normals and images as they are: what turns is the placement of its meshes, as a node above all others
-would do it. So a file that is written afterwards is upright, and its materials, UVs and morph targets are the user's own.
+A document keeps its positions, normals and images as they are: what turns is the placement of its meshes, as a node
+above all others would do it. So a file that is written afterwards is upright, and its materials, UVs and morph targets
+are the user's own.
 """
 
 from __future__ import annotations
@@ -54,7 +55,12 @@ def _turned_source(source: Source, matrix: np.ndarray) -> Source:
     old = source.tree
     local = np.where((old.parents < 0)[:, None, None], matrix @ old.local, old.local)
     tree = NodeTree(old.parents, matrix @ old.world, old.scene, local)
-    return replace(source, tree=tree, skins=posed_skins(source.skins, tree), parts=tuple(_turned_part(part, matrix) for part in source.parts))
+    return replace(
+        source,
+        tree=tree,
+        skins=posed_skins(source.skins, tree),
+        parts=tuple(_turned_part(part, matrix) for part in source.parts),
+    )
 
 
 def _turned_part(part: MeshPart, matrix: np.ndarray) -> MeshPart:

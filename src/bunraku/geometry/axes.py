@@ -1,4 +1,6 @@
-"""The six axes, and the 24 right-angle rotations that make any one of them up and any other at a right angle to it the front."""
+"""The six axes, and the 24 right-angle rotations that make any one of them up and any other at a right angle to it the
+front.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,15 @@ import numpy as np
 
 from bunraku.errors import OptionError
 
-__all__ = ["AXES", "ORIENTATIONS", "axis_name", "axis_vector", "default_orientation", "right_angle_rotations", "upright_rotation"]
+__all__ = [
+    "AXES",
+    "ORIENTATIONS",
+    "axis_name",
+    "axis_vector",
+    "default_orientation",
+    "right_angle_rotations",
+    "upright_rotation",
+]
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 ORIENTATIONS: tuple[tuple[str, str], ...] = tuple((up, front) for up, front in product(AXES, AXES) if up[1] != front[1])
@@ -53,7 +63,8 @@ def right_angle_rotations() -> np.ndarray:
 
 
 def default_orientation(up: str | None = None, front: str | None = None) -> tuple[str, str]:
-    """Up and front where no guess decides: +Y and +Z, the rule of glTF, or what is nearest to it with an axis that is known.
+    """Up and front where no guess decides: +Y and +Z, the rule of glTF, or what is nearest to it with an axis that is
+    known.
 
     A file with +Z up faces -Y, as modelling programs have it.
     """

@@ -83,7 +83,9 @@ def _search(points: np.ndarray, home: np.ndarray, stars: _Stars) -> _Found:
 
 
 def _walk(points: np.ndarray, home: np.ndarray, found: _Found, stars: _Stars) -> np.ndarray:
-    """Homes moved along the mesh, for the points whose nearest point is on the rim of their star; -1 for those that stay."""
+    """Homes moved along the mesh, for the points whose nearest point is on the rim of their star; -1 for those that
+    stay.
+    """
     at_best = np.flatnonzero(found.square == found.nearest[found.owner])
     rows, first = np.unique(found.owner[at_best], return_index=True)
     best = at_best[first]
@@ -108,13 +110,15 @@ def _walk(points: np.ndarray, home: np.ndarray, found: _Found, stars: _Stars) ->
     return moved
 
 
-def blend_matrix(points: np.ndarray, home: np.ndarray, vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, width: float) -> csr_matrix:
+def blend_matrix(
+    points: np.ndarray, home: np.ndarray, vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, width: float
+) -> csr_matrix:
     """Weights of mesh vertices at points whose place on the mesh is roughly known.
 
-    Each point takes the nearest points of the triangles around its home vertex and their barycentric weights, blended by
-    `exp(-(d^2 - d_min^2) / (2 width^2))`, so that the weights change smoothly from one triangle to the next. Where the nearest
-    point is on the rim of those triangles, the home first walks a few vertices towards it. Only neighbours on the mesh are ever
-    looked at, so a finger takes nothing from the next finger, however near.
+    Each point takes the nearest points of the triangles around its home vertex and their barycentric weights, blended
+    by `exp(-(d^2 - d_min^2) / (2 width^2))`, so that the weights change smoothly from one triangle to the next. Where
+    the nearest point is on the rim of those triangles, the home first walks a few vertices towards it. Only neighbours
+    on the mesh are ever looked at, so a finger takes nothing from the next finger, however near.
 
     Args:
         points: Positions, shape (P, 3).
@@ -140,12 +144,18 @@ def blend_matrix(points: np.ndarray, home: np.ndarray, vertices: np.ndarray, fac
         blocks.append(_blend(found, moved < 0, rows, stars, width))
         gone = np.flatnonzero(moved >= 0)
         if len(gone):
-            blocks.append(_blend(_search(points[rows[gone]], moved[gone], stars), np.ones(len(gone), bool), rows[gone], stars, width))
+            blocks.append(
+                _blend(
+                    _search(points[rows[gone]], moved[gone], stars), np.ones(len(gone), bool), rows[gone], stars, width
+                )
+            )
     row, column, value = (np.concatenate([block[part] for block in blocks]) for part in range(3))
     return coo_matrix((value, (row, column)), shape=(len(points), len(vertices))).tocsr()
 
 
-def _blend(found: _Found, wanted: np.ndarray, rows: np.ndarray, stars: _Stars, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _blend(
+    found: _Found, wanted: np.ndarray, rows: np.ndarray, stars: _Stars, width: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows, columns and values of the blended weights of the wanted points."""
     share = np.exp((found.nearest[found.owner] - found.square) / (2 * width * width))
     keep = np.flatnonzero((share > 0.01) & wanted[found.owner])

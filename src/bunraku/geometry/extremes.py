@@ -26,14 +26,16 @@ def extreme_points(points: np.ndarray, count: int = 64) -> np.ndarray:
         points: Shape (n, 3), n > 0.
         count: How many directions.
     """
-    return np.unique((_directions(count).astype(np.float32) @ (points - points.mean(axis=0)).astype(np.float32).T).argmax(axis=1))
+    return np.unique(
+        (_directions(count).astype(np.float32) @ (points - points.mean(axis=0)).astype(np.float32).T).argmax(axis=1)
+    )
 
 
 def part_extremes(vertices: np.ndarray, weights: np.ndarray, count: int = 160) -> np.ndarray:
     """Indices, in order, of the extreme points of every part of a body, shape (n,).
 
-    Parts are the vertices that one handle moves more than the others do, and where a second one has a fair share, as at knees and
-    elbows, those that the two move.
+    Parts are the vertices that one handle moves more than the others do, and where a second one has a fair share, as at
+    knees and elbows, those that the two move.
 
     Args:
         vertices: Rest positions, shape (V, 3).

@@ -1,8 +1,9 @@
 """The clean graph of a mesh as it comes: welded, in canonical order, with its loose parts joined.
 
-Files bring seams, STL soup, duplicate and degenerate faces, stray vertices and dozens of loose parts. `clean_mesh` gives the
-surface that they all mean, in an order that depends on the shape alone: not on the order of vertices and faces in the file, and
-not on seams being open or closed. Scale and offset cancel, up to rounding.
+Files bring seams, STL soup, duplicate and degenerate faces, stray vertices and dozens of loose parts. `clean_mesh`
+gives the
+surface that they all mean, in an order that depends on the shape alone: not on the order of vertices and faces in the
+file, and not on seams being open or closed. Scale and offset cancel, up to rounding.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ __all__ = [
     "unpack_pairs",
 ]
 
-_WELD = 2.5e-6  # points nearer than this share of the largest extent are always welded, points four times as far apart never directly
+# points nearer than this share of the largest extent are always welded, points four times as far apart never directly
+_WELD = 2.5e-6
 _DIRECTION = (0.8017837257372732, 0.5129891760425771, 0.3068528194400547)  # no plane of a usual model is square to it
 
 
@@ -59,10 +61,9 @@ class CleanMesh:
 def clean_mesh(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
     """Weld, clean, normalise and sort a mesh.
 
-    Vertices closer than 2.5e-6 of the largest extent become one. Faces with fewer than three different vertices and repeated
-    faces are dropped; of a face that is there in both orientations the
-    commoner one stays, or the one that looks outward. Slivers stay, since they
-    hold neighbours together.
+    Vertices closer than 2.5e-6 of the largest extent become one. Faces with fewer than three different vertices and
+    repeated faces are dropped; of a face that is there in both orientations the commoner one stays, or the one that
+    looks outward. Slivers stay, since they hold neighbours together.
 
     Args:
         vertices: Positions [m], shape (V, 3).
@@ -112,8 +113,8 @@ def clean_mesh(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
 def canonical_order(points: np.ndarray) -> np.ndarray:
     """An order of points that depends on nothing but where they are, shape (C,).
 
-    They are sorted along one fixed direction that no usual model is aligned with, so that neighbours keep their order under
-    rounding; equal ones by x, y and z.
+    They are sorted along one fixed direction that no usual model is aligned with, so that neighbours keep their order
+    under rounding; equal ones by x, y and z.
     """
     place = along(points)
     order = np.argsort(place, kind="stable")
@@ -126,7 +127,9 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
 def along(vectors: np.ndarray) -> np.ndarray:
     """Component of each vector along the fixed direction that breaks ties, shape (C, 3) -> (C,)."""
     x, y, z = vectors.T
-    out: np.ndarray = x * _DIRECTION[0] + y * _DIRECTION[1] + z * _DIRECTION[2]  # not a BLAS product, whose rounding depends on the row
+    out: np.ndarray = (
+        x * _DIRECTION[0] + y * _DIRECTION[1] + z * _DIRECTION[2]
+    )  # not a BLAS product, whose rounding depends on the row
     return out
 
 
@@ -138,7 +141,9 @@ def canonical_rank(points: np.ndarray) -> np.ndarray:
 
 
 def pack(columns: np.ndarray, count: int) -> np.ndarray:
-    """One key for each row of non-negative integers under `count`, in their lexicographic order, shape (R, C) -> (R,)."""
+    """One key for each row of non-negative integers under `count`, in their lexicographic order, shape (R, C) ->
+    (R,).
+    """
     if count ** columns.shape[1] < 2**63:
         key = columns[:, 0].astype(np.int64)
         for column in range(1, columns.shape[1]):
@@ -151,12 +156,15 @@ def _weld(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Welded points in canonical order (C, 3), and the welded point of each given one."""
     order = canonical_order(points)
     points = points[order]
-    # Cells of four grids, a quarter of a cell apart along every axis. A border that parts two near points does so in one grid
+    # Cells of four grids, a quarter of a cell apart along every axis. A border that parts two near points does so in
+    # one grid
     # for each axis, so the fourth grid joins them.
     firsts = []
     for shift in (0.5, 0.75, 0.0, 0.25):
         _, first, inverse = np.unique(
-            pack((np.floor(points / (4 * _WELD) + shift) + 60000).astype(np.int64), 120001), return_index=True, return_inverse=True
+            pack((np.floor(points / (4 * _WELD) + shift) + 60000).astype(np.int64), 120001),
+            return_index=True,
+            return_inverse=True,
         )
         firsts.append(first[inverse])
     here = np.arange(len(points))
@@ -167,7 +175,9 @@ def _weld(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         first = here
     else:
         graph = coo_matrix((np.ones(moved.sum(), bool), (rows[moved], columns[moved])), shape=(len(points),) * 2)
-        _, first, label = np.unique(connected_components(graph, directed=False)[1], return_index=True, return_inverse=True)
+        _, first, label = np.unique(
+            connected_components(graph, directed=False)[1], return_index=True, return_inverse=True
+        )
         rank = np.empty(len(first), np.int64)
         rank[np.argsort(first)] = np.arange(len(first))
         label, first = rank[label], np.sort(first)
@@ -179,7 +189,8 @@ def _weld(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def distinct_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Faces of three different vertices, each once, smallest vertex first, sorted, shape (F, 3) -> (G, 3).
 
-    Of a face that is there in both orientations the commoner one stays; if they are even, the one that looks away from 0.
+    Of a face that is there in both orientations the commoner one stays; if they are even, the one that looks away from
+    0.
     """
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
@@ -190,7 +201,10 @@ def distinct_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     middle = a + b + c - low - high
     flipped = ~(((a == low) & (b == middle)) | ((b == low) & (c == middle)) | ((c == low) & (a == middle)))
     key, first, inverse, repeats = np.unique(
-        pack(np.stack([low, middle, high], 1), len(vertices)), return_index=True, return_inverse=True, return_counts=True
+        pack(np.stack([low, middle, high], 1), len(vertices)),
+        return_index=True,
+        return_inverse=True,
+        return_counts=True,
     )
     low, middle, high, turned = low[first], middle[first], high[first], flipped[first]
     if (repeats > 1).any():
@@ -242,8 +256,8 @@ def mean_operator(edges: np.ndarray, count: int, own: bool = False) -> csr_matri
 def bridge_edges(vertices: np.ndarray, parts: np.ndarray, per_part: int = 3) -> np.ndarray:
     """Edges that join loose parts to their nearest neighbours until the graph is one.
 
-    In each round every part but the largest gets edges to the part nearest to it, between their nearest vertices, and the
-    parts so joined count as one in the next (Boruvka).
+    In each round every part but the largest gets edges to the part nearest to it, between their nearest vertices, and
+    the parts so joined count as one in the next (Boruvka).
 
     Args:
         vertices: Positions, shape (V, 3).

@@ -13,9 +13,9 @@ __all__ = ["heading"]
 def heading(root_rotation: np.ndarray, fps: float = 20.0) -> np.ndarray:
     """Where the root faces: its turn about +Y, unwrapped and smooth.
 
-    The turn is the twist of the rotation about +Y, which stays well defined for a body lying on its back, front or side,
-    unlike the projection of +Z, with which it agrees when upright. It is lost only upside down: each frame counts by how
-    well defined it is in a Gaussian mean over 0.1 s, and stretches without any are bridged.
+    The turn is the twist of the rotation about +Y, which stays well defined for a body lying on its back, front or
+    side, unlike the projection of +Z, with which it agrees when upright. It is lost only upside down: each frame counts
+    by how well defined it is in a Gaussian mean over 0.1 s, and stretches without any are bridged.
 
     Args:
         root_rotation: Rotations, shape (N, 3, 3).

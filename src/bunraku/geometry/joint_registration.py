@@ -1,8 +1,9 @@
 """The rigid motions of all parts together that come closest to a moving mesh.
 
-`bunraku.geometry.registration` fits each part on its own, as if its vertices moved with it alone. Where weights blend, parts pull
-at the same vertices, and motions that know of one another rebuild the mesh better. This is the fixed-weight half of
-skinning decomposition (Le & Deng 2012): each part in turn is fitted to what the others leave, which never makes the fit worse.
+`bunraku.geometry.registration` fits each part on its own, as if its vertices moved with it alone. Where weights blend,
+parts pull at the same vertices, and motions that know of one another rebuild the mesh better. This is the fixed-weight
+half of skinning decomposition (Le & Deng 2012): each part in turn is fitted to what the others leave, which never makes
+the fit worse.
 """
 
 from __future__ import annotations
@@ -15,7 +16,12 @@ _LIGHT = 1e-3  # weight under which a vertex has no say in a part
 
 
 def refine_registration(
-    source: np.ndarray, targets: np.ndarray, weights: np.ndarray, transforms: np.ndarray, fixed: tuple[int, ...] = (), sweeps: int = 6
+    source: np.ndarray,
+    targets: np.ndarray,
+    weights: np.ndarray,
+    transforms: np.ndarray,
+    fixed: tuple[int, ...] = (),
+    sweeps: int = 6,
 ) -> np.ndarray:
     """Improve the motions of parts so that their blend comes closer to the targets, in the sense of least squares.
 
@@ -23,7 +29,8 @@ def refine_registration(
         source: Rest vertices x [m], shape (V, 3).
         targets: Moved vertices of each frame [m], shape (N, V, 3).
         weights: Skinning weights, rows sum to 1, shape (V, K).
-        transforms: Affine motions to start from, `[R | o]` with x going to `sum_k w_k (R_k x + o_k)`, shape (N, K, 3, 4).
+        transforms: Affine motions to start from, `[R | o]` with x going to `sum_k w_k (R_k x + o_k)`, shape (N, K, 3,
+            4).
         fixed: Parts whose motion stays.
         sweeps: How often each part is fitted.
 
@@ -42,7 +49,9 @@ def refine_registration(
             if len(rows) < 3:
                 continue
             w, x = weights[rows, k], source[rows]
-            wanted = left[:, rows] + w[:, None] * np.einsum("nij,vj->nvi", out[:, k], homogeneous[rows])  # w (R x + o), ideally
+            wanted = left[:, rows] + w[:, None] * np.einsum(
+                "nij,vj->nvi", out[:, k], homogeneous[rows]
+            )  # w (R x + o), ideally
             square = w * w / (w @ w)
             centre, goal = square @ x, (w / (w @ w)) @ wanted  # (3,), (N, 3)
             covariance = np.einsum("v,nvi,vj->nij", w, wanted - w[:, None] * goal[:, None], x - centre)

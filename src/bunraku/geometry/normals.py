@@ -27,8 +27,8 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray, unit: bool = True) -
         unit: Scale to length 1; otherwise the sum of the face normals, each as long as a third of its area [m^2].
 
     Returns:
-        Normals, shape (V, 3), float64. A vertex without area (no face, degenerate faces, faces that cancel) gets +Y when
-        `unit`, else zero.
+        Normals, shape (V, 3), float64. A vertex without area (no face, degenerate faces, faces that cancel) gets +Y
+        when `unit`, else zero.
     """
     normals = face_normals(vertices, faces) / 6
     corners = faces.reshape(-1)

@@ -1,4 +1,6 @@
-"""The patches of a surface that become the vertices of the network mesh: long edges split, then the cells of a fixed grid."""
+"""The patches of a surface that become the vertices of the network mesh: long edges split, then the cells of a fixed
+grid.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,9 @@ def refine(clean: CleanMesh, cell: float, max_edge: float) -> FineMesh:
         grown = identity(whole, format="csr")
         for pairs in rounds:
             rows = np.repeat(np.arange(len(pairs)), 2)
-            half = csr_matrix((np.full(2 * len(pairs), 0.5), (rows, pairs.reshape(-1))), shape=(len(pairs), grown.shape[0]))
+            half = csr_matrix(
+                (np.full(2 * len(pairs), 0.5), (rows, pairs.reshape(-1))), shape=(len(pairs), grown.shape[0])
+            )
             grown = vstack([grown, half @ grown], format="csr")
         steps.append(grown)
     areas = vertex_areas(points, faces) + 1e-12
@@ -80,7 +84,9 @@ def _mean_matrix(label: np.ndarray, mass: np.ndarray) -> csr_matrix:
     return csr_matrix((mass / total[label], (label, np.arange(len(label)))), shape=(len(total), len(label)))
 
 
-def _inside_cells(points: np.ndarray, edges: np.ndarray, cell: float, offset: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def _inside_cells(
+    points: np.ndarray, edges: np.ndarray, cell: float, offset: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Label of each point, the same where edges connect points inside one cell, and the key of the cell.
 
     Without an offset, 0 is in the middle of a cell, so that symmetric meshes stay symmetric.
@@ -98,11 +104,13 @@ class Patches:
     cells: np.ndarray
 
 
-def find_patches(fine: FineMesh, cell: float, max_vertices: int, crowded: bool, offset: np.ndarray | float = 0.0) -> Patches:
+def find_patches(
+    fine: FineMesh, cell: float, max_vertices: int, crowded: bool, offset: np.ndarray | float = 0.0
+) -> Patches:
     """The patches of the surface that become network vertices.
 
-    Where loose parts are too many to keep a vertex each, the small ones, and when `crowded` all, merge with whatever shares
-    their cell.
+    Where loose parts are too many to keep a vertex each, the small ones, and when `crowded` all, merge with whatever
+    shares their cell.
 
     Args:
         fine: The mesh with its long edges split.
@@ -156,13 +164,16 @@ def _absorb(fine: FineMesh, label: np.ndarray, cells: np.ndarray, cell: float) -
 def soft_means(fine: FineMesh, patches: Patches, cell: float) -> tuple[csr_matrix, np.ndarray]:
     """The matrix of means over patches, (M, fine), and the area of each patch.
 
-    A vertex near the border of two cells counts in both, half and half on the border itself, so that means do not jump when
-    rounding moves it across. It counts only in patches that it or a neighbour is in.
+    A vertex near the border of two cells counts in both, half and half on the border itself, so that means do not jump
+    when rounding moves it across. It counts only in patches that it or a neighbour is in.
     """
     label, ends = patches.label, fine.edges
     ends = ends[label[ends[:, 0]] != label[ends[:, 1]]]
     own = np.arange(len(label))
-    members, where = np.concatenate([own, ends[:, 0], ends[:, 1]]), np.concatenate([label, label[ends[:, 1]], label[ends[:, 0]]])
+    members, where = (
+        np.concatenate([own, ends[:, 0], ends[:, 1]]),
+        np.concatenate([label, label[ends[:, 1]], label[ends[:, 0]]]),
+    )
     pairs = unpack_pairs(members * len(patches.cells) + where, len(patches.cells))
     vertex, patch = pairs.T
     off = np.abs(fine.vertices[vertex] - patches.cells[patch]) / cell

@@ -1,16 +1,16 @@
 """Weighted rigid registration of all parts in all frames at once (Besl & McKay 1992).
 
-A part k is the column k of a weight matrix. Its handle h_k is the weighted mean of the rest vertices, and its motion in a
-frame is the rotation R and translation t that bring `R (x - h_k) + h_k + t` closest to the moved vertices in the sense of
-weighted least squares. This is the form of the local transforms of Eq. 3 of TapMo.
+A part k is the column k of a weight matrix. Its handle h_k is the weighted mean of the rest vertices, and its motion in
+a frame is the rotation R and translation t that bring `R (x - h_k) + h_k + t` closest to the moved vertices in the
+sense of weighted least squares. This is the form of the local transforms of Eq. 3 of TapMo.
 
 The covariances of all parts and frames are one matrix product; the rotations are one batch of 3x3 singular value
-decompositions with the sign of the last singular value set so that no part is mirrored. Everything is in double precision
-inside.
+decompositions with the sign of the last singular value set so that no part is mirrored. Everything is in double
+precision inside.
 
-Parts that do not fix a rotation (one point, points on one line) take the solution nearest to the identity: a tiny multiple of
-the identity is added to the covariance, far below what a proper part has. A part without weight does not turn and follows the
-mean of all vertices.
+Parts that do not fix a rotation (one point, points on one line) take the solution nearest to the identity: a tiny
+multiple of the identity is added to the covariance, far below what a proper part has. A part without weight does not
+turn and follows the mean of all vertices.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ def part_means(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return _shares(weights).T @ np.asarray(vertices, np.float64)
 
 
-def register(source: np.ndarray, targets: np.ndarray, weights: np.ndarray, handles: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def register(
+    source: np.ndarray, targets: np.ndarray, weights: np.ndarray, handles: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """The rigid motion of every part in every frame (Besl & McKay 1992).
 
     Args:
@@ -60,7 +62,8 @@ def register(source: np.ndarray, targets: np.ndarray, weights: np.ndarray, handl
             (`part_means`) when not given.
 
     Returns:
-        Rotations R (N, K, 3, 3) and translations t (N, K, 3) [m], float64: a point x of part k goes to `R (x - h_k) + h_k + t`.
+        Rotations R (N, K, 3, 3) and translations t (N, K, 3) [m], float64: a point x of part k goes to `R (x - h_k) +
+        h_k + t`.
     """
     source = np.asarray(source, np.float64)
     frames, count = len(targets), weights.shape[1]
@@ -90,7 +93,9 @@ def register(source: np.ndarray, targets: np.ndarray, weights: np.ndarray, handl
     return rotations, translations
 
 
-def register_reference(source: np.ndarray, target: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def register_reference(
+    source: np.ndarray, target: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`register` of one part in one frame as the paper has it.
 
     Args:
@@ -111,12 +116,15 @@ def register_reference(source: np.ndarray, target: np.ndarray, weight: np.ndarra
     return handle, rotation, middle - handle
 
 
-def register_torch(source: torch.Tensor, targets: torch.Tensor, weights: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def register_torch(
+    source: torch.Tensor, targets: torch.Tensor, weights: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """`register` for training: differentiable in the weights, the source and the targets.
 
-    The rotation's gradient is that of the polar factor, `U [(B - B^T) / (s_i + s_j)] V^T` with B the incoming gradient in the
-    frames of U and V. It divides by sums of singular values, not by their differences as the gradient of an SVD does, so it is
-    finite where singular values coincide. Where a sum vanishes too (points on a line), the rotation takes no gradient.
+    The rotation's gradient is that of the polar factor, `U [(B - B^T) / (s_i + s_j)] V^T` with B the incoming gradient
+    in the frames of U and V. It divides by sums of singular values, not by their differences as the gradient of an SVD
+    does, so it is finite where singular values coincide. Where a sum vanishes too (points on a line), the rotation
+    takes no gradient.
 
     Args:
         source: Rest vertices [m], shape (V, 3).
@@ -132,7 +140,9 @@ def register_torch(source: torch.Tensor, targets: torch.Tensor, weights: torch.T
     source, targets, weights = source.double(), targets.double(), weights.double()
     total = weights.sum(0)
     empty = total <= _EMPTY * len(source)
-    shares = torch.where(empty, torch.full_like(weights, 1 / len(source)), weights / torch.where(empty, torch.ones_like(total), total))
+    shares = torch.where(
+        empty, torch.full_like(weights, 1 / len(source)), weights / torch.where(empty, torch.ones_like(total), total)
+    )
     means = shares.T @ source
     arms = source[:, None] - means
     spread = (arms.detach().square().sum(-1) * shares.detach()).sum(0)
@@ -140,7 +150,9 @@ def register_torch(source: torch.Tensor, targets: torch.Tensor, weights: torch.T
     moved = targets - middle
     moved_means = torch.einsum("nvi,vk->nki", moved, shares) + middle
     covariance = torch.einsum("nvi,vkj->nkij", moved, arms * (shares * ~empty)[..., None])
-    covariance = covariance + (_PULL * spread + (spread <= 0))[:, None, None] * torch.eye(3, dtype=covariance.dtype, device=covariance.device)
+    covariance = covariance + (_PULL * spread + (spread <= 0))[:, None, None] * torch.eye(
+        3, dtype=covariance.dtype, device=covariance.device
+    )
     rotations = _polar_rotation(covariance)
     return rotations.to(kind), (moved_means - means).to(kind), means.to(kind)
 

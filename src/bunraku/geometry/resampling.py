@@ -1,4 +1,6 @@
-"""Values of a clip at another rate: between two frames they move in straight lines, and rotations turn the short way round."""
+"""Values of a clip at another rate: between two frames they move in straight lines, and rotations turn the short way
+round.
+"""
 
 from __future__ import annotations
 

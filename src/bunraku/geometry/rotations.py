@@ -1,8 +1,8 @@
 """Rotations: the one place that converts between matrices, 6D, quaternions and axis-angle.
 
-Every function takes numpy arrays or torch tensors and answers in kind, keeps the floating type, and works on any leading
-shape. Matrices act on column vectors. Quaternions are xyzw with a non-negative w, as in files. 6D is the first two columns
-of the matrix, column after column (Zhou et al. 2019).
+Every function takes numpy arrays or torch tensors and answers in kind, keeps the floating type, and works on any
+leading shape. Matrices act on column vectors. Quaternions are xyzw with a non-negative w, as in files. 6D is the first
+two columns of the matrix, column after column (Zhou et al. 2019).
 """
 
 from __future__ import annotations
@@ -46,7 +46,18 @@ def _unit(xp: Any, vector: Array) -> Array:
 
 def matrix_to_6d(matrix: Array) -> Array:
     """First two columns of rotation matrices, shape [..., 3, 3] -> [..., 6] (Zhou et al. 2019)."""
-    return _stack(_xp(matrix), [matrix[..., 0, 0], matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 0, 1], matrix[..., 1, 1], matrix[..., 2, 1]], -1)
+    return _stack(
+        _xp(matrix),
+        [
+            matrix[..., 0, 0],
+            matrix[..., 1, 0],
+            matrix[..., 2, 0],
+            matrix[..., 0, 1],
+            matrix[..., 1, 1],
+            matrix[..., 2, 1],
+        ],
+        -1,
+    )
 
 
 def matrix_from_6d(six: Array) -> Array:
@@ -107,7 +118,9 @@ def matrix_from_axis_angle(rotvec: Array) -> Array:
     half = 0.5 * xp.sqrt((rotvec * rotvec).sum(-1))[..., None]
     small = half < 1e-6
     scale = xp.where(small, 0.5 - half * half / 12, xp.sin(half) / xp.where(small, xp.ones_like(half), 2 * half))
-    quaternion = np.concatenate([rotvec * scale, np.cos(half)], -1) if xp is np else xp.cat([rotvec * scale, xp.cos(half)], -1)
+    quaternion = (
+        np.concatenate([rotvec * scale, np.cos(half)], -1) if xp is np else xp.cat([rotvec * scale, xp.cos(half)], -1)
+    )
     return matrix_from_quaternion(quaternion)
 
 
@@ -125,7 +138,9 @@ def matrix_y(angle: Array) -> Array:
     """Rotations about +Y by an angle [rad], shape [...] -> [..., 3, 3]; a positive angle turns +Z towards +X."""
     xp = _xp(angle)
     c, s, zero, one = xp.cos(angle), xp.sin(angle), xp.zeros_like(angle), xp.ones_like(angle)
-    return _stack(xp, [_stack(xp, [c, zero, s], -1), _stack(xp, [zero, one, zero], -1), _stack(xp, [-s, zero, c], -1)], -2)
+    return _stack(
+        xp, [_stack(xp, [c, zero, s], -1), _stack(xp, [zero, one, zero], -1), _stack(xp, [-s, zero, c], -1)], -2
+    )
 
 
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:

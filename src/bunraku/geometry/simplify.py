@@ -1,10 +1,12 @@
 """The mesh that the networks see: about the same resolution for every character, whatever its file holds.
 
-Long edges are split, then the vertices are merged by the cells of a fixed grid, where only vertices that are connected inside
-a cell merge: fingers, legs and the two sides of a sheet stay apart, and every loose part keeps at least one vertex. Positions
-and normals are area-weighted means over the merged surface. Unlike edge collapses, whose order decides their result, this
-depends on the shape nearly alone: another tessellation, a rounded coordinate or an opened seam changes a mean a little and
-never starts an avalanche.
+Long edges are split, then the vertices are merged by the cells of a fixed grid, where only vertices that are connected
+inside
+a cell merge: fingers, legs and the two sides of a sheet stay apart, and every loose part keeps at least one vertex.
+Positions and normals are area-weighted means over the merged surface. Unlike edge collapses, whose order decides their
+result, this
+depends on the shape nearly alone: another tessellation, a rounded coordinate or an opened seam changes a mean a little
+and never starts an avalanche.
 """
 
 from __future__ import annotations
@@ -19,7 +21,16 @@ from scipy.sparse import csr_matrix
 from bunraku.errors import CharacterError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.closest import blend_matrix
-from bunraku.geometry.graph import CleanMesh, bridge_edges, canonical_order, canonical_rank, clean_mesh, distinct_faces, mesh_parts, unpack_pairs
+from bunraku.geometry.graph import (
+    CleanMesh,
+    bridge_edges,
+    canonical_order,
+    canonical_rank,
+    clean_mesh,
+    distinct_faces,
+    mesh_parts,
+    unpack_pairs,
+)
 from bunraku.geometry.patches import FineMesh, Patches, find_patches, refine, soft_means
 
 __all__ = ["NetworkMesh", "network_mesh", "network_views"]
@@ -34,11 +45,13 @@ class NetworkMesh:
 
     Args:
         vertices: Positions, the original's bounding box centred on 0 and its largest extent 1, shape (M, 3), float32.
-        normals: Area-weighted mean normals of the surface that each vertex stands for, shape (M, 3), float32. Length 1 where
+        normals: Area-weighted mean normals of the surface that each vertex stands for, shape (M, 3), float32. Length 1
+            where
             that is flat; shorter where it bends; near 0 where it closes on itself, as a thin finger does.
         areas: Surface that each vertex stands for, shape (M,), float32; sums to the area of the normalised mesh.
         faces: Vertex indices, shape (F, 3), int64.
-        edges: Undirected edges, bridges between loose parts included, each once, smaller vertex first, shape (E, 2), int64.
+        edges: Undirected edges, bridges between loose parts included, each once, smaller vertex first, shape (E, 2),
+            int64.
         components: Loose part of each vertex, shape (M,), int64.
         cell: Size of the grid's cells, about the distance between neighbours.
         clean: The welded original.
@@ -71,8 +84,9 @@ class NetworkMesh:
     def push(self, values: np.ndarray) -> np.ndarray:
         """Values of network vertices at every original vertex, shape (M, C) -> (V, C), float32.
 
-        Barycentric at the nearest points of the network mesh around the vertex's own place in it, blended smoothly across
-        edges. All weights are positive and sum to 1, so rows that sum to 1 stay so. Vertices at one place get one value.
+        Barycentric at the nearest points of the network mesh around the vertex's own place in it, blended smoothly
+        across edges. All weights are positive and sum to 1, so rows that sum to 1 stay so. Vertices at one place get
+        one value.
         """
         return self.push_clean(values)[self.clean.index]
 
@@ -85,11 +99,15 @@ class NetworkMesh:
         """Values of network vertices at some vertices of `surface`, shapes (M, C), (S,) -> (S, C), float32."""
         if len(where) == 0:
             return np.zeros((0, values.shape[1]), np.float32)
-        out: np.ndarray = self._blend(self.surface.vertices[where], self.surface_label[where]) @ np.asarray(values, np.float32)
+        out: np.ndarray = self._blend(self.surface.vertices[where], self.surface_label[where]) @ np.asarray(
+            values, np.float32
+        )
         return out
 
     def pull(self, values: np.ndarray) -> np.ndarray:
-        """Values of original vertices as means over the surface of each network vertex, shape (V, C) -> (M, C), float32."""
+        """Values of original vertices as means over the surface of each network vertex, shape (V, C) -> (M, C),
+        float32.
+        """
         clean = self.clean
         kept = np.flatnonzero(clean.used)
         rows = clean.index[kept]
@@ -101,7 +119,9 @@ class NetworkMesh:
         return out.astype(np.float32)
 
     def carry(self, values: np.ndarray, view: NetworkMesh) -> np.ndarray:
-        """Values of the vertices of another view of the same mesh (`network_views`) at this one's, shape (M', C) -> (M, C)."""
+        """Values of the vertices of another view of the same mesh (`network_views`) at this one's, shape (M', C) -> (M,
+        C).
+        """
         count = len(view.vertices)
         key, inverse = np.unique(self.surface_label * count + view.surface_label, return_inverse=True)
         shared = np.bincount(inverse, self.surface.areas)
@@ -150,10 +170,11 @@ def network_views(
     max_edge: float = 0.05,
     offsets: Sequence[tuple[float, float, float]] = ((0.0, 0.0, 0.0),),
 ) -> list[NetworkMesh]:
-    """Network meshes of one mesh by grids of the same cells that lie differently, for the price of little more than one.
+    """Network meshes of one mesh by grids of the same cells that lie differently, for the price of little more than
+    one.
 
-    Arguments and errors are those of `network_mesh`, with one offset for each result. The first decides the size of the cells,
-    so that others may have a few more vertices than `max_vertices`.
+    Arguments and errors are those of `network_mesh`, with one offset for each result. The first decides the size of the
+    cells, so that others may have a few more vertices than `max_vertices`.
     """
     if max_vertices < 100:
         raise CharacterError(f"a network mesh needs room for 100 vertices or more, not {max_vertices}")
@@ -173,7 +194,10 @@ def network_views(
             fine = refine(clean, cell, max_edge)
         else:
             break
-    return [_build(clean, fine, p, cell) for p in (patches, *(find_patches(fine, cell, max_vertices, crowded, offset) for offset in others))]
+    return [
+        _build(clean, fine, p, cell)
+        for p in (patches, *(find_patches(fine, cell, max_vertices, crowded, offset) for offset in others))
+    ]
 
 
 def _build(clean: CleanMesh, fine: FineMesh, patches: Patches, cell: float) -> NetworkMesh:

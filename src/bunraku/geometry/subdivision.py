@@ -29,8 +29,8 @@ def split_long_edges(
 ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
     """Halve the edges longer than `length` until there are none.
 
-    All faces at an edge split it at its middle, so the mesh stays as connected as it was. It stops early rather than make
-    more than `max_faces` faces.
+    All faces at an edge split it at its middle, so the mesh stays as connected as it was. It stops early rather than
+    make more than `max_faces` faces.
 
     Args:
         vertices: Positions, shape (V, 3).
@@ -88,7 +88,9 @@ def _split(vertices: np.ndarray, faces: np.ndarray, middles: np.ndarray) -> np.n
     a, b, c = faces[count == 2].T
     p, q = middles[count == 2, 0], middles[count == 2, 1]
     out.append((p, b, q))
-    first = _lengths(vertices, np.stack([p, c], 1)) <= _lengths(vertices, np.stack([a, q], 1)) * (1 + 1e-3)  # ties must not hang on rounding
+    first = _lengths(vertices, np.stack([p, c], 1)) <= _lengths(vertices, np.stack([a, q], 1)) * (
+        1 + 1e-3
+    )  # ties must not hang on rounding
     out += [(p[first], q[first], c[first]), (a[first], p[first], c[first])]
     other = ~first
     out += [(a[other], p[other], q[other]), (a[other], q[other], c[other])]

@@ -1,9 +1,10 @@
 """More limbs than two arms and two legs: spiders, crabs and insects.
 
-The handles know one leg and one arm a side, so the predictor gives all the legs of a side the same ones, and they would move as
-one rigid group about their common middle. Where the region of a limb is several limbs, each of the others gets handles of its
-own: spare ones, that nothing else of the character uses. They play the part of the limb's handles (`Handles.roles`). What the
-predictor takes for the arms of such a character and yet stands on the ground plays the part of a leg.
+The handles know one leg and one arm a side, so the predictor gives all the legs of a side the same ones, and they would
+move as one rigid group about their common middle. Where the region of a limb is several limbs, each of the others gets
+handles of its
+own: spare ones, that nothing else of the character uses. They play the part of the limb's handles (`Handles.roles`).
+What the predictor takes for the arms of such a character and yet stands on the ground plays the part of a leg.
 """
 
 from __future__ import annotations
@@ -26,14 +27,18 @@ SPARE = 2e-3  # share of the surface under which a handle is spare; it would fol
 HELD = 3e-3  # share of the surface from which a part of a further limb gets a handle
 TALL = 0.55  # a character whose head is over its hips and so far above its feet, over its extent, is a person
 _SPARE_FIRST = (
-    "left_wing", "right_wing", "head_top", "face", "left_fingers", "right_fingers", "left_foot", "right_foot", "tail_tip", "tail",
-    "left_collar", "right_collar", "spine1", "spine2", "spine3", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_elbow",
+    "left_wing", "right_wing", "head_top", "face", "left_fingers", "right_fingers", "left_foot", "right_foot",
+    "tail_tip", "tail",
+    "left_collar", "right_collar", "spine1", "spine2", "spine3", "left_wrist", "right_wrist", "left_ankle",
+    "right_ankle", "left_elbow",
     "right_elbow", "left_knee", "right_knee", "left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck",
 )  # fmt: skip
 
 
 def _person(mesh: NetworkMesh, weights: np.ndarray) -> bool:
-    """Whether a character stands upright and tall on its legs; what looks like further limbs are its clothes and weapons."""
+    """Whether a character stands upright and tall on its legs; what looks like further limbs are its clothes and
+    weapons.
+    """
     places = handle_positions(mesh.vertices, weights, mesh.areas)
     pelvis, head, *feet = (places[HANDLE_NAMES.index(name)] for name in ("pelvis", "head", "left_ankle", "right_ankle"))
     return bool(head[1] - pelvis[1] > 2 * abs(head[2] - pelvis[2]) and head[1] - max(foot[1] for foot in feet) > TALL)
@@ -50,7 +55,8 @@ class _Split:
         members: How much each vertex is of each limb, shape (M, L).
         stands: Which limbs stand on the ground.
         side: 0 for left, 1 for right.
-        before: Further limbs of that side in families before this one. What the predictor calls the first leg of a crab, or its
+        before: Further limbs of that side in families before this one. What the predictor calls the first leg of a
+            crab, or its
             last arm, is the same limb and should get the same handles.
     """
 
@@ -91,15 +97,17 @@ class _Split:
 def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Weights in which every further limb of a side has handles of its own.
 
-    What spare handles held goes to their parents. Where there are too few of them, the parts of further limbs are joined from
-    the far end, and then the hindmost limbs with those before them. Only characters with further limbs on both sides are split.
+    What spare handles held goes to their parents. Where there are too few of them, the parts of further limbs are
+    joined from the far end, and then the hindmost limbs with those before them. Only characters with further limbs on
+    both sides are split.
 
     Args:
         mesh: The network mesh.
         weights: Of its vertices, rows sum to 1, shape (M, 30).
 
     Returns:
-        Weights of the same shape, and the handle whose part each handle plays, shape (30,); None where nothing was split.
+        Weights of the same shape, and the handle whose part each handle plays, shape (30,); None where nothing was
+        split.
     """
     if _person(mesh, weights):
         return weights, None
@@ -126,15 +134,32 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
                 out[:, _body_handle(mesh, out, stub)] += held.sum(axis=1)
             members = members[:, : len(limbs)] / members[:, : len(limbs)].sum(axis=1, keepdims=True)
             legs = limb_handles(side, FAMILIES[0])
-            splits[-1].append(_Split(columns, legs, out[:, columns], members, [stands(mesh, limb) for limb in limbs], number, before[number]))
+            splits[-1].append(
+                _Split(
+                    columns,
+                    legs,
+                    out[:, columns],
+                    members,
+                    [stands(mesh, limb) for limb in limbs],
+                    number,
+                    before[number],
+                )
+            )
             before[number] += len(limbs) - 1
     roles = np.arange(HANDLE_COUNT)
     dealt = _fitted(splits, areas, len(spare))
     for split, _ in dealt:
         out[:, split.columns] = split.parts * split.members[:, :1]
-    asked = [(split, limb, part, owner) for split, owners in dealt for limb, owner in enumerate(owners, 1) for part in sorted(set(owner))]
+    asked = [
+        (split, limb, part, owner)
+        for split, owners in dealt
+        for limb, owner in enumerate(owners, 1)
+        for part in sorted(set(owner))
+    ]
     fresh = _places(
-        [split.slot(limb, _part_played(part, owner)) for split, limb, part, owner in asked], len(SIDES) * max(before) * len(FAMILIES[0]), spare
+        [split.slot(limb, _part_played(part, owner)) for split, limb, part, owner in asked],
+        len(SIDES) * max(before) * len(FAMILIES[0]),
+        spare,
     )
     for (split, limb, part, owner), handle in zip(asked, fresh, strict=True):
         roles[handle] = split.roles(limb)[_part_played(part, owner)]
@@ -151,11 +176,15 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _fitted(splits: list[list[_Split]], areas: np.ndarray, room: int) -> list[tuple[_Split, list[list[int]]]]:
-    """Every split with the owners of its parts (`_Split.owners`), as many handles as there is room for; both sides of a family alike."""
+    """Every split with the owners of its parts (`_Split.owners`), as many handles as there is room for; both sides of a
+    family alike.
+    """
     most = [len(family) for family in FAMILIES]
     while True:
         dealt = [
-            (split, split.owners(areas, most[number], family[-1 - side])) for number, family in enumerate(splits) for side, split in enumerate(family)
+            (split, split.owners(areas, most[number], family[-1 - side]))
+            for number, family in enumerate(splits)
+            for side, split in enumerate(family)
         ]
         if sum(len(set(owner)) for _, owners in dealt for owner in owners) <= room:
             return dealt
@@ -169,15 +198,17 @@ def _fitted(splits: list[list[_Split]], areas: np.ndarray, room: int) -> list[tu
 
 
 def _part_played(part: int, owner: list[int]) -> int:
-    """The part that the handle of a part plays: the one nearest to the body plays the first, where that has no handle of its own."""
+    """The part that the handle of a part plays: the one nearest to the body plays the first, where that has no handle
+    of its own.
+    """
     return 0 if part == owner[0] else part
 
 
 def _places(asked: list[int], slots: int, spare: list[int]) -> list[int]:
     """A spare handle for each slot that is asked for, so that a part more or less does not move the others.
 
-    A slot has its own place in `_SPARE_FIRST`. Where the character uses that one itself, the slot has the next that no slot owns, and
-    keeps it whether it is asked for or not, as long as there are enough.
+    A slot has its own place in `_SPARE_FIRST`. Where the character uses that one itself, the slot has the next that no
+    slot owns, and keeps it whether it is asked for or not, as long as there are enough.
     """
     own = [HANDLE_NAMES.index(_SPARE_FIRST[slot]) if slot < len(_SPARE_FIRST) else -1 for slot in range(slots)]
     free = [handle for handle in spare if handle not in own]

@@ -45,7 +45,9 @@ def rig_handles(character: Character, least: int = 2) -> Handles:
     """
     rig = character.rig
     if rig is None:
-        raise CharacterError(f"{character.name}: there is no rig in this file to take the handles from; let them be predicted")
+        raise CharacterError(
+            f"{character.name}: there is no rig in this file to take the handles from; let them be predicted"
+        )
     dense = rig.dense_weights()
     areas = vertex_areas(character.vertices, character.faces)
     mass = (dense * areas[:, None]).sum(axis=0)
@@ -53,7 +55,8 @@ def rig_handles(character: Character, least: int = 2) -> Handles:
     if len(np.unique(known[known != NO_HANDLE])) < least:
         some = ", ".join(rig.names[:3])
         raise CharacterError(
-            f"{character.name}: the names of the rig's {len(rig.names)} bones ({some} ...) do not tell which part each moves; "
+            f"{character.name}: the names of the rig's {len(rig.names)} bones ({some} ...) do not tell which part "
+            "each moves; "
             "rename them (hips, spine, head, left_hand ...) or let the handles be predicted"
         )
     weights = dense @ np.eye(HANDLE_COUNT, dtype=np.float32)[settle_joints(known, rig.parents)]

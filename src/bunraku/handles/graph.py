@@ -1,10 +1,10 @@
 """The mesh as the Mesh Handle Predictor sees it, and the graph layer that it is made of.
 
-A layer has two terms. The fine one is an EdgeConv over the one-ring, decomposed so that the linear maps run once a vertex and
-not once an edge. The coarse one lets every part of the mesh hear of every other: features are gathered into at most 128
-anchors, spread evenly over the surface, the anchors attend to one another, and the result is spread back. A one-ring is a
-millimetre on one mesh and a limb on another; the anchors are the same on both, so the predictor's field of view does not
-depend on the tessellation.
+A layer has two terms. The fine one is an EdgeConv over the one-ring, decomposed so that the linear maps run once a
+vertex and not once an edge. The coarse one lets every part of the mesh hear of every other: features are gathered into
+at most 128 anchors, spread evenly over the surface, the anchors attend to one another, and the result is spread back. A
+one-ring is a millimetre on one mesh and a limb on another; the anchors are the same on both, so the predictor's field
+of view does not depend on the tessellation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ class MeshGraph:
     Args:
         inputs: Position and normal of each vertex, shape (V, 6).
         areas: Share of the surface that each vertex stands for, shape (V,), sums to 1.
-        ranks: The n-th neighbours of the vertices that have so many, vertices in order of falling degree; every vertex is
+        ranks: The n-th neighbours of the vertices that have so many, vertices in order of falling degree; every vertex
+            is
             its own first neighbour. Shapes (V,), (V_1,), (V_2,) ...
         place: Where each vertex is in that order, shape (V,).
         spread: Weights from anchors to vertices, rows sum to 1, shape (V, M).
@@ -85,7 +86,12 @@ def _neighbour_ranks(edges: np.ndarray, count: int) -> tuple[list[np.ndarray], n
 
 
 def mesh_graph(
-    positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, areas: np.ndarray, anchors: int = 128, rng: np.random.Generator | None = None
+    positions: np.ndarray,
+    normals: np.ndarray,
+    edges: np.ndarray,
+    areas: np.ndarray,
+    anchors: int = 128,
+    rng: np.random.Generator | None = None,
 ) -> MeshGraph:
     """Tensors of a normalised mesh.
 
@@ -101,7 +107,9 @@ def mesh_graph(
     seen = positions if rng is None else positions + rng.normal(0, 0.02, positions.shape)
     chosen = farthest_points(seen, min(anchors, count))
     points = positions[chosen].astype(np.float32)
-    squared = ((positions**2).sum(axis=1)[:, None] - 2 * positions @ points.T + (points**2).sum(axis=1)).astype(np.float32)
+    squared = ((positions**2).sum(axis=1)[:, None] - 2 * positions @ points.T + (points**2).sum(axis=1)).astype(
+        np.float32
+    )
     near = min(_NEAR, len(chosen))
     index = np.argpartition(squared, near - 1, axis=1)[:, :near]
     weight = 1 / (np.maximum(np.take_along_axis(squared, index, axis=1), 0) + 1e-4)
@@ -127,8 +135,8 @@ def mesh_graph(
 class _NeighbourMax(torch.autograd.Function):
     """Largest feature among the neighbours of each vertex; the gradient goes to the neighbours that have it.
 
-    With the vertices in order of falling degree, the n-th neighbours of all vertices that have one are a prefix: no padding,
-    and all work is in whole slices.
+    With the vertices in order of falling degree, the n-th neighbours of all vertices that have one are a prefix: no
+    padding, and all work is in whole slices.
     """
 
     @staticmethod
@@ -212,7 +220,11 @@ class AnchorBlock(nn.Module):
 
     def forward(self, tokens: torch.Tensor) -> torch.Tensor:
         count, width = tokens.shape
-        q, k, v = self.attention(self.norm_attention(tokens)).reshape(count, 3, self.heads, width // self.heads).permute(1, 2, 0, 3)
+        q, k, v = (
+            self.attention(self.norm_attention(tokens))
+            .reshape(count, 3, self.heads, width // self.heads)
+            .permute(1, 2, 0, 3)
+        )
         heard = nn.functional.scaled_dot_product_attention(q[None], k[None], v[None])[0]
         tokens = tokens + self.merge(heard.transpose(0, 1).reshape(count, width))
         result: torch.Tensor = tokens + self.mix(self.norm_mix(tokens))

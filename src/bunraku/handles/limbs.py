@@ -1,4 +1,6 @@
-"""Limbs that share their handles, told apart: the pieces of a region of the network mesh that go out from the body side by side."""
+"""Limbs that share their handles, told apart: the pieces of a region of the network mesh that go out from the body side
+by side.
+"""
 
 from __future__ import annotations
 
@@ -60,17 +62,22 @@ def edge_lengths(mesh: NetworkMesh) -> csr_matrix:
     first, second = mesh.edges.T
     length = np.maximum(np.linalg.norm(mesh.vertices[first] - mesh.vertices[second], axis=1), 1e-6).astype(np.float64)
     count = len(mesh.vertices)
-    return csr_matrix((np.tile(length, 2), (np.concatenate([first, second]), np.concatenate([second, first]))), shape=(count, count))
+    return csr_matrix(
+        (np.tile(length, 2), (np.concatenate([first, second]), np.concatenate([second, first]))), shape=(count, count)
+    )
 
 
-def find_limbs(mesh: NetworkMesh, weights: np.ndarray, graph: csr_matrix) -> dict[tuple[tuple[str, ...], str], tuple[list[Limb], list[Limb]]]:
-    """For each family and side, the limbs that share those handles, raised ones first and then from the back, and stubs beside them;
-    fewer than two limbs where it is one or none.
+def find_limbs(
+    mesh: NetworkMesh, weights: np.ndarray, graph: csr_matrix
+) -> dict[tuple[tuple[str, ...], str], tuple[list[Limb], list[Limb]]]:
+    """For each family and side, the limbs that share those handles, raised ones first and then from the back, and stubs
+    beside them; fewer than two limbs where it is one or none.
 
-    Candidates are the connected pieces of the region that the handles hold, or, where those hang together at the body, of what the
-    lower parts hold. One counts as a limb of its own if it is about as large as the largest, goes out side by side with the others
-    and apart from them, and meets the body by itself: weapons, shields and boots meet it through the limb that bears them. What
-    does all that but reaches less far, as the fangs of a spider, is a stub.
+    Candidates are the connected pieces of the region that the handles hold, or, where those hang together at the body,
+    of what the lower parts hold. One counts as a limb of its own if it is about as large as the largest, goes out side
+    by side with the others
+    and apart from them, and meets the body by itself: weapons, shields and boots meet it through the limb that bears
+    them. What does all that but reaches less far, as the fangs of a spider, is a stub.
 
     Args:
         mesh: The network mesh.
@@ -88,11 +95,16 @@ def find_limbs(mesh: NetworkMesh, weights: np.ndarray, graph: csr_matrix) -> dic
         regions = [weights[:, some].sum(axis=1) > 0.5 for some in (columns, columns[1:])]
         whole, lower = (_limbs(mesh, region, distance, before) if region.any() else ([], []) for region in regions)
         limbs, stubs = max(whole, lower, key=lambda found: (len(found[0]), len(found[1])))
-        out[family, side] = sorted(limbs, key=lambda limb: (stands(mesh, limb), float(mesh.vertices[limb.members, 2].mean()))), stubs
+        out[family, side] = (
+            sorted(limbs, key=lambda limb: (stands(mesh, limb), float(mesh.vertices[limb.members, 2].mean()))),
+            stubs,
+        )
     return out
 
 
-def _limbs(mesh: NetworkMesh, region: np.ndarray, distance: np.ndarray, before: np.ndarray) -> tuple[list[Limb], list[Limb]]:
+def _limbs(
+    mesh: NetworkMesh, region: np.ndarray, distance: np.ndarray, before: np.ndarray
+) -> tuple[list[Limb], list[Limb]]:
     """Pieces of a region that are limbs, largest first, and those that are stubs.
 
     Args:

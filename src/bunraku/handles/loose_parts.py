@@ -16,8 +16,15 @@ PIECE = 0.03  # share of the surface from which a part is no longer small, howev
 REACH = 0.025  # a point nearer than this to a larger part lies on it, as a share of the character's extent
 COVER = 0.8  # share of its surface with which a part must lie on the larger one to sit there
 STIFF = 0.35  # largest extent of a part that sits nowhere and yet moves as a whole
-CLEAR = (0.6, 0.8)  # share of such a part that one handle must hold, from which and from which on wholly; others reach over a joint, as a sleeve does
-SHARP = 3  # power of a part's row: blends of handles that turn apart would shear the part, and rigs mostly bind it to one bone
+CLEAR = (
+    0.6,
+    0.8,
+    # share of such a part that one handle must hold, from which and from which on wholly; others reach over a joint,
+    # as a
+    # sleeve does
+)
+# power of a part's row: blends of handles that turn apart would shear the part, and rigs mostly bind it to one bone
+SHARP = 3
 _NEAR = 0.01  # how sharply the nearest points of the larger part are preferred
 
 
@@ -28,7 +35,8 @@ class LooseParts:
     Args:
         label: Part of each point of the mesh's surface (`NetworkMesh.surface`), shape (S,).
         extent: Largest extent of each part, as a share of the character's, shape (P,).
-        cover: Share of its surface with which each small part lies on the larger ones; 0 of those that are not small, shape (P,).
+        cover: Share of its surface with which each small part lies on the larger ones; 0 of those that are not small,
+            shape (P,).
         gap: Distance of each point of a small part to the larger parts, infinite elsewhere, shape (S,).
         host: The point of a larger part nearest to each point of a small part, -1 elsewhere, shape (S,).
     """
@@ -61,13 +69,15 @@ def find_loose_parts(mesh: NetworkMesh) -> LooseParts:
 def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> np.ndarray:
     """Weights where each small loose part has one row for all of it.
 
-    A part that lies on a larger one takes the mean of that one's weights at the points nearest to it. A part that lies on
-    none, as the head of a robot does, takes the mean of its own where one handle clearly holds it. Either row is sharpened.
+    A part that lies on a larger one takes the mean of that one's weights at the points nearest to it. A part that lies
+    on none, as the head of a robot does, takes the mean of its own where one handle clearly holds it. Either row is
+    sharpened.
 
     Args:
         mesh: The network mesh.
         weights: Of its vertices, rows sum to 1, shape (M, K).
-        stiff: Whether parts that lie on no other may move as a whole; not where they are legs, as those of insects often are.
+        stiff: Whether parts that lie on no other may move as a whole; not where they are legs, as those of insects
+            often are.
 
     Returns:
         Weights of the vertices of `mesh.clean`, shape (W, K), float32.

@@ -17,7 +17,17 @@ from bunraku.geometry.surface_points import surface_points
 if TYPE_CHECKING:
     from bunraku.handles.orientation_net import OrientationPredictor
 
-__all__ = ["HABITS", "MAYBE", "SURE", "Orientation", "Settled", "guess_orientation", "settle", "settled_axes", "upright"]
+__all__ = [
+    "HABITS",
+    "MAYBE",
+    "SURE",
+    "Orientation",
+    "Settled",
+    "guess_orientation",
+    "settle",
+    "settled_axes",
+    "upright",
+]
 
 SURE = 0.9
 """A character is turned unasked from this confidence on; see the model card for how often that is wrong."""
@@ -26,7 +36,9 @@ MAYBE = 0.5
 _POINTS = 2048
 _HABITS = {("+y", "+z"): 0.35, ("+z", "-y"): 0.2, ("+y", "-z"): 0.06, ("+y", "+x"): 0.04, ("+y", "-x"): 0.04,
            ("+z", "+y"): 0.04, ("+z", "+x"): 0.03, ("+z", "-x"): 0.03}  # fmt: skip
-HABITS = np.array([_HABITS.get(axes, (1 - sum(_HABITS.values())) / (len(ORIENTATIONS) - len(_HABITS))) for axes in ORIENTATIONS])
+HABITS = np.array(
+    [_HABITS.get(axes, (1 - sum(_HABITS.values())) / (len(ORIENTATIONS) - len(_HABITS))) for axes in ORIENTATIONS]
+)
 """How common each of `ORIENTATIONS` is in files, roughly and by experience, shape (24,)."""
 
 
@@ -76,7 +88,12 @@ def _model(path: Path, changed: int) -> OrientationPredictor:
 
 
 def guess_orientation(
-    character: Character, *, up: str | None = None, front: str | None = None, prior: np.ndarray = HABITS, checkpoint: str | Path | None = None
+    character: Character,
+    *,
+    up: str | None = None,
+    front: str | None = None,
+    prior: np.ndarray = HABITS,
+    checkpoint: str | Path | None = None,
 ) -> Orientation:
     """The most likely up axis of a character, and the most likely front with that axis up.
 
@@ -84,7 +101,8 @@ def guess_orientation(
         character: Any mesh; a rig that it may have is not looked at.
         up: Its up axis where that is known.
         front: The axis that it faces where that is known.
-        prior: How likely each of `ORIENTATIONS` is before anyone looks at the shape; equal numbers let the shape speak alone.
+        prior: How likely each of `ORIENTATIONS` is before anyone looks at the shape; equal numbers let the shape speak
+            alone.
         checkpoint: Weights of kind "orientation"; the shipped ones when not given.
 
     Raises:
@@ -139,7 +157,8 @@ def settle(character: Character, up: str = "auto", front: str = "auto", *, sure:
         character: Any character.
         up: The axis that is up in it, such as "+z", or "auto" to guess.
         front: The axis that it faces, or "auto" to guess.
-        sure: Least confidence to believe a guess; below, what is not said is taken as `default_orientation` says. A guess of the
+        sure: Least confidence to believe a guess; below, what is not said is taken as `default_orientation` says. A
+            guess of the
             up axis may be believed alone.
 
     Raises:
@@ -154,8 +173,12 @@ def settle(character: Character, up: str = "auto", front: str = "auto", *, sure:
     return Settled(*settled_axes(guess, sure, *said), guess)
 
 
-def settled_axes(guess: Orientation, sure: float = SURE, up: str | None = None, front: str | None = None) -> tuple[str, str]:
-    """Up and front as a guess has them where it is sure, and as is usual where it is not; an axis that is known stays as it is."""
+def settled_axes(
+    guess: Orientation, sure: float = SURE, up: str | None = None, front: str | None = None
+) -> tuple[str, str]:
+    """Up and front as a guess has them where it is sure, and as is usual where it is not; an axis that is known stays
+    as it is.
+    """
     if guess.up_confidence < sure:
         return default_orientation(up, front)
     return (guess.up, guess.front) if guess.confidence >= sure else default_orientation(guess.up, front)

@@ -1,7 +1,8 @@
 """The network that knows which way up a character belongs and which way it faces.
 
-It scores one orientation: how upright and forward does this mesh stand? The same network sees the mesh in all 24 right-angle
-rotations, and a softmax over the scores compares them. Whatever the file's axes, the 24 pictures are the same ones, so turning a
+It scores one orientation: how upright and forward does this mesh stand? The same network sees the mesh in all 24
+right-angle rotations, and a softmax over the scores compares them. Whatever the file's axes, the 24 pictures are the
+same ones, so turning a
 mesh by one of the 24 permutes the scores and changes nothing else: no orientation can be favoured by accident.
 """
 
@@ -62,14 +63,16 @@ def shape_tokens(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, anc
         anchors: How many tokens, M; fewer where there are fewer points.
 
     Returns:
-        Mean position, mean normal, standard deviation along each axis and log of the share times M of each token, in units of the
-        largest extent, the bounding box centred on 0, shape (M, 10), float32.
+        Mean position, mean normal, standard deviation along each axis and log of the share times M of each token, in
+        units of the largest extent, the bounding box centred on 0, shape (M, 10), float32.
     """
     points = np.asarray(points, np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     points = (points - (low + high) / 2) / max(float((high - low).max()), 1e-300)
     chosen = points[farthest_points(points, min(anchors, len(points)))]
-    squared = ((points[:, None, 0] - chosen[:, 0]) ** 2 + (points[:, None, 1] - chosen[:, 1]) ** 2) + (points[:, None, 2] - chosen[:, 2]) ** 2
+    squared = ((points[:, None, 0] - chosen[:, 0]) ** 2 + (points[:, None, 1] - chosen[:, 1]) ** 2) + (
+        points[:, None, 2] - chosen[:, 2]
+    ) ** 2
     owner = squared.argmin(axis=1)
     share = np.maximum(np.asarray(areas, np.float64), 0)
     share = share + 1e-3 * max(float(share.mean()), 1e-300)
@@ -87,7 +90,9 @@ def shape_tokens(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, anc
 
 
 def turned_tokens(tokens: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
-    """Tokens of the mesh turned by each of some rotations by right angles, shapes (..., M, 10), (R, 3, 3) -> (..., R, M, 10)."""
+    """Tokens of the mesh turned by each of some rotations by right angles, shapes (..., M, 10), (R, 3, 3) -> (..., R,
+    M, 10).
+    """
     parts = tokens.unsqueeze(-3)
     back = rotations.transpose(-1, -2)
     shares = parts[..., 9:].expand(*tokens.shape[:-2], len(rotations), -1, 1)
@@ -103,11 +108,17 @@ class _Layer(nn.Module):
         self.norm = nn.LayerNorm(width)
         self.attention = nn.Linear(width, 3 * width)
         self.merge = nn.Linear(width, width)
-        self.mix = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
+        self.mix = nn.Sequential(
+            nn.LayerNorm(width), nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width)
+        )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         count, length, width = x.shape
-        q, k, v = self.attention(self.norm(x)).reshape(count, length, 3, self.heads, width // self.heads).permute(2, 0, 3, 1, 4)
+        q, k, v = (
+            self.attention(self.norm(x))
+            .reshape(count, length, 3, self.heads, width // self.heads)
+            .permute(2, 0, 3, 1, 4)
+        )
         heard = nn.functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).reshape(count, length, width)
         x = x + self.merge(heard)
         out: torch.Tensor = x + self.mix(x)
@@ -146,21 +157,27 @@ class OrientationPredictor(nn.Module):
         return result
 
     def probabilities(self, tokens: torch.Tensor) -> torch.Tensor:
-        """How likely each of `ORIENTATIONS` is the right one, from the mesh and its mirror image, shape (M, 10) -> (24,)."""
+        """How likely each of `ORIENTATIONS` is the right one, from the mesh and its mirror image, shape (M, 10) ->
+        (24,).
+        """
         mirror = tokens.new_tensor([-1.0, 1, 1, -1, 1, 1, 1, 1, 1, 1])
         turned = turned_tokens(tokens, self.rotations)
         scores = self(torch.cat([turned, turned * mirror])).reshape(2, -1).mean(dim=0)
         return (scores / self.config.temperature).softmax(-1)
 
 
-def save_orientation_predictor(path: str | Path, model: OrientationPredictor, note: dict[str, Any] | None = None, half: bool = False) -> Path:
+def save_orientation_predictor(
+    path: str | Path, model: OrientationPredictor, note: dict[str, Any] | None = None, half: bool = False
+) -> Path:
     """Write the weights with their config as a checkpoint of kind "orientation".
 
     Args:
         note: Anything else to carry, for example the training's settings and results.
         half: Store the matrices as float16.
     """
-    return save_checkpoint(path, model.state_dict(), {"predictor": asdict(model.config), **(note or {})}, "orientation", half=half)
+    return save_checkpoint(
+        path, model.state_dict(), {"predictor": asdict(model.config), **(note or {})}, "orientation", half=half
+    )
 
 
 def load_orientation_predictor(path: str | Path) -> OrientationPredictor:
@@ -174,5 +191,7 @@ def load_orientation_predictor(path: str | Path) -> OrientationPredictor:
         model = OrientationPredictor(OrientationConfig(**config["predictor"]))
         model.load_state_dict(state)
     except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise WeightsError(f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again") from error
+        raise WeightsError(
+            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
+        ) from error
     return model.eval()

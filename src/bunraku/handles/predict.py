@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 __all__ = ["VIEWS", "mesh_feature", "predict_handles", "predict_weights", "smooth_weights", "trim_weights"]
 
-VIEWS = ((0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.25, 0.75, 0.5))  # how the grids lie whose network meshes are averaged, in cells
+VIEWS = (
+    (0.0, 0.0, 0.0),
+    (0.5, 0.5, 0.5),
+    (0.25, 0.75, 0.5),
+)  # how the grids lie whose network meshes are averaged, in cells
 
 
 def smooth_weights(weights: np.ndarray, edges: np.ndarray, steps: int = 2, share: float = 0.5) -> np.ndarray:
@@ -68,7 +72,9 @@ def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarr
     from bunraku.handles.graph import mesh_graph
     from bunraku.nn.threads import fitting_threads
 
-    graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors).to(next(model.parameters()).device)
+    graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors).to(
+        next(model.parameters()).device
+    )
     with torch.no_grad(), fitting_threads(model):
         plain, mirrored = model.eval()(graph), model(graph.mirrored())
         weights = 0.5 * (plain.weights + mirrored.weights[:, list(HANDLE_MIRROR)])
@@ -85,13 +91,13 @@ def _load(checkpoint: str | Path | None) -> HandlePredictor:
 def predict_handles(character: Character, checkpoint: str | Path | None = None) -> Handles:
     """The handles of a character [TapMo 1]: positions, skinning weights of every vertex, and the feature f_phi.
 
-    The network sees the normalised network mesh, in three tessellations, each also mirrored, and the mean of what it says counts: its
-    answers differ a little with the tessellation, and the mean does so less. The weights are smoothed over that mesh, made one
-    over small loose parts (`seat_parts`), divided among the legs of who has more than two (`split_limbs`), and carried to every
-    vertex of the original; vertices at one place get equal weights.
-    Handle positions are weighted means by surface area, in the form of Eq. 4, so that tessellation does not matter; loose parts
-    count as the network sees them, not as they are bound, for a pivot belongs where the joint is. A handle without a surface
-    stands where its parent stands.
+    The network sees the normalised network mesh, in three tessellations, each also mirrored, and the mean of what it
+    says counts: its answers differ a little with the tessellation, and the mean does so less. The weights are smoothed
+    over that mesh, made one over small loose parts (`seat_parts`), divided among the legs of who has more than two
+    (`split_limbs`), and carried to every vertex of the original; vertices at one place get equal weights. Handle
+    positions are weighted means by surface area, in the form of Eq. 4, so that tessellation does not matter; loose
+    parts count as the network sees them, not as they are bound, for a pivot belongs where the joint is. A handle
+    without a surface stands where its parent stands.
 
     Args:
         character: Any mesh, +Y up and facing +Z; a rig it may have is not looked at.

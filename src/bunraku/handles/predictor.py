@@ -1,4 +1,6 @@
-"""The Mesh Handle Predictor (section 3.1 of TapMo): a mesh in, skinning weights of 30 handles and the mesh feature out."""
+"""The Mesh Handle Predictor (section 3.1 of TapMo): a mesh in, skinning weights of 30 handles and the mesh feature
+out.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,14 @@ from bunraku.errors import WeightsError
 from bunraku.handles.graph import GraphLayer, MeshGraph
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 
-__all__ = ["HandlePrediction", "HandlePredictor", "PredictorConfig", "grow_predictor", "load_predictor", "save_predictor"]
+__all__ = [
+    "HandlePrediction",
+    "HandlePredictor",
+    "PredictorConfig",
+    "grow_predictor",
+    "load_predictor",
+    "save_predictor",
+]
 
 
 @dataclass(frozen=True)
@@ -28,7 +37,8 @@ class PredictorConfig:
         heads: Attention heads among the anchors.
         anchors: Anchors of the coarse term.
         depth: Rounds in which the anchors of a layer hear of one another.
-        mesh_vertices: Most vertices of the network mesh it was trained on, for `bunraku.geometry.simplify.network_mesh`.
+        mesh_vertices: Most vertices of the network mesh it was trained on, for
+            `bunraku.geometry.simplify.network_mesh`.
     """
 
     levels: tuple[int, int, int] = (64, 128, 256)
@@ -57,20 +67,24 @@ class HandlePrediction(NamedTuple):
 class HandlePredictor(nn.Module):
     """Three graph layers and a three-layer MLP with softmax (A.2).
 
-    f_phi is the three levels pooled over the mesh and joined, 64 + 128 + 256 = 448 numbers: the first half of each level's
-    channels by their largest value, the second half by their mean over the surface.
+    f_phi is the three levels pooled over the mesh and joined, 64 + 128 + 256 = 448 numbers: the first half of each
+    level's channels by their largest value, the second half by their mean over the surface.
     """
 
     def __init__(self, config: PredictorConfig | None = None):
         super().__init__()
         self.config = config or PredictorConfig()
         widths = (6, *self.config.levels)
-        self.layers = nn.ModuleList(GraphLayer(a, b, self.config.heads, self.config.depth) for a, b in zip(widths, widths[1:], strict=False))
+        self.layers = nn.ModuleList(
+            GraphLayer(a, b, self.config.heads, self.config.depth) for a, b in zip(widths, widths[1:], strict=False)
+        )
         length = sum(self.config.levels)
         first, second = self.config.hidden
         self.local = nn.Linear(length + 6, first)
         self.overall = nn.Linear(length, first, bias=False)
-        self.head = nn.Sequential(nn.LayerNorm(first), nn.GELU(), nn.Linear(first, second), nn.GELU(), nn.Linear(second, self.config.handles))
+        self.head = nn.Sequential(
+            nn.LayerNorm(first), nn.GELU(), nn.Linear(first, second), nn.GELU(), nn.Linear(second, self.config.handles)
+        )
 
     def forward(self, graph: MeshGraph) -> HandlePrediction:
         x, levels, pooled = graph.inputs, [], []
@@ -85,14 +99,18 @@ class HandlePredictor(nn.Module):
         return HandlePrediction(logits, logits.softmax(-1), features)
 
 
-def save_predictor(path: str | Path, model: HandlePredictor, note: dict[str, Any] | None = None, half: bool = False) -> Path:
+def save_predictor(
+    path: str | Path, model: HandlePredictor, note: dict[str, Any] | None = None, half: bool = False
+) -> Path:
     """Write the weights with their config as a checkpoint of kind "handles".
 
     Args:
         note: Anything else to carry, for example the training's settings and results.
         half: Store the matrices as float16.
     """
-    return save_checkpoint(path, model.state_dict(), {"predictor": asdict(model.config), **(note or {})}, "handles", half=half)
+    return save_checkpoint(
+        path, model.state_dict(), {"predictor": asdict(model.config), **(note or {})}, "handles", half=half
+    )
 
 
 def load_predictor(path: str | Path) -> HandlePredictor:
@@ -103,11 +121,15 @@ def load_predictor(path: str | Path) -> HandlePredictor:
     """
     state, config = load_checkpoint(path, "handles")
     try:
-        settings: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in config["predictor"].items()}
+        settings: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in config["predictor"].items()
+        }
         model = HandlePredictor(PredictorConfig(**settings))
         model.load_state_dict(state)
     except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise WeightsError(f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again") from error
+        raise WeightsError(
+            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
+        ) from error
     return model.eval()
 
 
@@ -121,6 +143,10 @@ def grow_predictor(model: HandlePredictor, path: str | Path) -> None:
     try:
         missing, unexpected = model.load_state_dict(state, strict=False)
     except RuntimeError as error:
-        raise WeightsError(f"{path}: the weights do not fit this predictor ({str(error).splitlines()[-1].strip()}); use its settings") from error
+        raise WeightsError(
+            f"{path}: the weights do not fit this predictor ({str(error).splitlines()[-1].strip()}); use its settings"
+        ) from error
     if unexpected or any(".blocks." not in name for name in missing):
-        raise WeightsError(f"{path}: the weights do not fit this predictor ({[*unexpected, *missing][0]}); use its settings")
+        raise WeightsError(
+            f"{path}: the weights do not fit this predictor ({[*unexpected, *missing][0]}); use its settings"
+        )

@@ -54,7 +54,10 @@ class Clip:
             return self.reference
         if self.positions is None or self.is_of(reference_body().handles):
             return self.motion
-        raise MotionError(f"{self.path}: this motion was made for a character and does not tell what the reference body does; name that character")
+        raise MotionError(
+            f"{self.path}: this motion was made for a character and does not tell what the reference body does; name "
+            "that character"
+        )
 
     def on(self, character: Character, handles: Handles) -> Animation | None:
         """The animation of the character that the motion was made for, or None if this is another one."""
@@ -74,7 +77,9 @@ def load_clip(path: str | Path) -> Clip:
     if data[:4] == b"glTF":
         data = packed_motion(path, data)
     elif data[:2] != b"PK":
-        raise FormatError(path, "clips are read from the .glb and .npz files that Bunraku writes; make one with `bunraku animate`")
+        raise FormatError(
+            path, "clips are read from the .glb and .npz files that Bunraku writes; make one with `bunraku animate`"
+        )
     return Clip(path, read_motion(path, data), read_reference(path, data), read_positions(path, data))
 
 

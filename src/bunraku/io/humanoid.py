@@ -1,7 +1,8 @@
 """What the humanoid skeleton does in an animation, in the character's own proportions: for BVH and VRMA.
 
-The fitted motion is taken back to the reference body (`retarget/reference.py`), so the skeleton does what is seen, foot locks and edits
-included, and its rest pose is the T-pose whatever the character's is. Bones have the lengths between the character's own joints.
+The fitted motion is taken back to the reference body (`retarget/reference.py`), so the skeleton does what is seen, foot
+locks and edits included, and its rest pose is the T-pose whatever the character's is. Bones have the lengths between
+the character's own joints.
 """
 
 from __future__ import annotations
@@ -26,14 +27,16 @@ __all__ = ["humanoid_motion", "write_humanoid_bvh", "write_humanoid_vrma"]
 def humanoid_motion(animation: Animation) -> SkeletalMotion:
     """The motion of SMPL's 22 joints that an animation plays, with the character's bone lengths and path.
 
-    Parts that the character lacks have the reference body's bones in its scale. Of several limbs of one kind the first counts.
+    Parts that the character lacks have the reference body's bones in its scale. Of several limbs of one kind the first
+    counts.
 
     Raises:
         MotionError: The animation's handles are not the 30 of the reference body.
     """
     if len(animation.handles.positions) != HANDLE_COUNT:
         raise MotionError(
-            f"the humanoid skeleton is told by the {HANDLE_COUNT} handles of Bunraku, and this animation has {len(animation.handles.positions)};"
+            f"the humanoid skeleton is told by the {HANDLE_COUNT} handles of Bunraku, and this animation has "
+            f"{len(animation.handles.positions)};"
             " animate the character with `bunraku animate`"
         )
     way = WayBack.of(animation.character, animation.handles)
@@ -46,7 +49,8 @@ def humanoid_motion(animation: Animation) -> SkeletalMotion:
 
 
 def _offsets(way: WayBack, pelvis: np.ndarray) -> np.ndarray:
-    """Rest offsets in the T-pose [m], shape (22, 3): those between the character's joints, turned as its limbs are turned.
+    """Rest offsets in the T-pose [m], shape (22, 3): those between the character's joints, turned as its limbs are
+    turned.
 
     Joints that it lacks in the middle of a limb share the way between those around them as the reference body's do.
     """
@@ -86,7 +90,9 @@ def _shared(joint: int, lower: int, parents: np.ndarray, present: np.ndarray) ->
 
 
 def _pelvis(way: WayBack, present: np.ndarray) -> np.ndarray:
-    """Where the pelvis joint is in the rest pose [m], shape (3,): as the reference body's is to its hips, or to its root handle."""
+    """Where the pelvis joint is in the rest pose [m], shape (3,): as the reference body's is to its hips, or to its
+    root handle.
+    """
     body, joints = reference_body(), way.joints.positions
     if present[1] and present[2]:
         size = np.linalg.norm(joints[1] - joints[2]) / np.linalg.norm(body.joints[1] - body.joints[2])
@@ -94,11 +100,17 @@ def _pelvis(way: WayBack, present: np.ndarray) -> np.ndarray:
     return np.asarray(way.handles.positions[0] + (body.joints[0] - body.handles.positions[0]) * way.scale)
 
 
-def write_humanoid_bvh(animation: Animation, path: Path, *, fps: float | None = None, unit: str = "cm", up: str = "+y", order: str = "zxy") -> Path:
-    """Write the humanoid skeleton of an animation as BVH; see `humanoid_motion` and `bunraku.formats.bvh.write.write_bvh`."""
+def write_humanoid_bvh(
+    animation: Animation, path: Path, *, fps: float | None = None, unit: str = "cm", up: str = "+y", order: str = "zxy"
+) -> Path:
+    """Write the humanoid skeleton of an animation as BVH; see `humanoid_motion` and
+    `bunraku.formats.bvh.write.write_bvh`.
+    """
     return write_motion_bvh(humanoid_motion(animation), path, fps=fps, unit=unit, up=up, order=order)
 
 
 def write_humanoid_vrma(animation: Animation, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
-    """Write the humanoid skeleton of an animation as VRMA; see `humanoid_motion` and `bunraku.formats.vrm.vrma_write.write_vrma`."""
+    """Write the humanoid skeleton of an animation as VRMA; see `humanoid_motion` and
+    `bunraku.formats.vrm.vrma_write.write_vrma`.
+    """
     return write_motion_vrma(humanoid_motion(animation), path, fps=fps, name=name)

@@ -27,18 +27,27 @@ def load_mesh_motion(folder: str | Path, fps: float = 20.0) -> MeshMotion:
     """
 
     folder = Path(folder)
-    kinds = [sorted(file for file in folder.iterdir() if file.suffix.lower() == suffix and file.is_file()) for suffix in (".ply", ".obj")]
+    kinds = [
+        sorted(file for file in folder.iterdir() if file.suffix.lower() == suffix and file.is_file())
+        for suffix in (".ply", ".obj")
+    ]
     files = max(kinds, key=len)
     if not files:
         raise FormatError(folder, "it holds no .obj or .ply files; name a folder with one mesh a frame")
     first = load_character(files[0])
     count = len(first.vertices)
     if count * 3 * len(files) > MAX_VALUES:
-        raise FormatError(folder, f"{len(files)} frames of {count:,} vertices are too many; simplify the meshes or leave frames out")
+        raise FormatError(
+            folder, f"{len(files)} frames of {count:,} vertices are too many; simplify the meshes or leave frames out"
+        )
     vertices = np.empty((len(files), count, 3), np.float32)
     for number, file in enumerate(files):
         mesh = first if not number else load_character(file)
         if mesh.vertices.shape != first.vertices.shape or not np.array_equal(mesh.faces, first.faces):
-            raise FormatError(file, f"its mesh has other triangles than {files[0].name}; export all frames with the same vertices in the same order")
+            raise FormatError(
+                file,
+                f"its mesh has other triangles than {files[0].name}; export all frames with the same vertices in the "
+                "same order",
+            )
         vertices[number] = mesh.vertices
     return MeshMotion(vertices, first.faces, fps, folder.name)

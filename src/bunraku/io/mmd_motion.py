@@ -17,7 +17,8 @@ __all__ = ["write_character_vmd"]
 
 
 def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps: float | None = None) -> Path:
-    """Write what an MMD character does as keys of its bones, at 30 frames a second, with the inverse kinematics of its legs off.
+    """Write what an MMD character does as keys of its bones, at 30 frames a second, with the inverse kinematics of its
+    legs off.
 
     An animation of the character's own bones is written bone by bone, one of its handles as what SMPL's 22 joints do.
 
@@ -27,7 +28,8 @@ def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps:
         fps: Only 30 is possible, which is what VMD files have.
 
     Raises:
-        FormatError: The character is of another kind, the model has a bone whose name VMD cannot hold, or the file cannot be written.
+        FormatError: The character is of another kind, the model has a bone whose name VMD cannot hold, or the file
+            cannot be written.
         OptionError: Another rate is asked for.
         MotionError: The animation is of handles, and the model's bones lack MMD's standard names.
     """
@@ -36,7 +38,9 @@ def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps:
     character = animation.character
     if mmd_model(character) is None:
         raise FormatError(
-            path, f"a VMD moves the bones of an MMD model, and {character.name} is none; transfer onto a .pmx or .pmd, or write a .bvh or .vrma"
+            path,
+            f"a VMD moves the bones of an MMD model, and {character.name} is none; transfer onto a .pmx or .pmd, or "
+            "write a .bvh or .vrma",
         )
     if isinstance(animation, RigAnimation):
         return write_vmd(mmd_clip(animation), path)

@@ -23,9 +23,10 @@ MAX_TRANSFORMS = 4_000_000
 def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> Animation:
     """Read a character and a clip of its file, as an animation whose handles are the file's joints.
 
-    Each joint becomes a handle that holds the vertices of its skin; handle 0 stands still and holds none. A joint's transform
-    is taken relative to the bind pose, in which the character rests, so skinned meshes are exact; where a file has no bind pose
-    that makes sense, it is relative to the default pose and the result is close. Scales and shears of joints are kept.
+    Each joint becomes a handle that holds the vertices of its skin; handle 0 stands still and holds none. A joint's
+    transform is taken relative to the bind pose, in which the character rests, so skinned meshes are exact; where a
+    file has no bind pose that makes sense, it is relative to the default pose and the result is close. Scales and
+    shears of joints are kept.
 
     Args:
         path: A GLB, glTF, VRM or FBX file with a skin and a clip.
@@ -53,7 +54,11 @@ def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> 
         raise FormatError(path, f"its clip lasts {end:.0f} s but at most {MAX_SECONDS:.0f} s are played; cut it")
     moments = np.arange(int(np.floor(end * fps + 1e-3)) + 1) / fps
     if len(moments) * len(character.rig.names) > MAX_TRANSFORMS:
-        raise FormatError(path, f"its clip of {end:.0f} s moves {len(character.rig.names)} joints, too many to play; ask for fewer frames a second")
+        raise FormatError(
+            path,
+            f"its clip of {end:.0f} s moves {len(character.rig.names)} joints, too many to play; ask for fewer frames "
+            "a second",
+        )
     world = node_worlds(document, source.tree, curves, moments, source.skins.nodes)
     return _animation(character, world, fps)
 
@@ -84,8 +89,12 @@ def _animation(character: Character, world: np.ndarray, fps: float) -> Animation
     rotations = np.tile(np.eye(3), (frames, joints + 1, 1, 1))
     rotations[:, 1:] = change[..., :3, :3]
     translations = np.zeros((frames, joints + 1, 3))
-    translations[:, 1:] = change[..., :3, 3] - rig.positions + np.einsum("njab,jb->nja", change[..., :3, :3], rig.positions)
+    translations[:, 1:] = (
+        change[..., :3, 3] - rig.positions + np.einsum("njab,jb->nja", change[..., :3, :3], rig.positions)
+    )
     weights = np.concatenate([np.zeros((len(character.vertices), 1), np.float32), rig.dense_weights()], axis=1)
     weights[:, 0] = 1 - weights[:, 1:].sum(axis=1)
     still = np.broadcast_to(np.eye(3), (frames, 3, 3))
-    return Animation(character, Handles(positions, weights), HandleMotion(translations, rotations, np.zeros((frames, 3)), still, fps))
+    return Animation(
+        character, Handles(positions, weights), HandleMotion(translations, rotations, np.zeros((frames, 3)), still, fps)
+    )

@@ -61,11 +61,16 @@ def detect(path: Path, start: bytes, ability: str) -> Format:
     found = next((f for f in FORMATS if any(start.startswith(magic) for magic in f.magic)), None)
     if found is None and start.lstrip()[:1] == b"{" and suffix in (".glb", ".vrm"):
         suffix = ".gltf"
-    found = found or next((f for f in FORMATS if suffix in f.suffixes and (not start or not f.magic or not f.character)), None)
+    found = found or next(
+        (f for f in FORMATS if suffix in f.suffixes and (not start or not f.magic or not f.character)), None
+    )
     if found is not None and getattr(found, ability):
         return found
     if found is None and start and any(suffix in f.suffixes for f in FORMATS):
-        raise FormatError(path, f"its contents are not those of a {suffix} file; it is broken or has the wrong suffix, export it again")
+        raise FormatError(
+            path,
+            f"its contents are not those of a {suffix} file; it is broken or has the wrong suffix, export it again",
+        )
     known = ", ".join(known_suffix for f in FORMATS if getattr(f, ability) for known_suffix in f.suffixes)
     what = f"'{suffix}'" if suffix else "a file without a suffix"
     hint = "; export it as GLB, for example with Blender" if ability == "character" else ""
@@ -85,15 +90,23 @@ def _read(path: str | Path, ability: str, **options: Any) -> Any:
         with path.open("rb") as file:
             start = file.read(64)
     except OSError as error:
-        raise FormatError(path, f"the file cannot be read ({(error.strerror or str(error)).lower()}); check its permissions") from None
+        raise FormatError(
+            path, f"the file cannot be read ({(error.strerror or str(error)).lower()}); check its permissions"
+        ) from None
     found = detect(path, start, ability)
     if size > found.largest:
-        raise FormatError(path, f"{size >> 20} MiB are too many for a {found.title} file, at most {found.largest >> 20} are read; cut it into parts")
+        raise FormatError(
+            path,
+            f"{size >> 20} MiB are too many for a {found.title} file, at most {found.largest >> 20} are read; cut it "
+            "into parts",
+        )
     function = _resolve(getattr(found, ability))
     try:
         with np.errstate(all="ignore"):  # broken numbers are found by what they lead to
             known = _parameters(function)
-            return function(path, read_bounded(path), **{name: value for name, value in options.items() if name in known})
+            return function(
+                path, read_bounded(path), **{name: value for name, value in options.items() if name in known}
+            )
     except CharacterError as error:
         raise CharacterError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
     except MotionError as error:
@@ -104,20 +117,27 @@ def _read(path: str | Path, ability: str, **options: Any) -> Any:
         raise FormatError(path, "it does not fit into memory; simplify the mesh first") from None
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         # The readers check what they use; this is the net below them for broken files that nobody thought of.
-        raise FormatError(path, f"the file is broken ({type(error).__name__}: {str(error)[:80]}); export it again") from error
+        raise FormatError(
+            path, f"the file is broken ({type(error).__name__}: {str(error)[:80]}); export it again"
+        ) from error
 
 
-def load_character(path: str | Path, *, rest: str = "bind", up: str | None = None, front: str | None = None) -> Character:
+def load_character(
+    path: str | Path, *, rest: str = "bind", up: str | None = None, front: str | None = None
+) -> Character:
     """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY, STL, or the rig text of RigNet.
 
-    The vertices of GLB, glTF, VRM and FBX are in world space, those of FBX turned from the frame and unit that the file states.
+    The vertices of GLB, glTF, VRM and FBX are in world space, those of FBX turned from the frame and unit that the file
+    states.
     OBJ, PLY and STL name neither and are taken as they are: +Y up, +Z forward, metres.
 
     Args:
         path: The file; its first bytes decide the format where they can, its suffix otherwise.
-        rest: The rest pose of a file with a skin: "bind", the pose that its meshes were skinned in (T or A for most), or "default", that
+        rest: The rest pose of a file with a skin: "bind", the pose that its meshes were skinned in (T or A for most),
+            or "default", that
             of its nodes, which may be the middle of a clip. Files whose bind pose makes no sense take the default.
-        up: The axis that is up in the character as it would be read without this, such as "+z"; it is turned to stand along +Y.
+        up: The axis that is up in the character as it would be read without this, such as "+z"; it is turned to stand
+            along +Y.
             `bunraku.upright` finds out by itself.
         front: The axis that it faces; "-y" with "+z" up, "+z" otherwise, when only `up` is given.
 
@@ -153,8 +173,8 @@ def load_with_clips(path: str | Path, fps: float) -> Character:
 
 
 def read_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
-    """Read a motion: a handle motion that `Animation.save` wrote to NPZ, or a skeletal one of BVH, VRMA, AMASS (.npz), HumanML3D (.npy),
-    or the first clip of FBX.
+    """Read a motion: a handle motion that `Animation.save` wrote to NPZ, or a skeletal one of BVH, VRMA, AMASS (.npz),
+    HumanML3D (.npy), or the first clip of FBX.
 
     Skeletal motions keep their own joints; `bunraku.skeletons.to_smpl` turns them into ones of SMPL's 22.
 
@@ -169,11 +189,14 @@ def read_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
     return motion
 
 
-def save(thing: Animation | RigAnimation | PointAnimation | HandleMotion | SkeletalMotion, path: str | Path, **options: Any) -> Path:
+def save(
+    thing: Animation | RigAnimation | PointAnimation | HandleMotion | SkeletalMotion, path: str | Path, **options: Any
+) -> Path:
     """Write a motion or an animation of any kind in the format that the suffix names; `.save()` of all types ends here.
 
-    An animation of a character's own rig goes to .glb with the file's own nodes, skins and materials, to .vmd as the bones of an MMD model,
-    to the formats that speak of a person's parts as that of its 30 handles, and to all others as its bones move the mesh.
+    An animation of a character's own rig goes to .glb with the file's own nodes, skins and materials, to .vmd as the
+    bones of an MMD model, to the formats that speak of a person's parts as that of its 30 handles, and to all others as
+    its bones move the mesh.
 
     Raises:
         FormatError: The suffix is unknown, or the file cannot be written.
@@ -183,7 +206,11 @@ def save(thing: Animation | RigAnimation | PointAnimation | HandleMotion | Skele
         return _save_rig_animation(thing, path, options)
     if isinstance(thing, PointAnimation):
         return save_points(thing, path, **options)
-    return save_motion(thing, path, **options) if isinstance(thing, HandleMotion | SkeletalMotion) else save_animation(thing, path, **options)
+    return (
+        save_motion(thing, path, **options)
+        if isinstance(thing, HandleMotion | SkeletalMotion)
+        else save_animation(thing, path, **options)
+    )
 
 
 def _save_rig_animation(animation: RigAnimation, path: str | Path, options: dict[str, Any]) -> Path:
@@ -200,14 +227,15 @@ def _save_rig_animation(animation: RigAnimation, path: str | Path, options: dict
 def save_animation(animation: Animation, path: str | Path, **options: Any) -> Path:
     """Write an animation in the format that the suffix names.
 
-    .glb, .usd, .usda, .usdc, .usdz and .fbx hold the character with its skin and motion, .obj and .ply a sequence of meshes, .bvh and
-    .vrma what the humanoid skeleton does, .vmd the bones of an MMD model, .npz the handle motion, .mp4, .webp and .gif a video, .png a
-    contact sheet.
+    .glb, .usd, .usda, .usdc, .usdz and .fbx hold the character with its skin and motion, .obj and .ply a sequence of
+    meshes, .bvh and .vrma what the humanoid skeleton does, .vmd the bones of an MMD model, .npz the handle motion,
+    .mp4, .webp and .gif a video, .png a contact sheet.
 
     Args:
         animation: The animation.
         path: The file. `walk.obj` becomes a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on.
-        **options: `fps`, frames a second of the output [1/s], for all but .npz and .vmd; `up` ("+y" or "+z") and `unit` ("m", "cm", ...) for
+        **options: `fps`, frames a second of the output [1/s], for all but .npz and .vmd; `up` ("+y" or "+z") and `unit`
+            ("m", "cm", ...) for
             USD, .obj, .ply and .bvh; and what the writers of single formats have besides (docs/formats.md).
 
     Returns:
@@ -234,14 +262,16 @@ def save_motion(motion: HandleMotion | SkeletalMotion, path: str | Path, **optio
 
     Raises:
         FormatError: The suffix is unknown, or the file cannot be written.
-        MotionError: A handle motion of fewer handles than the reference body has, or a skeleton that is no humanoid, for .vrma.
+        MotionError: A handle motion of fewer handles than the reference body has, or a skeleton that is no humanoid,
+            for .vrma.
         OptionError: The format has no such option, its value makes no sense, or the motion has no frame.
     """
     return _write("moved", path, options, motion)
 
 
 def check_writer(path: str | Path) -> None:
-    """Make sure that what writes animations to files of this suffix is installed, before anything is made that is to be written.
+    """Make sure that what writes animations to files of this suffix is installed, before anything is made that is to be
+    written.
 
     Raises:
         BunrakuError: An optional library or program is missing; the message says which.
@@ -297,7 +327,9 @@ def _write(ability: str, path: str | Path, options: dict[str, Any], *things: Any
     known = {name for name, parameter in _parameters(function).items() if parameter.kind is parameter.KEYWORD_ONLY}
     for option in options:
         if option not in known:
-            raise OptionError(f"{path.suffix} files have no option '{option}'; they have: {', '.join(sorted(known)) or 'none'}")
+            raise OptionError(
+                f"{path.suffix} files have no option '{option}'; they have: {', '.join(sorted(known)) or 'none'}"
+            )
     check_output_folder(path)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         out: Path = function(*things, path, **options)

@@ -1,4 +1,6 @@
-"""Motions without a character, written to files: skeletal ones, and handle motions of the reference body as its skeleton's."""
+"""Motions without a character, written to files: skeletal ones, and handle motions of the reference body as its
+skeleton's.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,13 @@ def as_skeletal(motion: HandleMotion | SkeletalMotion) -> SkeletalMotion:
 
 
 def write_motion_bvh(
-    motion: HandleMotion | SkeletalMotion, path: Path, *, fps: float | None = None, unit: str = "cm", up: str = "+y", order: str = "zxy"
+    motion: HandleMotion | SkeletalMotion,
+    path: Path,
+    *,
+    fps: float | None = None,
+    unit: str = "cm",
+    up: str = "+y",
+    order: str = "zxy",
 ) -> Path:
     """Write a motion as BVH; see `write_bvh`."""
     from bunraku.core.resample import checked_fps
@@ -32,7 +40,9 @@ def write_motion_bvh(
     return write_bvh(skeletal, path, fps=checked_fps(fps, skeletal.fps), unit=unit, up=up, order=order)
 
 
-def write_motion_vrma(motion: HandleMotion | SkeletalMotion, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
+def write_motion_vrma(
+    motion: HandleMotion | SkeletalMotion, path: Path, *, fps: float | None = None, name: str | None = None
+) -> Path:
     """Write a motion as VRMA; see `write_vrma`."""
     from bunraku.formats.vrm.vrma_write import write_vrma
 

@@ -13,8 +13,9 @@ __all__ = ["FORMATS", "Format"]
 class Format:
     """A file format.
 
-    Modules are those of `bunraku.io`, or have their whole name, for what needs more than files: pictures, or the humanoid in a
-    character. They are loaded when a file is read or written, so nothing here imports what is built on it.
+    Modules are those of `bunraku.io`, or have their whole name, for what needs more than files: pictures, or the
+    humanoid in a character. They are loaded when a file is read or written, so nothing here imports what is built on
+    it.
 
     Args:
         title: Its name in messages.
@@ -75,7 +76,10 @@ FORMATS: tuple[Format, ...] = (
         points="bunraku.formats.mesh.sequences:write_obj_sequence",
     ),
     Format(
-        "USD", (".usd", ".usda", ".usdc", ".usdz"), animation="bunraku.formats.usd.write:write_usd", points="bunraku.formats.usd.write:write_points"
+        "USD",
+        (".usd", ".usda", ".usdc", ".usdz"),
+        animation="bunraku.formats.usd.write:write_usd",
+        points="bunraku.formats.usd.write:write_points",
     ),
     Format("STL", (".stl",), character="bunraku.formats.mesh.stl:read_stl"),
     Format(
@@ -125,5 +129,8 @@ FORMATS: tuple[Format, ...] = (
     Format("PMX", (".pmx",), (b"PMX ",), character="bunraku.formats.mmd.pmx:read_pmx"),
     Format("PMD", (".pmd",), (b"Pmd",), character="bunraku.formats.mmd.pmd:read_pmd"),
     Format("RigNet", (".txt",), character="bunraku.formats.mesh.rignet:read_rignet"),
-    *(Format(suffix[1:].upper(), (suffix,), animation="bunraku.render.preview:save_preview") for suffix in (".mp4", ".webp", ".gif", ".png")),
+    *(
+        Format(suffix[1:].upper(), (suffix,), animation="bunraku.render.preview:save_preview")
+        for suffix in (".mp4", ".webp", ".gif", ".png")
+    ),
 )

@@ -1,4 +1,5 @@
-"""What a sentence says that somebody does, in canonical words: "someone strolls off, then sits down" does "walk" and "sit".
+"""What a sentence says that somebody does, in canonical words: "someone strolls off, then sits down" does "walk" and
+"sit".
 
 The training data are balanced by these words, reports list them, and the action test counts them.
 """
@@ -223,7 +224,9 @@ def actions_of(sentence: str) -> tuple[str, ...]:
 
 
 def main_actions(texts: Sequence[str]) -> tuple[str, ...]:
-    """What the sentences of one stretch agree on: the words of the tersest that says any, or, where none does, "other"."""
+    """What the sentences of one stretch agree on: the words of the tersest that says any, or, where none does,
+    "other".
+    """
     for text in reversed(texts):
         found = actions_of(text)
         if found:

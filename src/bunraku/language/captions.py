@@ -1,7 +1,8 @@
 """Captions: short motion labels as sentences that people type.
 
-`captions.json` groups the labels of the motion archive that mean the same and gives each group phrases with their verbs in
-braces, such as "{walk} forward and {turn}"; `creature_captions.json` does the same for what creatures do, with verbs of their
+`captions.json` groups the labels of the motion archive that mean the same and gives each group phrases with their verbs
+in braces, such as "{walk} forward and {turn}"; `creature_captions.json` does the same for what creatures do, with verbs
+of their
 own: a bird flaps, a snake slithers. `grammar` makes sentences of the phrases.
 """
 
@@ -19,7 +20,8 @@ from typing import Any
 from bunraku.language.grammar import conjugate, fill, is_stative, sentence_forms
 
 __all__ = [
-    "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants", "creature_actions", "creature_clauses", "creature_names",
+    "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants", "creature_actions",
+    "creature_clauses", "creature_names",
     "creature_variants", "known_clauses", "known_verbs", "mirror_words", "normalise_label", "person_phrases",
 ]  # fmt: skip
 
@@ -81,18 +83,24 @@ def caption_group(label: str) -> CaptionGroup:
 @functools.cache
 def known_verbs() -> frozenset[str]:
     """All verbs of the phrases, plain: "walk", "gallop"."""
-    return frozenset(verb for name in ("captions.json", "creature_captions.json") for verb in _BRACED.findall(str(_table(name))))
+    return frozenset(
+        verb for name in ("captions.json", "creature_captions.json") for verb in _BRACED.findall(str(_table(name)))
+    )
 
 
 @functools.cache
 def known_clauses() -> frozenset[str]:
-    """All phrases for people's motions without a subject, in the third person, as gerunds and plain: what sentences of training are made of."""
+    """All phrases for people's motions without a subject, in the third person, as gerunds and plain: what sentences of
+    training are made of.
+    """
     phrases = {phrase for group in _groups().values() for phrase in group.phrases}
     return frozenset(conjugate(phrase, form) for phrase in phrases for form in ("third", "gerund", "plain"))
 
 
 def mirror_words(sentence: str) -> str:
-    """The sentence of the mirrored motion: left and right, clockwise and counterclockwise change places, as whole words."""
+    """The sentence of the mirrored motion: left and right, clockwise and counterclockwise change places, as whole
+    words.
+    """
 
     def swap(match: re.Match[str]) -> str:
         word = match.group(0)
@@ -161,15 +169,24 @@ def _creature_phrases(species: str, action: str) -> tuple[str, ...]:
 
 
 def person_phrases(species: str, action: str) -> tuple[str, ...]:
-    """What a person would be doing whose part a creature takes by this: a fish that swims walks. With verbs in braces, often none."""
+    """What a person would be doing whose part a creature takes by this: a fish that swims walks. With verbs in braces,
+    often none.
+    """
     table, species, action = _table("creature_captions.json"), normalise_label(species), normalise_label(action)
     action = table["aliases"].get(action, action)
-    return tuple(phrase for kind in table["kinds"] if species in kind["species"] for phrase in kind.get("person", {}).get(action, []))
+    return tuple(
+        phrase
+        for kind in table["kinds"]
+        if species in kind["species"]
+        for phrase in kind.get("person", {}).get(action, [])
+    )
 
 
 @functools.lru_cache(maxsize=8192)
 def creature_clauses(species: str, action: str, mirrored: bool = False, form: str = "third") -> tuple[str, ...]:
-    """What a creature does without its name, to be joined with others; arguments as for `creature_variants` and `caption_clauses`."""
+    """What a creature does without its name, to be joined with others; arguments as for `creature_variants` and
+    `caption_clauses`.
+    """
     return _clauses(_creature_phrases(normalise_label(species), normalise_label(action)), mirrored, form)
 
 
@@ -192,7 +209,8 @@ def creature_variants(species: str, action: str, mirrored: bool = False) -> tupl
 
     Args:
         species: What it is: "horse", "shiba inu".
-        action: What it does in one or two canonical words: "walk", "hit reaction". Words that the file does not know are
+        action: What it does in one or two canonical words: "walk", "hit reaction". Words that the file does not know
+            are
             taken for a verb.
         mirrored: For the mirror image of the clip.
     """
@@ -200,13 +218,28 @@ def creature_variants(species: str, action: str, mirrored: bool = False) -> tupl
     phrases = _creature_phrases(species, normalise_label(action))
     names = creature_names(species)
     named = [f"the {names[0]} {{third}}", f"{_article(names[0])} is {{gerund}}", f"the {names[0]} is {{gerund}}"]
-    named += [frame for name in names[1:] for frame in (f"{_article(name)} {{third}}", f"{_article(name)} is {{gerund}}")]
+    named += [
+        frame for name in names[1:] for frame in (f"{_article(name)} {{third}}", f"{_article(name)} is {{gerund}}")
+    ]
     found = []
     for phrase in phrases:
         # two sentences name the species: all of them for every phrase and species would be tens of thousands to encode
         drawn = named[zlib.crc32(f"{species} {phrase}".encode()) % len(named)]
-        frames = [f"{_article(names[0])} {{third}}", drawn, "it {third}", "it is {gerund}", "the creature {third}", "{plain}", "{third}", "{gerund}"]
+        frames = [
+            f"{_article(names[0])} {{third}}",
+            drawn,
+            "it {third}",
+            "it is {gerund}",
+            "the creature {third}",
+            "{plain}",
+            "{third}",
+            "{gerund}",
+        ]
         found += [fill(frame, phrase) for frame in frames if not (is_stative(phrase) and "{gerund}" in frame)]
     human = [*phrases[:3], *person_phrases(species, action)]
-    found += [fill(frame, phrase) for phrase in dict.fromkeys(human) for frame in ("a person {third}", "the character {third}")]
+    found += [
+        fill(frame, phrase)
+        for phrase in dict.fromkeys(human)
+        for frame in ("a person {third}", "the character {third}")
+    ]
     return _distinct(found, mirrored)

@@ -1,7 +1,9 @@
-"""What happens one after the other in a sentence: "a person walks, then waves" is "a person walks" and "a person waves".
+"""What happens one after the other in a sentence: "a person walks, then waves" is "a person walks" and "a person
+waves".
 
-Each clause is generated from its own words, as the prompts of a sequence are: the network hears "then" but often does only one of
-both. Words that say order part a sentence, and commas between verbs; "walks and waves" is for `voices`.
+Each clause is generated from its own words, as the prompts of a sequence are: the network hears "then" but often does
+only one of both. Words that say order part a sentence, and commas between verbs; "walks and waves" is for
+`body_part_prompts`.
 """
 
 from __future__ import annotations
@@ -29,15 +31,19 @@ _ORDER = re.compile(
 _OPENING = re.compile(rf"^(?:(?:at\s+)?first(?:ly)?\b|{_LATER}\b|to\s+begin\s+with\b)\s*,?\s*", re.IGNORECASE)
 _BEGINS = re.compile(r"\b(?:starts|begins|start|begin)\s+(?:off\s+)?by\s+(?=\w+ing\b)", re.IGNORECASE)
 _AFTER_FIRST = re.compile(r"^after\s+(?:having\s+)?(?P<earlier>[^,]+?),\s*(?P<later>.+)$", re.IGNORECASE | re.DOTALL)
-_HINGE = re.compile(r"\s*,?\s+(?P<word>before|after)\s+(?:having\s+)?(?P<rest>(?!landing|being).+)$", re.IGNORECASE | re.DOTALL)
+_HINGE = re.compile(
+    r"\s*,?\s+(?P<word>before|after)\s+(?:having\s+)?(?P<rest>(?!landing|being).+)$", re.IGNORECASE | re.DOTALL
+)
 _COMMA = re.compile(r"\s*,\s*(?:and\s+)?", re.IGNORECASE)
 _NOUN = (
     r"(?:(?:a|an|the|one|this|that|my|our|his|her|their|its)\s+(?:(?!(?:and|or)\b)[\w'-]+\s+){1,3}?"
     r"|(?:someone|somebody|he|she|it|they)\s+)"
 )
 _MORE_VERBS = (
-    "approach", "bark", "brush", "chase", "comb", "cook", "cough", "cross", "cry", "descend", "dig", "draw", "enter", "escape", "flee", "growl",
-    "grow", "hiss", "howl", "hug", "hunt", "kiss", "knock", "pour", "pray", "read", "relax", "scream", "search", "shiver", "shout", "sigh", "smile",
+    "approach", "bark", "brush", "chase", "comb", "cook", "cough", "cross", "cry", "descend", "dig", "draw", "enter",
+    "escape", "flee", "growl",
+    "grow", "hiss", "howl", "hug", "hunt", "kiss", "knock", "pour", "pray", "read", "relax", "scream", "search",
+    "shiver", "shout", "sigh", "smile",
     "sneeze", "sniff", "speed", "stalk", "stir", "tremble", "try", "type", "wake", "weep", "write", "yawn", "yell",
 )  # fmt: skip
 _NO_VERB = re.compile(
@@ -62,7 +68,9 @@ def _forms() -> tuple[str, str, str]:
 
 @functools.cache
 def _patterns() -> dict[str, re.Pattern[str]]:
-    """What begins a clause: a "subject", a verb in the "third" person, as a "gerund" or "plain", any "clause", or a "finite" one."""
+    """What begins a clause: a "subject", a verb in the "third" person, as a "gerund" or "plain", any "clause", or a
+    "finite" one.
+    """
     third, gerund, plain = _forms()
     texts = {
         "subject": rf"(?P<subject>{_NOUN})(?={_ADVERBS}(?:{third}|{gerund}|is\s+|are\s+))",
@@ -112,7 +120,9 @@ def subject_of(clause: str) -> tuple[str, str]:
 
 
 def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
-    """The clauses of a sentence with even shares of its seconds; the sentence itself where a share is under a second."""
+    """The clauses of a sentence with even shares of its seconds; the sentence itself where a share is under a
+    second.
+    """
     clauses = split_clauses(sentence)
     share = seconds / len(clauses)
     return [(clause, share) for clause in clauses] if share >= SHORTEST_CLAUSE else [(sentence, seconds)]
@@ -133,9 +143,11 @@ def _hinged(piece: str) -> list[str]:
 
 
 def _listed(piece: str, ordered: bool) -> list[str]:
-    """A list such as "a man walks, turns around and waves" as its clauses, where each begins with a verb of one form ("walks, looking down" does
-    not). Only commas make a list: "walks and waves" is none. Nouns may look like verbs ("dances with steps, turns and jumps"), so where nothing else
-    in the sentence says order, a list after "with" or "of" is none either."""
+    """A list such as "a man walks, turns around and waves" as its clauses, where each begins with a verb of one form
+    ("walks, looking down" does not). Only commas make a list: "walks and waves" is none. Nouns may look like verbs
+    ("dances with steps, turns and jumps"), so where nothing else in the sentence says order, a list after "with" or
+    "of" is none either.
+    """
     first, *others = _COMMA.split(piece)
     if not ordered and re.search(r"\b(?:with|of)\b|:", first):
         return [piece]
@@ -149,7 +161,9 @@ def _listed(piece: str, ordered: bool) -> list[str]:
 
 
 def with_subject(clause: str, subject: str) -> str:
-    """A clause that begins with its verb as one of this subject; others, and all without a subject, stay as they are."""
+    """A clause that begins with its verb as one of this subject; others, and all without a subject, stay as they
+    are.
+    """
     if not subject:
         return clause
     if _patterns()["third"].match(clause):

@@ -1,8 +1,9 @@
 """What happens at the same time in a sentence: "walks while waving" is walking, and arms that wave.
 
-Hardly any capture shows a gesture of the arms or the head on the way, so the network does one of both. Where a sentence joins a movement of
-the legs and one of the arms or the head, two motions are denoised side by side. The first hears of the legs. The second hears of the gesture
-and is given all but the gesture's handles by the first, at each step, as an edit that keeps them is (section A.3 of TapMo).
+Hardly any capture shows a gesture of the arms or the head on the way, so the network does one of both. Where a sentence
+joins a movement of the legs and one of the arms or the head, two motions are denoised side by side. The first hears of
+the legs. The second hears of the gesture and is given all but the gesture's handles by the first, at each step, as an
+edit that keeps them is (section A.3 of TapMo).
 """
 
 from __future__ import annotations
@@ -20,19 +21,23 @@ from bunraku.language.grammar import conjugate
 if TYPE_CHECKING:
     pass
 
-__all__ = ["Voice", "voices"]
+__all__ = ["BodyPartPrompt", "body_part_prompts"]
 
 _LEGS = (
-    "walk", "run", "jog", "sprint", "march", "sneak", "tiptoe", "skip", "stroll", "stride", "hop", "jump", "trot", "stomp", "wander", "sit", "kneel",
+    "walk", "run", "jog", "sprint", "march", "sneak", "tiptoe", "skip", "stroll", "stride", "hop", "jump", "trot",
+    "stomp", "wander", "sit", "kneel",
 )  # fmt: skip
 _ARMS = ("wave", "clap", "applaud", "salute", "cheer", "point", "beckon", "drink", "greet")
 _HEAD = ("nod",)
 _LIMB = re.compile(r"\b(?:hands?|arms?|fists?)\b", re.IGNORECASE)
-_JOINTS = tuple(re.compile(joint, re.IGNORECASE) for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!then\b)", r"\s*,\s*(?=\w+ing\b)"))
+_JOINTS = tuple(
+    re.compile(joint, re.IGNORECASE)
+    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!then\b)", r"\s*,\s*(?=\w+ing\b)")
+)
 
 
 @dataclass(frozen=True, eq=False)
-class Voice:
+class BodyPartPrompt:
     """A sentence, and the handles that listen to it.
 
     Args:
@@ -44,7 +49,7 @@ class Voice:
     handles: np.ndarray | None = None
 
 
-def voices(sentence: str) -> tuple[Voice, ...]:
+def body_part_prompts(sentence: str) -> tuple[BodyPartPrompt, ...]:
     """The sentence alone, or what it says of the legs and what of the arms or the head, which listen to their own half.
 
     Args:
@@ -59,8 +64,10 @@ def voices(sentence: str) -> tuple[Voice, ...]:
         parts = [_part(half) for half in (first, second)]
         if sorted(parts) in (["arms", "legs"], ["head", "legs"]):
             body, gesture = (first, second) if parts[0] == "legs" else (second, first)
-            return Voice(body), Voice(gesture, kept_handles(next(part for part in parts if part != "legs")))
-    return (Voice(sentence),)
+            return BodyPartPrompt(body), BodyPartPrompt(
+                gesture, kept_handles(next(part for part in parts if part != "legs"))
+            )
+    return (BodyPartPrompt(sentence),)
 
 
 def _part(clause: str) -> str:
@@ -71,8 +78,20 @@ def _part(clause: str) -> str:
         words = words[1:]
     verb = words[0] if words else ""
     for part, verbs in (("legs", _LEGS), ("arms", _ARMS), ("head", _HEAD)):
-        if any(verb in (plain, conjugate(f"{{{plain}}}", "third"), conjugate(f"{{{plain}}}", "gerund")) for plain in verbs):
+        if any(
+            verb in (plain, conjugate(f"{{{plain}}}", "third"), conjugate(f"{{{plain}}}", "gerund")) for plain in verbs
+        ):
             return part
-    if verb in ("raise", "raises", "raising", "lift", "lifts", "lifting", "swing", "swings", "swinging") and _LIMB.search(clause):
+    if verb in (
+        "raise",
+        "raises",
+        "raising",
+        "lift",
+        "lifts",
+        "lifting",
+        "swing",
+        "swings",
+        "swinging",
+    ) and _LIMB.search(clause):
         return "arms"
     return "head" if verb in ("shake", "shakes", "shaking") and "head" in words else ""

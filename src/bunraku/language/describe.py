@@ -1,7 +1,7 @@
 """Sentences computed from a motion itself: "turns left twice, then runs forward".
 
-`describe` finds phrases with the frames in which they hold (`motion_travel` and `motion_events` have the rules), so a crop of the motion gets only
-words that are true in it; `sentences` puts them in order.
+`describe` finds phrases with the frames in which they hold (`motion_travel` and `motion_events` have the rules), so a
+crop of the motion gets only words that are true in it; `sentences` puts them in order.
 """
 
 from __future__ import annotations
@@ -54,7 +54,9 @@ def _overlap(phrase: Phrase, others: Sequence[Phrase]) -> float:
 
 
 def inside(phrases: Sequence[Phrase], start: int, stop: int) -> list[Phrase]:
-    """The phrases that are true in frames `start` to `stop` - 1, with frames counted from `start`; repeats are counted in words."""
+    """The phrases that are true in frames `start` to `stop` - 1, with frames counted from `start`; repeats are counted
+    in words.
+    """
     kept, broken = [], []
     for phrase in phrases:
         a, b = max(phrase.start, start), min(phrase.stop, stop)
@@ -125,7 +127,8 @@ def chain(parts: Sequence[str], variant: int = 0) -> str:
 
 
 def sentences(phrases: Sequence[Phrase], start: int, stop: int) -> list[str]:
-    """What happens in frames `start` to `stop` - 1, in order, in several wordings of the third person without a subject.
+    """What happens in frames `start` to `stop` - 1, in order, in several wordings of the third person without a
+    subject.
 
     Args:
         phrases: From `describe`.

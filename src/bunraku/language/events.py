@@ -1,7 +1,7 @@
 """Rules that find what the limbs plainly do: jumping, kicking, raising and waving a hand, bending, standing still.
 
-Each rule says nothing where it is not sure. All thresholds are in metres, seconds and radians of the reference body, and all
-rules treat left and right alike, so a mirrored motion gives the mirrored words.
+Each rule says nothing where it is not sure. All thresholds are in metres, seconds and radians of the reference body,
+and all rules treat left and right alike, so a mirrored motion gives the mirrored words.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ def find_jumps(track: Track) -> list[Phrase]:
     """Jumps from both feet: both off the ground, the root thrown up and falling as things fall."""
     lowest = track.feet.min(1)
     root = track.height
-    fall = np.gradient(np.gradient(smooth(root, 0.05, track.fps))) * track.fps**2 if len(root) > 2 else np.zeros_like(root)
+    fall = (
+        np.gradient(np.gradient(smooth(root, 0.05, track.fps))) * track.fps**2 if len(root) > 2 else np.zeros_like(root)
+    )
     found = []
     for start, stop in runs(lowest > 0.06, track.frames(0.15)):
         before, after = max(start - track.frames(0.6), 0), min(stop + track.frames(0.3), len(track))
@@ -30,11 +32,19 @@ def find_jumps(track: Track) -> list[Phrase]:
             continue
         rise = float(root[start:stop].max() - root[before : start + 1].min())
         ends = abs(track.feet[start - 1, 0] - track.feet[start - 1, 1]), abs(track.feet[stop, 0] - track.feet[stop, 1])
-        if rise < 0.12 or fall[start:stop].mean() > -3 or max(ends) > 0.15 or float(track.speed[start:stop].mean()) > 2.2:
+        if (
+            rise < 0.12
+            or fall[start:stop].mean() > -3
+            or max(ends) > 0.15
+            or float(track.speed[start:stop].mean()) > 2.2
+        ):
             continue
         moved = track.place[stop] - track.place[start - 1]
         angle = track.angle[start]
-        ahead, aside = moved[1] * np.cos(angle) + moved[0] * np.sin(angle), moved[0] * np.cos(angle) - moved[1] * np.sin(angle)
+        ahead, aside = (
+            moved[1] * np.cos(angle) + moved[0] * np.sin(angle),
+            moved[0] * np.cos(angle) - moved[1] * np.sin(angle),
+        )
         high = float(root[start:stop].max()) > 0.38
         texts = ["{jump} high", "{jump} high into the air"] if high else ["{jump}"]
         if ahead > 0.35 and abs(aside) < 0.5 * ahead:
@@ -63,16 +73,29 @@ def find_kicks(track: Track) -> list[Phrase]:
                 continue
             top = start + int(height[part].argmax())
             far = float(reach[part][height[part] > 0.35].max(initial=0))
-            if stop - start <= track.frames(1.3) and pace[part].max() > 3 and far > 0.5 and track.speed[part].mean() < 1.5:
+            if (
+                stop - start <= track.frames(1.3)
+                and pace[part].max() > 3
+                and far > 0.5
+                and track.speed[part].mean() < 1.5
+            ):
                 texts = [f"{{kick}} with the {side} foot", f"{{kick}} with the {side} leg"]
                 if height[top] > 1.0:
                     texts = [f"{{kick}} high with the {side} foot", f"{{do}} a high kick with the {side} leg"]
                 elif ankle[top, 2] > 0.45 and abs(ankle[top, 0]) < 0.3:
                     texts.append(f"{{kick}} forward with the {side} foot")
                 found.append(Phrase("kick", tuple(texts), max(start - 2, 0), min(stop + 2, len(track))))
-            elif stop - start >= track.frames(1.0) and track.speed[part].max() < 0.35 and track.height[part].min() > -0.25:
+            elif (
+                stop - start >= track.frames(1.0)
+                and track.speed[part].max() < 0.35
+                and track.height[part].min() > -0.25
+            ):
                 other = _OTHER[side]
-                texts = [f"{{stand}} on the {other} leg", f"{{lift}} the {side} leg", f"{{balance}} on the {other} foot with the {side} leg up"]
+                texts = [
+                    f"{{stand}} on the {other} leg",
+                    f"{{lift}} the {side} leg",
+                    f"{{balance}} on the {other} foot with the {side} leg up",
+                ]
                 found.append(Phrase("leg", tuple(texts), start, stop, (texts[0],)))
     return found
 
@@ -118,11 +141,19 @@ def _waves(track: Track, side: str) -> list[Phrase]:
     wrist, elbow, shoulder = (track.points[f"{side}_{part}"] for part in ("wrist", "elbow", "shoulder"))
     other = _OTHER[side]
     hangs = track.points[f"{other}_wrist"][:, 1] < track.points[f"{other}_shoulder"][:, 1] - 0.12
-    up = (wrist[:, 1] > shoulder[:, 1] - 0.1) & (wrist[:, 1] > elbow[:, 1] + 0.01) & (track.speed < 0.35) & (track.up > 0.8) & hangs
+    up = (
+        (wrist[:, 1] > shoulder[:, 1] - 0.1)
+        & (wrist[:, 1] > elbow[:, 1] + 0.01)
+        & (track.speed < 0.35)
+        & (track.up > 0.8)
+        & hangs
+    )
     arm = track.relative(f"{side}_wrist") - track.relative(f"{side}_elbow")
     found = []
     for start, stop in runs(up, track.frames(0.7), 2):
-        swing = (arm[start:stop] - arm[start:stop].mean(0)) @ np.linalg.svd(arm[start:stop] - arm[start:stop].mean(0), full_matrices=False)[2][0]
+        swing = (arm[start:stop] - arm[start:stop].mean(0)) @ np.linalg.svd(
+            arm[start:stop] - arm[start:stop].mean(0), full_matrices=False
+        )[2][0]
         found += _swings(track, swing, side, start)
     return found
 
@@ -134,7 +165,11 @@ def _swings(track: Track, swing: np.ndarray, side: str, start: int) -> list[Phra
         found = []
         for first, last in runs(np.diff(ends) < track.frames(0.7), least):
             often = {2: "twice", 3: "three times", 4: "four times"}.get((last - first + 1) // 2)
-            texts = [f"{{wave}} with the {side} hand", f"{{wave}} the {side} hand", f"{{raise}} the {side} hand and {{wave}}"]
+            texts = [
+                f"{{wave}} with the {side} hand",
+                f"{{wave}} the {side} hand",
+                f"{{raise}} the {side} hand and {{wave}}",
+            ]
             begin, end = start + int(ends[first]), start + int(ends[last]) + 1
             whole = (*texts, f"{{wave}} {often} with the {side} hand") if often else tuple(texts)
             found.append(Phrase("arm", whole, max(begin - 3, 0), min(end + 3, start + len(swing)), tuple(texts[:2])))
@@ -160,13 +195,26 @@ def _stretches(track: Track, side: str) -> list[tuple[int, int]]:
 def find_bends(track: Track) -> list[Phrase]:
     """Squats, bending over, going down to the ground and getting up from it."""
     found = []
-    root, head = track.height, track.points["head"][:, 1] - track.points["head"][:, 1].max() if len(track) else track.height
+    root, head = (
+        track.height,
+        track.points["head"][:, 1] - track.points["head"][:, 1].max() if len(track) else track.height,
+    )
     stands = track.feet.max(1) < 0.15
     for start, stop in runs(root < -0.15, track.frames(0.3)):
         part = slice(start, stop)
         whole = start > 0 and stop < len(track)
-        if whole and stop - start < track.frames(4) and root[part].min() < -0.3 and track.up[part].min() > 0.7 and stands[part].all():
-            texts = ("{squat} down and {stand} up again", "{bend} the knees into a squat and {rise} again", "{do} a squat")
+        if (
+            whole
+            and stop - start < track.frames(4)
+            and root[part].min() < -0.3
+            and track.up[part].min() > 0.7
+            and stands[part].all()
+        ):
+            texts = (
+                "{squat} down and {stand} up again",
+                "{bend} the knees into a squat and {rise} again",
+                "{do} a squat",
+            )
             found.append(Phrase("bend", texts, max(start - 2, 0), min(stop + 2, len(track))))
     lying = runs((track.up < 0.45) & (root < -0.6), track.frames(0.5), track.frames(0.5))
     upright = (track.up > 0.85) & (root > -0.2)
@@ -174,7 +222,9 @@ def find_bends(track: Track) -> list[Phrase]:
         before = np.flatnonzero(upright[max(start - track.frames(4), 0) : start])
         if len(before):
             texts = ("{go} down to the ground", "{get} down on the ground", "{end} up on the floor")
-            found.append(Phrase("bend", texts, max(start - track.frames(4), 0) + int(before[-1]), start + track.frames(0.5)))
+            found.append(
+                Phrase("bend", texts, max(start - track.frames(4), 0) + int(before[-1]), start + track.frames(0.5))
+            )
         after = np.flatnonzero(upright[stop : stop + track.frames(5)])
         if len(after):
             texts = ("{get} up from the ground", "{stand} up from the ground", "{rise} from the floor")
@@ -192,7 +242,11 @@ def find_bends(track: Track) -> list[Phrase]:
 def find_stillness(track: Track) -> list[Phrase]:
     """Standing upright without a move."""
     parts = ("left_wrist", "right_wrist", "left_ankle", "right_ankle", "head")
-    pace = np.max([np.linalg.norm(np.gradient(track.points[name], axis=0), axis=1) for name in parts], axis=0) * track.fps if len(track) > 1 else 0
+    pace = (
+        np.max([np.linalg.norm(np.gradient(track.points[name], axis=0), axis=1) for name in parts], axis=0) * track.fps
+        if len(track) > 1
+        else 0
+    )
     calm = (smooth(pace * np.ones(len(track)), 0.1, track.fps) < 0.12) & (track.up > 0.85) & (track.height > -0.12)
     texts = ("{stand} still", "{stay} still", "{wait}")
     return [Phrase("still", texts, start, stop, texts) for start, stop in runs(calm, track.frames(1.2))]

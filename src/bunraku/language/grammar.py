@@ -1,4 +1,6 @@
-"""English for captions: phrases with their verbs in braces, such as "slowly {walk} forward and {turn}", as whole sentences."""
+"""English for captions: phrases with their verbs in braces, such as "slowly {walk} forward and {turn}", as whole
+sentences.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +18,29 @@ _DOUBLED = {
     "sidestep", "sip", "sit", "skip", "slam", "slap", "slip", "snap", "spar", "spin", "squat", "stab", "step", "stop",
     "strut", "stun", "swat", "swim", "tap", "tip", "trip", "trot", "wag", "whip", "win", "wrap", "zigzag",
 }  # fmt: skip
-_GERUNDS = {"lie": "lying", "die": "dying", "be": "being", "tiptoe": "tiptoeing", "panic": "panicking", "boogie": "boogieing", "mimic": "mimicking"}
+_GERUNDS = {
+    "lie": "lying",
+    "die": "dying",
+    "be": "being",
+    "tiptoe": "tiptoeing",
+    "panic": "panicking",
+    "boogie": "boogieing",
+    "mimic": "mimicking",
+}
 _THIRD = {"be": "is", "do": "does", "go": "goes", "have": "has", "undergo": "undergoes"}
 
 _ALWAYS = ("a person {third}", "a person is {gerund}", "{plain}", "{third}", "{gerund}")
 _SOMETIMES = (
     "someone {third}", "the character {third}", "a human {third}", "the person {third}", "he {third}", "she {third}",
-    "a man {third}", "a woman {third}", "somebody {third}", "the figure {third}", "it {third}", "the character is {gerund}",
-    "someone is {gerund}", "a character {gerund}", "he is {gerund}", "she is {gerund}", "a person {gerund}", "make the character {plain}",
-    "can you make it {plain}", "please {plain}", "let the person {plain}", "make it {plain}", "this person {third}", "a guy {third}",
+    "a man {third}", "a woman {third}", "somebody {third}", "the figure {third}", "it {third}",
+    "the character is {gerund}",
+    "someone is {gerund}", "a character {gerund}", "he is {gerund}", "she is {gerund}", "a person {gerund}",
+    "make the character {plain}",
+    "can you make it {plain}", "please {plain}", "let the person {plain}", "make it {plain}", "this person {third}",
+    "a guy {third}",
 )  # fmt: skip
-_DRAWN = 4  # of the second list, a few for each phrase: all of them for all would be tens of thousands of sentences to encode
+# of the second list, a few for each phrase: all of them for all would be tens of thousands of sentences to encode
+_DRAWN = 4
 
 
 def _gerund(verb: str) -> str:
@@ -71,7 +85,8 @@ def fill(frame: str, phrase: str) -> str:
 
 
 def sentence_forms(phrase: str) -> list[str]:
-    """A phrase as sentences about people: third person, progressive, imperative, gerund, and a few more drawn by its spelling.
+    """A phrase as sentences about people: third person, progressive, imperative, gerund, and a few more drawn by its
+    spelling.
 
     Args:
         phrase: Words with the verbs in braces.

@@ -26,5 +26,7 @@ def check_prompt(prompt: str) -> str:
         raise OptionError("the prompt is empty; say what the character should do, for example 'a person walks forward'")
     plain = plain.rstrip(" .") or plain
     if not any(letter.isalnum() for letter in plain):
-        raise OptionError("the prompt has no words; say what the character should do, for example 'a person walks forward'")
+        raise OptionError(
+            "the prompt has no words; say what the character should do, for example 'a person walks forward'"
+        )
     return plain

@@ -18,7 +18,8 @@ _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?\s*s?", re.IGNORECASE
 def parse_sequence(text: str) -> list[tuple[str, float | None]]:
     """The prompts of a sequence with the seconds that each lasts, None where the text gives none.
 
-    Semicolons part the prompts; a number after a prompt's last colon is its seconds. A colon before anything else is part of the prompt.
+    Semicolons part the prompts; a number after a prompt's last colon is its seconds. A colon before anything else is
+    part of the prompt.
 
     Args:
         text: For example "walks:4; jumps:2; waves".
@@ -39,9 +40,13 @@ def parse_sequence(text: str) -> list[tuple[str, float | None]]:
             prompt = piece
         prompt = prompt.strip()
         if not prompt and (len(pieces) > 1 or seconds is not None):
-            raise OptionError(f"part {number} of the sequence has no prompt; write for example 'walks:4; jumps:2; waves:3'")
+            raise OptionError(
+                f"part {number} of the sequence has no prompt; write for example 'walks:4; jumps:2; waves:3'"
+            )
         if seconds is not None and not SHORTEST <= seconds <= LONGEST:
-            raise OptionError(f"'{prompt[:60]}' cannot last {seconds:g} seconds; a part lasts {SHORTEST:g} to {LONGEST:g}")
+            raise OptionError(
+                f"'{prompt[:60]}' cannot last {seconds:g} seconds; a part lasts {SHORTEST:g} to {LONGEST:g}"
+            )
         found.append((prompt, seconds))
     _check_total([seconds for _, seconds in found if seconds is not None])
     return found
@@ -59,7 +64,9 @@ def timed_sequence(parts: Sequence[tuple[str, float | None]], seconds: float) ->
     """
     open_parts = sum(length is None for _, length in parts)
     if open_parts and not (math.isfinite(seconds) and SHORTEST <= seconds <= LONGEST):
-        raise OptionError(f"a clip lasts {SHORTEST:g} to {LONGEST:g} seconds, not {seconds:g}; choose a length in between")
+        raise OptionError(
+            f"a clip lasts {SHORTEST:g} to {LONGEST:g} seconds, not {seconds:g}; choose a length in between"
+        )
     if open_parts and seconds / open_parts < SHORTEST:
         raise OptionError(
             f"{open_parts} prompts cannot share {seconds:g} seconds, as each lasts {SHORTEST:g} at the least; "
@@ -73,4 +80,7 @@ def timed_sequence(parts: Sequence[tuple[str, float | None]], seconds: float) ->
 def _check_total(lengths: Sequence[float]) -> None:
     total = sum(lengths)
     if total > LONGEST + 1e-9:
-        raise OptionError(f"the parts of the sequence last {total:g} seconds in all but a clip lasts at most {LONGEST:g}; shorten some")
+        raise OptionError(
+            f"the parts of the sequence last {total:g} seconds in all but a clip lasts at most {LONGEST:g}; shorten "
+            "some"
+        )

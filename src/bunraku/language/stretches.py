@@ -12,8 +12,23 @@ from bunraku.language.grammar import sentence_forms
 
 __all__ = ["agreeing", "stretch_phrases", "stretch_variants"]
 
-_SUBJECT = re.compile(r"^(?:a|the|one) (?:person|human|man|woman|figure|character)\b|^someone\b|^somebody\b", re.IGNORECASE)
-_SUBJECTS = ("a person", "someone", "the character", "a man", "a woman", "the person", "he", "she", "a figure", "a human", "somebody", "this person")
+_SUBJECT = re.compile(
+    r"^(?:a|the|one) (?:person|human|man|woman|figure|character)\b|^someone\b|^somebody\b", re.IGNORECASE
+)
+_SUBJECTS = (
+    "a person",
+    "someone",
+    "the character",
+    "a man",
+    "a woman",
+    "the person",
+    "he",
+    "she",
+    "a figure",
+    "a human",
+    "somebody",
+    "this person",
+)
 _MORE_VERBS = frozenset({
     "walk", "run", "jog", "turn", "jump", "hop", "kick", "punch", "wave", "sit", "stand", "lie", "kneel",
     "squat", "crouch", "bend", "reach", "grab", "pick", "put", "throw", "catch", "raise", "lift", "lower",
@@ -36,7 +51,8 @@ def _verbs() -> frozenset[str]:
 
 @functools.lru_cache(maxsize=8192)
 def stretch_phrases(texts: tuple[str, ...]) -> tuple[str, ...]:
-    """The tersest sentence with its verbs in braces, "{walk} fast, {turn} left"; none where it does not begin with a verb: "brisk walk".
+    """The tersest sentence with its verbs in braces, "{walk} fast, {turn} left"; none where it does not begin with a
+    verb: "brisk walk".
 
     Args:
         texts: Sentences of a stretch, the tersest last.

@@ -1,4 +1,6 @@
-"""What the words about a motion are measured on (path, heading, heights, feet and hands of the reference body), and a phrase of them."""
+"""What the words about a motion are measured on (path, heading, heights, feet and hands of the reference body), and a
+phrase of them.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def smooth(values: np.ndarray, seconds: float, fps: float) -> np.ndarray:
 
 
 def runs(mask: np.ndarray, least: float = 1, bridge: float = 0) -> list[tuple[int, int]]:
-    """Stretches (start, stop) where the mask holds for at least `least` frames, gaps of up to `bridge` frames counted in."""
+    """Stretches (start, stop) where the mask holds for at least `least` frames, gaps of up to `bridge` frames counted
+    in.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     found: list[tuple[int, int]] = []
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -102,7 +106,10 @@ class Track:
         local = rest[1:] - rest[0] + motion.translations[:, rows]
         world = np.einsum("nij,nkj->nki", turn, local) + rest[0] + motion.root_translation[:, None]
         points = {name: world[:, index] for index, name in enumerate(_NAMES)}
-        feet = np.stack([np.minimum(points[f"{side}_ankle"][:, 1] - 0.046, points[f"{side}_foot"][:, 1] - 0.016) for side in SIDES], 1)
+        feet = np.stack(
+            [np.minimum(points[f"{side}_ankle"][:, 1] - 0.046, points[f"{side}_foot"][:, 1] - 0.016) for side in SIDES],
+            1,
+        )
         ground = minimum_filter1d(feet.min(1), 2 * int(1.2 * fps) + 1, mode="nearest")
         place = motion.root_translation[:, [0, 2]].astype(float)
         angle = smooth(heading(motion.root_rotation, fps), 0.2, fps)

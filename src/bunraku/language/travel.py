@@ -38,7 +38,12 @@ def _turn_words(turn: float, side: str, there: bool) -> tuple[str, ...]:
     if degrees < 65:
         return ()
     if degrees <= 115:
-        words = (f"{{turn}} {side}", f"{{turn}} to the {side}", f"{{make}} a quarter turn to the {side}", f"{{turn}} 90 degrees to the {side}")
+        words = (
+            f"{{turn}} {side}",
+            f"{{turn}} to the {side}",
+            f"{{make}} a quarter turn to the {side}",
+            f"{{turn}} 90 degrees to the {side}",
+        )
     elif degrees < 145:
         words = (f"{{turn}} {side}", f"{{turn}} to the {side}")
     elif degrees <= 215:
@@ -51,9 +56,17 @@ def _turn_words(turn: float, side: str, there: bool) -> tuple[str, ...]:
     elif degrees < 310:
         words = (f"{{turn}} around to the {side}", f"{{turn}} far around to the {side}")
     elif degrees <= 410:
-        words = (f"{{make}} a full turn to the {side}", f"{{turn}} all the way around to the {side}", f"{{spin}} around once to the {side}")
+        words = (
+            f"{{make}} a full turn to the {side}",
+            f"{{turn}} all the way around to the {side}",
+            f"{{spin}} around once to the {side}",
+        )
     else:
-        words = (f"{{spin}} around to the {side}", f"{{turn}} around several times to the {side}", f"{{spin}} to the {side} more than once")
+        words = (
+            f"{{spin}} around to the {side}",
+            f"{{turn}} around several times to the {side}",
+            f"{{spin}} to the {side} more than once",
+        )
     return words + (spot if degrees < 400 else ())
 
 
@@ -163,7 +176,11 @@ def _going(track: Track, start: int, stop: int, gait: str, way: str, pace: tuple
     total, steady = _bend_of_path(track, start, stop)
     if way == "forward" and steady and abs(total) > 0.9 and stop - start >= track.frames(1.5):
         side = "left" if total > 0 else "right"
-        texts = [f"{{{gait}}} in a curve to the {side}", f"{{{gait}}} forward, curving to the {side}", f"{{{gait}}} in an arc to the {side}"]
+        texts = [
+            f"{{{gait}}} in a curve to the {side}",
+            f"{{{gait}}} forward, curving to the {side}",
+            f"{{{gait}}} in an arc to the {side}",
+        ]
         manner = (f"in a curve to the {side}", *pace)
         part = _paced((f"{{{gait}}} forward",), pace)
     elif way == "forward":

@@ -31,8 +31,10 @@ _GOING = {
 }  # fmt: skip
 # verbs of labels that say no more than the first verb of a computed phrase
 _SAME = {
-    "walk": {"walk"}, "run": {"run", "jog", "sprint"}, "move": {"walk", "run", "jog", "step", "sidestep", "move"}, "jump": {"jump", "hop", "leap"},
-    "turn": {"turn", "spin", "rotate", "pivot"}, "make": {"turn", "spin", "rotate", "pivot"}, "spin": {"turn", "spin", "twirl"}, "kick": {"kick"},
+    "walk": {"walk"}, "run": {"run", "jog", "sprint"}, "move": {"walk", "run", "jog", "step", "sidestep", "move"},
+    "jump": {"jump", "hop", "leap"},
+    "turn": {"turn", "spin", "rotate", "pivot"}, "make": {"turn", "spin", "rotate", "pivot"}, "spin": {"turn", "spin",
+    "twirl"}, "kick": {"kick"},
     "squat": {"squat", "bend"}, "bend": {"bend"}, "raise": {"raise", "lift"}, "wave": {"wave"}, "go": {"lie"},
     "get": {"get", "stand"}, "stand": {"stand", "idle"},
 }  # fmt: skip
@@ -67,7 +69,9 @@ def all_variants(text: str, species: str | None, action: str | None, mirrored: b
 
 
 def clauses(text: str, species: str | None, action: str | None) -> tuple[str, ...]:
-    """What the clip shows as phrases with their verbs in braces; none where nothing is known of it. Arguments as above."""
+    """What the clip shows as phrases with their verbs in braces; none where nothing is known of it. Arguments as
+    above.
+    """
     if species and action:
         return creature_clauses(species, action, form="braces")
     found = caption_clauses(text, form="braces")
@@ -92,14 +96,26 @@ def _one(choices: Sequence[str], random: np.random.Generator) -> str:
 
 def creature_subjects(species: str) -> tuple[str, ...]:
     """What a sentence about a creature may begin with."""
-    return (*(re.sub(r"^a (?=[aeiou])", "an ", f"{article} {name}") for name in creature_names(species) for article in ("a", "the")), "it")
+    return (
+        *(
+            re.sub(r"^a (?=[aeiou])", "an ", f"{article} {name}")
+            for name in creature_names(species)
+            for article in ("a", "the")
+        ),
+        "it",
+    )
 
 
 def _creature_frames(species: str) -> list[str]:
-    return [f"{subject} {form}" for subject in creature_subjects(species) for form in ("{third}", "is {gerund}")] + ["{third}", "{plain}"]
+    return [f"{subject} {form}" for subject in creature_subjects(species) for form in ("{third}", "is {gerund}")] + [
+        "{third}",
+        "{plain}",
+    ]
 
 
-def borrowed_sentence(phrases: Sequence[str], sentences: Sequence[str], species: str, random: np.random.Generator) -> str:
+def borrowed_sentence(
+    phrases: Sequence[str], sentences: Sequence[str], species: str, random: np.random.Generator
+) -> str:
     """What a person does, said of a creature or, as often, of a person: "a horse waves".
 
     Args:
@@ -116,12 +132,16 @@ def borrowed_sentence(phrases: Sequence[str], sentences: Sequence[str], species:
 
 
 def computed_sentence(
-    found: Sequence[Phrase], labels: Sequence[Sequence[str]], frames: int, random: np.random.Generator, species: str | None = None
+    found: Sequence[Phrase],
+    labels: Sequence[Sequence[str]],
+    frames: int,
+    random: np.random.Generator,
+    species: str | None = None,
 ) -> str | None:
     """A sentence from the motion, alone or together with the label.
 
-    It stands alone only where it tells what the label tells: "moves forward" would be true of a drinker who takes a step, but
-    not what anybody would say.
+    It stands alone only where it tells what the label tells: "moves forward" would be true of a drinker who takes a
+    step, but not what anybody would say.
 
     Args:
         found: What is true in the row, from `motion_words.inside`.
@@ -152,11 +172,17 @@ def _covered(label: Sequence[str], found: Sequence[Phrase]) -> bool:
     return any(verbs([phrase]) <= known and bool(_PLAIN.fullmatch(_VERB.sub("", phrase))) for phrase in label)
 
 
-def _of_creature(found: Sequence[Phrase], label: Sequence[str], random: np.random.Generator, species: str, variant: int) -> str | None:
-    """ "gallops forward, then turns left" of a creature that goes, "attacks, turning left" of one that does something else."""
+def _of_creature(
+    found: Sequence[Phrase], label: Sequence[str], random: np.random.Generator, species: str, variant: int
+) -> str | None:
+    """ "gallops forward, then turns left" of a creature that goes, "attacks, turning left" of one that does something
+    else.
+    """
     if not label:
         return None
-    short = [phrase for phrase in label if len(phrase.split()) <= 2 and not _SAID.search(phrase) and verbs([phrase]) & _GOING]
+    short = [
+        phrase for phrase in label if len(phrase.split()) <= 2 and not _SAID.search(phrase) and verbs([phrase]) & _GOING
+    ]
     told = []
     for phrase in found:
         if phrase.kind == "go" and phrase.manner and short:
@@ -164,22 +190,30 @@ def _of_creature(found: Sequence[Phrase], label: Sequence[str], random: np.rando
         told.append(phrase)
     text = joined(told, variant)
     if not short or told[0].kind != "go":
-        plain = [phrase for phrase in label if "," not in phrase and len(phrase.split()) <= 6 and not is_stative(phrase)]
+        plain = [
+            phrase for phrase in label if "," not in phrase and len(phrase.split()) <= 6 and not is_stative(phrase)
+        ]
         if not plain:
             return None
         text = f"{_one(plain, random)}, {conjugate(joined(told, variant, most=2), 'gerund')}"
     return fill(_one(_creature_frames(species), random), text)
 
 
-def _with_label(found: Sequence[Phrase], label: Sequence[str], frames: int, random: np.random.Generator, variant: int) -> str | None:
-    """ "{jog} in a circle to the left, slowly", or "{dance}, turning left twice"; None where the two do not go together."""
+def _with_label(
+    found: Sequence[Phrase], label: Sequence[str], frames: int, random: np.random.Generator, variant: int
+) -> str | None:
+    """ "{jog} in a circle to the left, slowly", or "{dance}, turning left twice"; None where the two do not go
+    together.
+    """
     clause = _one(label, random)
     own = verbs([clause])
     moving = [phrase for phrase in found if phrase.kind != "still"]
     goes = [phrase for phrase in moving if phrase.kind == "go"]
     if len(moving) == 1 and goes and goes[0].manner and goes[0].stop - goes[0].start > 0.6 * frames:
         free = [
-            phrase for phrase in label if not _SAID.search(phrase) and "," not in phrase and verbs([phrase]) & _GOING and len(verbs([phrase])) == 1
+            phrase
+            for phrase in label
+            if not _SAID.search(phrase) and "," not in phrase and verbs([phrase]) & _GOING and len(verbs([phrase])) == 1
         ]
         if free:
             way, *pace = goes[0].manner

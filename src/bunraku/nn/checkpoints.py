@@ -1,7 +1,7 @@
 """Checkpoints: weights that carry their own config, and training states that survive a kill.
 
-Both are safetensors files with JSON in the metadata, never pickle, and both are written beside their target and renamed,
-so a file by that name is always whole.
+Both are safetensors files with JSON in the metadata, never pickle, and both are written beside their target and
+renamed, so a file by that name is always whole.
 """
 
 from __future__ import annotations
@@ -21,7 +21,14 @@ from bunraku.errors import FormatError, WeightsError
 from bunraku.formats.files import atomic_write, weights_folder
 from bunraku.nn.threads import one_thread
 
-__all__ = ["TrainingState", "load_checkpoint", "load_training_state", "save_checkpoint", "save_training_state", "shipped_checkpoint"]
+__all__ = [
+    "TrainingState",
+    "load_checkpoint",
+    "load_training_state",
+    "save_checkpoint",
+    "save_training_state",
+    "shipped_checkpoint",
+]
 
 _FORMAT = "bunraku-1"
 _LARGE = 1024
@@ -34,7 +41,9 @@ def _write(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str
         with atomic_write(path) as file:
             file.write(save(tensors, metadata=metadata))
     except (OSError, FormatError) as error:
-        raise WeightsError(f"{path}: the checkpoint cannot be written ({error}); check the folder and the free space") from error
+        raise WeightsError(
+            f"{path}: the checkpoint cannot be written ({error}); check the folder and the free space"
+        ) from error
 
 
 def _read(path: Path, kind: str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -45,9 +54,13 @@ def _read(path: Path, kind: str) -> tuple[dict[str, torch.Tensor], dict[str, Any
             metadata = file.metadata() or {}
             found = metadata.get("kind")
             if metadata.get("format") != _FORMAT or found is None:
-                raise WeightsError(f"{path}: this is a safetensors file but not a Bunraku checkpoint; give one that Bunraku wrote")
+                raise WeightsError(
+                    f"{path}: this is a safetensors file but not a Bunraku checkpoint; give one that Bunraku wrote"
+                )
             if found != kind:
-                raise WeightsError(f"{path}: this is a checkpoint of kind '{found}', but '{kind}' is needed here; give another file")
+                raise WeightsError(
+                    f"{path}: this is a checkpoint of kind '{found}', but '{kind}' is needed here; give another file"
+                )
             config = json.loads(metadata["config"])
             if not isinstance(config, dict):
                 raise ValueError("the config is not an object")
@@ -55,7 +68,9 @@ def _read(path: Path, kind: str) -> tuple[dict[str, torch.Tensor], dict[str, Any
     except WeightsError:
         raise
     except Exception as error:
-        raise WeightsError(f"{path}: the checkpoint is damaged or cut short ({error}); copy or train it again") from error
+        raise WeightsError(
+            f"{path}: the checkpoint is damaged or cut short ({error}); copy or train it again"
+        ) from error
     return tensors, config
 
 
@@ -63,7 +78,9 @@ def _plain(value: torch.Tensor) -> torch.Tensor:
     return value.detach().to("cpu").contiguous().clone()
 
 
-def save_checkpoint(path: str | Path, state_dict: Mapping[str, torch.Tensor], config: dict[str, Any], kind: str, half: bool = False) -> Path:
+def save_checkpoint(
+    path: str | Path, state_dict: Mapping[str, torch.Tensor], config: dict[str, Any], kind: str, half: bool = False
+) -> Path:
     """Write weights with the config that builds their network.
 
     Args:
@@ -97,10 +114,15 @@ def load_checkpoint(path: str | Path, kind: str) -> tuple[dict[str, torch.Tensor
     path = Path(path)
     tensors, config = _read(path, kind)
     with one_thread():
-        state = {name: value.float() if value.dtype in (torch.float16, torch.bfloat16) else value for name, value in tensors.items()}
+        state = {
+            name: value.float() if value.dtype in (torch.float16, torch.bfloat16) else value
+            for name, value in tensors.items()
+        }
         for name, value in state.items():
             if value.is_floating_point() and not bool(torch.isfinite(value).all()):
-                raise WeightsError(f"{path}: the weights '{name}' hold values that are not numbers; copy or train them again")
+                raise WeightsError(
+                    f"{path}: the weights '{name}' hold values that are not numbers; copy or train them again"
+                )
     return state, config
 
 
@@ -114,7 +136,10 @@ def shipped_checkpoint(name: str) -> Path:
     """
     path = weights_folder() / f"{name}.safetensors"
     if not path.is_file():
-        raise WeightsError(f"{path}: the '{name}' weights are missing; install Bunraku again, train them, or set BUNRAKU_WEIGHTS to their folder")
+        raise WeightsError(
+            f"{path}: the '{name}' weights are missing; install Bunraku again, train them, or set BUNRAKU_WEIGHTS to "
+            "their folder"
+        )
     return path
 
 
@@ -147,7 +172,11 @@ def _pack(value: Any, name: str, tensors: dict[str, torch.Tensor]) -> Any:
     if isinstance(value, Mapping):
         return {"dict": [[key, _pack(item, f"{name}/{key}", tensors)] for key, item in value.items()]}
     if isinstance(value, (list, tuple)):
-        return {"list" if isinstance(value, list) else "tuple": [_pack(item, f"{name}/{index}", tensors) for index, item in enumerate(value)]}
+        return {
+            "list" if isinstance(value, list) else "tuple": [
+                _pack(item, f"{name}/{index}", tensors) for index, item in enumerate(value)
+            ]
+        }
     if isinstance(value, np.generic):
         value = value.item()
     return {"value": value}
@@ -172,9 +201,16 @@ def save_training_state(path: str | Path, state: TrainingState) -> Path:
         WeightsError: The file cannot be written.
     """
     tensors: dict[str, torch.Tensor] = {}
-    image = {name: _pack(getattr(state, name), name, tensors) for name in ("models", "optimizers", "config", "values", "generators")}
+    image = {
+        name: _pack(getattr(state, name), name, tensors)
+        for name in ("models", "optimizers", "config", "values", "generators")
+    }
     path = Path(path)
-    _write(path, tensors, {"format": _FORMAT, "kind": "training", "config": json.dumps({"step": int(state.step), "image": image})})
+    _write(
+        path,
+        tensors,
+        {"format": _FORMAT, "kind": "training", "config": json.dumps({"step": int(state.step), "image": image})},
+    )
     return path
 
 
@@ -187,6 +223,10 @@ def load_training_state(path: str | Path) -> TrainingState:
     path = Path(path)
     tensors, config = _read(path, "training")
     try:
-        return TrainingState(step=int(config["step"]), **{name: _unpack(image, tensors) for name, image in config["image"].items()})
+        return TrainingState(
+            step=int(config["step"]), **{name: _unpack(image, tensors) for name, image in config["image"].items()}
+        )
     except Exception as error:
-        raise WeightsError(f"{path}: the training state is damaged ({error}); start the run again in another folder") from error
+        raise WeightsError(
+            f"{path}: the training state is damaged ({error}); start the run again in another folder"
+        ) from error

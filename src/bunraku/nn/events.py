@@ -26,7 +26,10 @@ class EventLog:
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
-            say("no TensorBoard curves: the package is not installed (pip install 'bunraku[train]'); log.csv has the same figures")
+            say(
+                "no TensorBoard curves: the package is not installed (pip install 'bunraku[train]'); log.csv has the "
+                "same figures"
+            )
             return
         self._writer = SummaryWriter(str(folder))  # type: ignore[no-untyped-call]
 
@@ -42,6 +45,8 @@ class EventLog:
     def __enter__(self) -> EventLog:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._writer is not None:
             self._writer.close()

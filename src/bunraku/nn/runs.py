@@ -1,4 +1,6 @@
-"""What training runs have in common: a rate, a step, settings that JSON can say, a log, a state to go on from, and an end when asked."""
+"""What training runs have in common: a rate, a step, settings that JSON can say, a log, a state to go on from, and an
+end when asked.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,16 @@ import torch
 
 from bunraku.nn.checkpoints import TrainingState, load_training_state
 
-__all__ = ["Stop", "append_row", "careful_step", "follow_weights", "learning_rate", "logged_columns", "plain_settings", "resumed"]
+__all__ = [
+    "Stop",
+    "append_row",
+    "careful_step",
+    "follow_weights",
+    "learning_rate",
+    "logged_columns",
+    "plain_settings",
+    "resumed",
+]
 
 
 class Stop:
@@ -100,8 +111,11 @@ def logged_columns(path: Path) -> list[str]:
         return next(csv.reader(file), [])
 
 
-def resumed(folder: Path, model: torch.nn.Module, average: torch.nn.Module, optimizer: torch.optim.Optimizer) -> TrainingState | None:
-    """Load a run's state into its network, the running mean of that, and its optimiser; None where there is no state yet.
+def resumed(
+    folder: Path, model: torch.nn.Module, average: torch.nn.Module, optimizer: torch.optim.Optimizer
+) -> TrainingState | None:
+    """Load a run's state into its network, the running mean of that, and its optimiser; None where there is no state
+    yet.
 
     Raises:
         WeightsError: The state is damaged.

@@ -17,8 +17,9 @@ _SMALL = 30_000_000
 def fitting_threads(model: nn.Module) -> Iterator[None]:
     """One thread for a model of less than 30 million weights on the CPU, torch's own number for others.
 
-    The products of a small model are too short to share: a second thread gains a fifth where a core is free, and where none is,
-    torch's threads wait for one another and a clip takes twenty times as long. One thread also always adds in one order.
+    The products of a small model are too short to share: a second thread gains a fifth where a core is free, and where
+    none is, torch's threads wait for one another and a clip takes twenty times as long. One thread also always adds in
+    one order.
     """
     weights = list(model.parameters())
     small = sum(value.numel() for value in weights) < _SMALL and all(value.device.type == "cpu" for value in weights)

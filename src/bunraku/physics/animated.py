@@ -27,11 +27,14 @@ def check_apparel(character: Character) -> None:
     """
     if apparel_rig(character) is None:
         raise CharacterError(
-            f"{character.name}: nothing of this character is moved by physics; its file must be a PMX, PMD or VRM with rigid bodies or springs"
+            f"{character.name}: nothing of this character is moved by physics; its file must be a PMX, PMD or VRM "
+            "with rigid bodies or springs"
         )
 
 
-def with_apparel(animation: Animation | RigAnimation, apparel: str = "simulate", progress: Progress | None = None) -> Animation | RigAnimation:
+def with_apparel(
+    animation: Animation | RigAnimation, apparel: str = "simulate", progress: Progress | None = None
+) -> Animation | RigAnimation:
     """The animation with its apparel simulated, or as it is where apparel is "rigid".
 
     Raises:
@@ -42,7 +45,10 @@ def with_apparel(animation: Animation | RigAnimation, apparel: str = "simulate",
     check_apparel(animation.character)
     if not isinstance(animation, RigAnimation):
         name = animation.character.name
-        raise CharacterError(f"{name}: apparel is simulated on the bones of a humanoid's rig, and this one is moved by handles; try --onto rig")
+        raise CharacterError(
+            f"{name}: apparel is simulated on the bones of a humanoid's rig, and this one is moved by handles; try "
+            "--onto rig"
+        )
     return simulated(animation, progress)
 
 

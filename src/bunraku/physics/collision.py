@@ -1,7 +1,8 @@
 """Who collides with whom: MMD's groups and masks in MuJoCo's bits.
 
-In MMD two bodies collide where each one's mask names the other's group; in MuJoCo where one's contype meets the other's conaffinity.
-Bodies of one group and mask are a class. Each class gets a bit of its own as contype, and the bits of the classes that it collides with as
+In MMD two bodies collide where each one's mask names the other's group; in MuJoCo where one's contype meets the other's
+conaffinity. Bodies of one group and mask are a class. Each class gets a bit of its own as contype, and the bits of the
+classes that it collides with as
 conaffinity: since the table is symmetric, MuJoCo's "or" is MMD's "and".
 """
 
@@ -35,7 +36,10 @@ def collision_bits(bodies: Sequence[MmdBody], moving: Sequence[bool]) -> tuple[l
     useful = [kind for kind in counts if any(_meet(kind, other) for other in counts)]
     useful.sort(key=lambda kind: (-counts[kind], kind))
     chosen = {kind: bit for bit, kind in enumerate(useful[:MOST_CLASSES])}
-    bits = {kind: (1 << bit, sum(1 << there for other, there in chosen.items() if _meet(kind, other))) for kind, bit in chosen.items()}
+    bits = {
+        kind: (1 << bit, sum(1 << there for other, there in chosen.items() if _meet(kind, other)))
+        for kind, bit in chosen.items()
+    }
     return [bits.get(kind, (0, 0)) for kind in kinds], sum(counts[kind] for kind in useful[MOST_CLASSES:])
 
 

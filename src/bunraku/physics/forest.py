@@ -1,7 +1,8 @@
 """Which body hangs on which: a forest over the graph of joints, so that a chain of bodies cannot stretch.
 
-Bodies that follow their bones are the roots. From them the graph is gone through by the fewest joints, where one that lets its bodies come
-apart counts as many; the joint by which a body is reached first is the one that it hangs on. Other joints close loops.
+Bodies that follow their bones are the roots. From them the graph is gone through by the fewest joints, where one that
+lets its bodies come apart counts as many; the joint by which a body is reached first is the one that it hangs on. Other
+joints close loops.
 """
 
 from __future__ import annotations
@@ -125,7 +126,10 @@ def apparel_forest(bodies: tuple[MmdBody, ...], joints: tuple[MmdJoint, ...], pa
         reached |= _hang(forest, joints, edges, [(index, -1)])
     if loose:
         more = f" and {len(loose) - 3} more" if len(loose) > 3 else ""
-        forest.notes.append(f"rigid bodies hang on no body that follows its bone, and are hung on their bones: {', '.join(loose[:3])}{more}")
+        forest.notes.append(
+            "rigid bodies hang on no body that follows its bone, and are hung on their bones: "
+            f"{', '.join(loose[:3])}{more}"
+        )
     _loops(forest, joints, owners)
     return forest
 
@@ -141,7 +145,9 @@ def free_axes(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     return np.asarray(lower > upper)
 
 
-def _hang(forest: Forest, joints: tuple[MmdJoint, ...], edges: dict[Owner, list[tuple[int, Owner, bool]]], starts: list[Owner]) -> set[Owner]:
+def _hang(
+    forest: Forest, joints: tuple[MmdJoint, ...], edges: dict[Owner, list[tuple[int, Owner, bool]]], starts: list[Owner]
+) -> set[Owner]:
     """Hang all bodies that can be reached from some owners; shortest ways first, ties by the file's order."""
     known = {link.body for link in forest.links}
     done: set[Owner] = set()
@@ -158,7 +164,9 @@ def _hang(forest: Forest, joints: tuple[MmdJoint, ...], edges: dict[Owner, list[
             forest.links.append(Link(owner[0], above[0], above[1], joints[number], turned))
         for edge, other, reverse in edges.get(owner, ()):
             if other not in done and other[0] >= 0:
-                heapq.heappush(queue, (cost + (1 if locked_axes(joints[edge]).all() else LOOSE), edge, other, owner, edge, reverse))
+                heapq.heappush(
+                    queue, (cost + (1 if locked_axes(joints[edge]).all() else LOOSE), edge, other, owner, edge, reverse)
+                )
     return {owner for owner in done if owner[0] >= 0}
 
 

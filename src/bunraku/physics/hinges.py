@@ -1,9 +1,9 @@
 """What a joint of MMD lets its bodies do, as joints of MuJoCo.
 
-Bullet, which MMD uses, reads the angles of its six-degrees-of-freedom joint from the transpose of the turn of B in A: A turns in B by
-Rx(a) Ry(b) Rz(c), so B turns in A by Rz(-c) Ry(-b) Rx(-a). Three hinges in that order are that joint, with its own limits about each axis,
-which a ball joint of MuJoCo does not have. An axis without room gets no hinge. A joint whose middle axis may turn by 80 degrees or more would
-lock, and becomes a ball.
+Bullet, which MMD uses, reads the angles of its six-degrees-of-freedom joint from the transpose of the turn of B in A: A
+turns in B by Rx(a) Ry(b) Rz(c), so B turns in A by Rz(-c) Ry(-b) Rx(-a). Three hinges in that order are that joint,
+with its own limits about each axis, which a ball joint of MuJoCo does not have. An axis without room gets no hinge. A
+joint whose middle axis may turn by 80 degrees or more would lock, and becomes a ball.
 """
 
 from __future__ import annotations
@@ -55,7 +55,9 @@ def freedoms(link: Link) -> list[Freedom]:
     for axis in range(3):
         if high[axis] - low[axis] > TIGHT:
             start, end = (low[axis], high[axis]) if np.isfinite(low[axis]) else (-SLACK, SLACK)
-            out.append(Freedom("slide", joint.rotation[:, axis], float(start), float(end), max(float(joint.spring[axis]), 0.0)))
+            out.append(
+                Freedom("slide", joint.rotation[:, axis], float(start), float(end), max(float(joint.spring[axis]), 0.0))
+            )
     low, high = _range(joint.angle_lower, joint.angle_upper, link.turned)
     stiffness = np.maximum(joint.angle_spring, 0) * _ANGLE_UNIT
     for other, turned in link.more:
@@ -68,15 +70,24 @@ def freedoms(link: Link) -> list[Freedom]:
     if max(-low[1], high[1]) > GIMBAL and open_axes.all():
         widest = float(max(-low.min(), high.max()))
         widest = widest if widest < np.pi else np.inf
-        return [*out, Freedom("ball", np.array([0.0, 0, 1]), 0.0 if np.isfinite(widest) else -np.inf, widest, float(stiffness.mean()))]
+        return [
+            *out,
+            Freedom(
+                "ball", np.array([0.0, 0, 1]), 0.0 if np.isfinite(widest) else -np.inf, widest, float(stiffness.mean())
+            ),
+        ]
     for axis in (0, 1, 2) if link.turned else (2, 1, 0):
         if open_axes[axis]:
-            out.append(Freedom("hinge", joint.rotation[:, axis], float(low[axis]), float(high[axis]), float(stiffness[axis])))
+            out.append(
+                Freedom("hinge", joint.rotation[:, axis], float(low[axis]), float(high[axis]), float(stiffness[axis]))
+            )
     return out
 
 
 def _range(lower: np.ndarray, upper: np.ndarray, straight: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Limits in the joint's own sense or turned round; infinite where the file's range is empty, and past half a turn of angles."""
+    """Limits in the joint's own sense or turned round; infinite where the file's range is empty, and past half a turn
+    of angles.
+    """
     low, high = (lower, upper) if straight else (-upper, -lower)
     free = lower > upper
     return np.where(free, -np.inf, low), np.where(free, np.inf, high)

@@ -1,7 +1,8 @@
 """Colliders made from the body's mesh: for each bone of the body, the box of the vertices that it holds.
 
-Files have few colliders, and often switch off those that apparel overlaps at rest. What overlaps at rest may overlap by as much (`world`), so
-these can be on for all apparel. The world rounds the boxes off: an arm becomes a capsule, a slice of the trunk a few that lie side by side.
+Files have few colliders, and often switch off those that apparel overlaps at rest. What overlaps at rest may overlap by
+as much (`world`), so these can be on for all apparel. The world rounds the boxes off: an arm becomes a capsule, a slice
+of the trunk a few that lie side by side.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from bunraku.formats.mmd.model import MmdBody
 __all__ = ["body_limbs"]
 
 LEAST = 24  # vertices that a limb is made of at least
-SMALL = 0.03  # a bone whose vertices are all nearer to their middle than this share of the height gets none: fingers, eyes, teeth
+# a bone whose vertices are all nearer to their middle than this share of the height gets none: fingers, eyes, teeth
+SMALL = 0.03
 MOST = 40  # limbs; the largest are kept
 TAKEN = 20_000  # vertices of one bone at most
 OUTER = 2.0  # share of the vertices that are outside of a box, on each side [%]
@@ -52,4 +54,6 @@ def _box(bone: int, name: str, points: np.ndarray) -> MmdBody:
     _, _, rows = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     axes = rows.T * [1.0, 1.0, np.linalg.det(rows)]
     low, high = np.percentile(points @ axes, [OUTER, 100 - OUTER], axis=0)
-    return MmdBody(name, bone, "box", (high - low) / 2, axes @ ((low + high) / 2), axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0)
+    return MmdBody(
+        name, bone, "box", (high - low) / 2, axes @ ((low + high) / 2), axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0
+    )

@@ -23,10 +23,13 @@ def joints_moved(parents: np.ndarray, rig: ApparelRig) -> np.ndarray:
     return out
 
 
-def posed(animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray, turns: np.ndarray, places: np.ndarray) -> RigAnimation:
+def posed(
+    animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray, turns: np.ndarray, places: np.ndarray
+) -> RigAnimation:
     """The animation with the bones of dynamic bodies where these are; bones below follow as they are keyed.
 
-    A bone takes the turn of the first of its bodies. It goes where a body of mode 1 goes; one of mode 2 is held at its parent.
+    A bone takes the turn of the first of its bodies. It goes where a body of mode 1 goes; one of mode 2 is held at its
+    parent.
 
     Args:
         animation: Of N frames.
@@ -64,10 +67,15 @@ def posed(animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray, turns: n
 
 
 def stretched(animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray) -> float:
-    """The largest change of the distance between a bone that a body moves and its parent, over that distance at rest."""
+    """The largest change of the distance between a bone that a body moves and its parent, over that distance at
+    rest.
+    """
     skeleton = animation.character.rig
     assert skeleton is not None
-    bones = np.array(sorted({rig.bodies[index].bone for index in bodies if 0 <= rig.bodies[index].bone < len(skeleton.parents)}), np.int64)
+    bones = np.array(
+        sorted({rig.bodies[index].bone for index in bodies if 0 <= rig.bodies[index].bone < len(skeleton.parents)}),
+        np.int64,
+    )
     bones = bones[skeleton.parents[bones] >= 0]
     above = skeleton.parents[bones]
     rest = np.linalg.norm(skeleton.positions[bones] - skeleton.positions[above], axis=1)

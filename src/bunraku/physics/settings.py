@@ -17,12 +17,14 @@ class PhysicsSettings:
     Args:
         gravity: Downwards [m/s^2]; MMD's 98 units a second squared by default.
         step: Longest time step [s].
-        air: The largest rate at which bodies lose speed against the air [1/s]. What a file asks for beyond that is friction in the joints.
+        air: The largest rate at which bodies lose speed against the air [1/s]. What a file asks for beyond that is
+            friction in the joints.
         most_rate: The largest rate at which bodies lose speed at all [1/s].
         least_ratio: Damping of every joint, as a share of the critical one, is at least this.
         fastest: Springs swing at most this fast [rad/s].
         loop_time: Time in which a joint that closes a loop pulls its bodies together [s].
-        limbs: Whether the body's mesh is a collider, bone by bone (`limbs`), for all apparel; None for apparel that no collider of the file meets.
+        limbs: Whether the body's mesh is a collider, bone by bone (`limbs`), for all apparel; None for apparel that no
+            collider of the file meets.
         nearby: Apparel collides with those limbs that are nearer than this at rest [m].
         most_speed: A body that moves faster against its anchor has flown away [m/s].
         most_turn: Joints turn at most this fast [rad/s].

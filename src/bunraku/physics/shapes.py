@@ -18,7 +18,9 @@ _ABOUT_X = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])  # wxyz; MuJoCo's c
 
 
 def inertia(body: MmdBody) -> np.ndarray:
-    """Moments of inertia about the body's own axes [kg m^2], shape (3,); a capsule's are those of its box, as in Bullet."""
+    """Moments of inertia about the body's own axes [kg m^2], shape (3,); a capsule's are those of its box, as in
+    Bullet.
+    """
     if body.shape == "sphere":
         return np.full(3, 0.4 * body.mass * max(float(body.size[0]), THINNEST) ** 2)
     half = body.size if body.shape == "box" else np.array([body.size[0], body.size[0] + body.size[1] / 2, body.size[0]])
@@ -78,7 +80,11 @@ def add_rods(owner: Any, body: MmdBody, place: np.ndarray, name: str, settings: 
     added = False
     for number, across in enumerate(np.linspace(thin - wide, wide - thin, count) if count > 1 else [0.0]):
         rod = replace(
-            body, shape="capsule", size=np.array([thin, 2 * (long - thin), 0.0]), rotation=axes, position=body.position + across * axes[:, 0]
+            body,
+            shape="capsule",
+            size=np.array([thin, 2 * (long - thin), 0.0]),
+            rotation=axes,
+            position=body.position + across * axes[:, 0],
         )
         added |= add_shape(owner, rod, place, f"{name}r{number}", settings)
     return added

@@ -43,7 +43,8 @@ class SimulationReport:
 
     Args:
         recoveries: Bodies that flew away and were put back to rest, with all that hangs on them.
-        stretch: The largest change of a length between a bone that physics move and its parent, over that length at rest.
+        stretch: The largest change of a length between a bone that physics move and its parent, over that length at
+            rest.
         rest_speed: Mean speed of the dynamic bodies in the last frame [m/s].
         seconds: How long the simulation took, of the clip and the warm-up, without building the world [s].
         frames: How many frames that were.
@@ -70,7 +71,8 @@ class SimulationReport:
         first = self.recoveries[0]
         return (
             *self.notes,
-            f"rigid bodies flew away and were put back {len(self.recoveries)} times, first in frame {first.frame}: {', '.join(names[:3])}{more}",
+            f"rigid bodies flew away and were put back {len(self.recoveries)} times, first in frame {first.frame}: "
+            f"{', '.join(names[:3])}{more}",
         )
 
 
@@ -121,7 +123,10 @@ def simulate(
         raise OptionError(f"there must be from 1 to 10,000 time steps a frame, not {substeps}")
     rig = apparel_rig(character) if rig is None else rig
     if rig is None or not rig.dynamic:
-        raise CharacterError(f"{character.name}: nothing of this character is moved by physics; take a PMX, PMD or VRM with rigid bodies or springs")
+        raise CharacterError(
+            f"{character.name}: nothing of this character is moved by physics; take a PMX, PMD or VRM with rigid "
+            "bodies or springs"
+        )
     parts = substeps or max(1, int(np.ceil(1 / (animation.fps * settings.step) - 1e-9)))
     lead = round(warmup * animation.fps)
     if (lead + len(animation)) * parts > MOST_STEPS:
@@ -137,7 +142,9 @@ def simulate(
         turns, places = np.concatenate([before[0], turns]), np.concatenate([before[1], places])
     names = [body.name for body in rig.bodies]
     with _quiet():
-        world = build_world(rig, skeleton.positions, skeleton.parents, 1 / (animation.fps * parts), settings, limbs, reach)
+        world = build_world(
+            rig, skeleton.positions, skeleton.parents, 1 / (animation.fps * parts), settings, limbs, reach
+        )
         drive = Drive.of(turns[:, world.bones], places[:, world.bones], animation.fps, settings.cut)
         start = time.perf_counter()
         run = _Run(world, drive, settings)
@@ -145,14 +152,17 @@ def simulate(
         seconds = time.perf_counter() - start
     result = posed(animation, rig, world.bodies, moved_turns[lead:], moved_places[lead:])
     report = SimulationReport(
-        tuple(run.recoveries), stretched(result, rig, world.bodies), run.mean_speed(), seconds, len(turns), parts, len(world.bodies), world.notes
+        tuple(run.recoveries), stretched(result, rig, world.bodies), run.mean_speed(), seconds, len(turns), parts,
+        len(world.bodies), world.notes
     )  # fmt: skip
     return Simulation(result, report)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without MuJoCo's own warnings, which it writes to a file in whatever folder the user is in; `_Run` looks for what they are about."""
+    """Without MuJoCo's own warnings, which it writes to a file in whatever folder the user is in; `_Run` looks for what
+    they are about.
+    """
     import mujoco
 
     before = mujoco.get_mju_user_warning()
@@ -191,7 +201,9 @@ class _Run:
         own[self.qvel.ravel()] = False
         self.own = np.flatnonzero(own)
 
-    def through(self, parts: int, lead: int, names: list[str], progress: Callable[[float], None] | None) -> tuple[np.ndarray, np.ndarray]:
+    def through(
+        self, parts: int, lead: int, names: list[str], progress: Callable[[float], None] | None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """World turns (F, D, 3, 3) and places (F, D, 3) of the dynamic bodies."""
         world, frames = self.world, len(self.drive.places)
         model, data = world.model, world.data
@@ -267,7 +279,11 @@ class _Run:
             found = {n for n, (_, qvel) in enumerate(world.states) if long[qvel].any()}
             self.rest(found)
         else:
-            found = {n for n, state in enumerate(world.states) if not np.isfinite(np.concatenate([data.qpos[state[0]], data.qvel[state[1]]])).all()}
+            found = {
+                n
+                for n, state in enumerate(world.states)
+                if not np.isfinite(np.concatenate([data.qpos[state[0]], data.qvel[state[1]]])).all()
+            }
             found = found or set(range(len(world.ids)))
             self.mj.mj_resetData(world.model, data)
             data.qpos[self.qpos], data.qvel[self.qvel] = self.state, self.speed
@@ -276,7 +292,9 @@ class _Run:
             self.gone |= found
 
     def lost(self) -> list[int]:
-        """Bodies that were put back since the last frame, or that are put back now because they are too fast for their anchors."""
+        """Bodies that were put back since the last frame, or that are put back now because they are too fast for their
+        anchors.
+        """
         _, moving = self.velocity()
         of_anchor = np.where(self.above[:, None] >= 0, moving[self.above], self.world.data.cvel[self.world.anchors, 3:])
         fast = np.linalg.norm(moving - of_anchor, axis=1) > self.settings.most_speed

@@ -48,7 +48,9 @@ def lead_in(animation: RigAnimation, frames: int) -> tuple[np.ndarray, np.ndarra
     return _forward(rig.parents, rest, matrix_from_quaternion(blended), moved)
 
 
-def _forward(parents: np.ndarray, rest: np.ndarray, local: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _forward(
+    parents: np.ndarray, rest: np.ndarray, local: np.ndarray, moved: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     turns, places = np.array(local), rest + moved
     for bone in bone_order(parents):
         parent = int(parents[bone])
@@ -63,8 +65,9 @@ def _forward(parents: np.ndarray, rest: np.ndarray, local: np.ndarray, moved: np
 class Drive:
     """The motion of driven bones, by frames.
 
-    Between frames places go along cubic curves (Catmull and Rom's) and so do quaternions, which are normalised: at 30 frames a second that
-    is a slerp whose speed does not jump. Where a bone jumps, faster than `cut`, nothing lies between.
+    Between frames places go along cubic curves (Catmull and Rom's) and so do quaternions, which are normalised: at 30
+    frames a second that is a slerp whose speed does not jump. Where a bone jumps, faster than `cut`, nothing lies
+    between.
 
     Args:
         places: Of the bones [m], shape (F, R, 3).
@@ -87,9 +90,13 @@ class Drive:
         return cls(np.asarray(places, float), quaternions, jumps)
 
     def between(self, frame: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
-        """Places (parts, R, 3) and quaternions (parts, R, 4) on the way from a frame, which is left out, to the next one."""
+        """Places (parts, R, 3) and quaternions (parts, R, 4) on the way from a frame, which is left out, to the next
+        one.
+        """
         if self.jumps[frame]:
-            return np.repeat(self.places[frame + 1][None], parts, 0), np.repeat(self.quaternions[frame + 1][None], parts, 0)
+            return np.repeat(self.places[frame + 1][None], parts, 0), np.repeat(
+                self.quaternions[frame + 1][None], parts, 0
+            )
         share = (np.arange(1, parts + 1) / parts)[:, None, None]
         places = self._curve(self.places, frame, share)
         quaternions = self._curve(self.quaternions, frame, share)
@@ -99,7 +106,9 @@ class Drive:
         start, end = values[frame], values[frame + 1]
         before, after = self._tangent(values, frame), self._tangent(values, frame + 1)
         s2, s3 = s * s, s * s * s
-        return np.asarray((2 * s3 - 3 * s2 + 1) * start + (s3 - 2 * s2 + s) * before + (3 * s2 - 2 * s3) * end + (s3 - s2) * after)
+        return np.asarray(
+            (2 * s3 - 3 * s2 + 1) * start + (s3 - 2 * s2 + s) * before + (3 * s2 - 2 * s3) * end + (s3 - s2) * after
+        )
 
     def _tangent(self, values: np.ndarray, frame: int) -> np.ndarray:
         if frame == 0:  # from rest
@@ -108,4 +117,10 @@ class Drive:
         on = frame < len(values) - 1 and not self.jumps[frame]
         if back and on:
             return np.asarray((values[frame + 1] - values[frame - 1]) / 2)
-        return np.asarray(values[frame] - values[frame - 1] if back else values[frame + 1] - values[frame] if on else np.zeros_like(values[frame]))
+        return np.asarray(
+            values[frame] - values[frame - 1]
+            if back
+            else values[frame + 1] - values[frame]
+            if on
+            else np.zeros_like(values[frame])
+        )

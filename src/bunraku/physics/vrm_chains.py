@@ -1,10 +1,11 @@
 """The spring chains of a VRM avatar as rigid bodies and joints.
 
-VRM moves the tail of each joint by Verlet steps of a sixtieth of a second: `x += (1 - drag) dx + stiffness dt * rest + gravity dt * down`.
-Seen as differential equations that is an acceleration of 60 times stiffness towards the rest direction, one of 60 times the gravity power,
-and a rate of -60 ln(1 - drag) at which speed is lost. Each joint becomes a body at its tail on a free ball joint at its node, with that
-rate, that gravity, and a spring that turns the chain below it back with that acceleration. In VRM the tail of a chain does not pull at its
-head; masses that halve from joint to joint come near to that.
+VRM moves the tail of each joint by Verlet steps of a sixtieth of a second: `x += (1 - drag) dx + stiffness dt * rest +
+gravity dt * down`. Seen as differential equations that is an acceleration of 60 times stiffness towards the rest
+direction, one of 60 times the gravity power, and a rate of -60 ln(1 - drag) at which speed is lost. Each joint becomes
+a body at its tail on a free ball joint at its node, with that rate, that gravity, and a spring that turns the chain
+below it back with that acceleration. In VRM the tail of a chain does not pull at its head; masses that halve from joint
+to joint come near to that.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ class _Chains:
         self.taken: set[int] = set()
 
     def rig(self, avatar: VrmModel) -> ApparelRig:
-        sets = [frozenset(number for group in spring.groups for number in avatar.groups[group]) for spring in avatar.springs]
+        sets = [
+            frozenset(number for group in spring.groups for number in avatar.groups[group]) for spring in avatar.springs
+        ]
         kinds = sorted({chosen for chosen in sets if chosen}, key=sorted)
         signatures: dict[tuple[bool, ...], int] = {}
         groups: dict[int, int] = {}
@@ -63,14 +66,18 @@ class _Chains:
                 self.note("planes, and colliders that springs are kept inside of, are not simulated")
                 continue
             if signature not in signatures and len(signatures) == GROUPS:
-                self.note("more groups of colliders than can be told apart; the last ones keep out what any of them keeps out")
+                self.note(
+                    "more groups of colliders than can be told apart; the last ones keep out what any of them keeps out"
+                )
                 signature = list(signatures)[-1]
             groups[number] = signatures.setdefault(signature, len(signatures) + 1)
         for number, group in groups.items():
             self.collider(avatar.colliders[number], group)
         for spring, chosen in zip(avatar.springs, sets, strict=True):
             self.spring(spring, sum({1 << groups[number] for number in chosen if number in groups}))
-        return ApparelRig(tuple(self.bodies), tuple(self.joints), tuple(self.notes), np.array(self.gravity).reshape(-1, 3))
+        return ApparelRig(
+            tuple(self.bodies), tuple(self.joints), tuple(self.notes), np.array(self.gravity).reshape(-1, 3)
+        )
 
     def note(self, sentence: str) -> None:
         if sentence not in self.notes:
@@ -95,7 +102,18 @@ class _Chains:
         length = float(np.linalg.norm(end - start))
         size = np.array([collider.radius * scale, length, 0.0])
         shape = "capsule" if length > 1e-6 else "sphere"
-        self.add(_still(f"collider {len(self.bodies)}", self.joint_of(collider.node), shape, size, (start + end) / 2, _along(end - start), group, 1))
+        self.add(
+            _still(
+                f"collider {len(self.bodies)}",
+                self.joint_of(collider.node),
+                shape,
+                size,
+                (start + end) / 2,
+                _along(end - start),
+                group,
+                1,
+            )
+        )
 
     def spring(self, spring: VrmSpring, mask: int) -> None:
         joints = spring.joints if spring.ends_free else spring.joints[:-1]
@@ -103,7 +121,13 @@ class _Chains:
         starts = np.array([self.world[node][:3, 3] for node in nodes])
         tails = list(starts[1:])
         if spring.ends_free:
-            way = starts[-1] - (starts[-2] if len(starts) > 1 else self.world[self.parents[nodes[0]]][:3, 3] if self.parents[nodes[0]] >= 0 else 0)
+            way = starts[-1] - (
+                starts[-2]
+                if len(starts) > 1
+                else self.world[self.parents[nodes[0]]][:3, 3]
+                if self.parents[nodes[0]] >= 0
+                else 0
+            )
             way = way if np.linalg.norm(way) > 1e-6 else np.array([0.0, -1, 0])
             tails.append(starts[-1] + END * way / np.linalg.norm(way))
         masses = LIGHTER ** np.arange(len(joints))
@@ -124,13 +148,16 @@ class _Chains:
             rate = -VRM_RATE * np.log1p(-min(max(joint.drag, 0.0), 1 - 1e-6))
             lost = float(-np.expm1(-min(rate, 30.0)))
             swings = MmdBody(
-                f"{spring.name or 'spring'} {number + 1}", self.place.get(joint.node, -1), "sphere", np.array([joint.radius, 0.0, 0.0]), tail,
+                f"{spring.name or 'spring'} {number + 1}", self.place.get(joint.node, -1), "sphere",
+                np.array([joint.radius, 0.0, 0.0]), tail,
                 np.eye(3), float(masses[number]), lost, lost, 0.0, 0.0, 2, 0, mask if joint.radius > 0 else 0,
             )  # fmt: skip
             index = self.add(swings, VRM_RATE * joint.gravity * _unit(joint.gravity_direction))
             back = max(joint.stiffness, 0.0) * VRM_RATE / length * inertia / MMD_METRE**2
             none = np.zeros(3)
-            self.joints.append(MmdJoint(swings.name, (above, index), head, np.eye(3), none, none, *_FREE, none, np.full(3, back)))
+            self.joints.append(
+                MmdJoint(swings.name, (above, index), head, np.eye(3), none, none, *_FREE, none, np.full(3, back))
+            )
             above = index
 
     def holder(self, node: int, place: np.ndarray) -> int:
@@ -141,7 +168,9 @@ class _Chains:
         return self.holders[bone]
 
 
-def _still(name: str, bone: int, shape: str, size: np.ndarray, place: np.ndarray, axes: np.ndarray, group: int, mask: int) -> MmdBody:
+def _still(
+    name: str, bone: int, shape: str, size: np.ndarray, place: np.ndarray, axes: np.ndarray, group: int, mask: int
+) -> MmdBody:
     return MmdBody(name, bone, shape, size, place, axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, group, mask)
 
 

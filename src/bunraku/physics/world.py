@@ -1,12 +1,13 @@
 """A character's rigid bodies as a world of MuJoCo.
 
-Every bone with bodies that only follow it, and every bone that something hangs on, is a free body that is very heavy against all apparel
-and whose motion is prescribed; what hangs on it hangs by real joints and feels its inertia. Dynamic bodies are a forest (`forest`) whose
-joints cannot stretch; joints that close loops are soft equality constraints. Where such a joint lets its bodies slide, a light slider
-stands between the two. All bodies' axes are those of the world at rest, so what MuJoCo says of their turns are turns of bones.
+Every bone with bodies that only follow it, and every bone that something hangs on, is a free body that is very heavy
+against all apparel and whose motion is prescribed; what hangs on it hangs by real joints and feels its inertia. Dynamic
+bodies are a forest (`forest`) whose joints cannot stretch; joints that close loops are soft equality constraints. Where
+such a joint lets its bodies slide, a light slider stands between the two. All bodies' axes are those of the world at
+rest, so what MuJoCo says of their turns are turns of bones.
 
-Units: metres, seconds, and masses as in the file. Angular springs are multiplied by the square of MMD's unit (0.08 m), springs against
-displacement are as in the file.
+Units: metres, seconds, and masses as in the file. Angular springs are multiplied by the square of MMD's unit (0.08 m),
+springs against displacement are as in the file.
 """
 
 from __future__ import annotations
@@ -96,7 +97,9 @@ def build_world(
     """
     count = len(rig.dynamic)
     if count > MOST_DYNAMIC:
-        raise CharacterError(f"the file has {count:,} dynamic rigid bodies and at most {MOST_DYNAMIC:,} are simulated; leave some out")
+        raise CharacterError(
+            f"the file has {count:,} dynamic rigid bodies and at most {MOST_DYNAMIC:,} are simulated; leave some out"
+        )
     return _Builder(rig, positions, parents, step, settings, limbs, reach).world()
 
 
@@ -116,15 +119,21 @@ class _Builder:
         self.mj = mujoco
         self.settings, self.step, self.limbs, self.reach = settings, step, limbs, reach
         # A body whose mask is empty is meant to collide with nothing.
-        self.kept_out = {index for index in rig.dynamic if rig.bodies[index].mask} if settings.limbs else set(rig.unguarded)
+        self.kept_out = (
+            {index for index in rig.dynamic if rig.bodies[index].mask} if settings.limbs else set(rig.unguarded)
+        )
         self.notes: list[str] = list(rig.notes)
         self.bodies = [self.mended(body, len(positions)) for body in rig.bodies]
         self.gravity = rig.gravity
         joints = tuple(
-            joint for joint in rig.joints if max(joint.bodies) < len(self.bodies) and min(joint.bodies) >= 0 and joint.bodies[0] != joint.bodies[1]
+            joint
+            for joint in rig.joints
+            if max(joint.bodies) < len(self.bodies) and min(joint.bodies) >= 0 and joint.bodies[0] != joint.bodies[1]
         )
         if len(joints) < len(rig.joints):
-            self.notes.append(f"{len(rig.joints) - len(joints)} joints are between bodies that do not exist, and are left out")
+            self.notes.append(
+                f"{len(rig.joints) - len(joints)} joints are between bodies that do not exist, and are left out"
+            )
         self.positions = positions
         self.forest: Forest = apparel_forest(tuple(self.bodies), joints, parents)
         self.notes += self.forest.notes
@@ -136,9 +145,20 @@ class _Builder:
 
     def mended(self, body: MmdBody, bones: int) -> MmdBody:
         """A body that was made by hand may be as broken as one of a file."""
-        numbers = [*body.size, *body.position, *body.rotation.ravel(), body.mass, body.linear_damping, body.angular_damping, body.friction]
+        numbers = [
+            *body.size,
+            *body.position,
+            *body.rotation.ravel(),
+            body.mass,
+            body.linear_damping,
+            body.angular_damping,
+            body.friction,
+        ]
         if not np.isfinite(numbers).all() or body.size.min() < 0:
-            raise CharacterError(f"rigid body '{body.name}' has a size, place or mass that is negative or no number; mend it or leave it out")
+            raise CharacterError(
+                f"rigid body '{body.name}' has a size, place or mass that is negative or no number; mend it or leave "
+                "it out"
+            )
         if not -1 <= body.bone < bones:
             self.notes.append(f"rigid body '{body.name}' is on a bone that does not exist and hangs on none")
             body = replace(body, bone=-1)
@@ -157,13 +177,22 @@ class _Builder:
         moving = [body.dynamic or index in self.forest.carried for index, body in enumerate(self.bodies)]
         bits, lost = collision_bits(self.bodies, moving)
         if lost:
-            self.notes.append(f"{lost} rigid bodies collide with nothing: more than {MOST_CLASSES} kinds of groups and masks cannot be told apart")
+            self.notes.append(
+                f"{lost} rigid bodies collide with nothing: more than {MOST_CLASSES} kinds of groups and masks cannot "
+                "be told apart"
+            )
         self.bits = bits
         for index, body in enumerate(self.bodies):
             if not moving[index] and bits[index][1]:
                 self.shape(self.root(body.bone), body, index, self.place_of_root(body.bone))
         for number, limb in enumerate(self.limbs):
-            add_rods(self.root(limb.bone), limb, self.place_of_root(limb.bone), f"limb {number} ", {"contype": 0, "conaffinity": 0})
+            add_rods(
+                self.root(limb.bone),
+                limb,
+                self.place_of_root(limb.bone),
+                f"limb {number} ",
+                {"contype": 0, "conaffinity": 0},
+            )
         for link in self.forest.links:
             self.hang(link)
         for index, mover in self.forest.carried.items():
@@ -189,7 +218,12 @@ class _Builder:
             return self.spec.worldbody
         if bone not in self.roots:
             node = self.spec.worldbody.add_body(
-                name=f"r{bone}", pos=self.positions[bone], gravcomp=1.0, mass=self.weight, ipos=np.zeros(3), inertia=[self.weight] * 3
+                name=f"r{bone}",
+                pos=self.positions[bone],
+                gravcomp=1.0,
+                mass=self.weight,
+                ipos=np.zeros(3),
+                inertia=[self.weight] * 3,
             )
             node.explicitinertial = True
             node.add_freejoint()
@@ -198,8 +232,13 @@ class _Builder:
 
     def shape(self, owner: Any, body: MmdBody, index: int, place: np.ndarray) -> None:
         rough = body.dynamic and body.friction > 0.02
-        # Bullet multiplies frictions and MuJoCo takes the larger one: bodies of the skeleton have none, and the others half of theirs.
-        settings: dict[str, Any] = {"contype": self.bits[index][0], "conaffinity": self.bits[index][1], "condim": 3 if rough else 1}
+        # Bullet multiplies frictions and MuJoCo takes the larger one: bodies of the skeleton have none, and the others
+        # half of theirs.
+        settings: dict[str, Any] = {
+            "contype": self.bits[index][0],
+            "conaffinity": self.bits[index][1],
+            "condim": 3 if rough else 1,
+        }
         settings |= {"friction": [body.friction / 2 if rough else 0.0, 0.0, 0.0]}
         add_shape(owner, body, place, f"g{index}", settings)
 
@@ -212,11 +251,19 @@ class _Builder:
             self.spec.add_exclude(bodyname1=f"b{link.parent}", bodyname2=f"b{link.body}")
         own = self.gravity is not None
         node = above.add_body(
-            name=f"b{link.body}", pos=body.position - origin, mass=body.mass, ipos=np.zeros(3), inertia=inertia(body), gravcomp=float(own)
+            name=f"b{link.body}",
+            pos=body.position - origin,
+            mass=body.mass,
+            ipos=np.zeros(3),
+            inertia=inertia(body),
+            gravcomp=float(own),
         )
         node.explicitinertial = True
         if np.linalg.norm(body.position - anchor) > self.reach:
-            self.notes.append(f"rigid body '{body.name}' is farther from its joint than the character is tall, and weighs at its joint")
+            self.notes.append(
+                f"rigid body '{body.name}' is farther from its joint than the character is tall, and weighs at its "
+                "joint"
+            )
             node.ipos = anchor - body.position
         else:
             quaternion = np.empty(4)
@@ -226,7 +273,11 @@ class _Builder:
                 self.shape(node, body, link.body, body.position)
             if self.limbs and link.body in self.kept_out:
                 add_rods(node, body, body.position, f"rod {link.body} ", {"contype": 0, "conaffinity": 0})
-        kinds = {"slide": self.mj.mjtJoint.mjJNT_SLIDE, "hinge": self.mj.mjtJoint.mjJNT_HINGE, "ball": self.mj.mjtJoint.mjJNT_BALL}
+        kinds = {
+            "slide": self.mj.mjtJoint.mjJNT_SLIDE,
+            "hinge": self.mj.mjtJoint.mjJNT_HINGE,
+            "ball": self.mj.mjtJoint.mjJNT_BALL,
+        }
         made = []
         for freedom in freedoms(link):
             joint = node.add_joint(type=kinds[freedom.kind], axis=freedom.axis, pos=anchor - body.position)
@@ -253,7 +304,9 @@ class _Builder:
         at = joint.position - place
         if not locked.all():
             mass = LIGHT * min(self.bodies[end].mass for end in (loop.a, loop.b) if end >= 0)
-            first = first.add_body(name=f"s{number}", pos=at, gravcomp=1.0, mass=mass, ipos=np.zeros(3), inertia=[mass * 1e-4] * 3)
+            first = first.add_body(
+                name=f"s{number}", pos=at, gravcomp=1.0, mass=mass, ipos=np.zeros(3), inertia=[mass * 1e-4] * 3
+            )
             first.explicitinertial = True
             at = np.zeros(3)
             for axis in np.flatnonzero(~locked):
@@ -261,7 +314,9 @@ class _Builder:
                 if not free[axis]:
                     slide.limited, slide.range = mj.mjtLimited.mjLIMITED_TRUE, [joint.lower[axis], joint.upper[axis]]
         stiff = (joint.angle_upper - joint.angle_lower >= 0) & (joint.angle_upper - joint.angle_lower <= STIFF)
-        equality = self.spec.add_equality(objtype=mj.mjtObj.mjOBJ_BODY, name1=first.name or "world", name2=second.name or "world")
+        equality = self.spec.add_equality(
+            objtype=mj.mjtObj.mjOBJ_BODY, name1=first.name or "world", name2=second.name or "world"
+        )
         equality.solref = [max(self.settings.loop_time, 2.5 * self.step), 1.0]
         data = np.zeros(len(equality.data))
         if stiff.all():  # a quaternion of zeros stands for the pose at rest
@@ -271,7 +326,9 @@ class _Builder:
         equality.data = data
 
     def springs(self, model: Any) -> None:
-        """Springs that the time step can follow, and the damping of joints; both need the inertia that hangs on each joint."""
+        """Springs that the time step can follow, and the damping of joints; both need the inertia that hangs on each
+        joint.
+        """
         settings = self.settings
         for link in self.forest.links:
             body = self.bodies[link.body]
@@ -281,7 +338,9 @@ class _Builder:
                 mass = float(model.dof_M0[address : address + (3 if freedom.kind == "ball" else 1)].mean())
                 stiffness = min(freedom.stiffness, settings.fastest**2 * mass)
                 swing = np.sqrt(stiffness / mass + (settings.gravity / lever if freedom.kind != "slide" else 0))
-                rate = loss_rate(body.linear_damping if freedom.kind == "slide" else body.angular_damping, settings.most_rate)
+                rate = loss_rate(
+                    body.linear_damping if freedom.kind == "slide" else body.angular_damping, settings.most_rate
+                )
                 rate = max(rate - settings.air, 2 * settings.least_ratio * swing)
                 joint.stiffness = [stiffness, 0, 0]
                 joint.damping = [rate * mass, 0, 0]
@@ -311,7 +370,8 @@ class _Builder:
         pulls = np.zeros((len(links), 3)) if self.gravity is None else self.gravity[[link.body for link in links]]
         return World(
             model, data, self.step, np.array(list(self.roots), np.int64), np.array(model.jnt_qposadr[first], np.int64),
-            np.array(model.jnt_dofadr[first], np.int64), self.weight, np.array([link.body for link in links], np.int64), ids,
+            np.array(model.jnt_dofadr[first], np.int64), self.weight, np.array([link.body for link in links], np.int64),
+            ids,
             np.array(model.body_parentid[ids]), (linear[:, None], angular[:, None]), pulls,
             [self.state(model, int(body)) for body in ids], below, tuple(self.notes),
         )  # fmt: skip

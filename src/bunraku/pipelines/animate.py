@@ -23,12 +23,15 @@ AT_ONCE = 8
 """Prompts in one pass of the network."""
 
 
-def rig(character: Character, *, handles: Literal["predict", "rig"] = "predict", progress: Progress | None = None) -> Handles:
+def rig(
+    character: Character, *, handles: Literal["predict", "rig"] = "predict", progress: Progress | None = None
+) -> Handles:
     """The handles of a character (Eq. 1 of TapMo): positions h, skinning weights s and the mesh feature f_phi.
 
     Args:
         character: Any mesh, +Y up and facing +Z.
-        handles: "predict" them from the shape alone, or take those of the file's own "rig", told by the names of its bones.
+        handles: "predict" them from the shape alone, or take those of the file's own "rig", told by the names of its
+            bones.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Raises:
@@ -43,7 +46,11 @@ def rig(character: Character, *, handles: Literal["predict", "rig"] = "predict",
         raise OptionError(f"handles are made by 'predict' or 'rig', not '{handles}'; choose one of the two")
     if progress:
         progress("handles", 0.0)
-    found = replace(rig_handles(character), features=mesh_feature(character)) if handles == "rig" else predict_handles(character)
+    found = (
+        replace(rig_handles(character), features=mesh_feature(character))
+        if handles == "rig"
+        else predict_handles(character)
+    )
     found = found.top(4)  # what viewers read, so the file plays as the library does
     if progress:
         progress("handles", 1.0)
@@ -110,10 +117,12 @@ def generate(
     """Handle motions of the reference body from sentences (Eq. 2 of TapMo).
 
     Args:
-        prompt: What the character does, in English; several sentences in a row with their seconds ("walks:4; jumps:2; waves:3");
+        prompt: What the character does, in English; several sentences in a row with their seconds ("walks:4; jumps:2;
+            waves:3");
             or a list of such prompts, which are made in one batch.
         seconds: Length [s], 0.5 to 120; what prompts without seconds of their own share.
-        seed: The same seed and version give the same motion. One number gives each prompt of a list noise of its own, the first
+        seed: The same seed and version give the same motion. One number gives each prompt of a list noise of its own,
+            the first
             as when it is alone; a list has one for each.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
@@ -171,7 +180,8 @@ def animate(
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `rig`).
-        apparel: "rigid" moves hair and clothes with the body; "simulate" moves the bones of the character's own rig, and hair and clothes
+        apparel: "rigid" moves hair and clothes with the body; "simulate" moves the bones of the character's own rig,
+            and hair and clothes
             by the rigid bodies or springs of its MMD or VRM file.
         loop: Make a loop: the last pose is the first again, at another place where the motion travels.
         in_place: Take the way over the ground out, as game engines want it that move the character themselves.
@@ -183,14 +193,16 @@ def animate(
         An `Animation` at 20 frames a second, or a `RigAnimation` at 30 where apparel is simulated.
 
     Raises:
-        OptionError: The prompt is empty or too long, the length is out of range, a loop is to follow another clip, or simulated apparel is
+        OptionError: The prompt is empty or too long, the length is out of range, a loop is to follow another clip, or
+            simulated apparel is
             to be looped, to follow a clip, or to be moved by handles.
         CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """
     return next(
         animate_each(
-            character, [prompt], seconds=seconds, seed=seed, steps=steps, guidance=guidance, handles=handles, apparel=apparel, loop=loop,
+            character, [prompt], seconds=seconds, seed=seed, steps=steps, guidance=guidance, handles=handles,
+            apparel=apparel, loop=loop,
             in_place=in_place, after=after, stages=stages, progress=progress,
         )
     )  # fmt: skip
@@ -214,7 +226,8 @@ def animate_each(
 ) -> Iterator[AnimatedCharacter]:
     """One animation for each prompt, as `animate` makes them, several in one pass of the network.
 
-    Each has the same seed, so that it does not depend on those beside it. Arguments, results and errors are those of `animate`.
+    Each has the same seed, so that it does not depend on those beside it. Arguments, results and errors are those of
+    `animate`.
     """
     _scripts(prompts, seconds)
     check_together(apparel, loop=loop, after=after is not None, handles=handles != "predict")
@@ -233,7 +246,8 @@ def animate_each(
     for start in range(0, len(prompts), AT_ONCE):
         some = prompts[start : start + AT_ONCE]
         motions = generate(
-            list(some), seconds=seconds, seed=[seed] * len(some), steps=steps, guidance=guidance, mesh_feature=feature, loop=loop, after=before,
+            list(some), seconds=seconds, seed=[seed] * len(some), steps=steps, guidance=guidance, mesh_feature=feature,
+            loop=loop, after=before,
             progress=progress,
         )  # fmt: skip
         for motion in motions:
@@ -241,5 +255,6 @@ def animate_each(
                 yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
             else:
                 yield apply_motion(
-                    motion, character, handles, loop=loop, in_place=in_place, after=after, stages=stages, progress=progress
+                    motion, character, handles, loop=loop, in_place=in_place, after=after, stages=stages,
+                    progress=progress
                 )  # fmt: skip

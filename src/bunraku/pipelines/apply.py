@@ -99,7 +99,9 @@ def apply_simulated(
     return simulated(moved, progress)
 
 
-def fitted_motion(motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False) -> HandleMotion:
+def fitted_motion(
+    motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False
+) -> HandleMotion:
     """`fit_motion`, with the rounds before and after a loop in sight, so that no stage treats its ends as ends."""
     if not loop or len(motion) < 3:
         return fit_motion(motion, character, handles, stages)
@@ -111,7 +113,9 @@ def fitted_motion(motion: HandleMotion, character: Character, handles: Handles, 
 
 
 def reference_of(animation: AnimatedCharacter) -> HandleMotion:
-    """The motion of the reference body that an animation plays: the one that it was fitted from, or the way back from its own."""
+    """The motion of the reference body that an animation plays: the one that it was fitted from, or the way back from
+    its own.
+    """
     if animation.reference is not None:
         return animation.reference
     from bunraku.retarget.reference import motion_to_reference

@@ -36,7 +36,8 @@ def edit(
     Args:
         clip: An animation, or a motion of the reference body at 20 frames a second.
         prompt: What is done instead, in English.
-        keep: What stays as it is: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or single
+        keep: What stays as it is: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or
+            single
             handles such as left_wrist; a list, or one text with commas.
         span: Seconds from and to which is generated; all of the clip by default.
         seed: The same seed and version give the same motion.
@@ -46,7 +47,8 @@ def edit(
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
-        As many frames. What is kept holds the same arrays bit for bit: those of the animation's own motion, and of its `reference`.
+        As many frames. What is kept holds the same arrays bit for bit: those of the animation's own motion, and of its
+        `reference`.
 
     Raises:
         OptionError: Nothing is kept, or everything; the prompt is empty or too long; or the span is outside the clip.
@@ -57,7 +59,14 @@ def edit(
     from bunraku.core.travel import put_back
     from bunraku.diffusion.editing import edit_motion, span_frames
 
-    how: dict[str, Any] = {"keep": keep, "span": span, "seed": seed, "steps": steps, "guidance": guidance, "progress": progress}
+    how: dict[str, Any] = {
+        "keep": keep,
+        "span": span,
+        "seed": seed,
+        "steps": steps,
+        "guidance": guidance,
+        "progress": progress,
+    }
     if isinstance(clip, HandleMotion):
         return cast(Clip, edit_motion(clip, prompt, **how))
     assert isinstance(clip, Animation)
@@ -68,7 +77,10 @@ def edit(
         handles = replace(handles, features=mesh_feature(clip.character))
     reference = reference_of(clip)
     if len(reference) != len(clip.motion):
-        raise MotionError(f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it again")
+        raise MotionError(
+            f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it "
+            "again"
+        )
     made = edit_motion(reference, prompt, mesh_feature=handles.features, **how)
     if progress:
         progress("fit", 0.0)

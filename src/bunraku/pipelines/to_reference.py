@@ -1,7 +1,7 @@
 """Motion of any kind: read from any file that holds one, and taken to the reference body.
 
-A skeleton goes there by the meaning of its joints, a clip of a character by its rig or its handles, a moving mesh by registration of its
-handles.
+A skeleton goes there by the meaning of its joints, a clip of a character by its rig or its handles, a moving mesh by
+registration of its handles.
 """
 
 from __future__ import annotations
@@ -52,7 +52,9 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
     else:
         known = motion
         if known.translations.shape[1] != HANDLE_COUNT:
-            raise MotionError(f"a motion of the reference body has {HANDLE_COUNT} handles, not {known.translations.shape[1]}")
+            raise MotionError(
+                f"a motion of the reference body has {HANDLE_COUNT} handles, not {known.translations.shape[1]}"
+            )
     return resample(known, fps)
 
 
@@ -67,7 +69,9 @@ def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | 
 
 
 def _of_animation(animation: Animation) -> HandleMotion:
-    """Of a clip that a file brings, whose handles are its bones; or of handles that have the reference body's meaning."""
+    """Of a clip that a file brings, whose handles are its bones; or of handles that have the reference body's
+    meaning.
+    """
     from bunraku.retarget.reference import motion_to_reference
 
     character, rig = animation.character, animation.character.rig
@@ -94,12 +98,18 @@ def _of_rig(character: Character, turns: np.ndarray, places: np.ndarray, fps: fl
     axes = rig_axes(rig.names, rig.parents, rig.positions)
     if axes is not None and axes != ("+y", "+z"):
         turn = upright_rotation(*axes)
-        character, turns, places = turned(replace(character, source=None), *axes), turn @ turns @ turn.T, places @ turn.T
+        character, turns, places = (
+            turned(replace(character, source=None), *axes),
+            turn @ turns @ turn.T,
+            places @ turn.T,
+        )
     return rig_to_reference(RigParts.of(character), turns, places, fps, native=True)
 
 
 def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
-    """Of a moving mesh: its handles are predicted, registered (section A.2 of TapMo) and taken to the reference body."""
+    """Of a moving mesh: its handles are predicted, registered (section A.2 of TapMo) and taken to the reference
+    body.
+    """
     from bunraku.geometry.areas import vertex_areas
     from bunraku.pipelines.animate import rig
     from bunraku.retarget.from_mesh import handle_motion_of_mesh
@@ -108,7 +118,9 @@ def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
     handles = rig(rest)
     areas = vertex_areas(rest.vertices, rest.faces)
     parts = [
-        handle_motion_of_mesh(rest.vertices, np.asarray(vertices[start : start + _CHUNK]), handles.weights, handles.positions, areas, fps)
+        handle_motion_of_mesh(
+            rest.vertices, np.asarray(vertices[start : start + _CHUNK]), handles.weights, handles.positions, areas, fps
+        )
         for start in range(0, len(vertices), _CHUNK)
     ]
     return motion_to_reference(HandleMotion.joined(parts), rest, handles)

@@ -7,7 +7,9 @@ from bunraku.errors import OptionError
 __all__ = ["check_together"]
 
 
-def check_together(apparel: str, *, loop: bool = False, after: bool = False, handles: bool = False, dashes: str = "") -> None:
+def check_together(
+    apparel: str, *, loop: bool = False, after: bool = False, handles: bool = False, dashes: str = ""
+) -> None:
     """Raise OptionError where options of `animate` do not go together.
 
     Args:
@@ -20,8 +22,13 @@ def check_together(apparel: str, *, loop: bool = False, after: bool = False, han
     if apparel not in ("rigid", "simulate"):
         raise OptionError(f"apparel moves by 'rigid' or 'simulate', not '{apparel}'; choose one of the two")
     if loop and after:
-        raise OptionError(f"a loop ends where it starts, so it cannot follow another motion: {dashes}loop and {dashes}after do not go together")
+        raise OptionError(
+            f"a loop ends where it starts, so it cannot follow another motion: {dashes}loop and {dashes}after do not "
+            "go together"
+        )
     if apparel == "simulate" and (loop or after):
-        raise OptionError(f"simulated apparel starts from the rest pose, so it goes with neither {dashes}loop nor {dashes}after")
+        raise OptionError(
+            f"simulated apparel starts from the rest pose, so it goes with neither {dashes}loop nor {dashes}after"
+        )
     if apparel == "simulate" and handles:
         raise OptionError(f"apparel is simulated on the bones of a character's rig; leave {dashes}handles out")

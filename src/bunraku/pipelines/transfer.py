@@ -1,7 +1,7 @@
 """`transfer`: motion that exists already, put on any character.
 
-Every motion becomes one of the reference body first (`any_motion`). From there it goes to the handles of the character (TapMo, section
-3.2) or to its own rig.
+Every motion becomes one of the reference body first (`any_motion`). From there it goes to the handles of the character
+(TapMo, section 3.2) or to its own rig.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ Progress = Callable[[str, float], None]
 RATE = 30.0
 """Frames a second [1/s] of what is transferred, unless another rate is asked for."""
 TRANSFER_STAGES = Stages(hands=True, shape=True)
-"""The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its shape."""
+"""The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its
+shape.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +57,9 @@ class Source:
     @cached_property
     def motion(self) -> Motion:
         """The motion as its file has it."""
-        return load_motion(self.given, fps=self.fps, clip=self.clip) if isinstance(self.given, str | Path) else self.given
+        return (
+            load_motion(self.given, fps=self.fps, clip=self.clip) if isinstance(self.given, str | Path) else self.given
+        )
 
     @cached_property
     def reference(self) -> HandleMotion:
@@ -80,12 +84,15 @@ def transfer(
 
     Args:
         character: Any mesh, +Y up and facing +Z.
-        motion: Motion of any skeleton; handle motion of the reference body; an animated character; a moving mesh; or a file of one of these.
+        motion: Motion of any skeleton; handle motion of the reference body; an animated character; a moving mesh; or a
+            file of one of these.
             A `Source` brings its own `fps`, `names` and `clip`.
-        onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a humanoid that has one
+        onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a
+            humanoid that has one
             and handles otherwise.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
-        apparel: "rigid" moves hair and clothes with the body, "simulate" by the rigid bodies or springs of an MMD or VRM file.
+        apparel: "rigid" moves hair and clothes with the body, "simulate" by the rigid bodies or springs of an MMD or
+            VRM file.
         stages: Which stages run; `TRANSFER_STAGES` when None.
         fps: Frames a second of the result [1/s].
         names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
@@ -93,8 +100,8 @@ def transfer(
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
-        An `Animation`, or a `RigAnimation` where the rig is moved. A clip of a character with the same skeleton is copied bone by bone,
-        at its own rate, unless handles are asked for.
+        An `Animation`, or a `RigAnimation` where the rig is moved. A clip of a character with the same skeleton is
+        copied bone by bone, at its own rate, unless handles are asked for.
 
     Raises:
         OptionError: `onto` is none of the three, or `fps` is not from 1 to 240.
@@ -140,11 +147,11 @@ def apply_transfer(
     """`transfer` of what `reference_motion` gives; arguments are those of `transfer`."""
     from bunraku.retarget.rig_parts import RigParts
     from bunraku.retarget.to_rig import fit_rig
-    from bunraku.retarget.treadmill import slides_on_the_spot
+    from bunraku.retarget.treadmill import is_treadmill
 
     tell = progress or (lambda stage, done: None)
     stages = stages or TRANSFER_STAGES
-    if stages.feet and slides_on_the_spot(reference):
+    if stages.feet and is_treadmill(reference):
         stages = replace(stages, feet=False)  # feet that are held would carry the character away
     parts = None
     if onto == "rig":

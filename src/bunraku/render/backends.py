@@ -50,12 +50,15 @@ def _probe() -> Backend:
     device = str(context.info["GL_RENDERER"])
     context.release()
     if any(word in device.lower() for word in ("llvmpipe", "softpipe", "swrast", "swiftshader")):
-        return Backend("software", f"OpenGL runs on the CPU here ({device}); the built-in renderer is as good and starts faster")
+        return Backend(
+            "software", f"OpenGL runs on the CPU here ({device}); the built-in renderer is as good and starts faster"
+        )
     return Backend("opengl", device)
 
 
 def backend() -> Backend:
-    """Which renderer draws previews, and why; the environment variable BUNRAKU_RENDERER (opengl, software) overrules the choice.
+    """Which renderer draws previews, and why; the environment variable BUNRAKU_RENDERER (opengl, software) overrules
+    the choice.
 
     Raises:
         OptionError: The variable names another renderer.
@@ -90,6 +93,8 @@ def open_renderer(size: tuple[int, int], surface: Surface, stage: Stage, name: s
 
         return OpenGLRenderer(size, surface, stage)
     except Exception as error:
-        if name is None and VARIABLE not in os.environ:  # a card that was lost since the probe must not cost the preview
+        if (
+            name is None and VARIABLE not in os.environ
+        ):  # a card that was lost since the probe must not cost the preview
             return SoftwareRenderer(size, surface, stage)
         raise OptionError(f"OpenGL does not work here ({error}); use the software renderer") from error

@@ -78,8 +78,8 @@ class Camera:
             size: Width and height of the picture in pixels.
 
         Returns:
-            Column, row (0, 0 is the upper left corner of the upper left pixel) and distance along the line of sight [m],
-            shape (..., 3), float64.
+            Column, row (0, 0 is the upper left corner of the upper left pixel) and distance along the line of sight
+            [m], shape (..., 3), float64.
         """
         width, height = size
         local = (np.asarray(points, np.float64) - self.position) @ self.axes.T
@@ -92,15 +92,16 @@ class Framing:
     """Measures a motion frame by frame, then gives the closest camera that keeps all of it in the picture.
 
     For a fixed direction the four sides of the view are planes of known slope, so the closest camera follows from four
-    support values per frame; no vertex has to be kept. A path about as long as the character is followed: the camera moves
-    with the smoothed path, and the ground shows the movement.
+    support values per frame; no vertex has to be kept. A path about as long as the character is followed: the camera
+    moves with the smoothed path, and the ground shows the movement.
 
     Args:
         frames: Number of frames N.
         size: Width and height of the picture in pixels.
         fps: Frames a second [1/s].
         axes: Rows right, up and back, shape (3, 3).
-        margin: Share of the picture's half width and height left empty at each border; a pair gives the lower border another.
+        margin: Share of the picture's half width and height left empty at each border; a pair gives the lower border
+            another.
         floor: Height on which the character stands at rest [m]; it is the ground where the motion stays near it.
     """
 
@@ -135,8 +136,8 @@ class Framing:
 
     @property
     def ground(self) -> float:
-        """Height of the ground [m]: the floor of the rest pose, through which a weapon or a tail may pass for a while; of a motion
-        elsewhere, or without a floor, what the lowest vertices of nearly all frames stand above.
+        """Height of the ground [m]: the floor of the rest pose, through which a weapon or a tail may pass for a while;
+        of a motion elsewhere, or without a floor, what the lowest vertices of nearly all frames stand above.
         """
         lowest = float(np.quantile(self.bounds[:, 0, 1], 0.05, method="lower"))
         if self._floor is not None and abs(lowest - self._floor) < 0.4 * self.extent:
@@ -144,7 +145,9 @@ class Framing:
         return lowest
 
     def offsets(self) -> np.ndarray:
-        """How far the camera and the lit part of the floor have moved in each frame [m], shape (N, 3); zeros for a short path."""
+        """How far the camera and the lit part of the floor have moved in each frame [m], shape (N, 3); zeros for a
+        short path.
+        """
         centre = self.bounds.mean(axis=1).astype(np.float64)
         out = np.zeros_like(centre)
         path = centre[:, [0, 2]]

@@ -70,7 +70,13 @@ def render_frames(
     vertices = np.asarray(vertices, np.float32)
     if vertices.ndim != 3 or not len(vertices) or vertices.shape[2] != 3 or not np.isfinite(vertices).all():
         raise OptionError(f"frames to draw must be finite numbers of shape (N, V, 3) with N > 0, not {vertices.shape}")
-    take = _Take(vertices[0], np.asarray(faces), colors, lambda: (np.ascontiguousarray(frame) for frame in vertices), len(vertices))
+    take = _Take(
+        vertices[0],
+        np.asarray(faces),
+        colors,
+        lambda: (np.ascontiguousarray(frame) for frame in vertices),
+        len(vertices),
+    )
     return np.stack(list(_draw(take, size, fps, background, camera=camera, renderer=renderer)))
 
 
@@ -172,7 +178,8 @@ def _take(animation: Animation, times: np.ndarray, color: str) -> _Take:
 def _simplified(
     vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """The mesh itself, or for a large one fewer faces, with the vertex of the original that each new vertex takes after.
+    """The mesh itself, or for a large one fewer faces, with the vertex of the original that each new vertex takes
+    after.
 
     Vertices without faces are left out: they are not seen, and would draw the camera away.
     """
@@ -181,7 +188,9 @@ def _simplified(
     if not used.all():
         kept = np.flatnonzero(used)
         tints = colors if colors is None or colors.ndim == 1 else colors[kept]
-        rest, small, tints, origin = _simplified(np.ascontiguousarray(vertices[kept]), (np.cumsum(used) - 1)[faces], tints)
+        rest, small, tints, origin = _simplified(
+            np.ascontiguousarray(vertices[kept]), (np.cumsum(used) - 1)[faces], tints
+        )
         return rest, small, tints, kept if origin is None else kept[origin]
     if len(faces) <= MOST_FACES and len(vertices) <= MOST_FACES:
         return vertices, faces, colors, None

@@ -52,7 +52,9 @@ def measure(vertices, axes, slopes, bounds, support):
 
 @compiled
 def accumulate_normals(vertices, faces, clusters, count):
-    """Unit normals (count, 3) of the smooth clusters: area-weighted sums over the faces whose corners belong to them."""
+    """Unit normals (count, 3) of the smooth clusters: area-weighted sums over the faces whose corners belong to
+    them.
+    """
     out = np.zeros((count, 3), np.float32)
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -117,7 +119,8 @@ def rasterise(screen, faces, depth, ids):
         y0, y1 = int(max(top + 0.125, 0.0)), int(min(bottom - 0.125, height - 1.0))
         ux, uy = cy / area, -cx / area
         vx, vy = -by / area, bx / area
-        # How far a pixel's samples reach inside each edge, seen from its corner: a whole pixel outside is skipped at once.
+        # How far a pixel's samples reach inside each edge, seen from its corner: a whole pixel outside is skipped at
+        # once.
         reach_u = 0.875 * (max(ux, 0.0) + max(uy, 0.0))
         reach_v = 0.875 * (max(vx, 0.0) + max(vy, 0.0))
         reach_w = 1 + 0.875 * (max(-ux - vx, 0.0) + max(-uy - vy, 0.0))
@@ -142,7 +145,8 @@ def rasterise(screen, faces, depth, ids):
 
 @compiled
 def drop_shadow(vertices, faces, slope_x, slope_z, ground, left, near, texel, lowest, heights):
-    """Project faces to the floor along (-slope_x, -1, -slope_z); keep the highest (or lowest) height of each texel (R, R).
+    """Project faces to the floor along (-slope_x, -1, -slope_z); keep the highest (or lowest) height of each texel (R,
+    R).
 
     Heights are above the floor [m]; texels that nothing covers keep what they held.
     """
@@ -151,13 +155,25 @@ def drop_shadow(vertices, faces, slope_x, slope_z, ground, left, near, texel, lo
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         ha, hb, hc = vertices[a, 1] - ground, vertices[b, 1] - ground, vertices[c, 1] - ground
         ax, ay = (vertices[a, 0] - slope_x * ha - left) / texel, (vertices[a, 2] - slope_z * ha - near) / texel
-        bx, by = (vertices[b, 0] - slope_x * hb - left) / texel - ax, (vertices[b, 2] - slope_z * hb - near) / texel - ay
-        cx, cy = (vertices[c, 0] - slope_x * hc - left) / texel - ax, (vertices[c, 2] - slope_z * hc - near) / texel - ay
+        bx, by = (
+            (vertices[b, 0] - slope_x * hb - left) / texel - ax,
+            (vertices[b, 2] - slope_z * hb - near) / texel - ay,
+        )
+        cx, cy = (
+            (vertices[c, 0] - slope_x * hc - left) / texel - ax,
+            (vertices[c, 2] - slope_z * hc - near) / texel - ay,
+        )
         area = bx * cy - by * cx
         if area == 0:
             continue
-        x0, x1 = int(max(np.ceil(ax + min(0.0, bx, cx) - 0.5), 0.0)), int(min(np.floor(ax + max(0.0, bx, cx) - 0.5), size - 1.0))
-        y0, y1 = int(max(np.ceil(ay + min(0.0, by, cy) - 0.5), 0.0)), int(min(np.floor(ay + max(0.0, by, cy) - 0.5), size - 1.0))
+        x0, x1 = (
+            int(max(np.ceil(ax + min(0.0, bx, cx) - 0.5), 0.0)),
+            int(min(np.floor(ax + max(0.0, bx, cx) - 0.5), size - 1.0)),
+        )
+        y0, y1 = (
+            int(max(np.ceil(ay + min(0.0, by, cy) - 0.5), 0.0)),
+            int(min(np.floor(ay + max(0.0, by, cy) - 0.5), size - 1.0)),
+        )
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
                 px, py = x + 0.5 - ax, y + 0.5 - ay

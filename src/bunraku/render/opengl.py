@@ -43,11 +43,17 @@ class OpenGLRenderer:
         self._context = context = open_context()
         try:
             samples = min(4, context.max_samples)
-            self._canvas = context.framebuffer([context.renderbuffer(size, 4, samples=samples)], context.depth_renderbuffer(size, samples=samples))
+            self._canvas = context.framebuffer(
+                [context.renderbuffer(size, 4, samples=samples)], context.depth_renderbuffer(size, samples=samples)
+            )
             self._result = context.framebuffer([context.renderbuffer(size, 4)])
             common = (SHADERS / "common.glsl").read_text() + f"#define LINE_WIDTH {LINE_WIDTH}\n"
-            self._floor = context.program((SHADERS / "floor.vert").read_text(), common + (SHADERS / "floor.frag").read_text())
-            self._mesh = context.program((SHADERS / "mesh.vert").read_text(), common + (SHADERS / "mesh.frag").read_text())
+            self._floor = context.program(
+                (SHADERS / "floor.vert").read_text(), common + (SHADERS / "floor.frag").read_text()
+            )
+            self._mesh = context.program(
+                (SHADERS / "mesh.vert").read_text(), common + (SHADERS / "mesh.frag").read_text()
+            )
             self._points = context.buffer(reserve=24 * len(surface.point_vertex), dynamic=True)
             colors = context.buffer(surface.colors.tobytes())
             index = context.buffer(surface.triangles.tobytes())
@@ -63,8 +69,10 @@ class OpenGLRenderer:
             texture.use(unit)
         lights = stage.lights
         self._set(
-            heights=0, floor_shadow=1, ground=stage.ground, radius=stage.radius, cell=stage.cell, light=stage.light, key_color=lights[0],
-            sky_color=lights[1], bounce_color=lights[2], rim_color=lights[3], top_color=stage.top, bottom_color=stage.bottom,
+            heights=0, floor_shadow=1, ground=stage.ground, radius=stage.radius, cell=stage.cell, light=stage.light,
+            key_color=lights[0],
+            sky_color=lights[1], bounce_color=lights[2], rim_color=lights[3], top_color=stage.top,
+            bottom_color=stage.bottom,
             floor_color=stage.floor, line_color=stage.line,
         )  # fmt: skip
 
@@ -73,7 +81,9 @@ class OpenGLRenderer:
         for program in (self._floor, self._mesh):
             for name, value in values.items():
                 if name in program:
-                    program[name].value = tuple(np.asarray(value).tolist()) if isinstance(value, (tuple, np.ndarray)) else value
+                    program[name].value = (
+                        tuple(np.asarray(value).tolist()) if isinstance(value, (tuple, np.ndarray)) else value
+                    )
 
     def draw(self, vertices: np.ndarray, camera: Camera, offset: np.ndarray) -> np.ndarray:
         """One picture, shape (H, W, 3), uint8; arguments as for the software renderer."""
@@ -87,7 +97,8 @@ class OpenGLRenderer:
         far = max(float(depth.max()), 1e-6)
         near = max(float(depth.min()), 1e-3 * far)
         self._set(
-            eye=camera.position, right=camera.axes[0], up=camera.axes[1], back=camera.axes[2], focal=camera.focal(height),
+            eye=camera.position, right=camera.axes[0], up=camera.axes[1], back=camera.axes[2],
+            focal=camera.focal(height),
             size=(float(width), float(height)), range=(0.98 * near, 1.02 * far), centre=self._stage.centre + offset,
             corner=(float(shadows.left), float(shadows.near)), texel=shadows.texel,
         )  # fmt: skip

@@ -8,7 +8,8 @@ from bunraku.core.character import Handles
 
 __all__ = ["HANDLE_PALETTE", "handle_colors"]
 
-# Spread over the colours that can be told apart on a grey stage: any two are at least 30 apart in CIELAB, and parents and
+# Spread over the colours that can be told apart on a grey stage: any two are at least 30 apart in CIELAB, and parents
+# and
 # children, left and right, and handles with one parent at least 60.
 _HEX = """
 fa142c 14eeca 1444e2 696914 75b1fa 8de214 14ee5d b11499 2ca599 14d6fa

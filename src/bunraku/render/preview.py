@@ -41,7 +41,8 @@ def save_preview(
     Args:
         animation: What to show.
         path: The file to write.
-        size: Width and height of a picture in pixels; None is 640 x 480, and 240 x 280 for each picture of a sheet. MP4 needs
+        size: Width and height of a picture in pixels; None is 640 x 480, and 240 x 280 for each picture of a sheet. MP4
+            needs
             even numbers and gets the next lower ones.
         fps: Pictures a second [1/s]; None is the motion's own.
         background: "studio", "white", "dark", a colour such as "#dfe4e9", or three numbers 0 to 255.
@@ -64,13 +65,22 @@ def save_preview(
     tell = progress or (lambda done, total: None)
     if target.suffix.lower() == ".png":
         if not 1 <= frames <= 400 or (columns is not None and columns < 1):
-            raise OptionError(f"a contact sheet has 1 to 400 pictures in at least one column, not {frames} in {columns}")
+            raise OptionError(
+                f"a contact sheet has 1 to 400 pictures in at least one column, not {frames} in {columns}"
+            )
         last = (len(animation.motion) - 1) / animation.motion.fps
         times = np.unique(np.round(np.linspace(0, last, frames) * animation.motion.fps) / animation.motion.fps)
         pictures = render_animation(animation, size=size or CELL, times=times, background=background, color=color)
         images = list(_counted(pictures, len(times), tell))
         paper = tuple(int(channel) for channel in np.round(255 * parse_background(background)[0]))
-        sheet = assemble(images, [f"{time:.2f} s" for time in times], columns=columns, title=title, gap=3, paper=(paper[0], paper[1], paper[2]))
+        sheet = assemble(
+            images,
+            [f"{time:.2f} s" for time in times],
+            columns=columns,
+            title=title,
+            gap=3,
+            paper=(paper[0], paper[1], paper[2]),
+        )
         return write_png(sheet, target)
     rate = animation.motion.fps if fps is None else fps
     if not 1 <= rate <= 240:

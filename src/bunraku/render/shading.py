@@ -104,12 +104,13 @@ def _touch(faces, f, g):
 
 @compiled
 def shade(
-    screen, faces, points, normals, colors, ids, base, axes, eye, focal, ground, light, lights, heights, floor_shadow, left, near, texel, encode, out
+    screen, faces, points, normals, colors, ids, base, axes, eye, focal, ground, light, lights, heights, floor_shadow,
+    left, near, texel, encode, out
 ):  # fmt: skip
     """Shade the samples of each pixel, once for each face that it sees, and average them into `out` (H, W, 3), uint8.
 
-    `lights` holds the linear colours of the key light, the sky, the bounce from the floor and the rim, shape (4, 3), and
-    `encode` the sRGB value of linear 0..2 in equal steps, highlights compressed.
+    `lights` holds the linear colours of the key light, the sky, the bounce from the floor and the rim, shape (4, 3),
+    and `encode` the sRGB value of linear 0..2 in equal steps, highlights compressed.
     """
     height, width = ids.shape[0], ids.shape[1]
     found = np.empty(4, np.int32)
@@ -193,7 +194,11 @@ def shade(
                     gloss = 0.05 * gloss * gloss * (1 - hidden)
                     for i in range(3):
                         albedo = u * colors[a, i] + v * colors[b, i] + w * colors[c, i]
-                        value = albedo * (lights[0, i] * key + lights[1, i] * sky + lights[2, i] * (1 - sky)) + lights[3, i] * rim + gloss
+                        value = (
+                            albedo * (lights[0, i] * key + lights[1, i] * sky + lights[2, i] * (1 - sky))
+                            + lights[3, i] * rim
+                            + gloss
+                        )
                         tint[s, i] = encode[int(min(max(0.5 * value, 0.0), 1.0) * steps + 0.5)]
                 red += tint[s, 0]
                 green += tint[s, 1]

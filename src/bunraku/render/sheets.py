@@ -64,12 +64,20 @@ def assemble(
     font = ImageFont.load_default(text)
     if title:
         large = ImageFont.load_default(text + 3)
-        draw.text((sheet.width // 2, head // 2 + 2), _fitted(title, draw, large, sheet.width - 4 * gap), ink, large, anchor="mm")
+        draw.text(
+            (sheet.width // 2, head // 2 + 2),
+            _fitted(title, draw, large, sheet.width - 4 * gap),
+            ink,
+            large,
+            anchor="mm",
+        )
     for i, image in enumerate(images):
         x, y = gap + i % columns * (width + gap), head + gap + i // columns * (height + strip + gap)
         sheet.paste(Image.fromarray(np.ascontiguousarray(image)), (x, y))
         if labels is not None:
-            draw.text((x + width // 2, y + height + strip // 2), _fitted(labels[i], draw, font, width), ink, font, anchor="mm")
+            draw.text(
+                (x + width // 2, y + height + strip // 2), _fitted(labels[i], draw, font, width), ink, font, anchor="mm"
+            )
     return np.asarray(sheet)
 
 

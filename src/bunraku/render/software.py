@@ -46,7 +46,12 @@ class SoftwareRenderer:
         stage, surface = self._stage, self._surface
         height, width = self._ids.shape[:2]
         focal = camera.focal(height)
-        seen = (camera.position.tobytes(), camera.axes.tobytes(), np.float64(focal).tobytes(), np.asarray(offset, np.float64).tobytes())
+        seen = (
+            camera.position.tobytes(),
+            camera.axes.tobytes(),
+            np.float64(focal).tobytes(),
+            np.asarray(offset, np.float64).tobytes(),
+        )
         if seen != self._seen:
             shading.backdrop(
                 camera.axes, camera.position, focal, stage.centre + offset, stage.ground, stage.radius, stage.cell,
@@ -61,8 +66,10 @@ class SoftwareRenderer:
         kernels.rasterise(screen, surface.triangles, self._depth, self._ids)
         out = np.empty((height, width, 3), np.uint8)
         shading.shade(
-            screen, surface.triangles, points, normals, surface.colors, self._ids, self._base, camera.axes, camera.position, focal,
-            stage.ground, stage.light, stage.lights, shadows.heights, shadows.floor, shadows.left, shadows.near, shadows.texel,
+            screen, surface.triangles, points, normals, surface.colors, self._ids, self._base, camera.axes,
+            camera.position, focal,
+            stage.ground, stage.light, stage.lights, shadows.heights, shadows.floor, shadows.left, shadows.near,
+            shadows.texel,
             self._encode, out,
         )  # fmt: skip
         return out

@@ -83,11 +83,17 @@ def parse_background(background: Background) -> tuple[np.ndarray, np.ndarray]:
             if value.shape != (3,) or value.min() < 0 or value.max() > 255:
                 raise ValueError
             return value / 255, value / 255
-        upper, lower = (np.array([int(name[at : at + 2], 16) for at in (1, 3, 5)], float) / 255 for name in pair if name[0] == "#" and len(name) == 7)
+        upper, lower = (
+            np.array([int(name[at : at + 2], 16) for at in (1, 3, 5)], float) / 255
+            for name in pair
+            if name[0] == "#" and len(name) == 7
+        )
         return upper, lower
     except (ValueError, TypeError, IndexError):
         known = ", ".join(BACKGROUNDS)
-        raise OptionError(f"background {background!r} is not one of {known}, a colour such as '#dfe4e9', or three numbers 0 to 255") from None
+        raise OptionError(
+            f"background {background!r} is not one of {known}, a colour such as '#dfe4e9', or three numbers 0 to 255"
+        ) from None
 
 
 def set_stage(framing: Framing, background: Background = "studio") -> Stage:
@@ -134,7 +140,9 @@ def cast_shadows(stage: Stage, surface: Surface, vertices: np.ndarray) -> Shadow
     slope_x, slope_z = stage.light[0] / stage.light[1], stage.light[2] / stage.light[1]
     # Half a shadow's length towards where it falls; whole texels, so that edges do not swim.
     rise = max(float(high[1]) - stage.ground, 0.0)
-    middle = np.array([0.5 * (low[0] + high[0]) - 0.5 * slope_x * rise, 0.5 * (low[2] + high[2]) - 0.5 * slope_z * rise])
+    middle = np.array(
+        [0.5 * (low[0] + high[0]) - 0.5 * slope_x * rise, 0.5 * (low[2] + high[2]) - 0.5 * slope_z * rise]
+    )
     left, near = (np.floor(middle / texel) * texel - stage.reach).tolist()
     heights = np.full((TEXELS, TEXELS), -np.inf, np.float32)
     drop_shadow(vertices, surface.faces, slope_x, slope_z, stage.ground, left, near, texel, False, heights)

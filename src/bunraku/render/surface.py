@@ -23,7 +23,9 @@ def linear_from_srgb(values: np.ndarray) -> np.ndarray:
 def srgb_from_linear(values: np.ndarray) -> np.ndarray:
     """sRGB values of linear light, both 0..1."""
     values = np.asarray(values, np.float32)
-    return np.where(values <= 0.0031308, values * 12.92, 1.055 * np.maximum(values, 0.0031308) ** (1 / 2.4) - 0.055).astype(np.float32)
+    return np.where(
+        values <= 0.0031308, values * 12.92, 1.055 * np.maximum(values, 0.0031308) ** (1 / 2.4) - 0.055
+    ).astype(np.float32)
 
 
 def compress_highlights(values: np.ndarray) -> np.ndarray:
@@ -87,7 +89,9 @@ def build_surface(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | 
         tint = np.asarray(CLAY, np.uint8)
 
     # Seams of texture coordinates hold copies of a vertex; normals run across them.
-    grid = np.round((vertices - vertices.min(axis=0)) / max(float(np.ptp(vertices, axis=0).max()), 1e-30) * 2e5).astype(np.int64)
+    grid = np.round((vertices - vertices.min(axis=0)) / max(float(np.ptp(vertices, axis=0).max()), 1e-30) * 2e5).astype(
+        np.int64
+    )
     _, welded = np.unique(grid @ np.array([1, 1 << 20, 1 << 40]), return_inverse=True)
     corners = welded[faces]
     normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])

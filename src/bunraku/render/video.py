@@ -28,7 +28,9 @@ def check_target(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Path
     """
     path = Path(path)
     if path.suffix.lower() not in suffixes:
-        raise FormatError(path, f"a preview cannot be written as '{path.suffix or 'no suffix'}'; name it {', '.join(suffixes)}")
+        raise FormatError(
+            path, f"a preview cannot be written as '{path.suffix or 'no suffix'}'; name it {', '.join(suffixes)}"
+        )
     check_output_folder(path)
     if not os.access(path.parent, os.W_OK):
         raise FormatError(path, "the folder cannot be written; choose another place")
@@ -51,7 +53,9 @@ def _replacing(path: Path) -> Iterator[Path]:
         os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, path)
     except OSError as error:
-        raise FormatError(path, f"cannot be written ({error.strerror or error}); free some space or choose another folder") from error
+        raise FormatError(
+            path, f"cannot be written ({error.strerror or error}); free some space or choose another folder"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -114,7 +118,9 @@ def _write_pillow(images: Iterable[np.ndarray], path: Path, fps: float) -> None:
     stream = pictures()
     first = next(stream)
     options = {"optimize": False} if gif else {"quality": 82, "method": 2}
-    first.save(path, format="GIF" if gif else "WEBP", save_all=True, append_images=stream, duration=duration, loop=0, **options)
+    first.save(
+        path, format="GIF" if gif else "WEBP", save_all=True, append_images=stream, duration=duration, loop=0, **options
+    )
 
 
 def write_png(image: np.ndarray, path: str | Path, limit: int | None = None) -> Path:
@@ -139,7 +145,9 @@ def write_png(image: np.ndarray, path: str | Path, limit: int | None = None) -> 
         picture.save(temporary, optimize=True)
         small, colors = picture, 256
         while limit is not None and temporary.stat().st_size > limit:
-            small.quantize(colors, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(temporary, optimize=True)
+            small.quantize(colors, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
+                temporary, optimize=True
+            )
             if colors > 96:
                 colors //= 2
             elif min(small.size) > 64:

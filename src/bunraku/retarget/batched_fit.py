@@ -1,8 +1,8 @@
 """The fitting of a motion to characters in torch, batched: what losses on the adaptation delta need of `fit_motion`.
 
-Rigid motion changes no distance, so everything here is local, in the root's frame: a handle k of a character goes from h_k to
-`h_k + t_k`, and a vertex as `core.skinning` says, without the global part. The translations
-t_k are those that hold the joints, plus the residual of the motion and delta, both in the reference body's metres.
+Rigid motion changes no distance, so everything here is local, in the root's frame: a handle k of a character goes from
+h_k to `h_k + t_k`, and a vertex as `core.skinning` says, without the global part. The translations t_k are those that
+hold the joints, plus the residual of the motion and delta, both in the reference body's metres.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ class Fitted:
         row: Character of the bank, shape (B,).
         rotations: Local rotations on the character, shape (B, N, K, 3, 3).
         stiff: Local translations that hold the joints [m], shape (B, N, K, 3).
-        residual: What the motion's own translations add, by the part that is played [m of the reference body], shape (B, N, K, 3).
+        residual: What the motion's own translations add, by the part that is played [m of the reference body], shape
+            (B, N, K, 3).
     """
 
     row: Tensor
@@ -49,10 +50,16 @@ def _pick(values: Tensor, index: Tensor) -> Tensor:
 
 
 def _attached(rotations: Tensor, bank: CharacterBank, row: Tensor) -> tuple[Tensor, Tensor]:
-    """`bunraku.retarget.stages.joints.attached` for a batch: rotations and translations in which every joint holds."""
+    """`bunraku.retarget.stages.attach.attached` for a batch: rotations and translations in which every joint holds."""
     rotations = rotations.clone()
     translations = rotations.new_zeros(*rotations.shape[:3], 3)
-    h, joints, parents, order, present = bank.handles[row], bank.joints[row], bank.parents[row], bank.order[row], bank.present[row]
+    h, joints, parents, order, present = (
+        bank.handles[row],
+        bank.joints[row],
+        bank.parents[row],
+        bank.order[row],
+        bank.present[row],
+    )
     each = torch.arange(len(row), device=row.device)
     for place in range(1, order.shape[1]):
         handle = order[:, place]
@@ -89,7 +96,8 @@ def handle_places(fitted: Fitted, bank: CharacterBank, delta: Tensor | None = No
     Args:
         fitted: The motions.
         bank: The characters.
-        delta: Adaptation of each part [m of the reference body], shape (B, N, K, 3); the root's does not count. None for none.
+        delta: Adaptation of each part [m of the reference body], shape (B, N, K, 3); the root's does not count. None
+            for none.
     """
     row = fitted.row
     total = fitted.residual if delta is None else fitted.residual + delta
@@ -101,7 +109,9 @@ def handle_places(fitted: Fitted, bank: CharacterBank, delta: Tensor | None = No
     return translations, bank.handles[row][:, None] + translations
 
 
-def move_points(points: Tensor, index: Tensor, weights: Tensor, rotations: Tensor, handles: Tensor, translations: Tensor) -> Tensor:
+def move_points(
+    points: Tensor, index: Tensor, weights: Tensor, rotations: Tensor, handles: Tensor, translations: Tensor
+) -> Tensor:
     """Vertices blended from four handles each (Eq. 3 without its global part), shape (B, N, P, 3).
 
     Args:
@@ -141,6 +151,8 @@ def bone_places(fitted: Fitted, bank: CharacterBank) -> tuple[Tensor, Tensor]:
     for bone in range(1, joints.shape[1]):
         parent = parents[:, bone]
         above = parent.clamp(min=0)
-        step = torch.einsum("bnij,bj->bni", _pick(rotations, above), joints[:, bone] - joints[each, above]) + _pick(places, above)
+        step = torch.einsum("bnij,bj->bni", _pick(rotations, above), joints[:, bone] - joints[each, above]) + _pick(
+            places, above
+        )
         places[:, :, bone] = torch.where((parent >= 0)[:, None, None], step, places[:, :, bone])
     return rotations, places

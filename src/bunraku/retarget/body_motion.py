@@ -1,7 +1,8 @@
 """Motion of SMPL's 22 joints as handle motion of the reference body, joint by joint.
 
-`datasets.motions.handle_motion_of_body` registers the skinned mesh, which is what networks are trained on; there, rotations blur where
-weights do. Here handles take the rotations of their joints as they are, so limbs point where the source's point.
+`datasets.motions.handle_motion_of_body` registers the skinned mesh, which is what networks are trained on; there,
+rotations blur where weights do. Here handles take the rotations of their joints as they are, so limbs point where the
+source's point.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT
 from bunraku.body.reference import leg_length, reference_body
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
+from bunraku.retarget.stages.attach import attach_joints, reference_joints
 from bunraku.retarget.stages.ground import lowest
-from bunraku.retarget.stages.joints import attached, reference_joints
 
 __all__ = ["body_handle_motion", "stiff"]
 
@@ -40,7 +41,7 @@ def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
     rotations[:, 1:JOINT_COUNT] = np.swapaxes(root, -1, -2)[:, None] @ world[:, 1:]
     for handle in range(JOINT_COUNT, HANDLE_COUNT):
         rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
-    rotations, translations = attached(rotations, body.handles, joints)
+    rotations, translations = attach_joints(rotations, body.handles, joints)
     scale = leg_length(body.joints) / max(leg_length(motion.skeleton.positions), 1e-9)
     pelvis, place = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
     path = motion.root_translation * scale + np.einsum("nij,j->ni", root, place - pelvis) - place
@@ -51,5 +52,7 @@ def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
 
 def stiff(motion: HandleMotion) -> HandleMotion:
     """A motion of the reference body with all joints held, as bones hold them."""
-    rotations, translations = attached(motion.rotations.astype(np.float64), reference_body().handles, reference_joints())
+    rotations, translations = attach_joints(
+        motion.rotations.astype(np.float64), reference_body().handles, reference_joints()
+    )
     return replace(motion, rotations=rotations, translations=translations)

@@ -1,8 +1,9 @@
 """Characters for the weakly supervised losses of TapMo (section 3.2), each reduced to what the losses look at.
 
-The handle predictor is frozen while the diffusion model trains, so what it says of a character is computed once and packed into
-one file by `bunraku data character-bank`: f_phi, handles, how a motion of the reference body is fitted to them, a sample of the mesh's
-edges, vertices of the arms, and the bones of the character's own rig that move those. Row 0 is the reference body.
+The handle predictor is frozen while the diffusion model trains, so what it says of a character is computed once and
+packed into one file by `bunraku data character-bank`: f_phi, handles, how a motion of the reference body is fitted to
+them, a sample of the mesh's edges, vertices of the arms, and the bones of the character's own rig that move those. Row
+0 is the reference body.
 """
 
 from __future__ import annotations
@@ -85,12 +86,17 @@ class CharacterBank:
 
     def rows(self, split: str = "train", humanoid: bool | None = None) -> np.ndarray:
         """Rows of a split, without the reference body; only humanoids, or only others, where asked for."""
-        kept = [row > 0 and own == split and (humanoid is None or bool(self.humanoid[row]) == humanoid) for row, own in enumerate(self.split)]
+        kept = [
+            row > 0 and own == split and (humanoid is None or bool(self.humanoid[row]) == humanoid)
+            for row, own in enumerate(self.split)
+        ]
         return np.flatnonzero(kept)
 
     def to(self, device: str | torch.device) -> CharacterBank:
         """The bank on another device."""
-        moved: dict[str, Any] = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)}
+        moved: dict[str, Any] = {
+            name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)
+        }
         return replace(self, **moved)
 
 
@@ -117,7 +123,9 @@ def load_character_bank(path: str | Path) -> CharacterBank:
         bank = CharacterBank(names, split, **values)
         _check(bank)
     except Exception as error:
-        raise FormatError(path, f"this is not a bank of characters ({error}); write one with 'bunraku data character-bank'") from error
+        raise FormatError(
+            path, f"this is not a bank of characters ({error}); write one with 'bunraku data character-bank'"
+        ) from error
     return bank
 
 
@@ -135,7 +143,14 @@ def _check(bank: CharacterBank) -> None:
     for name, value in vars(bank).items():
         if len(value) != count:
             raise ValueError(f"{name} has {len(value)} rows, not {count}")
-    limits = {"roles": handles, "order": handles, "parents": handles, "edge_index": handles, "arm_index": handles, "bone_handles": handles}
+    limits = {
+        "roles": handles,
+        "order": handles,
+        "parents": handles,
+        "edge_index": handles,
+        "arm_index": handles,
+        "bone_handles": handles,
+    }
     limits |= {"arm_bones": bones, "bone_parents": bones, "chest_bone": bones}
     for name, limit in limits.items():
         value = getattr(bank, name)

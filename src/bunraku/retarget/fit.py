@@ -3,18 +3,22 @@
 The diffusion model speaks of the reference body: its proportions and its T-pose. Named stages, each of which can be
 switched off, clean its motion and turn it into one of another character. They run in this order:
 
-- `smooth`: the generator's noise is taken out and fast moves stay (`retarget/stages/smoothing.py`).
-- `rest_pose`: a limb that rests in another direction than the reference body's (arms down, A-pose, sitting, the front legs of a
-  dog) is first turned into the reference's direction, so the motion means the same. Bodies that lie along their spine take a
-  third of the pelvis' tilt.
-- `attach`: local translations are set so that each handle stays joined to its parent at the place where their weights meet. It
-  takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than the reference's.
-- `shape`: handles move a little where that keeps the mesh's edges at their lengths (`retarget/stages/edge_lengths.py`); off unless asked for, as
+- `smooth`: the generator's noise is taken out and fast moves stay (`retarget/stages/smooth.py`).
+- `rest_pose`: a limb that rests in another direction than the reference body's (arms down, A-pose, sitting, the front
+  legs of a dog) is first turned into the reference's direction, so the motion means the same. Bodies that lie along
+  their spine take a third of the pelvis' tilt.
+- `attach`: local translations are set so that each handle stays joined to its parent at the place where their weights
+  meet. It takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than
+  the reference's.
+- `shape`: handles move a little where that keeps the mesh's edges at their lengths (`retarget/stages/shape.py`); off
+  unless asked for, as
   everything that makes a motion for a character does, and nothing that takes one back from it and on.
-- `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of the reference body, and
+- `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of
+  the reference body, and
   a reference body that drifts off the ground for longer than a jump lasts is set back on it.
-- `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/stages/foot_lock.py`).
-- `hands`: hands that touch the body stay near it (`retarget/stages/hands.py`); off unless asked for, as motion transfer does.
+- `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/stages/feet.py`).
+- `hands`: hands that touch the body stay near it (`retarget/stages/hands.py`); off unless asked for, as motion transfer
+  does.
 - `floor`: nothing sinks into the ground, and feet that stand are on it (`retarget/stages/floor.py`).
 """
 
@@ -30,18 +34,18 @@ from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
-from bunraku.retarget.decimate import lighter
+from bunraku.retarget.decimate import decimated
 from bunraku.retarget.legs import find_arms, find_legs
 from bunraku.retarget.limbs import by_limb
-from bunraku.retarget.stages.edge_lengths import edges_kept
-from bunraku.retarget.stages.floor import on_the_floor
-from bunraku.retarget.stages.foot_lock import locked
-from bunraku.retarget.stages.ground import grounded, standing, stride_scale
-from bunraku.retarget.stages.hands import hands_kept
-from bunraku.retarget.stages.joints import Joints, attached, capped, find_joints, reference_joints, refined_joints
+from bunraku.retarget.stages.attach import Joints, attach_joints, capped, find_joints, reference_joints, refined_joints
+from bunraku.retarget.stages.feet import lock_feet
+from bunraku.retarget.stages.floor import settle_on_floor
+from bunraku.retarget.stages.ground import set_on_ground, standing, stride_scale
+from bunraku.retarget.stages.hands import keep_hands
 from bunraku.retarget.stages.rest_pose import upright
-from bunraku.retarget.stages.smoothing import smoothed
-from bunraku.retarget.stance import neutral_pose, rest_turns
+from bunraku.retarget.stages.shape import keep_edges
+from bunraku.retarget.stages.smooth import smooth
+from bunraku.retarget.stance import rest_turns, stance_of
 
 __all__ = ["Stages", "fit_motion"]
 
@@ -81,12 +85,15 @@ def fit_motion(
     """A handle motion of the reference body, fitted to a character.
 
     Args:
-        motion: Motion of the reference body's handles, feet on y = 0. One that is `native` is not set on the ground: a bird stays in the air.
+        motion: Motion of the reference body's handles, feet on y = 0. One that is `native` is not set on the ground: a
+            bird stays in the air.
         character: The character, facing +Z.
-        handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose parts they play,
+        handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose
+            parts they play,
             about their own joints.
         stages: Which stages run; all but `hands` and `shape` when None.
-        rest: What a rig tells of the rest pose: its turns into the reference body's, shape (K, 3, 3), and its joints. None measures them.
+        rest: What a rig tells of the rest pose: its turns into the reference body's, shape (K, 3, 3), and its joints.
+            None measures them.
 
     Returns:
         The motion for the character, its root path scaled by the height of the root handle above the floor.
@@ -98,11 +105,13 @@ def fit_motion(
     body = reference_body()
     if len(handles.positions) != len(body.handles.positions):
         want = len(body.handles.positions)
-        raise CharacterError(f"a motion is fitted to {want} handles, not {len(handles.positions)}; take those of `bunraku.rig`")
+        raise CharacterError(
+            f"a motion is fitted to {want} handles, not {len(handles.positions)}; take those of `bunraku.rig`"
+        )
     if stages.smooth:
-        motion = smoothed(motion)
+        motion = smooth(motion)
     whole = character, handles
-    character, handles = lighter(character, handles)
+    character, handles = decimated(character, handles)
     rotations = motion.rotations[:, handles.played].astype(np.float64)
     if stages.rest_pose:
         turns, joints = rest or rest_turns(character, handles)
@@ -110,46 +119,51 @@ def fit_motion(
     else:
         still = np.tile(np.eye(3), (len(handles.positions), 1, 1))
         if rest is None:
-            turns, joints = by_limb(handles, lambda some: (still, refined_joints(character, some, find_joints(character, some), still)))
+            turns, joints = by_limb(
+                handles, lambda some: (still, refined_joints(character, some, find_joints(character, some), still))
+            )
         else:
             turns, joints = still, rest[1]
-    stance = neutral_pose(character, handles, joints, turns)
+    stance = stance_of(character, handles, joints, turns)
     stands = standing(*stance)
     scale = stride_scale(*stance, stands)
     if stages.attach:
-        rotations, translations = attached(rotations, handles, joints)
-        stiff = attached(motion.rotations.astype(np.float64), body.handles, reference_joints())[1]
+        rotations, translations = attach_joints(rotations, handles, joints)
+        stiff = attach_joints(motion.rotations.astype(np.float64), body.handles, reference_joints())[1]
         residual = capped(motion.translations - stiff, motion.native)  # soft bending and shrugs
         translations += residual[:, handles.played] * scale * joints.present[:, None]
     else:
         translations = motion.translations[:, handles.played] * scale
     if stages.shape:
-        translations = translations + edges_kept(rotations, translations, *whole, scale)
+        translations = translations + keep_edges(rotations, translations, *whole, scale)
     floors = [float(some.vertices[stands, 1].min()) for some in (character, stance[0])]
     path = motion.root_translation * scale + np.array([0, floors[0] - floors[1], 0])  # who sits stands up
-    lever = handles.positions[0] - stance[1].positions[0]  # the root turns about its place in the stance, not in the rest pose
+    lever = (
+        handles.positions[0] - stance[1].positions[0]
+    )  # the root turns about its place in the stance, not in the rest pose
     path += (motion.root_rotation - np.eye(3)) @ lever
     fitted = replace(motion, rotations=rotations, translations=translations, root_translation=path)
     if stages.rest_pose and not motion.native and not upright(handles):
         fitted = replace(fitted, root_rotation=_levelled(motion.root_rotation, motion.fps))
     if stages.ground and not motion.native:  # native motion brings its own height: a bird stays in the air
-        fitted = grounded(motion, fitted, character, handles, scale, stands)
+        fitted = set_on_ground(motion, fitted, character, handles, scale, stands)
     if stages.feet or stages.floor or stages.hands:
         legs, contacts = find_legs(character, handles, joints), None
         arms = find_arms(character, handles, joints, legs)
         if stages.feet:
-            fitted, contacts = locked(fitted, character, handles, joints, legs, floors[0])
+            fitted, contacts = lock_feet(fitted, character, handles, joints, legs, floors[0])
         if stages.hands:
-            fitted = hands_kept(motion, fitted, character, handles, joints, turns, arms, scale)
+            fitted = keep_hands(motion, fitted, character, handles, joints, turns, arms, scale)
         if stages.floor:
-            fitted = on_the_floor(fitted, character, handles, joints, legs, arms, contacts, stands, floors[0])
+            fitted = settle_on_floor(fitted, character, handles, joints, legs, arms, contacts, stands, floors[0])
     return fitted
 
 
 def _levelled(root_rotation: np.ndarray, fps: float) -> np.ndarray:
     """Root rotations whose turn about +Y is kept and whose tilt is a third.
 
-    A person bends over by tilting the pelvis; on a body that lies along its spine the same tilt would stand it on its head.
+    A person bends over by tilting the pelvis; on a body that lies along its spine the same tilt would stand it on its
+    head.
     """
     facing = matrix_y(heading(root_rotation, fps))
     tilt = axis_angle_from_matrix(facing.transpose(0, 2, 1) @ root_rotation)

@@ -15,7 +15,8 @@ def handle_motion_of_mesh(
 ) -> HandleMotion:
     """Handle motion of a mesh that moves, by weighted rigid registration (section A.2).
 
-    The root handle's motion is the global one; it is taken off before the other handles are registered, so theirs are local.
+    The root handle's motion is the global one; it is taken off before the other handles are registered, so theirs are
+    local.
 
     Args:
         rest: Rest vertices [m], shape (V, 3).

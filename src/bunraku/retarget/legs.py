@@ -12,7 +12,7 @@ from bunraku.core.skinning import posed_points, skin
 from bunraku.geometry.extremes import extreme_points
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.retarget.stages.joints import Joints
+from bunraku.retarget.stages.attach import Joints
 from bunraku.retarget.stages.rest_pose import upright
 
 __all__ = ["Leg", "find_arms", "find_legs", "foot_points", "move_feet"]
@@ -61,8 +61,8 @@ class Leg:
 
 
 def find_legs(character: Character, handles: Handles, joints: Joints) -> list[Leg]:
-    """The limbs that a character stands on: two legs of who is upright; of others every limb, and that may be an arm of the reference
-    body, that reaches the ground in the rest pose. None of who has no legs.
+    """The limbs that a character stands on: two legs of who is upright; of others every limb, and that may be an arm of
+    the reference body, that reaches the ground in the rest pose. None of who has no legs.
 
     Args:
         character: In its rest pose.
@@ -86,9 +86,15 @@ def find_legs(character: Character, handles: Handles, joints: Joints) -> list[Le
 
 
 def find_arms(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
-    """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist with a hand."""
+    """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist with
+    a hand.
+    """
     known = {leg.upper for leg in legs}
-    limbs = (_leg(character, handles, joints, chain) for parts in _PARTS[_LEGS:] for chain in _chains(parts, handles.played, joints))
+    limbs = (
+        _leg(character, handles, joints, chain)
+        for parts in _PARTS[_LEGS:]
+        for chain in _chains(parts, handles.played, joints)
+    )
     return [limb for limb in limbs if limb is not None and limb.foot and limb.upper not in known]
 
 
@@ -132,11 +138,13 @@ def foot_points(leg: Leg, character: Character, handles: Handles, transforms: np
     return skin(character.vertices[leg.sole], handles.weights[leg.sole], transforms).astype(np.float64)
 
 
-def move_feet(motion: HandleMotion, handles: Handles, joints: Joints, legs: list[Leg], shifts: np.ndarray) -> HandleMotion:
+def move_feet(
+    motion: HandleMotion, handles: Handles, joints: Joints, legs: list[Leg], shifts: np.ndarray
+) -> HandleMotion:
     """The motion with feet moved by bending their legs; feet keep their slope.
 
-    A leg is a chain of two bones: its knee stays in the plane in which it was bent. It is never stretched beyond its length, so a
-    foot may stop short of where it should be.
+    A leg is a chain of two bones: its knee stays in the plane in which it was bent. It is never stretched beyond its
+    length, so a foot may stop short of where it should be.
 
     Args:
         motion: Of the character.
@@ -157,7 +165,8 @@ def move_feet(motion: HandleMotion, handles: Handles, joints: Joints, legs: list
 def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, motion: HandleMotion) -> None:
     """Bend one leg, in place."""
     hip, knee, ankle = (
-        world[:, handle, :, :3] @ joint + world[:, handle, :, 3] for handle, joint in zip((leg.upper, leg.lower, leg.end), leg.joints, strict=True)
+        world[:, handle, :, :3] @ joint + world[:, handle, :, 3]
+        for handle, joint in zip((leg.upper, leg.lower, leg.end), leg.joints, strict=True)
     )
     goal = ankle + shift
     thigh, shin = np.linalg.norm(knee - hip, axis=1), np.linalg.norm(ankle - knee, axis=1)
@@ -172,7 +181,11 @@ def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, m
     along = (thigh**2 - shin**2 + reach**2) / (2 * reach)
     out = np.sqrt(np.maximum(thigh**2 - along**2, 0))[:, None]
     more = out - np.linalg.norm(aside, axis=1, keepdims=True)
-    bent = hip + toward * along[:, None] + _unit(np.einsum("nij,nj->ni", swing, aside + more * _bend(aside, line, motion))) * out
+    bent = (
+        hip
+        + toward * along[:, None]
+        + _unit(np.einsum("nij,nj->ni", swing, aside + more * _bend(aside, line, motion))) * out
+    )
     for handle, pivot, target, before_turn, after_turn in (
         (leg.upper, hip, hip, knee - hip, bent - hip),
         (leg.lower, knee, bent, ankle - knee, goal - bent),
@@ -184,7 +197,9 @@ def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, m
         _carry(world, handle, joints, ankle, goal, level)
 
 
-def _carry(world: np.ndarray, handle: int, joints: Joints, pivot: np.ndarray, target: np.ndarray, turned: np.ndarray) -> None:
+def _carry(
+    world: np.ndarray, handle: int, joints: Joints, pivot: np.ndarray, target: np.ndarray, turned: np.ndarray
+) -> None:
     """Turn a handle, and absent ones that go along with it, about a pivot that moves to a target."""
     along = [handle, *(int(other) for other in np.flatnonzero((joints.parents == handle) & ~joints.present))]
     for each in along:
@@ -203,7 +218,8 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 def _bend(aside: np.ndarray, line: np.ndarray, motion: HandleMotion) -> np.ndarray:
-    """Where the knee points, square to the line from hip to ankle, shape (N, 3); where it is straight, as in the clip's bent frames.
+    """Where the knee points, square to the line from hip to ankle, shape (N, 3); where it is straight, as in the clip's
+    bent frames.
 
     Args:
         aside: From the line to the knee [m], shape (N, 3).

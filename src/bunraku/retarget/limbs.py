@@ -1,4 +1,6 @@
-"""Characters with further limbs, as 30 plain handles for each limb: so all that is said of a leg is said of every leg."""
+"""Characters with further limbs, as 30 plain handles for each limb: so all that is said of a leg is said of every
+leg.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import numpy as np
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.character import Handles
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.retarget.stages.joints import Joints
+from bunraku.retarget.stages.attach import Joints
 
 __all__ = ["LimbView", "by_limb", "limb_views", "reference_parts"]
 
@@ -25,7 +27,8 @@ class LimbView:
     """A character as if it had one limb of each kind.
 
     Args:
-        handles: Handles that all play their own parts, as their `roles` say. What other limbs weigh is on one that the character lacks.
+        handles: Handles that all play their own parts, as their `roles` say. What other limbs weigh is on one that the
+            character lacks.
         members: Handle of the character that plays each of them, -1 for none, shape (K,).
         own: Which of them this view speaks for.
     """
@@ -40,7 +43,9 @@ def _limb_of(role: int) -> list[int]:
 
 
 def _further_limbs(handles: Handles) -> list[list[int]]:
-    """The handles of each further limb, from the body outwards; a part belongs to the limb that its weights touch most."""
+    """The handles of each further limb, from the body outwards; a part belongs to the limb that its weights touch
+    most.
+    """
     out: list[list[int]] = []
     roles = handles.played
     further = np.flatnonzero(roles != np.arange(len(roles)))
@@ -56,7 +61,9 @@ def _further_limbs(handles: Handles) -> list[list[int]]:
 
 
 def limb_views(handles: Handles) -> list[LimbView]:
-    """The character without its further limbs, and, for each of them, with that limb in place of the first of its kind."""
+    """The character without its further limbs, and, for each of them, with that limb in place of the first of its
+    kind.
+    """
     count = len(handles.positions)
     plain = np.where(handles.played == np.arange(count), np.arange(count), -1)
     views = [_view(handles, plain, np.flatnonzero(plain >= 0).tolist())]
@@ -88,7 +95,8 @@ def by_limb(handles: Handles, solve: Callable[[Handles], tuple[np.ndarray, Joint
         solve: Gives turns (K, 3, 3) and joints for handles that play their own parts.
 
     Returns:
-        Turns (K, 3, 3) and joints of all its handles; each hangs on one of its own limb, and the first of a limb on the body.
+        Turns (K, 3, 3) and joints of all its handles; each hangs on one of its own limb, and the first of a limb on the
+        body.
     """
     if handles.roles is None:
         return solve(handles)
@@ -101,13 +109,19 @@ def by_limb(handles: Handles, solve: Callable[[Handles], tuple[np.ndarray, Joint
             handle, above = view.members[role], int(joints.parents[role])
             while above > 0 and view.members[above] < 0:
                 above = HANDLE_PARENTS[above]
-            turns[handle], positions[handle], present[handle] = turned[role], joints.positions[role], joints.present[role]
+            turns[handle], positions[handle], present[handle] = (
+                turned[role],
+                joints.positions[role],
+                joints.present[role],
+            )
             parents[handle] = view.members[above] if above >= 0 else -1
     return turns, Joints(positions, parents, present)
 
 
 def reference_parts(handles: Handles, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
-    """Parents (K,) and presence (K,) of the handles as parts of a body that has one limb of each kind: further limbs are absent."""
+    """Parents (K,) and presence (K,) of the handles as parts of a body that has one limb of each kind: further limbs
+    are absent.
+    """
     own = handles.played == np.arange(len(handles.positions))
     parents = np.where(own, joints.parents, HANDLE_PARENTS)
     for handle in np.flatnonzero(~own):

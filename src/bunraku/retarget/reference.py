@@ -12,11 +12,11 @@ from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.retarget.decimate import lighter
+from bunraku.retarget.decimate import decimated
 from bunraku.retarget.limbs import reference_parts
+from bunraku.retarget.stages.attach import Joints, attach_joints, capped, downwards, reference_joints
 from bunraku.retarget.stages.ground import standing, stride_scale
-from bunraku.retarget.stages.joints import Joints, attached, capped, downwards, reference_joints
-from bunraku.retarget.stance import neutral_pose, rest_turns
+from bunraku.retarget.stance import rest_turns, stance_of
 
 __all__ = ["WayBack", "motion_to_reference"]
 
@@ -25,7 +25,8 @@ _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
 @dataclass(frozen=True, eq=False)
 class WayBack:
-    """What the way from one character to the reference body needs to know of the character; the same for all its motions.
+    """What the way from one character to the reference body needs to know of the character; the same for all its
+    motions.
 
     Args:
         handles: The character's handles.
@@ -52,43 +53,47 @@ class WayBack:
             handles: Its handles, K = 30 with the reference body's meaning.
             rest: What a rig tells of the rest pose (see `fit_motion`); None measures it.
         """
-        character, handles = lighter(character, handles)
+        character, handles = decimated(character, handles)
         turns, joints = rest or rest_turns(character, handles)
-        stance, there = neutral_pose(character, handles, joints, turns)
+        stance, there = stance_of(character, handles, joints, turns)
         stands = standing(stance, there)
         rise = float(character.vertices[stands, 1].min()) - float(stance.vertices[stands, 1].min())
         lever = handles.positions[0].astype(np.float64) - there.positions[0]
         return cls(handles, turns, joints, stride_scale(stance, there, stands), rise, lever)
 
     def motion(self, motion: HandleMotion, native: bool = True) -> HandleMotion:
-        """A handle motion of the character as the one of the reference body that `fit_motion` of a `native` motion without its ground
-        stages takes back to the character's.
+        """A handle motion of the character as the one of the reference body that `fit_motion` of a `native` motion
+        without its ground stages takes back to the character's.
 
-        Limbs turn back from the character's rest directions, parts that the character lacks move with their parents, and what its
-        parts do beyond stiff joints is carried over in the reference's scale. Of several limbs that play one part, the first
-        speaks for all. The root's path keeps its height over the floor that the character's rest pose stands on.
+        Limbs turn back from the character's rest directions, parts that the character lacks move with their parents,
+        and what its parts do beyond stiff joints is carried over in the reference's scale. Of several limbs that play
+        one part, the first speaks for all. The root's path keeps its height over the floor that the character's rest
+        pose stands on.
 
         Args:
             motion: Of the character's handles.
-            native: It stays one of this very body. Otherwise it becomes a person's: parts stay closer to their joints, there is no tail,
+            native: It stays one of this very body. Otherwise it becomes a person's: parts stay closer to their joints,
+                there is no tail,
                 and the reference body stands on y = 0.
         """
         known = reference_joints()
         parents, present = reference_parts(self.handles, self.joints)
         rotations = motion.rotations.astype(np.float64) @ self.turns.transpose(0, 2, 1)
-        stiff = attached(motion.rotations.astype(np.float64), self.handles, self.joints)[1]
+        stiff = attach_joints(motion.rotations.astype(np.float64), self.handles, self.joints)[1]
         residual = (motion.translations - stiff) / self.scale * present[:, None]
         residual[:, 0] = 0
         for handle in downwards(HANDLE_PARENTS):
             if not present[handle] and handle:
                 rotations[:, handle] = rotations[:, max(int(parents[handle]), 0)]
-        translations = attached(rotations, reference_body().handles, known)[1] + capped(residual, native)
+        translations = attach_joints(rotations, reference_body().handles, known)[1] + capped(residual, native)
         path = motion.root_translation - np.array([0, self.rise, 0]) - (motion.root_rotation - np.eye(3)) @ self.lever
         result = replace(motion, rotations=rotations, translations=translations, root_translation=path / self.scale)
         return result if native else _as_person(result)
 
 
-def motion_to_reference(motion: HandleMotion, character: Character, handles: Handles, native: bool = False) -> HandleMotion:
+def motion_to_reference(
+    motion: HandleMotion, character: Character, handles: Handles, native: bool = False
+) -> HandleMotion:
     """A handle motion of a character as one of the reference body.
 
     Args:
@@ -110,4 +115,6 @@ def _as_person(motion: HandleMotion) -> HandleMotion:
     changed["rotations"][:, _TAIL], changed["translations"][:, _TAIL] = np.eye(3), 0
     result = replace(motion, **changed)
     lowest = skin(body.vertices, body.handle_weights, result.transforms(body.handles.positions))[..., 1].min(axis=1)
-    return replace(result, root_translation=motion.root_translation - np.array([0, np.quantile(lowest, 0.05), 0], np.float32))
+    return replace(
+        result, root_translation=motion.root_translation - np.array([0, np.quantile(lowest, 0.05), 0], np.float32)
+    )

@@ -50,7 +50,9 @@ def handle_animation(animation: RigAnimation) -> Animation:
     return Animation(animation.character, parts.handles, motion, animation.reference)
 
 
-def rig_to_reference(parts: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float, native: bool = False) -> HandleMotion:
+def rig_to_reference(
+    parts: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float, native: bool = False
+) -> HandleMotion:
     """Motion of a rig's bones as handle motion of the reference body.
 
     Args:

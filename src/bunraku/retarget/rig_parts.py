@@ -1,7 +1,7 @@
 """What the bones of a rig are: which of the 30 handles each one moves, and where the rig's own joints are.
 
-A rig tells joints exactly where skinning weights only imply them, so limbs are turned all the way from where they rest to where the
-reference body's rest.
+A rig tells joints exactly where skinning weights only imply them, so limbs are turned all the way from where they rest
+to where the reference body's rest.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bunraku.formats.vrm.read import vrm_model
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import rotation_between
 from bunraku.handles.from_rig import rig_handles, settle_joints
-from bunraku.retarget.stages.joints import PRESENT, Joints, reference_joints
+from bunraku.retarget.stages.attach import PRESENT, Joints, reference_joints
 from bunraku.retarget.stages.rest_pose import rest_rotations, upright
 from bunraku.retarget.stance import flat_feet
 from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints, limb_parents
@@ -31,12 +31,17 @@ __all__ = ["HUMANOID", "RigParts", "is_humanoid_rig"]
 
 HUMANOID = tuple(
     HANDLE_NAMES.index(name)
-    for name in ("pelvis", *(f"{side}_{part}" for part in ("hip", "knee", "shoulder", "elbow") for side in ("left", "right")))
+    for name in (
+        "pelvis",
+        *(f"{side}_{part}" for part in ("hip", "knee", "shoulder", "elbow") for side in ("left", "right")),
+    )
 )
 """Parts that a rig must have to take a person's motion bone by bone."""
 _VRM = {
-    "hips": "pelvis", "spine": "spine1", "chest": "spine2", "upperChest": "spine3", "neck": "neck", "head": "head", "jaw": "face",
-    "Shoulder": "collar", "UpperArm": "shoulder", "LowerArm": "elbow", "Hand": "wrist", "UpperLeg": "hip", "LowerLeg": "knee", "Foot": "ankle",
+    "hips": "pelvis", "spine": "spine1", "chest": "spine2", "upperChest": "spine3", "neck": "neck", "head": "head",
+    "jaw": "face",
+    "Shoulder": "collar", "UpperArm": "shoulder", "LowerArm": "elbow", "Hand": "wrist", "UpperLeg": "hip",
+    "LowerLeg": "knee", "Foot": "ankle",
     "Toes": "foot",
 }  # fmt: skip
 _WRISTS = (HANDLE_NAMES.index("left_wrist"), HANDLE_NAMES.index("right_wrist"))
@@ -76,7 +81,9 @@ class RigParts:
         """
         rig = character.rig
         if rig is None:
-            raise CharacterError(f"{character.name}: there is no rig in this file to put a motion on; put it on its handles instead")
+            raise CharacterError(
+                f"{character.name}: there is no rig in this file to put a motion on; put it on its handles instead"
+            )
         areas = vertex_areas(character.vertices, character.faces)
         mass = np.bincount(rig.indices.ravel(), (rig.weights * areas[:, None]).ravel(), minlength=len(rig.names))
         parts = _avatar_parts(character)
@@ -95,7 +102,9 @@ class RigParts:
         for wrist in _WRISTS:
             parts, leads[wrist] = _hand_below(wrist, int(leads[wrist]), rig.names, parts, parents, mass)
         if leads[0] < 0:
-            raise CharacterError(f"{character.name}: no bone of its rig is known to be the pelvis; put the motion on its handles instead")
+            raise CharacterError(
+                f"{character.name}: no bone of its rig is known to be the pelvis; put the motion on its handles instead"
+            )
         joints = _joints(handles, rig.positions, parts, parents, leads, mass / max(float(areas.sum()), 1e-30))
         still = np.zeros(len(parts), bool)
         for bone in order:
@@ -109,7 +118,8 @@ class RigParts:
         return bool((self.leads[list(HUMANOID)] >= 0).all()) and upright(self.handles)
 
     def world(self, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World turns (N, J, 3, 3) and heads [m] (N, J, 3) of the bones for transforms of the handles; bones keep their lengths.
+        """World turns (N, J, 3, 3) and heads [m] (N, J, 3) of the bones for transforms of the handles; bones keep their
+        lengths.
 
         Args:
             transforms: Of each handle, shape (N, 30, 3, 4).
@@ -123,7 +133,9 @@ class RigParts:
             if self.still[bone]:
                 continue
             if parent >= 0 and not self.still[parent]:
-                positions[:, bone] = positions[:, parent] + np.einsum("nij,j->ni", turns[:, parent], rest[bone] - rest[parent])
+                positions[:, bone] = positions[:, parent] + np.einsum(
+                    "nij,j->ni", turns[:, parent], rest[bone] - rest[parent]
+                )
                 turns[:, bone] = turns[:, parent] if part == NO_HANDLE else transforms[:, part, :, :3]
             else:
                 own = transforms[:, max(part, 0)]
@@ -140,15 +152,28 @@ def is_humanoid_rig(character: Character) -> bool:
 
 
 def _avatar_parts(character: Character) -> np.ndarray | None:
-    """Handle of each bone of a VRM avatar, whose file names its humanoid bones, shape (J,); -1 for others. None for other characters."""
+    """Handle of each bone of a VRM avatar, whose file names its humanoid bones, shape (J,); -1 for others. None for
+    other characters.
+    """
     source = character.source
     model = vrm_model(character) if isinstance(source, Source) else None
-    if model is None or not model.humanoid or character.rig is None or len(source.skins.nodes) != len(character.rig.names):
+    if (
+        model is None
+        or not model.humanoid
+        or character.rig is None
+        or len(source.skins.nodes) != len(character.rig.names)
+    ):
         return None
     bones = {node: bone for bone, node in enumerate(source.skins.nodes)}
     out = np.full(len(bones), NO_HANDLE)
     for name, node in model.humanoid.items():
-        side, part = ("left", name[4:]) if name.startswith("left") else ("right", name[5:]) if name.startswith("right") else ("", name)
+        side, part = (
+            ("left", name[4:])
+            if name.startswith("left")
+            else ("right", name[5:])
+            if name.startswith("right")
+            else ("", name)
+        )
         known = _VRM.get(part) or ("fingers" if part.startswith(("Thumb", "Index", "Middle", "Ring", "Little")) else "")
         label = f"{side}_{known}" if side else known
         if label in HANDLE_NAMES and node in bones:
@@ -158,15 +183,25 @@ def _avatar_parts(character: Character) -> np.ndarray | None:
     return out if (out == 0).any() else None
 
 
-def _hand_below(wrist: int, lead: int, names: Sequence[str], parts: np.ndarray, parents: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, int]:
-    """Parts and the first bone of a hand whose rig has a wrist bone over the hand's: clips turn the one that holds the hand."""
-    below = [bone for bone in np.flatnonzero(parents == lead) if parts[bone] == wrist and part_of_name(names[int(bone)])[0] == "wrist"]
+def _hand_below(
+    wrist: int, lead: int, names: Sequence[str], parts: np.ndarray, parents: np.ndarray, mass: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Parts and the first bone of a hand whose rig has a wrist bone over the hand's: clips turn the one that holds the
+    hand.
+    """
+    below = [
+        bone
+        for bone in np.flatnonzero(parents == lead)
+        if parts[bone] == wrist and part_of_name(names[int(bone)])[0] == "wrist"
+    ]
     if lead < 0 or len(below) != 1 or mass[below[0]] <= mass[lead]:
         return parts, lead
     return np.where(np.arange(len(parts)) == lead, NO_HANDLE, parts), int(below[0])
 
 
-def _joints(handles: Handles, rest: np.ndarray, parts: np.ndarray, parents: np.ndarray, leads: np.ndarray, share: np.ndarray) -> Joints:
+def _joints(
+    handles: Handles, rest: np.ndarray, parts: np.ndarray, parents: np.ndarray, leads: np.ndarray, share: np.ndarray
+) -> Joints:
     positions = handles.positions.astype(np.float64)
     present = leads >= 0
     for foot in _FEET:  # a foot that moves nothing has no sole to stand on
@@ -185,7 +220,9 @@ def _joints(handles: Handles, rest: np.ndarray, parts: np.ndarray, parents: np.n
             bone = int(parents[bone])
         above[handle] = parts[bone] if bone >= 0 else known
     positions[0] = handles.positions[0]
-    for handle in range(1, HANDLE_COUNT):  # rigs whose bones of one part are in several places could go round in a circle
+    for handle in range(
+        1, HANDLE_COUNT
+    ):  # rigs whose bones of one part are in several places could go round in a circle
         seen, place = [handle], int(above[handle])
         while place > 0 and place not in seen:
             seen.append(place)
@@ -206,6 +243,11 @@ def _turns(character: Character, handles: Handles, joints: Joints) -> np.ndarray
         for part, end in (("hip", "knee"), ("knee", "ankle")):
             handle, child = HANDLE_NAMES.index(f"{side}_{part}"), HANDLE_NAMES.index(f"{side}_{end}")
             if joints.present[[handle, child]].all():
-                above = rotation_between(above @ (joints.positions[child] - joints.positions[handle]), known[child] - known[handle]) @ above
+                above = (
+                    rotation_between(
+                        above @ (joints.positions[child] - joints.positions[handle]), known[child] - known[handle]
+                    )
+                    @ above
+                )
                 out[handle] = above
     return flat_feet(character, handles, out)

@@ -1,4 +1,6 @@
-"""A clip of a character whose skeleton is the same: bones are copied by their names, so fingers, props and capes move too."""
+"""A clip of a character whose skeleton is the same: bones are copied by their names, so fingers, props and capes move
+too.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +11,20 @@ from bunraku.core.rig_animation import RigAnimation
 
 __all__ = ["copied_bones"]
 
-ALIKE, MOST = 5.0, 20.0  # bones of one skeleton rest in directions that differ by so much in the mean, and at the most [degrees]
+ALIKE, MOST = (
+    5.0,
+    20.0,
+)  # bones of one skeleton rest in directions that differ by so much in the mean, and at the most [degrees]
 
 
-def copied_bones(source: Character, turns: np.ndarray, positions: np.ndarray, fps: float, character: Character) -> RigAnimation | None:
+def copied_bones(
+    source: Character, turns: np.ndarray, positions: np.ndarray, fps: float, character: Character
+) -> RigAnimation | None:
     """The clip on another character of the same skeleton, or None where it is another one.
 
-    Skeletons are the same when every bone that moves a vertex of the character is there by name, below the same bone, and rests in the
-    same direction. Bones keep their turns against their parents; what moves them off their places is scaled by the size of the skeleton.
+    Skeletons are the same when every bone that moves a vertex of the character is there by name, below the same bone,
+    and rests in the same direction. Bones keep their turns against their parents; what moves them off their places is
+    scaled by the size of the skeleton.
 
     Args:
         source: The character of the clip.
@@ -45,7 +53,10 @@ def copied_bones(source: Character, turns: np.ndarray, positions: np.ndarray, fp
             continue
         if partner[above] != theirs.parents[partner[bone]]:
             return None
-        mine, other = own.positions[bone] - own.positions[above], theirs.positions[partner[bone]] - theirs.positions[partner[above]]
+        mine, other = (
+            own.positions[bone] - own.positions[above],
+            theirs.positions[partner[bone]] - theirs.positions[partner[above]],
+        )
         lengths = np.linalg.norm(mine), np.linalg.norm(other)
         if min(lengths) > 1e-3 * character.height * min(1.0, source.height / character.height):
             ratios.append(lengths[0] / lengths[1])

@@ -13,10 +13,17 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.limbs import by_limb
-from bunraku.retarget.stages.joints import Joints, attached, estimated_reference_joints, find_joints, reference_joints, refined_joints
+from bunraku.retarget.stages.attach import (
+    Joints,
+    attach_joints,
+    estimated_reference_joints,
+    find_joints,
+    reference_joints,
+    refined_joints,
+)
 from bunraku.retarget.stages.rest_pose import rest_rotations
 
-__all__ = ["flat_feet", "neutral_pose", "rest_turns"]
+__all__ = ["flat_feet", "stance_of", "rest_turns"]
 
 PASSES = 2  # turns need joints and joints need turns; both settle at once
 SOLE = 0.08  # what is this near to the lowest point, as a share of the foot's length, stands on the ground
@@ -27,7 +34,8 @@ def rest_turns(character: Character, handles: Handles) -> tuple[np.ndarray, Join
     """How a rest pose differs from the reference body's.
 
     Returns:
-        The turn of each handle that makes up for it (see `rest_rotations`), shape (K, 3, 3), and the joints in the rest pose.
+        The turn of each handle that makes up for it (see `rest_rotations`), shape (K, 3, 3), and the joints in the rest
+        pose.
     """
     return by_limb(handles, lambda plain: _rest_turns(character, plain))
 
@@ -42,8 +50,9 @@ def _rest_turns(character: Character, handles: Handles) -> tuple[np.ndarray, Joi
     return turns, refined_joints(character, handles, found, turns)
 
 
-def neutral_pose(character: Character, handles: Handles, joints: Joints, turns: np.ndarray) -> tuple[Character, Handles]:
-    """The character with every handle turned, every joint held and its root where it was, and its handles as they are there.
+def stance_of(character: Character, handles: Handles, joints: Joints, turns: np.ndarray) -> tuple[Character, Handles]:
+    """The character with every handle turned, every joint held and its root where it was, and its handles as they are
+    there.
 
     Args:
         character: In its rest pose.
@@ -51,18 +60,22 @@ def neutral_pose(character: Character, handles: Handles, joints: Joints, turns: 
         joints: Where they meet.
         turns: Turn of each handle, the identity for the root, shape (K, 3, 3).
     """
-    rotations, translations = attached(turns[None].astype(np.float64), handles, joints)
+    rotations, translations = attach_joints(turns[None].astype(np.float64), handles, joints)
     still = np.zeros((1, 3)), np.eye(3)[None]
     motion = HandleMotion(translations, rotations, *still)
     vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]
     positions = handle_positions(vertices, handles.weights, vertex_areas(vertices, character.faces))
-    return replace(character, vertices=vertices, rig=None, source=None), Handles(positions, handles.weights, roles=handles.roles)
+    return replace(character, vertices=vertices, rig=None, source=None), Handles(
+        positions, handles.weights, roles=handles.roles
+    )
 
 
 def flat_feet(character: Character, handles: Handles, turns: np.ndarray) -> np.ndarray:
-    """The turns with feet that go along with their shins where that, and not their rest pose, makes them stand flat, shape (K, 3, 3).
+    """The turns with feet that go along with their shins where that, and not their rest pose, makes them stand flat,
+    shape (K, 3, 3).
 
-    Who crouches on the toes has feet that belong to the shins; who sits, or crouches on flat feet, has them on the ground already.
+    Who crouches on the toes has feet that belong to the shins; who sits, or crouches on flat feet, has them on the
+    ground already.
     """
     out = turns.copy()
     areas = vertex_areas(character.vertices, character.faces)

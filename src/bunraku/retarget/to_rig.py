@@ -1,8 +1,9 @@
 """From the reference body to a character's own rig.
 
-The rig is fitted as 30 handles whose joints are the heads of its bones, by the stages of `fit_motion`; then each bone takes the turn of
-its part. Bones that no part of the reference body moves keep their rest pose on their parents. Bones keep their lengths: only the
-pelvis travels. Bones of MMD models that take over other bones' turns, or follow them by inverse kinematics (sleeves), are then posed as MMD does.
+The rig is fitted as 30 handles whose joints are the heads of its bones, by the stages of `fit_motion`; then each bone
+takes the turn of its part. Bones that no part of the reference body moves keep their rest pose on their parents. Bones
+keep their lengths: only the pelvis travels. Bones of MMD models that take over other bones' turns, or follow them by
+inverse kinematics (sleeves), are then posed as MMD does.
 """
 
 from __future__ import annotations
@@ -36,15 +37,28 @@ def fit_rig(motion: HandleMotion, character: Character | RigParts, stages: Stage
         CharacterError: There is no rig, or its bones' names do not tell which parts they move.
     """
     parts = character if isinstance(character, RigParts) else RigParts.of(character)
-    fitted = fit_motion(stiff(motion), parts.character, parts.handles, replace(stages or Stages(), shape=False), rest=(parts.turns, parts.joints))
+    fitted = fit_motion(
+        stiff(motion),
+        parts.character,
+        parts.handles,
+        replace(stages or Stages(), shape=False),
+        rest=(parts.turns, parts.joints),
+    )
     turns, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
     return _with_helpers(RigAnimation.of_world(parts.character, turns, positions, motion.fps, motion), parts)
 
 
 def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:
-    """The animation with the helper bones of an MMD model in their places; legs and arms stay as they are, without inverse kinematics."""
+    """The animation with the helper bones of an MMD model in their places; legs and arms stay as they are, without
+    inverse kinematics.
+    """
     model, rig = mmd_model(parts.character), parts.character.rig
-    if model is None or rig is None or len(model.bones) != len(rig.names) or not np.allclose(model.positions, rig.positions, atol=1e-4):
+    if (
+        model is None
+        or rig is None
+        or len(model.bones) != len(rig.names)
+        or not np.allclose(model.positions, rig.positions, atol=1e-4)
+    ):
         return animation
     tracks, switches = {}, {}
     for bone, entry in enumerate(model.bones):

@@ -1,4 +1,6 @@
-"""Whether a clip walks on the spot, as clips of games do whose engine moves the character: its standing feet slide all the time."""
+"""Whether a clip walks on the spot, as clips of games do whose engine moves the character: its standing feet slide all
+the time.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +12,18 @@ from bunraku.body.reference import reference_body
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.legs import Leg, find_legs
-from bunraku.retarget.stages.foot_lock import find_contacts
-from bunraku.retarget.stages.joints import reference_joints
+from bunraku.retarget.stages.attach import reference_joints
+from bunraku.retarget.stages.feet import find_contacts
 
-__all__ = ["slides_on_the_spot"]
+__all__ = ["is_treadmill"]
 
-SLIDES = 0.25  # mean speed of standing feet from which on they slide on purpose [m/s]; captured clips drift by less than a third of this
+# mean speed of standing feet from which on they slide on purpose [m/s]; captured clips drift by less than a third of
+# this
+SLIDES = 0.25
 TRAVELS = 0.5  # who goes this share of what its feet slide does not stay on the spot
 
 
-def slides_on_the_spot(motion: HandleMotion) -> bool:
+def is_treadmill(motion: HandleMotion) -> bool:
     """Whether the reference body's feet slide under it in a motion that goes nowhere.
 
     Args:

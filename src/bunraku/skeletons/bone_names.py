@@ -1,8 +1,9 @@
 """What a rig's bone names say: the handle of each joint, or none.
 
-A name is first read on its own (`bone_words`): its side, and its kind of part. Kinds that depend on company (how many spine bones
-there are, whether `Body` is a pelvis or a belly, whether a leg has two segments or three) are settled by the hierarchy. Where joint
-positions are given, the side is a matter of geometry, because some files name a left thumb `Thumb.R`.
+A name is first read on its own (`bone_words`): its side, and its kind of part. Kinds that depend on company (how many
+spine bones there are, whether `Body` is a pelvis or a belly, whether a leg has two segments or three) are settled by
+the hierarchy. Where joint positions are given, the side is a matter of geometry, because some files name a left thumb
+`Thumb.R`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ _H = {name: index for index, name in enumerate(HANDLE_NAMES)}
 class _Tree:
     """The joints with what their names say, and the walks over the hierarchy that the rules below need."""
 
-    def __init__(self, names: Sequence[str], parents: Sequence[int], positions: np.ndarray | None, mass: np.ndarray | None):
+    def __init__(
+        self, names: Sequence[str], parents: Sequence[int], positions: np.ndarray | None, mass: np.ndarray | None
+    ):
         self.parents = [int(p) for p in parents]
         read = [part_of_name(name) for name in names]
         self.kinds = [kind for kind, _, _, _ in read]
@@ -33,7 +36,11 @@ class _Tree:
         self.words = [re.sub(r"[^a-z]", "", name.lower()) for name in names]
         self.mass = None if mass is None else np.asarray(mass, float)
         for joint, (_, _, _, target) in enumerate(read):
-            if target and (self.mass is None or self.mass[joint] <= 0) and self.kinds[joint] not in ("front_foot", "hind_paw"):
+            if (
+                target
+                and (self.mass is None or self.mass[joint] <= 0)
+                and self.kinds[joint] not in ("front_foot", "hind_paw")
+            ):
                 self.kinds[joint] = "none"
         self.children: list[list[int]] = [[] for _ in names]
         for joint, parent in enumerate(self.parents):
@@ -45,13 +52,20 @@ class _Tree:
             above = [self.kinds[a] for a in self.above(joint)]
             if kind == "hips" and self.sides[joint]:
                 self.kinds[joint] = "leg"
-            elif kind == "collar" and self.words[joint].endswith("shoulder") and "collar" in above and "front" not in self.words[joint]:
+            elif (
+                kind == "collar"
+                and self.words[joint].endswith("shoulder")
+                and "collar" in above
+                and "front" not in self.words[joint]
+            ):
                 self.kinds[joint] = "shoulder"
             elif kind == "foot" and "foot" in above and "foot" in self.words[joint]:
                 self.kinds[joint] = "toe"
 
     def _settle_sides(self, names: Sequence[str]) -> None:
-        """Joints without a side take that of the limb above; a limb whose names disagree takes the side where it stands."""
+        """Joints without a side take that of the limb above; a limb whose names disagree takes the side where it
+        stands.
+        """
         sided = [bool(side) for side in self.sides]
         for joint in range(len(names)):
             if not self.sides[joint]:
@@ -96,7 +110,10 @@ class _Tree:
 
 
 def handle_of_joints(
-    names: Sequence[str], parents: Sequence[int] | np.ndarray, positions: np.ndarray | None = None, mass: np.ndarray | None = None
+    names: Sequence[str],
+    parents: Sequence[int] | np.ndarray,
+    positions: np.ndarray | None = None,
+    mass: np.ndarray | None = None,
 ) -> np.ndarray:
     """The handle that each joint of a rig moves.
 
@@ -116,7 +133,8 @@ def handle_of_joints(
     tree = _Tree(names, list(parents), positions, mass)
     out = np.full(len(names), NO_HANDLE, np.int64)
     plain = {"head_top": "head_top", "face": "face", "neck": "neck", "head": "head", "hips": "pelvis"}
-    sided = {"fingers": "fingers", "wrist": "wrist", "elbow": "elbow", "shoulder": "shoulder", "collar": "collar", "wing": "wing",
+    sided = {"fingers": "fingers", "wrist": "wrist", "elbow": "elbow", "shoulder": "shoulder", "collar": "collar",
+    "wing": "wing",
              "front_foot": "wrist", "hip_bone": "hip", "toe": "foot", "hind_paw": "foot"}  # fmt: skip
     for joint, kind in enumerate(tree.kinds):
         if kind in plain:
@@ -131,7 +149,11 @@ def handle_of_joints(
     _empty_hands(tree, out)
     for joint in tree.of("held", ""):
         parent = tree.parents[joint]
-        if parent >= 0 and out[parent] >= _H["neck"] and (tree.kinds[joint] == "held" or out[parent] in (_H["head"], _H["face"])):
+        if (
+            parent >= 0
+            and out[parent] >= _H["neck"]
+            and (tree.kinds[joint] == "held" or out[parent] in (_H["head"], _H["face"]))
+        ):
             out[joint] = out[parent]
     return out
 
@@ -155,7 +177,9 @@ def _legs(tree: _Tree, out: np.ndarray) -> None:
         upper = [bool(re.search(r"up(per)?leg|uparm", tree.words[j])) for j in chain]
         capped = any(tree.kinds[a] == "hip_bone" for a in tree.above(chain[0]))
         if chain[0] in front:
-            parts = ["shoulder", "elbow", "wrist"] if len(chain) != 3 or not upper[1] else ["collar", "shoulder", "elbow"]
+            parts = (
+                ["shoulder", "elbow", "wrist"] if len(chain) != 3 or not upper[1] else ["collar", "shoulder", "elbow"]
+            )
         elif len(chain) >= 3 and upper[1] and not capped:
             parts = ["hip", "hip", "knee", "ankle"]
         else:
@@ -197,7 +221,15 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
         mains = tree.of("main")
         middle = len(mains) // 2 if len(mains) > 4 else 1
         for rank, joint in enumerate(mains):
-            out[joint] = _H["head"] if rank == 0 else _H["spine2"] if rank == 1 < middle else pelvis if rank <= middle - (len(mains) > 4) else -2
+            out[joint] = (
+                _H["head"]
+                if rank == 0
+                else _H["spine2"]
+                if rank == 1 < middle
+                else pelvis
+                if rank <= middle - (len(mains) > 4)
+                else -2
+            )
         tail = [j for j in mains if out[j] == -2]
     elif swims:  # Spine1 is behind the head, the middle of the fish is its pelvis, what follows drives the tail
         out[spine[0]], out[spine[1]] = _H["spine2"], pelvis
@@ -222,7 +254,9 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
             else:
                 spine.insert(0, joint)
         for joint in tree.of("root"):
-            if tree.child_kinds(joint) & limbs or (tree.child_kinds(joint) & {"spine", "hips"} and not (out == pelvis).any()):
+            if tree.child_kinds(joint) & limbs or (
+                tree.child_kinds(joint) & {"spine", "hips"} and not (out == pelvis).any()
+            ):
                 out[joint] = pelvis
         _spread(_by_height(tree, spine), out)
         if tree.mass is not None and spine and not (tree.mass[out == pelvis] > 0).any():
@@ -259,8 +293,9 @@ def _empty_hands(tree: _Tree, out: np.ndarray) -> None:
 def limb_parents(handles: np.ndarray, parents: Sequence[int] | np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Parents with loose limb ends put back on their limbs, for posing.
 
-    Rigs made for inverse kinematics hang the feet on the root, so that turning the knee would leave the foot behind. A joint
-    whose ancestors hold no part of its own limb gets the nearest joint of the next part up the limb as its parent.
+    Rigs made for inverse kinematics hang the feet on the root, so that turning the knee would leave the foot behind. A
+    joint whose ancestors hold no part of its own limb gets the nearest joint of the next part up the limb as its
+    parent.
 
     Args:
         handles: Handle of each joint (`handle_of_joints`), shape (J,).

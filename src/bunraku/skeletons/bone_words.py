@@ -1,7 +1,7 @@
 """What one bone name says on its own: its side, and its kind of part.
 
-Names come in many tongues (`mixamorig:LeftForeArm`, `LowerArm.L`, `J_Bip_L_LowerArm`, 左ひじ, `FrontLowLeg.R`). What they mean in
-company is settled in `bone_names`.
+Names come in many tongues (`mixamorig:LeftForeArm`, `LowerArm.L`, `J_Bip_L_LowerArm`, 左ひじ, `FrontLowLeg.R`).
+What they mean in company is settled in `bone_names`.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ __all__ = ["left_axis", "part_of_name", "plain_name"]
 # Kinds that name a handle outright; "left" stands for the side that the joint has.
 _KINDS: tuple[tuple[str, str], ...] = (
     ("none", r"(pole)?target|^pt$|^control|camera|^light|nub$|heelroll|toeroll|twistend"),
-    ("head_top", r"^(outer|inner|upper|lower)?ears?(tip|end)?$|hair|^hat|hood|horn|antenna|antler|helmet|headtop|headend|headnub"
+    ("head_top",
+    r"^(outer|inner|upper|lower)?ears?(tip|end)?$|hair|^hat|hood|horn|antenna|antler|helmet|headtop|headend|headnub"
      r"|ahoge|ponytail|crest|bangs?$|crown"),
     ("face", r"eye|brow|jaw|mouth|nose|snout|tongue|^lips?|cheek|teeth|tooth|beak|chin$|muzzle|whisker"),
     ("face_bone", r"^face$"),
-    ("fingers", r"thumb|finger|^(hand)?index|^(hand)?middle(proximal|intermediate|distal|metacarpal)?$|^(hand)?ring|pinky|^(hand)?little|claw$"),
+    ("fingers",
+    r"thumb|finger|^(hand)?index|^(hand)?middle(proximal|intermediate|distal|metacarpal)?$|^(hand)?ring|pinky|^(hand)?little|claw$"),
     ("held", r"weapon|gun$|handslot|^prop$|^item$|sword|shield"),
     ("wrist", r"^(wrist|hand|palm[pritm]?|fist|middlehand|carpus)$"),
     ("elbow", r"forearm|lowerarm|lowarm|elbow|ulna|radius"),
@@ -52,11 +54,16 @@ _COMPILED = tuple((kind, re.compile(pattern)) for kind, pattern in _KINDS)
 
 # The standard bones of MikuMikuDance; a leading 左 or 右 is the side.
 _MMD = {
-    "センター": "none", "グルーブ": "none", "全ての親": "none", "操作中心": "none", "腰": "hips", "下半身": "hips", "上半身": "spine",
-    "上半身2": "spine", "上半身3": "spine", "首": "neck", "頭": "head", "肩": "collar", "肩P": "none", "肩C": "none", "腕": "shoulder",
-    "腕捩": "shoulder", "ひじ": "elbow", "手捩": "elbow", "手首": "wrist", "足": "leg", "ひざ": "leg", "足首": "foot", "つま先": "toe",
-    "足先EX": "toe", "目": "face", "両目": "face", "あご": "face", "舌": "face", "耳": "head_top", "髪": "head_top", "前髪": "head_top",
-    "後髪": "head_top", "横髪": "head_top", "尻尾": "tail", "しっぽ": "tail", "羽": "wing", "翼": "wing", "ダミー": "none",
+    "センター": "none", "グルーブ": "none", "全ての親": "none", "操作中心": "none", "腰": "hips", "下半身": "hips",
+    "上半身": "spine",
+    "上半身2": "spine", "上半身3": "spine", "首": "neck", "頭": "head", "肩": "collar", "肩P": "none", "肩C": "none",
+    "腕": "shoulder",
+    "腕捩": "shoulder", "ひじ": "elbow", "手捩": "elbow", "手首": "wrist", "足": "leg", "ひざ": "leg",
+    "足首": "foot", "つま先": "toe",
+    "足先EX": "toe", "目": "face", "両目": "face", "あご": "face", "舌": "face", "耳": "head_top", "髪": "head_top",
+    "前髪": "head_top",
+    "後髪": "head_top", "横髪": "head_top", "尻尾": "tail", "しっぽ": "tail", "羽": "wing", "翼": "wing",
+    "ダミー": "none",
 }  # fmt: skip
 _MMD_PARTS = (
     ("head_top", r"髪|耳|おさげ|アホ毛|くせ毛|ツインテ|ポニテ|帽"),
@@ -65,8 +72,29 @@ _MMD_PARTS = (
     ("toe", r"^(つま先|足先)"),
 )
 _MMD_FINGERS = ("親指", "人指", "人差指", "中指", "薬指", "小指")
-_WIDE = str.maketrans("０１２３４５６７８９ＡＢＣＤＥＦＧＨＩＪＫＬＭＮＯＰＱＲＳＴＵＶＷＸＹＺ", "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ")
-_DROP = {"j", "bip", "bip01", "bip001", "sec", "c", "def", "org", "mch", "jnt", "joint", "bn", "b", "end", "mixamorig", "cc", "base", "valvebiped"}
+_WIDE = str.maketrans(
+    "０１２３４５６７８９ＡＢＣＤＥＦＧＨＩＪＫＬＭＮＯＰＱＲＳＴＵＶＷＸＹＺ", "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+)
+_DROP = {
+    "j",
+    "bip",
+    "bip01",
+    "bip001",
+    "sec",
+    "c",
+    "def",
+    "org",
+    "mch",
+    "jnt",
+    "joint",
+    "bn",
+    "b",
+    "end",
+    "mixamorig",
+    "cc",
+    "base",
+    "valvebiped",
+}
 
 
 def plain_name(name: str) -> str:
@@ -78,8 +106,8 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
     """What one name says on its own.
 
     Returns:
-        The kind of part ("" when unknown), the side (+1 left, -1 right, 0 none), the first number in the name (0 when there
-        is none), and whether the name is that of an inverse-kinematics target.
+        The kind of part ("" when unknown), the side (+1 left, -1 right, 0 none), the first number in the name (0 when
+        there is none), and whether the name is that of an inverse-kinematics target.
     """
     plain = plain_name(name).split(":")[-1].split("|")[-1]
     if re.search(r"[\u3040-\u30ff\u4e00-\u9fff]", plain):

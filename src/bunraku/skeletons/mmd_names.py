@@ -1,7 +1,7 @@
 """Which bones of MikuMikuDance's standard skeleton are which of SMPL's 22 joints.
 
-Its trunk begins twice: `下半身`, the pelvis with the legs, and `上半身`, the spine, both hang on the same bone at the waist. So no rule
-that asks for parts below parts finds them; their names are the same in all models.
+Its trunk begins twice: `下半身`, the pelvis with the legs, and `上半身`, the spine, both hang on the same bone at
+the waist. So no rule that asks for parts below parts finds them; their names are the same in all models.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ MMD_CENTRES = ("センター", "腰", "グルーブ", "全ての親")
 
 _MIDDLE = {"pelvis": ("下半身", "腰", "センター"), "spine1": ("上半身",), "neck": ("首",), "head": ("頭",)}
 _SIDED = {
-    "collar": ("肩",), "shoulder": ("腕",), "elbow": ("ひじ",), "wrist": ("手首",), "hip": ("足",), "knee": ("ひざ",), "ankle": ("足首",),
+    "collar": ("肩",), "shoulder": ("腕",), "elbow": ("ひじ",), "wrist": ("手首",), "hip": ("足",), "knee": ("ひざ",),
+    "ankle": ("足首",),
     "foot": ("足先EX", "つま先EX", "つま先"),
 }  # fmt: skip
 _NEEDED = ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee")
@@ -48,4 +49,6 @@ def mmd_skeleton_map(names: Sequence[str]) -> SkeletonMap | None:
     if min(found[name] for name in _NEEDED) < 0:
         return None
     joints = np.array([found[name] for name in JOINT_NAMES])
-    return SkeletonMap(tuple(int(joint) for joint in joints), tuple("name" if joint >= 0 else "" for joint in joints), "MikuMikuDance")
+    return SkeletonMap(
+        tuple(int(joint) for joint in joints), tuple("name" if joint >= 0 else "" for joint in joints), "MikuMikuDance"
+    )

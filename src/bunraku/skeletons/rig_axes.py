@@ -17,7 +17,9 @@ _TOPS = [HANDLE_NAMES.index(name) for name in ("left_hip", "right_hip")]
 _FEET = [HANDLE_NAMES.index(f"{side}_{part}") for part in ("foot", "ankle", "knee") for side in ("left", "right")]
 
 
-def rig_axes(names: Sequence[str], parents: Sequence[int] | np.ndarray, positions: np.ndarray) -> tuple[str, str] | None:
+def rig_axes(
+    names: Sequence[str], parents: Sequence[int] | np.ndarray, positions: np.ndarray
+) -> tuple[str, str] | None:
     """The axis that is up and the axis that a rig faces, such as ("+y", "+z").
 
     Legs say what is down, and what is left and right by name says the rest.
@@ -28,15 +30,23 @@ def rig_axes(names: Sequence[str], parents: Sequence[int] | np.ndarray, position
         positions: Joint positions in the rest pose [m], shape (J, 3).
 
     Returns:
-        None where the names or the places leave a doubt: no two legs, no left and right, or directions between the axes.
+        None where the names or the places leave a doubt: no two legs, no left and right, or directions between the
+            axes.
     """
     handles = handle_of_joints(names, parents)
     places = {int(h): positions[handles == h].mean(axis=0) for h in np.unique(handles) if h != NO_HANDLE}
-    ends = next(([places[a], places[b]] for a, b in zip(_FEET[::2], _FEET[1::2], strict=True) if a in places and b in places), None)
+    ends = next(
+        ([places[a], places[b]] for a, b in zip(_FEET[::2], _FEET[1::2], strict=True) if a in places and b in places),
+        None,
+    )
     if ends is None or any(top not in places for top in _TOPS):
         return None
     up = np.mean([places[top] for top in _TOPS], axis=0) - np.mean(ends, axis=0)
-    pairs = [places[h] - places[m] for h, m in enumerate(HANDLE_MIRROR) if HANDLE_NAMES[h].startswith("left_") and h in places and m in places]
+    pairs = [
+        places[h] - places[m]
+        for h, m in enumerate(HANDLE_MIRROR)
+        if HANDLE_NAMES[h].startswith("left_") and h in places and m in places
+    ]
     lengths = np.linalg.norm(pairs, axis=1)
     left = np.sum(pairs, axis=0)
     if np.linalg.norm(left) < 0.7 * lengths.sum():  # left and right of the parts do not agree

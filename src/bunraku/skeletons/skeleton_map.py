@@ -1,6 +1,8 @@
-"""Which joint of a skeleton is which of SMPL's 22: by the words of many conventions first, by structure where names say nothing.
+"""Which joint of a skeleton is which of SMPL's 22: by the words of many conventions first, by structure where names say
+nothing.
 
-Arms, legs, neck and head have names in every convention; spines have from one bone to five with names that contradict each other,
+Arms, legs, neck and head have names in every convention; spines have from one bone to five with names that contradict
+each other,
 so the trunk is read off the hierarchy: its first bone is `spine1`, the one that the arms hang on is `spine3`.
 """
 
@@ -35,7 +37,8 @@ _SIDED = {
     "foot": ("toe", "toes", "toebase", "toe0", "ball"),
 }
 _PREFIX = re.compile(
-    r"^(mixamorig\d*|bip\d*|j_?bip(_c)?|cc_?base|valvebiped|character\d+|def|org|rig|skel|bn|b|[mf]_avg|avg)[ _.:\-]+", re.IGNORECASE
+    r"^(mixamorig\d*|bip\d*|j_?bip(_c)?|cc_?base|valvebiped|character\d+|def|org|rig|skel|bn|b|[mf]_avg|avg)[ _.:\-]+",
+    re.IGNORECASE,
 )
 _CONVENTIONS: tuple[tuple[str, str], ...] = (
     ("Mixamo", r"^mixamorig"),
@@ -78,14 +81,28 @@ def map_skeleton(skeleton: Skeleton, names: Mapping[str, str] | None = None) -> 
     for name, own in (names or {}).items():
         if name not in _J or (own and own not in skeleton.names):
             wrong = name if name not in _J else own
-            raise MotionError(f"'{wrong}' in the map of names is no joint; there are {', '.join(JOINT_NAMES if name not in _J else skeleton.names)}")
+            raise MotionError(
+                f"'{wrong}' in the map of names is no joint; there are "
+                f"{', '.join(JOINT_NAMES if name not in _J else skeleton.names)}"
+            )
         joints[_J[name]], how[_J[name]] = (skeleton.names.index(own) if own else -1), "given"
     for name, joint in _by_words(skeleton.names).items():
         take(name, joint, "name")
     handles = handle_of_joints(skeleton.names, parents, skeleton.positions)
     for index, name in enumerate(JOINT_NAMES):
         if not name.startswith("spine"):
-            take(name, next((int(joint) for joint in np.flatnonzero(handles == index) if _fits(int(joint), index, joints, parents)), -1), "rig")
+            take(
+                name,
+                next(
+                    (
+                        int(joint)
+                        for joint in np.flatnonzero(handles == index)
+                        if _fits(int(joint), index, joints, parents)
+                    ),
+                    -1,
+                ),
+                "rig",
+            )
     if min(joints[_J[name]] for name in _NEEDED) < 0:
         for name, joint in joints_by_structure(skeleton).items():
             take(name, joint, "structure")
@@ -93,7 +110,9 @@ def map_skeleton(skeleton: Skeleton, names: Mapping[str, str] | None = None) -> 
         take(name, joint, "hierarchy")
     lacking = [name for name in _NEEDED if joints[_J[name]] < 0]
     if lacking:
-        raise MotionError(f"no joint of this skeleton is known to be its {', '.join(lacking)}; name them in a map of names")
+        raise MotionError(
+            f"no joint of this skeleton is known to be its {', '.join(lacking)}; name them in a map of names"
+        )
     return SkeletonMap(tuple(int(joint) for joint in joints), tuple(how), _convention(skeleton.names))
 
 
@@ -125,7 +144,10 @@ def _by_words(names: tuple[str, ...]) -> dict[str, int]:
     for part, words in _MIDDLE.items():
         out[part] = next((found[word, 0] for word in words if (word, 0) in found), -1)
     for side, title in ((1, "left"), (-1, "right")):
-        own = {part: next((found[word, side] for word in words if (word, side) in found), -1) for part, words in _SIDED.items()}
+        own = {
+            part: next((found[word, side] for word in words if (word, side) in found), -1)
+            for part, words in _SIDED.items()
+        }
         extra = found.get(("shoulder", side), -1)  # a collar bone where there is an arm beside it
         if own["collar"] < 0 <= own["shoulder"]:
             own["collar"] = extra
@@ -149,7 +171,8 @@ def _fits(joint: int, index: int, joints: np.ndarray, parents: list[int]) -> boo
 def _trunk(joints: np.ndarray, parents: list[int]) -> dict[str, int]:
     """Pelvis and spine by the hierarchy: from where the legs meet to where the arms, or neck and head, leave."""
     legs = [int(joints[_J[f"{side}_hip"]]) for side in ("left", "right")]
-    arms = [next((int(joints[_J[f"{side}_{part}"]]) for part in ("collar", "shoulder", "elbow") if joints[_J[f"{side}_{part}"]] >= 0), -1)
+    arms = [next((int(joints[_J[f"{side}_{part}"]]) for part in ("collar", "shoulder",
+    "elbow") if joints[_J[f"{side}_{part}"]] >= 0), -1)
             for side in ("left", "right")]  # fmt: skip
     out = {}
     if min(legs) >= 0 and joints[0] < 0:
@@ -162,7 +185,11 @@ def _trunk(joints: np.ndarray, parents: list[int]) -> dict[str, int]:
     lines = [line_up(joint, parents)[1:] for joint in (top if min(arms) < 0 else arms)]
     chest = next((joint for joint in lines[0] if all(joint in line for line in lines)), -1)
     leg_lines = {joint for leg in legs if leg >= 0 for joint in line_up(leg, parents)}
-    spine = [joint for joint in reversed(line_up(chest, parents)) if joint not in leg_lines and joint not in joints] if chest >= 0 else []
+    spine = (
+        [joint for joint in reversed(line_up(chest, parents)) if joint not in leg_lines and joint not in joints]
+        if chest >= 0
+        else []
+    )
     if spine:
         out["spine3"] = spine[-1]
         if len(spine) > 1:

@@ -52,12 +52,23 @@ def joints_by_structure(skeleton: Skeleton) -> dict[str, int]:
     positions = skeleton.positions
     pairs.sort(key=lambda pair: (depth[pair[0]], positions[chain(pair[1])[-1], 1]))
     legs = pairs[0]
-    arms = next((pair for pair in pairs[1:] if not {pair[1], pair[2]} & {legs[1], legs[2]} and not _within(pair[0], legs[1:], parents)), None)
+    arms = next(
+        (
+            pair
+            for pair in pairs[1:]
+            if not {pair[1], pair[2]} & {legs[1], legs[2]} and not _within(pair[0], legs[1:], parents)
+        ),
+        None,
+    )
     out = {"pelvis": legs[0]}
     lines = [chain(joint) for joint in legs[1:]]
     if len(lines[0]) >= 4 and length[lines[0][1]] < SHORT_BONE * length[lines[0][2]]:
         lines = [line[1:] for line in lines]
-    toes = np.sum([positions[line[3]] - positions[line[2]] for line in lines if len(line) > 3], axis=0) if len(lines[0]) > 3 else np.zeros(3)
+    toes = (
+        np.sum([positions[line[3]] - positions[line[2]] for line in lines if len(line) > 3], axis=0)
+        if len(lines[0]) > 3
+        else np.zeros(3)
+    )
     forward = np.array([toes[0], 0, toes[2]]) if np.hypot(toes[0], toes[2]) > 1e-6 else np.array([0.0, 0, 1])
     left = np.cross([0, 1, 0], forward)
     for line, side in zip(lines, _sides(lines, positions, left), strict=True):

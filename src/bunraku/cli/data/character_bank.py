@@ -46,7 +46,12 @@ class CharacterBank:
 
         with stages() as report:
             path, failed = build_character_bank(
-                self.source, self.output, rig, self.code_made, self.variants, lambda done, total, name: report("characters", done / total)
+                self.source,
+                self.output,
+                rig,
+                self.code_made,
+                self.variants,
+                lambda done, total, name: report("characters", done / total),
             )
         for name, reason in failed.items():
             print(f"left out {name}: {reason}", file=sys.stderr)

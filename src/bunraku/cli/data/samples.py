@@ -34,11 +34,15 @@ class Motions:
     characters: Path | None = None
     """Folder of the unpacked character archive, whose labelled clips of waving, clapping and the like are added."""
     creatures: Path | None = None
-    """Folder of the unpacked character archive, whose clips of animals, fish, monsters and robots are added, each with its species and character."""
+    """Folder of the unpacked character archive, whose clips of animals, fish, monsters and robots are added, each with
+    its species and character.
+    """
     humanml3d: Path | None = None
     """Folder of HumanML3D, for those who have it: its motions and captions are added."""
     amass: Path | None = None
-    """Folder of unpacked AMASS sets, for those who have them: their takes are added, with the captions of --humanml3d where it has an index.csv."""
+    """Folder of unpacked AMASS sets, for those who have them: their takes are added, with the captions of --humanml3d
+    where it has an index.csv.
+    """
 
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
@@ -78,7 +82,8 @@ class Characters:
     """
 
     source: Path
-    """Folder of rigged characters, searched through: GLB, FBX (Mixamo), or OBJ with rig texts (ModelsResource-RigNet)."""
+    """Folder of rigged characters, searched through: GLB, FBX (Mixamo), or OBJ with rig texts (ModelsResource-RigNet).
+    """
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder to write to, made when it is not there."""
     vertices: int = 2400
@@ -112,7 +117,10 @@ class Characters:
                 code_made=self.code_made,
             )
         if not files:
-            raise FormatError(self.source, f"none of its {len(failed)} characters can be trained on; they need a skin with named bones")
+            raise FormatError(
+                self.source,
+                f"none of its {len(failed)} characters can be trained on; they need a skin with named bones",
+            )
         if self.clothes is not None and self.body_data is not None:
             from bunraku.datasets.characters.dressed import build_dressed
 
@@ -158,7 +166,15 @@ class MeshBank:
         train, held = load_characters(self.cache)
         characters = [*train, *held, *reference_characters()]
         with stages() as report:
-            write_mesh_bank(model, characters, self.output, self.variants, 0, HELD_OUT, lambda done: report("mesh features", done / len(characters)))
+            write_mesh_bank(
+                model,
+                characters,
+                self.output,
+                self.variants,
+                0,
+                HELD_OUT,
+                lambda done: report("mesh features", done / len(characters)),
+            )
         print(f"wrote {self.output}")
 
 

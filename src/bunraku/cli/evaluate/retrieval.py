@@ -59,6 +59,9 @@ class Retrieval:
 def _print(result: dict[str, Any]) -> None:
     low, high = result["top1_interval"]
     print(f"{result['clips']} clips, {result['candidates']} sentences each, chance {result['chance']:.1%}")
-    print(f"top 1      {result['top1']:.1%} (95 % interval {low:.1%} to {high:.1%}), {result['times_chance']:.1f} times chance")
+    print(
+        f"top 1      {result['top1']:.1%} (95 % interval {low:.1%} to {high:.1%}), {result['times_chance']:.1f} times "
+        "chance"
+    )
     print(f"top 2, 3   {result['top2']:.1%}, {result['top3']:.1%}")
     print(f"mean rank  {result['mean_rank']:.1f}")

@@ -55,7 +55,10 @@ def _print(result: dict[str, Any]) -> None:
     from bunraku.evaluation.transfer.table import BARS
 
     counts = result["counts"]
-    print(f"{counts['characters']} characters, {counts['humanoids']} humanoids with a rig, {counts['clips']} of them with clips")
+    print(
+        f"{counts['characters']} characters, {counts['humanoids']} humanoids with a rig, {counts['clips']} of them "
+        "with clips"
+    )
     print("motions: " + ", ".join(f"{kind} {name}" for kind, name in result["motions"].items()))
     width = max(len(bar.title) for bar in BARS.values())
     print(f"{'measure':<{width}}  {'value':>10}  {'bar':>12}  reached")
@@ -63,7 +66,8 @@ def _print(result: dict[str, Any]) -> None:
         value, reached = result[key], result["reached"].get(key)
         text = "-" if value is None else _number(value, bar.unit)
         limit = "" if bar.bar is None else f"{'>=' if bar.high else '<='} {_number(bar.bar, bar.unit)}"
-        print(f"{bar.title:<{width}}  {text:>10}  {limit:>12}  {'' if reached is None else 'yes' if reached else 'no'}".rstrip())
+        said = "" if reached is None else "yes" if reached else "no"
+        print(f"{bar.title:<{width}}  {text:>10}  {limit:>12}  {said}".rstrip())
     for name, reason in result["failed"].items():
         print(f"failed {name}: {reason}")
 

@@ -24,11 +24,12 @@ __all__ = ["Transfer"]
 
 @dataclass(frozen=True)
 class Transfer:
-    """Put a motion on a character: BVH, AMASS, HumanML3D, FBX, a clip of a GLB, a folder of meshes, or what Bunraku wrote.
+    """Put a motion on a character: BVH, AMASS, HumanML3D, FBX, a clip of a GLB, a folder of meshes, or what Bunraku
+    wrote.
 
-    A humanoid with a rig keeps its rig; everything else is moved by its 30 handles. One character with one motion writes a file, several
-    of either write every pair into a folder. Files are told apart by what they hold; one that holds a mesh is a character unless it
-    stands after --motions.
+    A humanoid with a rig keeps its rig; everything else is moved by its 30 handles. One character with one motion
+    writes a file, several of either write every pair into a folder. Files are told apart by what they hold; one that
+    holds a mesh is a character unless it stands after --motions.
 
     Example: bunraku transfer characters/*.glb motions/*.bvh -o out --jobs 2
     """
@@ -38,21 +39,32 @@ class Transfer:
     motions: tuple[Path, ...] = ()
     """Motions; with this, all other files are characters."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH", help_behavior_hint="")] = None
-    """File to write, by its suffix, or the folder of several. Default: CHARACTER-MOTION.glb in this folder, or the folder transfer."""
+    """File to write, by its suffix, or the folder of several. Default: CHARACTER-MOTION.glb in this folder, or the
+    folder transfer.
+    """
     onto: Literal["auto", "handles", "rig"] = "auto"
-    """What is moved: the "handles" of the character, the bones of its own "rig", or by "auto" the rig of a humanoid and the handles of others."""
+    """What is moved: the "handles" of the character, the bones of its own "rig", or by "auto" the rig of a humanoid and
+    the handles of others.
+    """
     apparel: Literal["rigid", "simulate"] = "rigid"
-    """How hair and clothes of MMD and VRM characters move: "rigid" with the body, or "simulate" by the physics of their file."""
+    """How hair and clothes of MMD and VRM characters move: "rigid" with the body, or "simulate" by the physics of their
+    file.
+    """
     handles: Literal["predict", "rig"] = "predict"
-    """Where handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by their names."""
+    """Where handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
+    their names.
+    """
     map: Path | None = None
-    """A JSON file that names joints of the motion's skeleton: {"left_hip": "LeftUpLeg", ...}; see `bunraku inspect MOTION`."""
+    """A JSON file that names joints of the motion's skeleton: {"left_hip": "LeftUpLeg", ...}; see `bunraku inspect
+    MOTION`.
+    """
     clip: str = "0"
     """Number or name of the clip of a motion file with several."""
     fps: float = 30.0
     """Frames a second of the result, 1 to 120."""
     without: WithoutOption = ()
-    """Leave out a stage: rest-pose, attach, shape, ground, feet, smooth, floor or hands. May be given more than once."""
+    """Leave out a stage: rest-pose, attach, shape, ground, feet, smooth, floor or hands. May be given more than once.
+    """
     up: AxisOption = "auto"
     """The axis that is up in the characters' files."""
     front: AxisOption = "auto"
@@ -60,13 +72,15 @@ class Transfer:
     file_up: Annotated[Literal["+y", "+z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """The axis that is up in what is written, for BVH, USD, FBX, OBJ and PLY. Default: the format's own."""
     file_unit: Annotated[str | None, tyro.conf.arg(metavar="UNIT", help_behavior_hint="")] = None
-    """The unit of lengths in what is written (m, dm, cm, mm, in, ft), for the same formats. Default: the format's own."""
+    """The unit of lengths in what is written (m, dm, cm, mm, in, ft), for the same formats. Default: the format's own.
+    """
     format: Annotated[str, tyro.conf.arg(metavar="SUFFIX")] = "glb"
     """What each pair is written as where no file is named: glb, vmd, vrma, bvh, usd, fbx, npz, obj, mp4 ..."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the pairs, or "ray" for a Ray cluster."""
     preview: PreviewOption = ()
-    """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png), for a single pair. May be given more than once."""
+    """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png), for a single pair. May be given more than once.
+    """
 
     def run(self) -> int:
         check_range("--fps", self.fps, 1, 120)
@@ -75,7 +89,17 @@ class Transfer:
         check_stages(self.without)
         if self.apparel == "simulate" and self.onto == "handles":
             raise OptionError("--apparel simulate moves the bones of a character's rig; leave out --onto handles")
-        settings = Settings(self.onto, self.handles, self.fps, self.clip, names, tuple(sorted(set(self.without))), self.up, self.front, self.apparel)
+        settings = Settings(
+            self.onto,
+            self.handles,
+            self.fps,
+            self.clip,
+            names,
+            tuple(sorted(set(self.without))),
+            self.up,
+            self.front,
+            self.apparel,
+        )
         settings = replace(settings, file_up=self.file_up or "", file_unit=self.file_unit or "")
         jobs, suffix = _jobs(self.jobs), _suffix(self.format)
         characters, motions, bad = self._sorted()
@@ -84,7 +108,9 @@ class Transfer:
             self._one(characters[0], motions[0], settings, suffix)
             return 0
         if self.preview:
-            raise OptionError("--preview is for one character with one motion; make previews of several files with `bunraku render`")
+            raise OptionError(
+                "--preview is for one character with one motion; make previews of several files with `bunraku render`"
+            )
         return self._many(characters, motions, bad, settings, jobs, suffix)
 
     def _folder(self) -> bool:
@@ -92,11 +118,15 @@ class Transfer:
         return self.output is not None and (self.output.is_dir() or not self.output.suffix)
 
     def _sorted(self) -> tuple[list[Path], list[Path], dict[Path, str]]:
-        """Characters, motions, and files that are neither with the reason; the last only beside others, so that one does not stop all."""
+        """Characters, motions, and files that are neither with the reason; the last only beside others, so that one
+        does not stop all.
+        """
         characters: list[Path] = []
         motions: list[Path] = []
         bad: dict[Path, str] = {}
-        given = [(path, False) for path in dict.fromkeys(self.files)] + [(path, True) for path in dict.fromkeys(self.motions)]
+        given = [(path, False) for path in dict.fromkeys(self.files)] + [
+            (path, True) for path in dict.fromkeys(self.motions)
+        ]
         for path, named in given:
             try:
                 if named:
@@ -115,7 +145,9 @@ class Transfer:
         if not characters:
             raise OptionError("none of these files is a character; name at least one mesh, such as a .glb")
         if not motions:
-            raise OptionError("none of these files is a motion only; put motions that have a character in them after --motions")
+            raise OptionError(
+                "none of these files is a motion only; put motions that have a character in them after --motions"
+            )
         return characters, motions, bad
 
     def _one(self, character: Path, motion: Path, settings: Settings, suffix: str) -> None:
@@ -126,7 +158,15 @@ class Transfer:
             animation = animation_of(Pair(character, motion, output), settings, report)
             save_all(animation, [output], self.preview, self.fps, report, settings.saving)
 
-    def _many(self, characters: list[Path], motions: list[Path], bad: dict[Path, str], settings: Settings, jobs: int | str, suffix: str) -> int:
+    def _many(
+        self,
+        characters: list[Path],
+        motions: list[Path],
+        bad: dict[Path, str],
+        settings: Settings,
+        jobs: int | str,
+        suffix: str,
+    ) -> int:
         from bunraku.io.registry import check_writer
 
         folder = self.output or Path("transfer")
@@ -134,7 +174,10 @@ class Transfer:
             if len(characters) == len(motions) == 1 and bad:  # a file was meant, and one input is no good
                 path, reason = next(iter(bad.items()))
                 raise FormatError(path, reason.removeprefix(f"{path}: "))
-            raise OptionError(f"{len(characters)} characters and {len(motions)} motions make several files; name a folder with -o, not {folder}")
+            raise OptionError(
+                f"{len(characters)} characters and {len(motions)} motions make several files; name a folder with -o, "
+                f"not {folder}"
+            )
         if folder.is_file():
             raise FormatError(folder, "this is a file; name a folder with -o, where each pair gets a file")
         check_folder(folder)
@@ -165,7 +208,10 @@ class Transfer:
 
 def _label(pair: Pair, reason: str) -> str:
     """The file that is at fault, or the pair where neither is named."""
-    return next((str(path) for path in (pair.character, pair.motion) if reason.startswith(f"{path}: ")), f"{pair.character} with {pair.motion}")
+    return next(
+        (str(path) for path in (pair.character, pair.motion) if reason.startswith(f"{path}: ")),
+        f"{pair.character} with {pair.motion}",
+    )
 
 
 def _outputs() -> tuple[str, ...]:

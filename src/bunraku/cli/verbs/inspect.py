@@ -25,7 +25,8 @@ GLTF = (".glb", ".gltf", ".vrm")
 
 @dataclass(frozen=True)
 class Inspect:
-    """Tell what a file holds: its meshes, how they stand, rig, materials and animations, or the frames and joints of a motion.
+    """Tell what a file holds: its meshes, how they stand, rig, materials and animations, or the frames and joints of a
+    motion.
 
     Example: bunraku inspect dragon.glb --json
     """
@@ -118,7 +119,10 @@ def _character(character: Character) -> dict[str, Any]:
     extent = high - low
     welded, parts = _count_parts(character)
     orientation = _orientation(character)
-    height = float(np.ptp(character.vertices[character.surface], axis=0)["xyz".index(orientation["taken_up"][1])]) or character.height
+    height = (
+        float(np.ptp(character.vertices[character.surface], axis=0)["xyz".index(orientation["taken_up"][1])])
+        or character.height
+    )
     facts: dict[str, Any] = {
         "kind": "character",
         "name": character.name,
@@ -135,7 +139,11 @@ def _character(character: Character) -> dict[str, Any]:
     }
     if character.rig is not None:
         influences = int((character.rig.weights > 0).sum(axis=1).max(initial=0))
-        facts["rig"] = {"joints": len(character.rig.names), "influences": influences, "names": list(character.rig.names)}
+        facts["rig"] = {
+            "joints": len(character.rig.names),
+            "influences": influences,
+            "names": list(character.rig.names),
+        }
     return facts
 
 
@@ -178,21 +186,42 @@ def _unit(height: float) -> dict[str, str]:
     """What unit a height is likely to be in: most characters are between a hand and a house tall."""
     for least, unit in ((400, "millimetres"), (10, "centimetres"), (0.04, "metres")):
         if height >= least:
-            return {"name": unit, "note": "" if unit == "metres" else f"{height:,.4g} m tall: probably {unit}; the animation keeps the file's unit"}
-    return {"name": "unknown", "note": f"{height:.2g} m tall: probably shrunk 100 or 1,000 times on its way; the animation keeps the file's unit"}
+            return {
+                "name": unit,
+                "note": ""
+                if unit == "metres"
+                else f"{height:,.4g} m tall: probably {unit}; the animation keeps the file's unit",
+            }
+    return {
+        "name": "unknown",
+        "note": f"{height:.2g} m tall: probably shrunk 100 or 1,000 times on its way; the animation keeps the file's "
+        "unit",
+    }
 
 
 def _document(document: Document) -> dict[str, Any]:
     animations = []
     for number, animation in enumerate(document.items("animations")):
-        ends = [float(document.accessor(sampler.get("input"), ("SCALAR",)).max(initial=0)) for sampler in document.objects(animation, "samplers")]
+        ends = [
+            float(document.accessor(sampler.get("input"), ("SCALAR",)).max(initial=0))
+            for sampler in document.objects(animation, "samplers")
+        ]
         name = str(animation.get("name") or f"animation {number}")
-        animations.append({"name": name, "seconds": round(max(ends, default=0.0), 3), "channels": len(document.objects(animation, "channels"))})
+        animations.append(
+            {
+                "name": name,
+                "seconds": round(max(ends, default=0.0), 3),
+                "channels": len(document.objects(animation, "channels")),
+            }
+        )
     return {
         "generator": str(document.tree["asset"].get("generator", "")),
         "meshes": len(document.items("meshes")),
         "primitives": sum(len(document.objects(mesh, "primitives")) for mesh in document.items("meshes")),
-        "materials": [str(material.get("name") or f"material {number}") for number, material in enumerate(document.items("materials"))],
+        "materials": [
+            str(material.get("name") or f"material {number}")
+            for number, material in enumerate(document.items("materials"))
+        ],
         "textures": len(document.items("textures")),
         "skins": len(document.items("skins")),
         "animations": animations,
@@ -219,16 +248,25 @@ def _say(key: str, value: Any) -> str:
     if key in ("height", "seconds"):
         return f"{value:g} {'m' if key == 'height' else 's'}"
     if key in ("extent", "lowest_corner", "root_travel"):
-        return " x ".join(f"{x:g}" for x in value) + " m" if key == "extent" else ", ".join(f"{x:g}" for x in value) + " m"
+        return (
+            " x ".join(f"{x:g}" for x in value) + " m" if key == "extent" else ", ".join(f"{x:g}" for x in value) + " m"
+        )
     if key == "orientation":
         up, front = (f"{value[which].upper()} ({_sure(value[which + '_confidence'])})" for which in ("up", "front"))
         return value["note"] or f"up {up}, front {front}"
     if key == "unit":
         return value["note"] or value["name"]
     if key == "rig":
-        return "none" if value is None else f"{value['joints']} joints, up to {value['influences']} influences a vertex: {_short(value['names'])}"
+        return (
+            "none"
+            if value is None
+            else f"{value['joints']} joints, up to {value['influences']} influences a vertex: {_short(value['names'])}"
+        )
     if key == "mapping":
-        return ", ".join(f"{name} = {own}" for name, own in value.items()) or "none found; a person has a pelvis and two legs"
+        return (
+            ", ".join(f"{name} = {own}" for name, own in value.items())
+            or "none found; a person has a pelvis and two legs"
+        )
     if key == "animations":
         return _short([f"{clip['name']} ({clip['seconds']:g} s)" for clip in value]) if value else "none"
     if key == "deforms":

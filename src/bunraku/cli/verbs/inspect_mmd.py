@@ -61,7 +61,9 @@ def vmd_facts(path: Path) -> dict[str, Any]:
         "morphs": sorted(motion.morphs),
         "keys": sum(len(track.frames) for track in motion.bones.values()),
         "convention": "MikuMikuDance" if mmd_skeleton_map(list(motion.bones)) is not None else "unknown",
-        "inverse_kinematics_off": sorted({name for _, states in motion.switches for name, on in states.items() if not on}),
+        "inverse_kinematics_off": sorted(
+            {name for _, states in motion.switches for name, on in states.items() if not on}
+        ),
     }
 
 

@@ -25,8 +25,8 @@ __all__ = ["Render"]
 class Render:
     """Make a video or a picture of an animated file, a character or a motion.
 
-    A GLB or FBX with a clip is played; .png gives a contact sheet of it. A character without a clip gives a still (.png). A handle
-    motion (.npz) is played on the character that --character names.
+    A GLB or FBX with a clip is played; .png gives a contact sheet of it. A character without a clip gives a still
+    (.png). A handle motion (.npz) is played on the character that --character names.
 
     Example: bunraku render dragon-wave.glb -o dragon-wave.mp4 --fps 30
     """
@@ -34,7 +34,9 @@ class Render:
     file: tyro.conf.Positional[Path]
     """An animated GLB or FBX, a character, or a handle motion (.npz)."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH", help_behavior_hint="")] = None
-    """File to write: .mp4, .webp, .gif or .png. Default: FILE.mp4 for what moves, FILE.png for what does not, in this folder."""
+    """File to write: .mp4, .webp, .gif or .png. Default: FILE.mp4 for what moves, FILE.png for what does not, in this
+    folder.
+    """
     character: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """The character that plays an .npz motion."""
     clip: str = "0"
@@ -58,7 +60,9 @@ class Render:
         check_input(self.file)
         motion = self.file.suffix.lower() == ".npz"
         if motion and self.character is None:
-            raise OptionError(f"{self.file} is a motion without a mesh; name the character that plays it with --character")
+            raise OptionError(
+                f"{self.file} is a motion without a mesh; name the character that plays it with --character"
+            )
         if self.character is not None:
             if not motion:
                 raise OptionError(f"--character is for .npz motions, and {self.file} is not one; leave it out")
@@ -97,7 +101,10 @@ class Render:
         assert self.character is not None
         motion = read_motion(self.file)
         if not isinstance(motion, HandleMotion):
-            raise FormatError(self.file, "this is no handle motion, whatever its suffix says; write one with `bunraku animate -o motion.npz`")
+            raise FormatError(
+                self.file,
+                "this is no handle motion, whatever its suffix says; write one with `bunraku animate -o motion.npz`",
+            )
         character = stand_up(load_character(self.character), self.character, self.up, self.front)
         return Animation(character, rig(character, progress=report), motion)
 
@@ -115,7 +122,9 @@ class Render:
         from bunraku.render import save_still
 
         if output.suffix.lower() != ".png":
-            raise FormatError(self.file, f"it holds no animation, so there is nothing to put in a {output.suffix}; ask for a .png")
+            raise FormatError(
+                self.file, f"it holds no animation, so there is nothing to put in a {output.suffix}; ask for a .png"
+            )
         if self.color == "handles":
             raise OptionError("the handles of a character without a clip are shown by `bunraku rig --preview`")
         save_still(stand_up(load_character(self.file), self.file, self.up, self.front), output, size=self.size)

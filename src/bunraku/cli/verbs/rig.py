@@ -32,7 +32,9 @@ class Rig:
     preview: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Also make a picture (.png) of the front and the back, coloured by handle."""
     handles: Literal["predict", "rig"] = "predict"
-    """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by their names."""
+    """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
+    their names.
+    """
     up: AxisOption = "auto"
     """The axis that is up in the file. "auto" goes by the rule of the format, and by the shape where it has none."""
     front: AxisOption = "auto"

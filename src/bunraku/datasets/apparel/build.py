@@ -1,7 +1,7 @@
 """`bunraku data apparel`: characters x motions, simulated, as shards.
 
-One process makes one shard after the other; a shard is written whole or not at all, so a second run goes on where the first one was
-stopped, and as each depends on its plan alone, any number of processes gives the same bytes.
+One process makes one shard after the other; a shard is written whole or not at all, so a second run goes on where the
+first one was stopped, and as each depends on its plan alone, any number of processes gives the same bytes.
 """
 
 from __future__ import annotations
@@ -56,7 +56,11 @@ class BuildState:
 
 
 def build_apparel(
-    folder: str | Path, plan: Sequence[ShardPlan], *, jobs: int | str = 1, progress: Callable[[BuildState], None] | None = None
+    folder: str | Path,
+    plan: Sequence[ShardPlan],
+    *,
+    jobs: int | str = 1,
+    progress: Callable[[BuildState], None] | None = None,
 ) -> BuildState:
     """Build the shards of a plan that are not there yet, and the index.
 
@@ -177,7 +181,15 @@ def _build(folder: Path, shard: ShardPlan) -> None:
             failed[clip.motion.name] = str(error)
             continue
         away = [[lost.body, int(lost.frame)] for lost in simulation.report.recoveries]
-        clips.append({"motion": clip.motion.name, "start": clip.start, "first": first, "frames": len(animation), "fly_aways": away})
+        clips.append(
+            {
+                "motion": clip.motion.name,
+                "start": clip.start,
+                "first": first,
+                "frames": len(animation),
+                "fly_aways": away,
+            }
+        )
         animations.append(animation)
         first += len(animation)
     if not animations:
@@ -186,12 +198,16 @@ def _build(folder: Path, shard: ShardPlan) -> None:
     own = character.rig
     assert own is not None
     arrays = {
-        "rest": character.vertices, "faces": character.faces, "joints": body.joints, "weights": body.weights, "apparel": mask,
-        "loose": recording.loose, "transforms": recording.transforms, "offsets": recording.offsets, "bone_parents": own.parents,
-        "bone_positions": own.positions, "bone_moved": body.moved, "bone_indices": own.indices, "bone_weights": own.weights,
+        "rest": character.vertices, "faces": character.faces, "joints": body.joints, "weights": body.weights,
+        "apparel": mask,
+        "loose": recording.loose, "transforms": recording.transforms, "offsets": recording.offsets,
+        "bone_parents": own.parents,
+        "bone_positions": own.positions, "bone_moved": body.moved, "bone_indices": own.indices,
+        "bone_weights": own.weights,
     }  # fmt: skip
     facts = {
-        "name": shard.character.name, "split": shard.character.split, "kind": "file" if shard.character.path else "wardrobe", "fps": FPS,
+        "name": shard.character.name, "split": shard.character.split,
+        "kind": "file" if shard.character.path else "wardrobe", "fps": FPS,
         "fingerprint": shard.fingerprint(), "clips": clips, "failed": failed, "rounding": recording.rounding,
         "vertices": len(character.vertices), "apparel": int(mask.sum()), "bones": list(own.names),
     }  # fmt: skip
@@ -244,7 +260,8 @@ def _reference(path: str) -> Any:
 
 
 def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:
-    """A handle motion on a character's rig, moved by SMPL's 22 joints alone: fingers, hair and tails go along with what they hang on.
+    """A handle motion on a character's rig, moved by SMPL's 22 joints alone: fingers, hair and tails go along with what
+    they hang on.
 
     Args:
         body: The character.
@@ -253,12 +270,12 @@ def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:
     from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT
     from bunraku.pipelines.transfer import TRANSFER_STAGES
     from bunraku.retarget.to_rig import fit_rig
-    from bunraku.retarget.treadmill import slides_on_the_spot
+    from bunraku.retarget.treadmill import is_treadmill
 
     rotations = np.array(motion.rotations)
     for handle in range(JOINT_COUNT, HANDLE_COUNT):
         rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
     motion = replace(motion, rotations=rotations)
     # Bones keep their lengths anyway; feet that are held would carry away who slides on the spot.
-    stages = replace(TRANSFER_STAGES, shape=False, feet=not slides_on_the_spot(motion))
+    stages = replace(TRANSFER_STAGES, shape=False, feet=not is_treadmill(motion))
     return fit_rig(motion, body.parts, stages)

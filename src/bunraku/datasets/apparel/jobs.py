@@ -1,6 +1,7 @@
 """The same work for many things, on processes of this machine or of a cluster.
 
-Even one job has a process of its own with one thread: sums of several threads come in another order, and bytes would differ.
+Even one job has a process of its own with one thread: sums of several threads come in another order, and bytes would
+differ.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 
 def run_jobs(work: Callable[..., str], items: Sequence[tuple[Any, ...]], jobs: int | str) -> Iterator[tuple[int, str]]:
-    """Do all of it; give each item's number with what `work` returned as it is done: "" when all went well, otherwise a sentence.
+    """Do all of it; give each item's number with what `work` returned as it is done: "" when all went well, otherwise a
+    sentence.
 
     Args:
         work: A function of a module, called with the values of an item.
@@ -54,14 +56,19 @@ def _on_processes(work: Callable[..., str], items: Sequence[tuple[Any, ...]], jo
         next_item = 0
         try:
             while waiting or next_item < len(items):
-                while next_item < len(items) and len(waiting) < 2 * jobs:  # few at once: neighbours share a character, and a stop is quick
+                while (
+                    next_item < len(items) and len(waiting) < 2 * jobs
+                ):  # few at once: neighbours share a character, and a stop is quick
                     waiting[pool.submit(work, *items[next_item])] = next_item
                     next_item += 1
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                     number = waiting.pop(future)
                     yield number, future.result()
         except BrokenProcessPool:
-            reason = "its process was ended from outside, perhaps for want of memory; run the same command again with fewer --jobs"
+            reason = (
+                "its process was ended from outside, perhaps for want of memory; run the same command again "
+                "with fewer --jobs"
+            )
             yield from ((number, reason) for number in [*waiting.values(), *range(next_item, len(items))])
         except BaseException:  # an interrupt: what waits is not begun
             pool.shutdown(wait=False, cancel_futures=True)

@@ -1,7 +1,8 @@
-"""What the apparel data set is made of, before anything is computed: characters, motions, their splits, and which clips are in which shard.
+"""What the apparel data set is made of, before anything is computed: characters, motions, their splits, and which clips
+are in which shard.
 
-The split of a character or a motion is fixed by its name. Characters of a split meet motions of the same split only, so that a test clip has a
-character and a motion that no training clip has.
+The split of a character or a motion is fixed by its name. Characters of a split meet motions of the same split only, so
+that a test clip has a character and a motion that no training clip has.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from bunraku.errors import FormatError, OptionError
 from bunraku.formats.files import check_input
 
 __all__ = [
-    "FPS", "SHARD_FRAMES", "SPLITS", "CharacterSource", "ClipPlan", "MotionSource", "ShardPlan", "character_sources", "character_split",
+    "FPS", "SHARD_FRAMES", "SPLITS", "CharacterSource", "ClipPlan", "MotionSource", "ShardPlan", "character_sources",
+    "character_split",
     "choose_motions", "motion_sources", "plan_shards", "wardrobe_sources",
 ]  # fmt: skip
 
@@ -118,7 +120,9 @@ class ShardPlan:
         return sum(clip.seconds for clip in self.clips)
 
     def fingerprint(self) -> str:
-        """What the shard is made of, as 32 letters: a file with another one is built again. Folders do not count, contents do."""
+        """What the shard is made of, as 32 letters: a file with another one is built again. Folders do not count,
+        contents do.
+        """
         from bunraku import __version__
 
         facts = asdict(self)
@@ -145,7 +149,9 @@ def _motion_split(name: str) -> str:
     return "test" if number < 10 else "val" if number < 15 else "train"
 
 
-def wardrobe_sources(count: int, first: int = 0, clothes: str | Path | None = None, body_data: str | Path | None = None) -> list[CharacterSource]:
+def wardrobe_sources(
+    count: int, first: int = 0, clothes: str | Path | None = None, body_data: str | Path | None = None
+) -> list[CharacterSource]:
     """Characters of the wardrobe by their seeds, which name them.
 
     Args:
@@ -154,7 +160,10 @@ def wardrobe_sources(count: int, first: int = 0, clothes: str | Path | None = No
         clothes, body_data: As `wardrobe_character` takes them.
     """
     names = [(seed, f"wardrobe_{seed:06d}") for seed in range(first, first + count)]
-    return [CharacterSource(name, character_split(name), seed, clothes=str(clothes or ""), body_data=str(body_data or "")) for seed, name in names]
+    return [
+        CharacterSource(name, character_split(name), seed, clothes=str(clothes or ""), body_data=str(body_data or ""))
+        for seed, name in names
+    ]
 
 
 def character_sources(paths: Iterable[str | Path]) -> list[CharacterSource]:
@@ -177,13 +186,16 @@ def character_sources(paths: Iterable[str | Path]) -> list[CharacterSource]:
                 raise FormatError(path, "characters with physics are PMX, PMD or VRM files")
             name = _plain(path.stem)
             if any(name.lower() == other.name.lower() for other in out):
-                raise OptionError(f"two characters are named '{name}'; names decide the split, so rename one of the files")
+                raise OptionError(
+                    f"two characters are named '{name}'; names decide the split, so rename one of the files"
+                )
             out.append(CharacterSource(name, character_split(name), path=str(path.resolve()), digest=_digest(path)))
     return out
 
 
 def motion_sources(folder: str | Path, shortest: float = LONG_ENOUGH) -> list[MotionSource]:
-    """The people's motions of a folder: one that `bunraku data motions` wrote, whose index names the splits, or one of BVH, VMD and other files.
+    """The people's motions of a folder: one that `bunraku data motions` wrote, whose index names the splits, or one of
+    BVH, VMD and other files.
 
     Args:
         folder: Which.
@@ -194,7 +206,9 @@ def motion_sources(folder: str | Path, shortest: float = LONG_ENOUGH) -> list[Mo
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise FormatError(folder, "there is no such folder; make it with `bunraku data motions`, or name one of BVH files")
+        raise FormatError(
+            folder, "there is no such folder; make it with `bunraku data motions`, or name one of BVH files"
+        )
     if (folder / "index.json").is_file():
         out = _indexed(folder, shortest)
     else:
@@ -204,10 +218,14 @@ def motion_sources(folder: str | Path, shortest: float = LONG_ENOUGH) -> list[Mo
                 name = _plain(path.relative_to(folder).with_suffix("").as_posix())
                 seconds = _length(path)
                 if seconds >= shortest:
-                    out.append(MotionSource(name, _motion_split(name), str(path.resolve()), seconds, _digest(path), False))
+                    out.append(
+                        MotionSource(name, _motion_split(name), str(path.resolve()), seconds, _digest(path), False)
+                    )
     if not out:
         raise FormatError(
-            folder, f"it holds no motion of a person of {shortest:g} s or more; name a folder of `bunraku data motions` or of BVH files"
+            folder,
+            f"it holds no motion of a person of {shortest:g} s or more; name a folder of `bunraku data motions` or of "
+            "BVH files",
         )
     return out
 
@@ -218,10 +236,20 @@ def _indexed(folder: Path, shortest: float) -> list[MotionSource]:
     out = []
     for name, entry in sorted(load_index(folder).items()):
         path, frames = folder / f"{name}.npz", entry.get("frames") if isinstance(entry, dict) else None
-        if not isinstance(frames, int) or frames / 20 < shortest or entry.get("species") or entry.get("character") or not path.is_file():
+        if (
+            not isinstance(frames, int)
+            or frames / 20 < shortest
+            or entry.get("species")
+            or entry.get("character")
+            or not path.is_file()
+        ):
             continue
         split = entry.get("split")
-        out.append(MotionSource(name, split if split in SPLITS else _motion_split(name), str(path.resolve()), frames / 20, "", True))
+        out.append(
+            MotionSource(
+                name, split if split in SPLITS else _motion_split(name), str(path.resolve()), frames / 20, "", True
+            )
+        )
     return out
 
 
@@ -239,13 +267,17 @@ def _length(path: Path) -> float:
 
 
 def choose_motions(motions: Sequence[MotionSource], count: int) -> list[MotionSource]:
-    """So many motions, in an order that mixes them: 10 % of "test", 5 % of "val" and the rest of "train", as far as there are any.
+    """So many motions, in an order that mixes them: 10 % of "test", 5 % of "val" and the rest of "train", as far as
+    there are any.
 
     Args:
         motions: To choose from.
         count: How many; all where there are fewer.
     """
-    rows = {split: sorted((motion for motion in motions if motion.split == split), key=lambda motion: _number(motion.name)) for split in SPLITS}
+    rows = {
+        split: sorted((motion for motion in motions if motion.split == split), key=lambda motion: _number(motion.name))
+        for split in SPLITS
+    }
     wanted = {"test": max(1, round(count * 0.1)), "val": max(1, round(count * 0.05))}
     wanted["train"] = max(1, count - sum(min(wanted[split], len(rows[split])) for split in wanted))
     chosen = [motion for split in SPLITS for motion in rows[split][: wanted[split]]]
@@ -255,12 +287,17 @@ def choose_motions(motions: Sequence[MotionSource], count: int) -> list[MotionSo
 
 
 def plan_shards(
-    characters: Sequence[CharacterSource], motions: Sequence[MotionSource], *, minutes: float, longest: float = 12.0, seed: int = 0
+    characters: Sequence[CharacterSource],
+    motions: Sequence[MotionSource],
+    *,
+    minutes: float,
+    longest: float = 12.0,
+    seed: int = 0,
 ) -> tuple[list[ShardPlan], dict[str, str]]:
     """Which clips are made.
 
-    Every character gets the same time. It meets the motions of its split in an order of its own, from a motion of its own on, so that all
-    motions are used; a motion that is longer than a clip is cut at a place of its own.
+    Every character gets the same time. It meets the motions of its split in an order of its own, from a motion of its
+    own on, so that all motions are used; a motion that is longer than a clip is cut at a place of its own.
 
     Args:
         characters: All.

@@ -35,7 +35,8 @@ class ApparelCharacter:
         weights: Skinning weights W of the vertices for the joints, shape (V, 22), rows sum to 1.
         apparel: Vertices that are apparel, shape (V,), bool.
         loose: Vertices with offsets, shape (M,).
-        bone_parents: The rig itself, which a network does not see: parents (B,), places [m] (B, 3), which bones physics move (B,), and the
+        bone_parents: The rig itself, which a network does not see: parents (B,), places [m] (B, 3), which bones physics
+            move (B,), and the
             bones (V, I) and shares (V, I) of each vertex.
     """
 
@@ -64,7 +65,8 @@ class ApparelClip:
         shard: Its file's name without a suffix.
         first: Its first frame in the shard.
         frames: How many it has.
-        fly_aways: Bodies that flew away and were put back, and at which frame of the clip, below 0 in the warm-up before it.
+        fly_aways: Bodies that flew away and were put back, and at which frame of the clip, below 0 in the warm-up
+            before it.
     """
 
     character: str
@@ -105,12 +107,21 @@ class ApparelData:
 
     fps = 30.0
 
-    def __init__(self, folder: str | Path, split: Literal["train", "val", "test"] | None = None, *, physics: bool = True, fly_aways: bool = False):
+    def __init__(
+        self,
+        folder: str | Path,
+        split: Literal["train", "val", "test"] | None = None,
+        *,
+        physics: bool = True,
+        fly_aways: bool = False,
+    ):
         if split not in (None, "train", "val", "test"):
             raise OptionError(f"the split is 'train', 'val' or 'test', not '{split}'")
         self.folder, self.physics = Path(folder), physics
         self.clips: tuple[ApparelClip, ...] = tuple(
-            clip for clip in _clips(self.folder) if split in (None, clip.split) and (fly_aways or not any(frame >= 0 for _, frame in clip.fly_aways))
+            clip
+            for clip in _clips(self.folder)
+            if split in (None, clip.split) and (fly_aways or not any(frame >= 0 for _, frame in clip.fly_aways))
         )
         self._shards: dict[str, Shard] = {}
 
@@ -170,7 +181,9 @@ class ApparelData:
         if clip.first + clip.frames > shard.lengths["N"]:
             raise FormatError(shard.path, f"it has fewer frames than the index says; {_AGAIN}")
         transforms = shard.frames("transforms", clip.first + start, clip.first + stop)
-        vertices = np.ascontiguousarray(skin(character.rest, character.weights, eq4_transforms(transforms, character.joints)))
+        vertices = np.ascontiguousarray(
+            skin(character.rest, character.weights, eq4_transforms(transforms, character.joints))
+        )
         offsets = shard.frames("offsets", clip.first + start, clip.first + stop).astype(np.float32)
         if not self.physics:
             offsets[:, character.apparel[character.loose]] = 0
@@ -184,7 +197,9 @@ def _character(path: str, changed: int) -> ApparelCharacter:
     arrays = {name: shard.array(name) for name in ApparelCharacter.__dataclass_fields__ if name != "name"}
     count, bones = len(arrays["rest"]), len(arrays["bone_parents"])
     weights = arrays["weights"]
-    good = all(np.isfinite(arrays[name]).all() for name in ("rest", "joints", "weights", "bone_positions", "bone_weights"))
+    good = all(
+        np.isfinite(arrays[name]).all() for name in ("rest", "joints", "weights", "bone_positions", "bone_weights")
+    )
     good &= all(_within(arrays[name], 0, count) for name in ("faces", "loose"))
     good &= _within(arrays["bone_parents"], -1, bones) and _within(arrays["bone_indices"], 0, bones)
     good &= weights.shape == (count, JOINT_COUNT) and bool((np.abs(weights.sum(axis=1) - 1) < 1e-3).all())
@@ -233,7 +248,9 @@ def _clips(folder: Path) -> list[ApparelClip]:
                 if type(first) is not int or type(frames) is not int or first < 0 or frames < 1:
                     raise ValueError
                 away = tuple((str(body), int(frame)) for body, frame in clip.get("fly_aways", ()))
-                out.append(ApparelClip(str(entry["name"]), str(clip["motion"]), entry["split"], name, first, frames, away))
+                out.append(
+                    ApparelClip(str(entry["name"]), str(clip["motion"]), entry["split"], name, first, frames, away)
+                )
         except (KeyError, TypeError, ValueError, AttributeError):
             raise FormatError(folder / INDEX, f"what it says of '{name}' is damaged; {_AGAIN}") from None
     return out

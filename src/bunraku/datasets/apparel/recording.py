@@ -1,8 +1,9 @@
-"""What one character does in its clips, as few numbers: joint transforms, and how far vertices leave what the joints alone give.
+"""What one character does in its clips, as few numbers: joint transforms, and how far vertices leave what the joints
+alone give.
 
-The vertices of a frame are `LBS(W, T) + offsets` (Eq. 4 of MMDMC and what it leaves): bodies need no offsets, since their bones are rigid with
-the joints, so only vertices that bones of apparel or helpers hold are stored. Offsets are short where coordinates are long, so half
-precision loses less.
+The vertices of a frame are `LBS(W, T) + offsets` (Eq. 4 of MMDMC and what it leaves): bodies need no offsets, since
+their bones are rigid with the joints, so only vertices that bones of apparel or helpers hold are stored. Offsets are
+short where coordinates are long, so half precision loses less.
 """
 
 from __future__ import annotations
@@ -81,7 +82,9 @@ def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:
                 raise ValueError("vertices leave their joints by more than a kilometre")
             here = slice(start + first, start + first + len(exact))
             offsets[here] = exact
-            rounding = max(rounding, float(np.linalg.norm(offsets[here].astype(np.float32) - exact, axis=-1).max(initial=0)))
+            rounding = max(
+                rounding, float(np.linalg.norm(offsets[here].astype(np.float32) - exact, axis=-1).max(initial=0))
+            )
         start += len(clip)
     return Recording(transforms, loose, offsets, rounding)
 

@@ -1,7 +1,8 @@
 """A shard on disk: one safetensors file, whole or not there, that is mapped and not loaded.
 
-safetensors hold plain arrays behind a JSON header whose bounds are checked on opening: nothing in them can run code. The rest of what a
-hostile file could say (indices of vertices that are not there, clips beyond the last frame) is checked here.
+safetensors hold plain arrays behind a JSON header whose bounds are checked on opening: nothing in them can run code.
+The rest of what a hostile file could say (indices of vertices that are not there, clips beyond the last frame) is
+checked here.
 """
 
 from __future__ import annotations
@@ -113,7 +114,10 @@ class Shard:
                 raise FormatError(self.path, f"its array '{name}' is missing or of another kind; {_AGAIN}")
             for want, length in zip(shape, have[1], strict=True):
                 if (lengths.setdefault(want, length) if isinstance(want, str) else want) != length:
-                    raise FormatError(self.path, f"its array '{name}' has shape {list(have[1])}, which does not go with the others; {_AGAIN}")
+                    raise FormatError(
+                        self.path,
+                        f"its array '{name}' has shape {list(have[1])}, which does not go with the others; {_AGAIN}",
+                    )
         _check_clips(self.path, facts, lengths["N"])
         self._file, self.facts, self.lengths = file, facts, lengths
         return file
@@ -151,11 +155,21 @@ class Shard:
 def _check_clips(path: Path, facts: dict[str, Any], frames: int) -> None:
     """The list of clips must cover the frames, one after the other."""
     clips, fps, end = facts.get("clips"), facts.get("fps"), 0
-    good = isinstance(clips, list) and isinstance(facts.get("name"), str) and facts.get("split") in ("train", "val", "test")
+    good = (
+        isinstance(clips, list)
+        and isinstance(facts.get("name"), str)
+        and facts.get("split") in ("train", "val", "test")
+    )
     good &= isinstance(fps, int | float) and math.isfinite(fps) and 1 <= fps <= 1000
     for clip in clips if good and isinstance(clips, list) else ():
         first, length = (clip.get("first"), clip.get("frames")) if isinstance(clip, dict) else (None, None)
-        if type(first) is not int or type(length) is not int or first != end or length < 1 or not isinstance(clip.get("motion"), str):
+        if (
+            type(first) is not int
+            or type(length) is not int
+            or first != end
+            or length < 1
+            or not isinstance(clip.get("motion"), str)
+        ):
             good = False
             break
         end += length

@@ -1,12 +1,13 @@
 """One set of body joints for all characters: SMPL's 22, as `bodies.layout` names them.
 
-Rigs differ in twist bones, helpers, fingers and names, so learning needs joints that mean the same everywhere (MMDMC aligns its characters
-with SMPL-H for that). We take the 22 that the rest of Bunraku speaks: every motion file becomes a motion of them, `RigParts` finds them in
-MMD, VRM and other rigs, and the motions of the data set turn nothing else. MMD's standard bones would add a centre, twist and toe bones that
-VRM characters and motion capture do not have, and SMPL-H's fingers stand still in the captures.
+Rigs differ in twist bones, helpers, fingers and names, so learning needs joints that mean the same everywhere (MMDMC
+aligns its characters with SMPL-H for that). We take the 22 that the rest of Bunraku speaks: every motion file becomes a
+motion of them, `RigParts` finds them in MMD, VRM and other rigs, and the motions of the data set turn nothing else.
+MMD's standard bones would add a centre, twist and toe bones that VRM characters and motion capture do not have, and
+SMPL-H's fingers stand still in the captures.
 
-Every other bone of a body goes along with one of the 22; bones that physics move (apparel) count for the joint that they hang on, and what
-they do beside it is the hidden truth that networks are to find.
+Every other bone of a body goes along with one of the 22; bones that physics move (apparel) count for the joint that
+they hang on, and what they do beside it is the hidden truth that networks are to find.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class UnifiedBody:
 
     Args:
         parts: The rig's bones as parts of the reference body.
-        joints: Where the joints are in the rest pose [m], shape (22, 3); joints that the rig lacks lie between their neighbours.
+        joints: Where the joints are in the rest pose [m], shape (22, 3); joints that the rig lacks lie between their
+            neighbours.
         weights: Skinning weights of the vertices for the joints, shape (V, 22), float32, rows sum to 1.
         bones: The bone that each joint is, shape (22,); of a joint that the rig lacks, that of the joint above it.
         joint_of: The joint that each bone goes along with, shape (J,).
@@ -56,7 +58,9 @@ class UnifiedBody:
         """
         parts = RigParts.of(character)
         if not parts.humanoid or character.rig is None:
-            raise CharacterError(f"{character.name}: its rig has no pelvis, arms and legs that are known; apparel data need a person's")
+            raise CharacterError(
+                f"{character.name}: its rig has no pelvis, arms and legs that are known; apparel data need a person's"
+            )
         rig = character.rig
         known = moved_joints(character)
         moved = np.zeros(len(rig.names), bool) if known is None else known
@@ -81,7 +85,9 @@ class UnifiedBody:
         return affine.astype(np.float32)
 
     def deviations(self, animation: RigAnimation) -> np.ndarray:
-        """What each bone does beside its joint, as affine transforms whose zeros mean nothing, shape (N, J, 3, 4), float32."""
+        """What each bone does beside its joint, as affine transforms whose zeros mean nothing, shape (N, J, 3, 4),
+        float32.
+        """
         affine = animation.transforms()
         return affine - affine[:, self.bones[self.joint_of]]
 
@@ -101,7 +107,13 @@ def _joints_of_bones(parts: RigParts, moved: np.ndarray) -> np.ndarray:
     if model is not None and len(model.bones) == len(out):
         for bone, entry in enumerate(model.bones):  # helpers of MMD that turn wholly with another bone
             append = entry.append
-            if append is not None and append.rotation and abs(append.ratio - 1) < 1e-6 and not moved[bone] and parts.parts[bone] == NO_HANDLE:
+            if (
+                append is not None
+                and append.rotation
+                and abs(append.ratio - 1) < 1e-6
+                and not moved[bone]
+                and parts.parts[bone] == NO_HANDLE
+            ):
                 out[bone] = out[append.bone]
     return np.maximum(out, 0)
 
@@ -113,12 +125,17 @@ def _leads(parts: RigParts, joint_of: np.ndarray, moved: np.ndarray) -> np.ndarr
         if bone >= 0 and (moved[bone] or joint_of[bone] != joint):
             out[joint] = -1
     if out[0] < 0:
-        raise CharacterError(f"{parts.character.name}: physics move the pelvis of its rig; apparel data need a body that follows the motion")
+        raise CharacterError(
+            f"{parts.character.name}: physics move the pelvis of its rig; apparel data need a body that follows the "
+            "motion"
+        )
     return out
 
 
 def _places(places: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Joints that are missing lie half way between the joint above and the next one below that are there, or where the one above is."""
+    """Joints that are missing lie half way between the joint above and the next one below that are there, or where the
+    one above is.
+    """
     out = places.copy()
     for joint in range(1, JOINT_COUNT):
         if not present[joint]:

@@ -1,7 +1,8 @@
 """The training set of the Mesh Handle Predictor: rigged characters, as network meshes with their rigs' truth.
 
-The characters come from the archive that `shared/data/README.md` of the project's data describes, or from any folder of GLB or
-FBX files with skins (Mixamo), or of OBJ files with their rig texts (ModelsResource-RigNet). Each becomes one npz in a cache folder.
+The characters come from the archive that `shared/data/README.md` of the project's data describes, or from any folder of
+GLB or FBX files with skins (Mixamo), or of OBJ files with their rig texts (ModelsResource-RigNet). Each becomes one npz
+in a cache folder.
 """
 
 from __future__ import annotations
@@ -22,7 +23,15 @@ from bunraku.errors import BunrakuError, CharacterError, FormatError
 from bunraku.geometry.simplify import network_mesh
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
 
-__all__ = ["HELD_OUT", "build_characters", "load_characters", "reference_characters", "rigged_files", "training_character", "whole_head"]
+__all__ = [
+    "HELD_OUT",
+    "build_characters",
+    "load_characters",
+    "reference_characters",
+    "rigged_files",
+    "training_character",
+    "whole_head",
+]
 
 _log = logging.getLogger(__name__)
 
@@ -37,13 +46,16 @@ HELD_OUT: tuple[str, ...] = (
     "quaternius/modular_women/Formal", "quaternius/modular_women/Witch",
     "quaternius/platformer_game_pack/Bee", "quaternius/platformer_game_pack/Character",
     "quaternius/platformer_game_pack/Character_Gun", "quaternius/platformer_game_pack/Character_HumanoidRig",
-    "quaternius/platformer_game_pack/Crab", "quaternius/platformer_game_pack/Enemy", "quaternius/platformer_game_pack/Skull",
+    "quaternius/platformer_game_pack/Crab", "quaternius/platformer_game_pack/Enemy",
+    "quaternius/platformer_game_pack/Skull",
     "quaternius/single_knight_pack/KnightCharacter",
     "quaternius2019/Dragon", "quaternius2019/Female_Dress", "quaternius2019/Goblin", "quaternius2019/Horse",
     "quaternius2019/Smooth_Female_Dress",
     "valid/Black_F_1_Busi",
 )  # fmt: skip
-"""Characters that no training sees: one or two of most packs, and two packs whole (platformer_game_pack, single_knight_pack)."""
+"""Characters that no training sees: one or two of most packs, and two packs whole (platformer_game_pack,
+single_knight_pack).
+"""
 
 
 def training_character(character: Character, name: str, mesh_vertices: int = 2400) -> TrainingCharacter:
@@ -73,17 +85,19 @@ def training_character(character: Character, name: str, mesh_vertices: int = 240
     handles = known_handles(known, rig.names, joints, handle_of_joints(rig.names, rig.parents, joints, mass))
     joints = (joints - mesh.center) / mesh.scale
     return TrainingCharacter(
-        name=name, vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges, weights=weights, joints=joints,
+        name=name, vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges, weights=weights,
+        joints=joints,
         parents=limb_parents(handles, rig.parents, joints), handles=handles, target=handle_target(weights, handles),
         root=root_joint(mesh.vertices, joints, rig.parents, handles, mass), height=float(np.ptp(mesh.vertices[:, 1])),
     )  # fmt: skip
 
 
 def _variants(load: Callable[..., Character], mesh_vertices: int) -> dict[str, tuple[Callable[[], Character], int]]:
-    """The ways in which one file is trained on: what to append to its name, how to load it, and the size of the network mesh.
+    """The ways in which one file is trained on: what to append to its name, how to load it, and the size of the network
+    mesh.
 
-    As it is; in a finer and in a coarser network mesh, whose vertices fall elsewhere, so that the network does not learn one
-    tessellation by heart; and in the pose that the file's nodes have, often the middle of a clip.
+    As it is; in a finer and in a coarser network mesh, whose vertices fall elsewhere, so that the network does not
+    learn one tessellation by heart; and in the pose that the file's nodes have, often the middle of a clip.
     """
     return {
         "": (load, mesh_vertices),
@@ -94,7 +108,9 @@ def _variants(load: Callable[..., Character], mesh_vertices: int) -> dict[str, t
 
 
 def rigged_files(folder: Path) -> list[Path]:
-    """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text (see `bunraku.formats.mesh.rignet`)."""
+    """Files under a folder that may hold rigged characters: GLB, FBX, and OBJ with a rig text (see
+    `bunraku.formats.mesh.rignet`).
+    """
     from bunraku.formats.mesh.rignet import find_rig
 
     files = [file for file in folder.rglob("*") if file.suffix.lower() in (".glb", ".fbx", ".obj") and file.is_file()]
@@ -102,10 +118,14 @@ def rigged_files(folder: Path) -> list[Path]:
 
 
 def build_characters(
-    folder: str | Path, cache: str | Path, mesh_vertices: int = 2400, progress: Callable[[int, int, str], None] | None = None, code_made: int = 0
+    folder: str | Path,
+    cache: str | Path,
+    mesh_vertices: int = 2400,
+    progress: Callable[[int, int, str], None] | None = None,
+    code_made: int = 0,
 ) -> tuple[list[Path], dict[str, str]]:
-    """Build the cache: four npz for each file under a folder (see `_variants`), one for each sample character. What is there
-    already is kept, so a run that was cut off goes on.
+    """Build the cache: four npz for each file under a folder (see `_variants`), one for each sample character. What is
+    there already is kept, so a run that was cut off goes on.
 
     Args:
         folder: Folder of rigged files, searched through (see `rigged_files`).
@@ -127,12 +147,18 @@ def build_characters(
     folder, cache = Path(folder), Path(cache)
     files = rigged_files(folder)
     if not files:
-        raise FormatError(folder, "there are no GLB files here, no FBX, and no OBJ with rig texts; unpack the character archive and give its folder")
+        raise FormatError(
+            folder,
+            "there are no GLB files here, no FBX, and no OBJ with rig texts; unpack the character archive and give "
+            "its folder",
+        )
     makers: dict[str, tuple[Callable[[], Character], int]] = {}
     for file in files:
         name = file.relative_to(folder).with_suffix("").as_posix()
         name += file.suffix if name in makers else ""  # the same character in two formats
-        makers |= {name + suffix: maker for suffix, maker in _variants(partial(load_character, file), mesh_vertices).items()}
+        makers |= {
+            name + suffix: maker for suffix, maker in _variants(partial(load_character, file), mesh_vertices).items()
+        }
     for sample in sample_names():
         makers[f"samples/{sample}"] = (partial(sample_character, sample, rigged=True), mesh_vertices)
     for family, seed in code_made_names(code_made):
@@ -175,8 +201,8 @@ def load_characters(cache: str | Path) -> tuple[list[TrainingCharacter], list[Tr
 def whole_head(target: np.ndarray) -> np.ndarray:
     """Handle shares of a person, shape (V, 30), with face, hair and hat as one with the head.
 
-    Rigs of people hardly ever have bones for them: were the reference body labelled more finely than a hundred rigged people
-    are, the predictor would learn two answers to one question.
+    Rigs of people hardly ever have bones for them: were the reference body labelled more finely than a hundred rigged
+    people are, the predictor would learn two answers to one question.
     """
     head, others = HANDLE_NAMES.index("head"), [HANDLE_NAMES.index("face"), HANDLE_NAMES.index("head_top")]
     out = np.array(target, np.float32)
@@ -194,8 +220,10 @@ def reference_characters(mesh_vertices: int = 2400) -> list[TrainingCharacter]:
         joints = (np.asarray(body.joints, np.float64) - mesh.center) / mesh.scale
         character = TrainingCharacter(
             name=f"reference/{shape}", vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges,
-            weights=mesh.pull(body.joint_weights), joints=joints, parents=np.array(JOINT_PARENTS), handles=np.arange(len(joints)),
-            target=whole_head(mesh.pull(body.handle_weights)), root=joints[0].astype(np.float32), height=float(np.ptp(mesh.vertices[:, 1])),
+            weights=mesh.pull(body.joint_weights), joints=joints, parents=np.array(JOINT_PARENTS),
+            handles=np.arange(len(joints)),
+            target=whole_head(mesh.pull(body.handle_weights)), root=joints[0].astype(np.float32),
+            height=float(np.ptp(mesh.vertices[:, 1])),
         )  # fmt: skip
         out.append(character)
     return out

@@ -22,11 +22,11 @@ from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.graph import unique_edges
 from bunraku.handles.from_rig import settle_joints
 from bunraku.retarget.character_bank import save_character_bank
-from bunraku.retarget.decimate import lighter
+from bunraku.retarget.decimate import decimated
+from bunraku.retarget.stages.attach import Joints, downwards, reference_joints
 from bunraku.retarget.stages.ground import standing, stride_scale
-from bunraku.retarget.stages.joints import Joints, downwards, reference_joints
 from bunraku.retarget.stages.rest_pose import upright
-from bunraku.retarget.stance import neutral_pose, rest_turns
+from bunraku.retarget.stance import rest_turns, stance_of
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
 
 __all__ = ["bank_row", "build_character_bank", "write_rows"]
@@ -72,7 +72,9 @@ def build_character_bank(
     folder = Path(folder)
     files = rigged_files(folder)
     if not files:
-        raise FormatError(folder, "there are no rigged characters here; unpack the character archive and give its folder")
+        raise FormatError(
+            folder, "there are no rigged characters here; unpack the character archive and give its folder"
+        )
     makers: dict[str, Callable[[], Character]] = {}
     for file in files:
         makers.setdefault(file.relative_to(folder).with_suffix("").as_posix(), lambda file=file: load_character(file))  # type: ignore[misc]
@@ -88,7 +90,10 @@ def build_character_bank(
             rows.append(bank_row(character, name, rig))
             if character.rig is not None and not name.startswith("code_made/") and name not in HELD_OUT:
                 random = np.random.default_rng([number, 5])
-                rows += [bank_row(_varied(character, name, random), f"{name}~varied{index}", rig) for index in range(variants)]
+                rows += [
+                    bank_row(_varied(character, name, random), f"{name}~varied{index}", rig)
+                    for index in range(variants)
+                ]
         except BunrakuError as error:
             failed[name] = str(error)
             _log.warning("left out %s: %s", name, error)
@@ -104,7 +109,9 @@ def write_rows(path: str | Path, rows: Iterable[Row], reference: np.ndarray) -> 
 
 
 def _reference_row(features: np.ndarray) -> Row:
-    """The reference body with its own handles and true joints, so that a motion's residual is what `fit_motion` says it is."""
+    """The reference body with its own handles and true joints, so that a motion's residual is what `fit_motion` says it
+    is.
+    """
     body = reference_body()
     handles = replace(body.handles, features=features)
     still = np.tile(np.eye(3), (HANDLE_COUNT, 1, 1))
@@ -128,12 +135,14 @@ def bank_row(character: Character, name: str, rig: Callable[[Character], Handles
         transforms = character.rig.transforms.copy()
         transforms[:, :3] = turn @ transforms[:, :3]
         vertices = character.vertices @ turn.T.astype(np.float32)
-        character = replace(character, vertices=vertices, rig=replace(character.rig, transforms=transforms), source=None)
+        character = replace(
+            character, vertices=vertices, rig=replace(character.rig, transforms=transforms), source=None
+        )
     plain = replace(character, rig=None)
     handles = rig(plain)
-    light, few = lighter(plain, handles)  # as `fit_motion` does
+    light, few = decimated(plain, handles)  # as `fit_motion` does
     turns, joints = rest_turns(light, few)
-    stance = neutral_pose(light, few, joints, turns)
+    stance = stance_of(light, few, joints, turns)
     return _row(character, name, handles, turns, joints, stride_scale(*stance, standing(*stance)), seed)
 
 
@@ -146,10 +155,17 @@ def _varied(character: Character, name: str, random: np.random.Generator) -> Cha
     weights = np.maximum(rig.dense_weights(), 0)
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     areas = vertex_areas(vertices, character.faces)
-    known = known_handles(name, rig.names, joints, handle_of_joints(rig.names, rig.parents, joints, (weights * areas[:, None]).sum(axis=0)))
+    known = known_handles(
+        name,
+        rig.names,
+        joints,
+        handle_of_joints(rig.names, rig.parents, joints, (weights * areas[:, None]).sum(axis=0)),
+    )
     truth = TrainingCharacter(
-        name=name, vertices=vertices, normals=np.zeros_like(vertices), areas=areas, edges=np.zeros((0, 2), np.int64), weights=weights, joints=joints,
-        parents=limb_parents(known, rig.parents, joints), handles=known, target=handle_target(weights, known), root=joints[0].astype(np.float32),
+        name=name, vertices=vertices, normals=np.zeros_like(vertices), areas=areas, edges=np.zeros((0, 2), np.int64),
+        weights=weights, joints=joints,
+        parents=limb_parents(known, rig.parents, joints), handles=known, target=handle_target(weights, known),
+        root=joints[0].astype(np.float32),
         height=float(np.ptp(vertices[:, 1])),
     )  # fmt: skip
     moved = augment(truth, random, AugmentConfig(poses=0, rest_angle=0.3)).vertices * np.ptp(vertices, axis=0).max()
@@ -164,7 +180,9 @@ def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6)
 
 
-def _row(character: Character, name: str, handles: Handles, turns: np.ndarray, joints: Joints, scale: float, seed: int = 0) -> Row:
+def _row(
+    character: Character, name: str, handles: Handles, turns: np.ndarray, joints: Joints, scale: float, seed: int = 0
+) -> Row:
     random = np.random.default_rng([seed, len(character.vertices)])
     index, weights = _top(handles.weights)
     present = joints.present
@@ -172,23 +190,38 @@ def _row(character: Character, name: str, handles: Handles, turns: np.ndarray, j
     both = np.abs(handles.weights[edges[:, 0]] - handles.weights[edges[:, 1]]).sum(axis=1) > BENDS
     length = np.linalg.norm(character.vertices[edges[:, 0]] - character.vertices[edges[:, 1]], axis=1)
     edges = edges[both & (length > 1e-6 * float(np.ptp(character.vertices, axis=0).max()))]
-    picked = edges[random.choice(len(edges), EDGES, replace=len(edges) < EDGES)] if len(edges) else np.zeros((EDGES, 2), np.int64)
+    picked = (
+        edges[random.choice(len(edges), EDGES, replace=len(edges) < EDGES)]
+        if len(edges)
+        else np.zeros((EDGES, 2), np.int64)
+    )
     row: Row = {
         "names": name, "split": "test" if name.partition("~")[0] in HELD_OUT else "train",
         "humanoid": bool(upright(handles) and present[_LIMBS].all()),
         "features": np.zeros(0) if handles.features is None else handles.features,
-        "handles": handles.positions, "roles": handles.played, "turns": turns, "joints": joints.positions, "parents": joints.parents,
-        "order": downwards(joints.parents), "present": present, "scale": scale, "extent": np.ptp(character.vertices, axis=0).max(),
-        "edge_points": character.vertices[picked], "edge_index": index[picked], "edge_weights": weights[picked], "edge_share": len(edges) / EDGES,
+        "handles": handles.positions, "roles": handles.played, "turns": turns, "joints": joints.positions,
+        "parents": joints.parents,
+        "order": downwards(joints.parents), "present": present, "scale": scale, "extent": np.ptp(character.vertices,
+        axis=0).max(),
+        "edge_points": character.vertices[picked], "edge_index": index[picked], "edge_weights": weights[picked],
+        "edge_share": len(edges) / EDGES,
     }  # fmt: skip
     return row | _arms(character, name, handles, index, weights, random)
 
 
-def _arms(character: Character, name: str, handles: Handles, index: np.ndarray, weights: np.ndarray, random: np.random.Generator) -> Row:
+def _arms(
+    character: Character,
+    name: str,
+    handles: Handles,
+    index: np.ndarray,
+    weights: np.ndarray,
+    random: np.random.Generator,
+) -> Row:
     """Arm vertices, their weights on handles and on the rig, and the bones of the rig that they need."""
     row: Row = {
         "arms": False, "arm_points": np.zeros((ARM_POINTS, 3)), "arm_index": np.zeros((ARM_POINTS, 4), np.int64),
-        "arm_weights": np.eye(4)[[0] * ARM_POINTS], "arm_bones": np.zeros((ARM_POINTS, 4), np.int64), "arm_bone_weights": np.eye(4)[[0] * ARM_POINTS],
+        "arm_weights": np.eye(4)[[0] * ARM_POINTS], "arm_bones": np.zeros((ARM_POINTS, 4), np.int64),
+        "arm_bone_weights": np.eye(4)[[0] * ARM_POINTS],
         "bone_joints": np.zeros((1, 3)), "bone_parents": np.array([-1]), "bone_handles": np.array([0]), "chest_bone": 0,
     }  # fmt: skip
     rig = character.rig
@@ -213,7 +246,8 @@ def _arms(character: Character, name: str, handles: Handles, index: np.ndarray, 
     roles = settle_joints(known, parents)[used].tolist()
     return row | {
         "arms": True, "arm_points": character.vertices[arm], "arm_index": index[arm], "arm_weights": weights[arm],
-        "arm_bones": np.where(shares > 0, place[bones], 0), "arm_bone_weights": shares, "bone_joints": rig.positions[used], "bone_parents": above,
+        "arm_bones": np.where(shares > 0, place[bones], 0), "arm_bone_weights": shares,
+        "bone_joints": rig.positions[used], "bone_parents": above,
         "bone_handles": np.array([_playing(role, handles) for role in roles]), "chest_bone": place[chest],
     }  # fmt: skip
 
@@ -252,6 +286,9 @@ def _stacked(rows: Iterable[Row]) -> Row:
         values = [np.asarray(row[name]) for row in rows]
         if name.startswith("bone_"):  # a bone too many hangs on nothing and moves nothing
             fill = -1 if name == "bone_parents" else 0
-            values = [np.concatenate([value, np.full((bones - len(value), *value.shape[1:]), fill, value.dtype)]) for value in values]
+            values = [
+                np.concatenate([value, np.full((bones - len(value), *value.shape[1:]), fill, value.dtype)])
+                for value in values
+            ]
         out[name] = np.stack(values)
     return {name: value.astype(np.float32) if value.dtype.kind == "f" else value for name, value in out.items()}

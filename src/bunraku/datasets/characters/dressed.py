@@ -19,13 +19,17 @@ __all__ = ["training_dressed", "build_dressed"]
 
 
 def training_dressed(person: Dressed, name: str, mesh_vertices: int = 2400) -> TrainingCharacter:
-    """A dressed character as the predictor trains on it, with the canonical handle weights as the target (`whole_head`)."""
+    """A dressed character as the predictor trains on it, with the canonical handle weights as the target
+    (`whole_head`).
+    """
     piece = person.piece
     mesh = network_mesh(piece.points, piece.faces, mesh_vertices)
     joints = (person.joints - mesh.center) / mesh.scale
     return TrainingCharacter(
-        name=name, vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges, weights=_shares(mesh.pull(piece.joints)),
-        joints=joints, parents=np.array(JOINT_PARENTS), handles=np.arange(len(joints)), target=whole_head(_shares(mesh.pull(piece.handles))),
+        name=name, vertices=mesh.vertices, normals=mesh.normals, areas=mesh.areas, edges=mesh.edges,
+        weights=_shares(mesh.pull(piece.joints)),
+        joints=joints, parents=np.array(JOINT_PARENTS), handles=np.arange(len(joints)),
+        target=whole_head(_shares(mesh.pull(piece.handles))),
         root=joints[0].astype(np.float32), height=float(np.ptp(mesh.vertices[:, 1])),
     )  # fmt: skip
 
@@ -44,7 +48,8 @@ def build_dressed(
     mesh_vertices: int = 2400,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> list[Path]:
-    """Write dressed characters as `dressed/<number>.npz` in a cache of training characters. What is there already is kept.
+    """Write dressed characters as `dressed/<number>.npz` in a cache of training characters. What is there already is
+    kept.
 
     Args:
         clothes: Folder of MakeHuman clothes and hair (`.mhclo`), searched through.
@@ -52,7 +57,8 @@ def build_dressed(
         cache: Folder of the cache.
         count: How many characters.
         seed: Of the random choices.
-        mesh_vertices: Most vertices of the network mesh; a third of the characters get 0.72 times as many, a third 1.2 times.
+        mesh_vertices: Most vertices of the network mesh; a third of the characters get 0.72 times as many, a third 1.2
+            times.
         progress: Called with the number done, the number of all, and the name.
 
     Returns:

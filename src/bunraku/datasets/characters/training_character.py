@@ -13,7 +13,16 @@ from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 
-__all__ = ["AugmentConfig", "TrainingCharacter", "TrainingMesh", "augment", "forward_kinematics", "handle_target", "plain_mesh", "random_pose"]
+__all__ = [
+    "AugmentConfig",
+    "TrainingCharacter",
+    "TrainingMesh",
+    "augment",
+    "forward_kinematics",
+    "handle_target",
+    "plain_mesh",
+    "random_pose",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +38,8 @@ class TrainingCharacter:
         joints: Joint positions, shape (J, 3).
         parents: Parent of each joint for posing (`limb_parents`), shape (J,).
         handles: Handle of each joint, -1 for none, shape (J,).
-        target: Share of each handle in each vertex; a row sums to less than 1 where joints have no handle, shape (V, 30).
+        target: Share of each handle in each vertex; a row sums to less than 1 where joints have no handle, shape (V,
+            30).
         root: Position of the root joint b_1 of Eq. 4, shape (3,).
         height: Extent along +Y.
     """
@@ -65,7 +75,9 @@ class TrainingCharacter:
             with np.load(path, allow_pickle=False) as archive:
                 values = {field.name: archive[field.name] for field in fields(TrainingCharacter)}
         except (OSError, KeyError, ValueError, BadZipFile) as error:
-            raise FormatError(path, f"not a cached training character ({error}); delete it and build the cache again") from error
+            raise FormatError(
+                path, f"not a cached training character ({error}); delete it and build the cache again"
+            ) from error
         return TrainingCharacter(**{**values, "name": str(values["name"]), "height": float(values["height"])})
 
 
@@ -112,7 +124,9 @@ class AugmentConfig:
     yaw: float = 0.2
 
 
-def forward_kinematics(joints: np.ndarray, parents: np.ndarray, rotations: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
+def forward_kinematics(
+    joints: np.ndarray, parents: np.ndarray, rotations: np.ndarray, scales: np.ndarray | None = None
+) -> np.ndarray:
     """Affine transforms that take rest points to posed points, for rotations about the joints in world axes.
 
     Args:
@@ -158,7 +172,9 @@ def _resting(character: TrainingCharacter) -> np.ndarray:
 
 
 def random_pose(rng: np.random.Generator, character: TrainingCharacter, angle: float, share: float = 0.5) -> np.ndarray:
-    """Turns of a random share of the joints by up to `angle` [rad] about random axes; the root rests. Shape (J, 3, 3)."""
+    """Turns of a random share of the joints by up to `angle` [rad] about random axes; the root rests. Shape (J, 3,
+    3).
+    """
     count = len(character.joints)
     axis = rng.normal(size=(count, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True) + 1e-9
@@ -175,8 +191,8 @@ def _first_of(character: TrainingCharacter, handle: int) -> list[int]:
 def _human_rest(rng: np.random.Generator, character: TrainingCharacter, rotations: np.ndarray) -> None:
     """Turn arms up or down and legs forward, for bodies that stand upright: T, A, arms down, sitting, crouching.
 
-    Arms are turned to an elevation, whatever theirs is now: half of the time to any, else to one between A and arms down, where
-    most files have them that are not in T.
+    Arms are turned to an elevation, whatever theirs is now: half of the time to any, else to one between A and arms
+    down, where most files have them that are not in T.
     """
     heads = np.flatnonzero((character.handles == 15) | (character.handles == 12))
     if len(heads) == 0:
@@ -186,10 +202,19 @@ def _human_rest(rng: np.random.Generator, character: TrainingCharacter, rotation
         return
     elevation = rng.uniform(-1.45, 1.1) if rng.random() < 0.5 else rng.uniform(-1.5, -0.6)
     forward = rng.normal(0, 0.35)
-    hip, knee, elbow = (rng.uniform(-1.6, 0.2), rng.uniform(0, 1.6), rng.uniform(-1.2, 0.2)) if rng.random() < 0.35 else (0.0, 0.0, 0.0)
+    hip, knee, elbow = (
+        (rng.uniform(-1.6, 0.2), rng.uniform(0, 1.6), rng.uniform(-1.2, 0.2))
+        if rng.random() < 0.35
+        else (0.0, 0.0, 0.0)
+    )
     for sign, shoulder, arm, leg, shin in ((1, 16, 18, 1, 4), (-1, 17, 19, 2, 5)):
         lift = elevation - _elevation(character, shoulder, arm) + rng.normal(0, 0.1)
-        angles = {shoulder: (forward, 0.0, sign * lift), arm: (elbow, 0.0, 0.0), leg: (hip, 0.0, 0.0), shin: (knee, 0.0, 0.0)}
+        angles = {
+            shoulder: (forward, 0.0, sign * lift),
+            arm: (elbow, 0.0, 0.0),
+            leg: (hip, 0.0, 0.0),
+            shin: (knee, 0.0, 0.0),
+        }
         for handle, turn in angles.items():
             for joint in _first_of(character, handle):
                 rotations[joint] = matrix_from_axis_angle(np.array(turn)) @ rotations[joint]
@@ -218,20 +243,42 @@ def _bent_normals(normals: np.ndarray, weights: np.ndarray, transforms: np.ndarr
     return out
 
 
-def plain_mesh(character: TrainingCharacter, rng: np.random.Generator, config: AugmentConfig | None = None) -> TrainingMesh:
+def plain_mesh(
+    character: TrainingCharacter, rng: np.random.Generator, config: AugmentConfig | None = None
+) -> TrainingMesh:
     """The character as it is, with random poses for the Pose Loss."""
     config = config or AugmentConfig()
-    frames = [forward_kinematics(character.joints, character.parents, random_pose(rng, character, config.pose_angle)) for _ in range(config.poses)]
+    frames = [
+        forward_kinematics(character.joints, character.parents, random_pose(rng, character, config.pose_angle))
+        for _ in range(config.poses)
+    ]
     c = character
     posed = skin(c.vertices, c.weights, np.stack(frames)) if frames else np.zeros((0, *c.vertices.shape), np.float32)
-    return TrainingMesh(c.vertices, c.normals, c.areas, c.edges, c.weights, c.handles, c.target, c.root, c.height, np.ascontiguousarray(posed))
+    return TrainingMesh(
+        c.vertices,
+        c.normals,
+        c.areas,
+        c.edges,
+        c.weights,
+        c.handles,
+        c.target,
+        c.root,
+        c.height,
+        np.ascontiguousarray(posed),
+    )
 
 
-def augment(character: TrainingCharacter, rng: np.random.Generator, config: AugmentConfig | None = None) -> TrainingMesh:
-    """A random variant: another rest pose, other proportions, a small turn, perhaps the mirror image; and poses of it."""
+def augment(
+    character: TrainingCharacter, rng: np.random.Generator, config: AugmentConfig | None = None
+) -> TrainingMesh:
+    """A random variant: another rest pose, other proportions, a small turn, perhaps the mirror image; and poses of
+    it.
+    """
     config = config or AugmentConfig()
     c = character
-    vertices, normals, joints, root = (np.asarray(values, np.float64) for values in (c.vertices, c.normals, c.joints, c.root))
+    vertices, normals, joints, root = (
+        np.asarray(values, np.float64) for values in (c.vertices, c.normals, c.joints, c.root)
+    )
     if rng.random() < config.rest_rate:
         rotations = random_pose(rng, c, config.rest_angle * rng.random(), share=0.4)
         if rng.random() < 0.6:
@@ -258,7 +305,8 @@ def augment(character: TrainingCharacter, rng: np.random.Generator, config: Augm
     center, scale = _normalised(vertices)
     vertices, joints, root = (vertices - center) / scale, (joints - center) / scale, (root - center) / scale
     varied = TrainingCharacter(
-        c.name, vertices.astype(np.float32), normals.astype(np.float32), c.areas, c.edges, c.weights, joints, c.parents, handles,
+        c.name, vertices.astype(np.float32), normals.astype(np.float32), c.areas, c.edges, c.weights, joints, c.parents,
+        handles,
         np.ascontiguousarray(target), root.astype(np.float32), float(np.ptp(vertices[:, 1])),
     )  # fmt: skip
     return plain_mesh(varied, rng, config)

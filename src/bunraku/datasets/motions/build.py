@@ -1,7 +1,8 @@
 """Human motions as handle motions: `bunraku data motions`.
 
-Reads the packed motion archive (`motions.npz` with `motions.json` beside it), poses the reference body with each clip and
-converts the moving mesh to handle motion by weighted rigid registration (Besl & McKay 1992; sections 3.2 and A.2 of TapMo).
+Reads the packed motion archive (`motions.npz` with `motions.json` beside it), poses the reference body with each clip
+and converts the moving mesh to handle motion by weighted rigid registration (Besl & McKay 1992; sections 3.2 and A.2 of
+TapMo).
 """
 
 from __future__ import annotations
@@ -68,7 +69,9 @@ class MotionArchive:
         labels = path.with_suffix(".json")
         for file in (path, labels):
             if not file.is_file():
-                raise FormatError(file, "there is no such file; give the folder that holds motions.npz and motions.json")
+                raise FormatError(
+                    file, "there is no such file; give the folder that holds motions.npz and motions.json"
+                )
         try:
             with np.load(path, allow_pickle=False) as packed:
                 names = tuple(str(name) for name in packed["names"])
@@ -81,7 +84,9 @@ class MotionArchive:
         except FormatError:
             raise
         except Exception as error:
-            raise FormatError(path, f"cannot be read as a motion archive ({type(error).__name__}); copy it again") from error
+            raise FormatError(
+                path, f"cannot be read as a motion archive ({type(error).__name__}); copy it again"
+            ) from error
 
     def motion(self, index: int) -> SkeletalMotion:
         """One clip as skeletal motion at 20 frames a second."""
@@ -90,7 +95,9 @@ class MotionArchive:
         deltas = np.ascontiguousarray(planes.transpose(1, 2, 0)).view(np.int16)[..., 0]
         quaternions = np.cumsum(deltas.astype(np.int32), axis=1).T.reshape(-1, len(JOINT_NAMES), 4) / QUATERNION_STEP
         skeleton = Skeleton(JOINT_NAMES, self._parents, self._offsets[index])
-        return SkeletalMotion(skeleton, matrix_from_quaternion(quaternions[..., [1, 2, 3, 0]]), self._root[start:end], 20.0)
+        return SkeletalMotion(
+            skeleton, matrix_from_quaternion(quaternions[..., [1, 2, 3, 0]]), self._root[start:end], 20.0
+        )
 
 
 def handle_motion_of_body(motion: SkeletalMotion, body: ReferenceBody | None = None) -> HandleMotion:
@@ -106,12 +113,18 @@ def grounded_motion(motion: SkeletalMotion, body: ReferenceBody | None = None) -
     body = body or reference_body()
     areas = vertex_areas(body.vertices, body.faces)
     positions = handle_positions(body.vertices, body.handle_weights, areas)
-    arms = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist", "fingers")]
-    stands = body.handle_weights[:, arms].sum(axis=1) < 0.5  # what reaches for the floor reaches through it: people's arms are not this body's
+    arms = [
+        HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist", "fingers")
+    ]
+    stands = (
+        body.handle_weights[:, arms].sum(axis=1) < 0.5
+    )  # what reaches for the floor reaches through it: people's arms are not this body's
     parts, lowest, carrying = [], [], []
     for start in range(0, len(motion), CHUNK):
         cut = slice(start, start + CHUNK)
-        posed = body.pose(SkeletalMotion(motion.skeleton, motion.rotations[cut], motion.root_translation[cut], motion.fps))
+        posed = body.pose(
+            SkeletalMotion(motion.skeleton, motion.rotations[cut], motion.root_translation[cut], motion.fps)
+        )
         lowest.append(posed[..., 1].min(axis=1))
         carrying.append(posed[:, stands, 1].min(axis=1))
         parts.append(handle_motion_of_mesh(body.vertices, posed, body.handle_weights, positions, areas, motion.fps))
@@ -162,7 +175,9 @@ def _batches(archive: MotionArchive, todo: list[int]) -> Iterator[list[int]]:
         yield batch
 
 
-def build_motions(source: str | Path, out: str | Path, jobs: int | None = None, progress: Callable[[str, float], None] | None = None) -> Path:
+def build_motions(
+    source: str | Path, out: str | Path, jobs: int | None = None, progress: Callable[[str, float], None] | None = None
+) -> Path:
     """Convert every clip of the archive to handle motion of the reference body.
 
     One file a clip, written whole or not at all, so a second run goes on where the first one stopped.
@@ -202,7 +217,9 @@ def build_motions(source: str | Path, out: str | Path, jobs: int | None = None, 
             done += _convert(archive, batch, out, slopes)
             report("converting motions", done / total)
     else:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(str(source),)) as pool:
+        with ProcessPoolExecutor(
+            jobs, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(str(source),)
+        ) as pool:
             for future in as_completed([pool.submit(_work, batch, out, slopes) for batch in _batches(archive, todo)]):
                 done += future.result()
                 report("converting motions", done / total)
@@ -226,13 +243,17 @@ def build_motions(source: str | Path, out: str | Path, jobs: int | None = None, 
 
 
 def clip_weight(name: str, flags: Sequence[str]) -> float:
-    """How often to draw a clip: less where its caption tells more than it shows, or where a toy's proportions make feet slide and arms stand out."""
+    """How often to draw a clip: less where its caption tells more than it shows, or where a toy's proportions make feet
+    slide and arms stand out.
+    """
     toy = 0.4 if name.startswith(("kk_", "kkm_")) else 1.0
     return toy * (0.5 if any("partial" in flag for flag in flags) else 1.0)
 
 
 def checked(stretch: Stretch, motion: HandleMotion, lowest: np.ndarray) -> dict[str, Any]:
-    """A stretch for the index: without the T-pose that it may start or end in, and with the fault that keeps it from training, if it has one."""
+    """A stretch for the index: without the T-pose that it may start or end in, and with the fault that keeps it from
+    training, if it has one.
+    """
     start, stop = stretch.start, stretch.stop
     if "T-pose" in stretch.note:
         posed = t_pose(motion)
@@ -247,7 +268,9 @@ def checked(stretch: Stretch, motion: HandleMotion, lowest: np.ndarray) -> dict[
 
 
 def t_pose(motion: HandleMotion) -> np.ndarray:
-    """Frames in which both arms are stretched out to the sides as in the reference body's rest pose, shape (N,), bool."""
+    """Frames in which both arms are stretched out to the sides as in the reference body's rest pose, shape (N,),
+    bool.
+    """
     parts = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]
     turned = np.einsum("nkii->nk", motion.rotations[:, parts])  # 3 at rest
     return np.asarray((turned > 1 + 2 * np.cos(np.radians(22))).all(axis=1))

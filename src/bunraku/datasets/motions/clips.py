@@ -52,9 +52,13 @@ def load_clip(path: str | Path) -> HandleMotion:
             rotations = matrix_from_6d(np.asarray(file["rotations6d"], np.float32))
             translations[:, 0], rotations[:, 0] = 0, np.eye(3)
             root = matrix_from_6d(np.asarray(file["root_rotation6d"], np.float32))
-            return HandleMotion(translations, rotations, np.asarray(file["root_translation"], np.float32), root, float(file["fps"]))
+            return HandleMotion(
+                translations, rotations, np.asarray(file["root_translation"], np.float32), root, float(file["fps"])
+            )
     except Exception as error:
-        raise FormatError(path, f"this is not a handle-motion clip ({error}); build the data again with 'bunraku data motions'") from error
+        raise FormatError(
+            path, f"this is not a handle-motion clip ({error}); build the data again with 'bunraku data motions'"
+        ) from error
 
 
 def load_lowest(path: str | Path) -> np.ndarray:
@@ -65,9 +69,15 @@ def load_lowest(path: str | Path) -> np.ndarray:
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            return np.asarray(file["lowest"], np.float32) if "lowest" in file else np.zeros(len(file["root_translation"]), np.float32)
+            return (
+                np.asarray(file["lowest"], np.float32)
+                if "lowest" in file
+                else np.zeros(len(file["root_translation"]), np.float32)
+            )
     except Exception as error:
-        raise FormatError(path, f"this is not a handle-motion clip ({error}); build the data again with 'bunraku data motions'") from error
+        raise FormatError(
+            path, f"this is not a handle-motion clip ({error}); build the data again with 'bunraku data motions'"
+        ) from error
 
 
 def write_index(folder: Path, clips: dict[str, dict[str, Any]]) -> Path:
@@ -92,7 +102,10 @@ def load_index(folder: Path) -> dict[str, dict[str, Any]]:
     try:
         clips: dict[str, dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["clips"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        problem = "there is no index that can be read: the motion data are missing or damaged; build them with 'bunraku data motions'"
+        problem = (
+            "there is no index that can be read: the motion data are missing or damaged; build them with "
+            "'bunraku data motions'"
+        )
         raise FormatError(path, problem) from error
     for name in clips:
         if "/" in name or "\\" in name or name.startswith("."):

@@ -1,9 +1,10 @@
 """Clips of animals, monsters and machines as handle motions: `bunraku data motions --creatures`.
 
-Each character gets the handles that the shipped predictor gives its bare mesh, as those of whoever has an unrigged copy. Its clips
-are registered to them and taken to the reference body (`bunraku.retarget.reference`), from where `fit_motion` of a `native` motion takes them back.
-`creature_clips.json` holds the species of every file and the action and the words of every label. Of people with equal clips
-one is taken, without the walking that motion capture has more of; they join as clips of any humanoid.
+Each character gets the handles that the shipped predictor gives its bare mesh, as those of whoever has an unrigged
+copy. Its clips are registered to them and taken to the reference body (`bunraku.retarget.reference`), from where
+`fit_motion` of a `native` motion takes them back. `creature_clips.json` holds the species of every file and the action
+and the words of every label. Of people with equal clips one is taken, without the walking that motion capture has more
+of; they join as clips of any humanoid.
 """
 
 from __future__ import annotations
@@ -32,14 +33,18 @@ from bunraku.retarget.from_mesh import handle_motion_of_mesh
 from bunraku.retarget.reference import WayBack
 
 __all__ = [
-    "HELD_OUT_SPECIES", "CreatureBody", "CreatureClip", "add_creatures", "clip_vertices", "creature_body", "creature_clips", "creature_split",
+    "HELD_OUT_SPECIES", "CreatureBody", "CreatureClip", "add_creatures", "clip_vertices", "creature_body",
+    "creature_clips", "creature_split",
     "reference_motion",
 ]  # fmt: skip
 
 HELD_OUT_SPECIES: tuple[str, ...] = (
-    "bull", "shiba inu", "rat", "velociraptor", "spider", "crab", "dragon", "bee", "tuna", "betta", "puffer", "manta ray", "goblin",
+    "bull", "shiba inu", "rat", "velociraptor", "spider", "crab", "dragon", "bee", "tuna", "betta", "puffer",
+    "manta ray", "goblin",
 )  # fmt: skip
-"""Species that no training sees: hoofed and clawed animals, a biped with a tail, eight legs, claws, wings, fish. No predictor saw them."""
+"""Species that no training sees: hoofed and clawed animals, a biped with a tail, eight legs, claws, wings, fish. No
+predictor saw them.
+"""
 
 VALIDATION_SPECIES: tuple[str, ...] = ("llama", "tetra", "turbot", "parasaurolophus")
 
@@ -81,12 +86,16 @@ class CreatureClip:
 
 @lru_cache(maxsize=1)
 def _table() -> dict[str, Any]:
-    table: dict[str, Any] = json.loads(resources.files("bunraku.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8"))
+    table: dict[str, Any] = json.loads(
+        resources.files("bunraku.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8")
+    )
     return table
 
 
 def _taken_elsewhere() -> dict[str, dict[str, str]]:
-    taken: dict[str, dict[str, str]] = json.loads(resources.files("bunraku.datasets.motions").joinpath("game_clips.json").read_text(encoding="utf-8"))
+    taken: dict[str, dict[str, str]] = json.loads(
+        resources.files("bunraku.datasets.motions").joinpath("game_clips.json").read_text(encoding="utf-8")
+    )
     return taken
 
 
@@ -125,12 +134,17 @@ def creature_clips(file: str, labels: list[str]) -> list[CreatureClip]:
             continue
         texts = _sentences(species, table["generic"][plan], entry["phrases"])
         name = "creature_" + re.sub(r"[^A-Za-z0-9_-]", "-", f"{file.replace('/', '-')}_{short}")
-        out.setdefault(name, CreatureClip(file, label, name, entry["action"], plan, species, person, texts, known.get("weight", 1.0)))
+        out.setdefault(
+            name,
+            CreatureClip(file, label, name, entry["action"], plan, species, person, texts, known.get("weight", 1.0)),
+        )
     return list(out.values())
 
 
 def creature_split(clip: CreatureClip) -> str:
-    """The split of a clip: whole species and whole characters are kept from training; what people are tested on stays as it is."""
+    """The split of a clip: whole species and whole characters are kept from training; what people are tested on stays
+    as it is.
+    """
     if clip.file in HELD_OUT or clip.species[0] in HELD_OUT_SPECIES:
         return "test"
     if clip.species[0] in VALIDATION_SPECIES:
@@ -178,7 +192,14 @@ def creature_body(path: Path, name: str) -> CreatureBody:
     turn = facing_turn(name, character.rig.names, character.rig.positions)
     character = replace(character, vertices=character.vertices @ turn.T.astype(np.float32), rig=None, source=None)
     handles = predict_handles(character).top(4)
-    return CreatureBody(path, character, handles, turn, vertex_areas(character.vertices, character.faces), WayBack.of(character, handles))
+    return CreatureBody(
+        path,
+        character,
+        handles,
+        turn,
+        vertex_areas(character.vertices, character.faces),
+        WayBack.of(character, handles),
+    )
 
 
 def clip_vertices(body: CreatureBody, label: str) -> np.ndarray:
@@ -192,13 +213,16 @@ def clip_vertices(body: CreatureBody, label: str) -> np.ndarray:
     return np.asarray(load_animation(body.path, label, FPS).vertices() @ body.turn.T.astype(np.float32))
 
 
-def reference_motion(body: CreatureBody, vertices: np.ndarray, travels: bool = False, loops: bool = False, person: bool = False) -> HandleMotion:
+def reference_motion(
+    body: CreatureBody, vertices: np.ndarray, travels: bool = False, loops: bool = False, person: bool = False
+) -> HandleMotion:
     """What a character does, as handle motion of the reference body.
 
     Args:
         body: The character.
         vertices: Its vertices in each frame [m], shape (N, V, 3).
-        travels: It goes over the ground, so a way that keeps its feet from sliding is added where the clip stays in place.
+        travels: It goes over the ground, so a way that keeps its feet from sliding is added where the clip stays in
+            place.
         loops: It repeats itself, so it is played on to two seconds.
         person: It becomes a motion of any humanoid, otherwise it stays one of this very body.
 
@@ -211,8 +235,13 @@ def reference_motion(body: CreatureBody, vertices: np.ndarray, travels: bool = F
     extent = np.ptp(body.character.vertices[body.character.surface], axis=0).max()
     ratio = np.ptp(vertices[:, body.character.surface], axis=1).max(axis=1) / extent
     if not np.isfinite(ratio).all() or ratio.max() > 3 or ratio.min() < 0.2:
-        raise CharacterError(f"{name}: the clip makes the mesh {ratio.max():.1f} times its size, which no handles do; it may move something else")
-    motion = handle_motion_of_mesh(body.character.vertices, vertices, body.handles.weights, body.handles.positions, body.areas, FPS)
+        raise CharacterError(
+            f"{name}: the clip makes the mesh {ratio.max():.1f} times its size, which no handles do; it may move "
+            "something else"
+        )
+    motion = handle_motion_of_mesh(
+        body.character.vertices, vertices, body.handles.weights, body.handles.positions, body.areas, FPS
+    )
     if loops:
         motion = played_on(motion, LEAST_LOOP)
     if travels:
@@ -228,10 +257,13 @@ def _entry(clip: CreatureClip, frames: int) -> dict[str, Any]:
     return entry if clip.person else entry | {"species": clip.species[0], "plan": clip.plan, "character": clip.file}
 
 
-def add_creatures(characters: str | Path, out: str | Path, progress: Callable[[str, float], None] | None = None) -> tuple[list[str], dict[str, str]]:
+def add_creatures(
+    characters: str | Path, out: str | Path, progress: Callable[[str, float], None] | None = None
+) -> tuple[list[str], dict[str, str]]:
     """Convert the clips that `creature_clips.json` names and add them to the index that `build_motions` wrote.
 
-    One file a clip, so a second run goes on where the first one stopped. What cannot be converted does not stop the others.
+    One file a clip, so a second run goes on where the first one stopped. What cannot be converted does not stop the
+    others.
 
     Args:
         characters: Folder of the unpacked character archive.
@@ -268,7 +300,9 @@ def add_creatures(characters: str | Path, out: str | Path, progress: Callable[[s
                 else:
                     body = body or creature_body(path, file)
                     travels = clip.action in _TRAVELS and clip.plan not in _FLOATS
-                    motion = reference_motion(body, clip_vertices(body, clip.label), travels, clip.action in _CYCLES, clip.person)
+                    motion = reference_motion(
+                        body, clip_vertices(body, clip.label), travels, clip.action in _CYCLES, clip.person
+                    )
                     write_clip(target, motion)
             except BunrakuError as error:
                 failed[clip.name] = str(error)

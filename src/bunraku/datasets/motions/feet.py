@@ -1,7 +1,7 @@
 """The constant slope of the feet that some captured subjects have, measured and taken out.
 
-The feet of some subjects were marked so that they slope by 11 to 30 degrees while flat on the floor. The slope is a constant of
-the subject, so the median over its standing feet is it.
+The feet of some subjects were marked so that they slope by 11 to 30 degrees while flat on the floor. The slope is a
+constant of the subject, so the median over its standing feet is it.
 """
 
 from __future__ import annotations
@@ -24,11 +24,17 @@ LEAST, MOST = np.radians(2.0), np.radians(35.0)
 
 def subject_of(name: str) -> str:
     """The captured subject of a clip, as its name tells: `cmu_16_11` -> `cmu_16`, `snu_WalkSad05` -> `snu_WalkSad`."""
-    return "_".join(name.split("_")[:2]).rstrip("0123456789") if not name.startswith("cmu_") else "_".join(name.split("_")[:2])
+    return (
+        "_".join(name.split("_")[:2]).rstrip("0123456789")
+        if not name.startswith("cmu_")
+        else "_".join(name.split("_")[:2])
+    )
 
 
 def standing_foot_pitch(motion: SkeletalMotion) -> float:
-    """Median slope [rad] of the feet while they stand (low and slower than 0.3 m/s); up is positive, NaN where they never stand."""
+    """Median slope [rad] of the feet while they stand (low and slower than 0.3 m/s); up is positive, NaN where they
+    never stand.
+    """
     rotations, positions = motion.world()
     slopes = []
     for joint in ANKLES:
@@ -41,7 +47,9 @@ def standing_foot_pitch(motion: SkeletalMotion) -> float:
 
 
 def subject_pitches(pitches: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Slope of each subject [rad] from (clip name, slope) pairs: the median of its clips, 0 where that is small, wild or of few clips."""
+    """Slope of each subject [rad] from (clip name, slope) pairs: the median of its clips, 0 where that is small, wild
+    or of few clips.
+    """
     groups = defaultdict(list)
     for name, pitch in pitches:
         if np.isfinite(pitch):

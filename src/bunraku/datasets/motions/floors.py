@@ -1,7 +1,8 @@
 """Heights of captured motion: what hovers or sinks is set on the ground, and what sits or lies in the air is named.
 
-Markers, toy proportions and takes that were cut out of furniture leave bodies above the ground or in it. A jump is in the air for less than a
-second, so whatever has nothing near the ground for longer hovers, unless it climbs, which is far more than a hand's breadth.
+Markers, toy proportions and takes that were cut out of furniture leave bodies above the ground or in it. A jump is in
+the air for less than a second, so whatever has nothing near the ground for longer hovers, unless it climbs, which is
+far more than a hand's breadth.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ CLIMB = 0.2
 WINDOW = 2.4
 """Time [s] in which a body touches the ground at least once, however it jumps."""
 _SITS = re.compile(r"\b(sits?|sitting|seated|seat|chair)\b", re.IGNORECASE)
-_HIGH = re.compile(r"\b(stool|high|horse|ride|riding|motorcycle|swing|hop|table|ledge|climb\w*|cycl\w*)\b", re.IGNORECASE)
+_HIGH = re.compile(
+    r"\b(stool|high|horse|ride|riding|motorcycle|swing|hop|table|ledge|climb\w*|cycl\w*)\b", re.IGNORECASE
+)
 _LIES = re.compile(r"\b(lies|lying|lie|crawl\w*|push-?ups?|sit-?ups?)\b", re.IGNORECASE)
 
 
@@ -32,8 +35,8 @@ def floor_height(lowest: np.ndarray, fps: float) -> np.ndarray:
         fps: Frames a second [1/s].
 
     Returns:
-        Height [m] to take off each frame, shape (N,): smooth where the clip hovers or sinks by less than `CLIMB` all along, else one number, 0 where
-        even that is more than `HAND`.
+        Height [m] to take off each frame, shape (N,): smooth where the clip hovers or sinks by less than `CLIMB` all
+        along, else one number, 0 where even that is more than `HAND`.
     """
     whole = float(np.quantile(lowest, 0.05))
     whole = whole if abs(whole) < HAND else 0.0
@@ -59,7 +62,9 @@ def posture_fault(texts: list[str], height: np.ndarray, lowest: np.ndarray) -> s
     if _LIES.search(words) and not re.search(r"\bswim", words, re.IGNORECASE) and float(height.min()) > -0.3:
         return f"lies or creeps with the pelvis {-100 * float(height.min()):.0f} cm below standing"
     if not re.search(
-        r"\b(climb\w*|hang\w*|swing\w*|swim\w*|ladder|fl(y|ies|ying)|levitat\w*|jump\w*|leap\w*|flip\w*|mid-?air)\b", words, re.IGNORECASE
+        r"\b(climb\w*|hang\w*|swing\w*|swim\w*|ladder|fl(y|ies|ying)|levitat\w*|jump\w*|leap\w*|flip\w*|mid-?air)\b",
+        words,
+        re.IGNORECASE,
     ):
         share = float((lowest > 0.08).mean())
         if share > 0.6:

@@ -1,8 +1,9 @@
 """Labelled clips of rigged characters as handle motions of the reference body: `bunraku data motions --characters`.
 
-Game packs hold what motion capture lacks: waving, clapping, punches and kicks with either side. `game_clips.json` names the clips
-and gives their captions, in which {hand} and {leg} become the side that moves more. Only clips that stay in place are taken, because
-most packs let their characters walk on the spot, and only characters whose default pose is near to upright.
+Game packs hold what motion capture lacks: waving, clapping, punches and kicks with either side. `game_clips.json` names
+the clips and gives their captions, in which {hand} and {leg} become the side that moves more. Only clips that stay in
+place are taken, because most packs let their characters walk on the spot, and only characters whose default pose is
+near to upright.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ def reference_clip(animation: Animation) -> HandleMotion:
     character = animation.character
     handles = rig_handles(character, least=8)
     areas = vertex_areas(character.vertices, character.faces)
-    motion = handle_motion_of_mesh(character.vertices, animation.vertices(), handles.weights, handles.positions, areas, animation.motion.fps)
+    motion = handle_motion_of_mesh(
+        character.vertices, animation.vertices(), handles.weights, handles.positions, areas, animation.motion.fps
+    )
     return motion_to_reference(motion, character, handles)
 
 
@@ -51,7 +54,9 @@ def _side(motion: HandleMotion, part: str) -> str:
     return max(travel, key=lambda side: travel[side])
 
 
-def add_game_clips(characters: str | Path, out: str | Path, progress: Callable[[str, float], None] | None = None) -> tuple[list[str], dict[str, str]]:
+def add_game_clips(
+    characters: str | Path, out: str | Path, progress: Callable[[str, float], None] | None = None
+) -> tuple[list[str], dict[str, str]]:
     """Convert the clips that `game_clips.json` names and add them to the index that `build_motions` wrote.
 
     Args:
@@ -69,8 +74,12 @@ def add_game_clips(characters: str | Path, out: str | Path, progress: Callable[[
 
     characters, out = Path(characters), Path(out)
     clips = load_index(out)
-    table = json.loads(resources.files("bunraku.datasets.motions").joinpath("game_clips.json").read_text(encoding="utf-8"))
-    wanted = [(file, clip, caption) for file in present_files(characters, table) for clip, caption in table[file].items()]
+    table = json.loads(
+        resources.files("bunraku.datasets.motions").joinpath("game_clips.json").read_text(encoding="utf-8")
+    )
+    wanted = [
+        (file, clip, caption) for file in present_files(characters, table) for clip, caption in table[file].items()
+    ]
     added, failed = [], {}
     for number, (file, clip, caption) in enumerate(wanted):
         name = "game_" + file.replace("/", "-") + f"_{clip}"

@@ -1,6 +1,7 @@
 """Limbs of captured motion that are rolled by half a turn: the knee seems to bend forwards, and skin twists around it.
 
-Joint positions of such clips are right and only the roll of the bones is not, so the rotations are found again from the positions.
+Joint positions of such clips are right and only the roll of the bones is not, so the rotations are found again from the
+positions.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""Motions of HumanML3D and AMASS, which people with a licence have, beside the archive: `bunraku data motions --humanml3d --amass`.
+"""Motions of HumanML3D and AMASS, which people with a licence have, beside the archive: `bunraku data motions
+--humanml3d --amass`.
 
-HumanML3D brings captions. With `index.csv` of its repository beside it, whole AMASS files get those captions too, with rotations as
-they were captured in place of those found from positions. AMASS alone has names of takes, which are captions where they hold words.
+HumanML3D brings captions. With `index.csv` of its repository beside it, whole AMASS files get those captions too, with
+rotations as they were captured in place of those found from positions. AMASS alone has names of takes, which are
+captions where they hold words.
 """
 
 from __future__ import annotations
@@ -27,7 +29,13 @@ __all__ = ["Take", "add_takes", "amass_takes", "humanml3d_takes", "licensed_take
 
 SHORTEST, LONGEST = 1.0, 60.0  # seconds of a clip; longer ones are cut
 _SPLITS = {"train": "train", "val": "val", "test": "test"}
-_SKIPPED = {"Eyes_Japan_Dataset": 3.0, "MPI_HDM05": 3.0, "TotalCapture": 1.0, "MPI_Limits": 1.0, "Transitions_mocap": 0.5}
+_SKIPPED = {
+    "Eyes_Japan_Dataset": 3.0,
+    "MPI_HDM05": 3.0,
+    "TotalCapture": 1.0,
+    "MPI_Limits": 1.0,
+    "Transitions_mocap": 0.5,
+}
 """Seconds that HumanML3D cut off the start of some sets before its index counts frames."""
 
 
@@ -55,7 +63,8 @@ class Take:
 
 
 def humanml3d_takes(folder: str | Path) -> list[Take]:
-    """What the clips of a HumanML3D folder are: `new_joint_vecs` or `new_joints`, `texts`, and `train.txt`, `val.txt`, `test.txt`.
+    """What the clips of a HumanML3D folder are: `new_joint_vecs` or `new_joints`, `texts`, and `train.txt`, `val.txt`,
+    `test.txt`.
 
     Mirrored clips (`M000001`) are left out, training mirrors by itself. A caption about a span is a clip of its own.
 
@@ -65,7 +74,9 @@ def humanml3d_takes(folder: str | Path) -> list[Take]:
     folder = Path(folder)
     motions = next((folder / name for name in ("new_joint_vecs", "new_joints") if (folder / name).is_dir()), None)
     if motions is None or not (folder / "texts").is_dir():
-        raise FormatError(folder, "there are no folders new_joint_vecs (or new_joints) and texts; name the folder of HumanML3D")
+        raise FormatError(
+            folder, "there are no folders new_joint_vecs (or new_joints) and texts; name the folder of HumanML3D"
+        )
     splits = _splits(folder)
     takes = []
     for file in sorted(motions.glob("*.npy")):
@@ -86,7 +97,14 @@ def _splits(folder: Path) -> dict[str, str]:
 
 
 def _captioned(
-    folder: Path, key: str, file: Path, name: str, splits: dict[str, str], source: str, start: float = 0.0, end: float | None = None
+    folder: Path,
+    key: str,
+    file: Path,
+    name: str,
+    splits: dict[str, str],
+    source: str,
+    start: float = 0.0,
+    end: float | None = None,
 ) -> list[Take]:
     """One take for the captions of the whole motion, and one for each span that others are about."""
     texts = folder / "texts" / f"{key}.txt"
@@ -98,7 +116,9 @@ def _captioned(
     split, out = splits.get(key, split_of(key)), []
     for number, ((first, last), words) in enumerate(sorted(spans.items())):
         stop = start + last if last else end
-        out.append(Take(name if not last else f"{name}_{number}", file, tuple(words), split, source, start + first, stop))
+        out.append(
+            Take(name if not last else f"{name}_{number}", file, tuple(words), split, source, start + first, stop)
+        )
     return out
 
 
@@ -122,11 +142,16 @@ def amass_takes(folder: str | Path, captions: str | Path | None = None) -> list[
     folder = Path(folder)
     files = sorted(file for file in folder.rglob("*.npz") if file.stem != "shape" and not file.stem.endswith("stagei"))
     if not files:
-        raise FormatError(folder, "there is no .npz in this folder or below it; name the one that AMASS was unpacked to")
+        raise FormatError(
+            folder, "there is no .npz in this folder or below it; name the one that AMASS was unpacked to"
+        )
     if captions is not None and (Path(captions) / "index.csv").is_file():
         takes = _indexed(folder, Path(captions))
         if not takes:
-            raise FormatError(Path(captions) / "index.csv", f"none of its motions is in {folder}; name the folder that holds the sets of AMASS")
+            raise FormatError(
+                Path(captions) / "index.csv",
+                f"none of its motions is in {folder}; name the folder that holds the sets of AMASS",
+            )
         return takes
     takes = []
     for file in files:
@@ -137,7 +162,8 @@ def amass_takes(folder: str | Path, captions: str | Path | None = None) -> list[
 
 
 def licensed_takes(humanml3d: Path | None, amass: Path | None) -> list[Take]:
-    """The takes of both folders, each motion once: one that AMASS has under HumanML3D's caption is not taken from positions too.
+    """The takes of both folders, each motion once: one that AMASS has under HumanML3D's caption is not taken from
+    positions too.
 
     Raises:
         FormatError: As `humanml3d_takes` and `amass_takes`.
@@ -156,7 +182,9 @@ def _indexed(folder: Path, captions: Path) -> list[Take]:
                 source, key = Path(row["source_path"].replace("\\", "/")), Path(row["new_name"]).stem
                 first, last = int(row["start_frame"]) / HUMANML3D_FPS, int(row["end_frame"]) / HUMANML3D_FPS
             except (KeyError, TypeError, ValueError):
-                raise FormatError(captions / "index.csv", "its columns must be source_path, start_frame, end_frame and new_name") from None
+                raise FormatError(
+                    captions / "index.csv", "its columns must be source_path, start_frame, end_frame and new_name"
+                ) from None
             parts = source.parts[source.parts.index("pose_data") + 1 :] if "pose_data" in source.parts else source.parts
             file = folder.joinpath(*parts).with_suffix(".npz")
             if ".." in parts or source.is_absolute() or not file.is_file():
@@ -182,7 +210,9 @@ def _load(take: Take) -> SkeletalMotion:
     end = len(motion) / motion.fps if take.end is None else take.end
     motion = resample_motion(cut_motion(motion, take.start, min(end, take.start + LONGEST)), HUMANML3D_FPS)
     if len(motion) < SHORTEST * HUMANML3D_FPS:
-        raise FormatError(take.file, f"the {len(motion) / HUMANML3D_FPS:.2f} s of clip {take.name} are too short to learn from")
+        raise FormatError(
+            take.file, f"the {len(motion) / HUMANML3D_FPS:.2f} s of clip {take.name} are too short to learn from"
+        )
     return motion
 
 

@@ -13,7 +13,13 @@ from bunraku.core.motion import HandleMotion
 
 __all__ = ["forward_speed", "played_on", "with_travel"]
 
-NEAR = (0.04, 0.015)  # what is this near to the lowest point, as a share of the height, stands; the second where the first takes in swinging feet
+NEAR = (
+    0.04,
+    0.015,
+    # what is this near to the lowest point, as a share of the height, stands; the second where the first takes in
+    # swinging
+    # feet
+)
 IN_PLACE = 0.25  # clips that come farther than this share of the way that their feet make do move already
 SLOWEST, FASTEST = 0.03, 6.0  # in body heights a second
 
@@ -52,11 +58,14 @@ def with_travel(motion: HandleMotion, speed: float) -> HandleMotion:
     own = float(motion.root_translation[-1, 2] - motion.root_translation[0, 2])
     if speed == 0 or abs(own) > IN_PLACE * speed * moments[-1]:
         return motion
-    return replace(motion, root_translation=motion.root_translation + np.outer(moments, [0, 0, speed]).astype(np.float32))
+    return replace(
+        motion, root_translation=motion.root_translation + np.outer(moments, [0, 0, speed]).astype(np.float32)
+    )
 
 
 def played_on(motion: HandleMotion, least: int) -> HandleMotion:
-    """A loop played on, in whole rounds, until it has at least `least` frames; the motion as it is where it does not end as it began.
+    """A loop played on, in whole rounds, until it has at least `least` frames; the motion as it is where it does not
+    end as it began.
 
     Loops of a few frames, such as one bound of a gallop, are too short to be cut, joined or told from a single step.
     """

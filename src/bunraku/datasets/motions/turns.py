@@ -1,7 +1,7 @@
 """Turns on the spot, cut out of longer clips: their captions come from the motion itself.
 
-Labels such as "walk" hide that somebody turns round in the middle. Where the heading changes by about half a turn within 2.5 to 3.5 s
-and less than a metre, that stretch becomes a clip of its own that says so, with its direction.
+Labels such as "walk" hide that somebody turns round in the middle. Where the heading changes by about half a turn
+within 2.5 to 3.5 s and less than a metre, that stretch becomes a clip of its own that says so, with its direction.
 """
 
 from __future__ import annotations
@@ -20,7 +20,22 @@ WINDOWS = (50, 70)  # frames
 LEAST, MOST, FARTHEST = 2.5, 3.9, 0.9  # rad, rad, m
 MARGIN = 6  # frames kept before and after
 _WALKS = ("walk", "turn", "stand", "push", "stop")
-_OTHERS = ("dance", "jete", "pirouette", "wheel", "ball", "tennis", "jump", "hop", "climb", "sit", "pick", "uneven", "spiral", "playground")
+_OTHERS = (
+    "dance",
+    "jete",
+    "pirouette",
+    "wheel",
+    "ball",
+    "tennis",
+    "jump",
+    "hop",
+    "climb",
+    "sit",
+    "pick",
+    "uneven",
+    "spiral",
+    "playground",
+)
 
 
 def find_turn(motion: HandleMotion) -> tuple[int, int, float] | None:
@@ -63,7 +78,11 @@ def add_turns(out: str | Path) -> list[str]:
             del clips[name]  # of an earlier run; made again below
             continue
         text = " ".join(entry["texts"]).lower()
-        if entry["split"] != "train" or not any(word in text for word in _WALKS) or any(word in text for word in _OTHERS):
+        if (
+            entry["split"] != "train"
+            or not any(word in text for word in _WALKS)
+            or any(word in text for word in _OTHERS)
+        ):
             continue
         motion = load_clip(out / f"{name}.npz")
         found = find_turn(motion)

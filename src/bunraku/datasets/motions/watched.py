@@ -1,6 +1,7 @@
 """Captions by time: `captions_watched.json`, written from watching each stretch of each clip.
 
-Labels of whole takes are often wrong for their parts. Where the file lies beside the archive, its sentences take the labels' place.
+Labels of whole takes are often wrong for their parts. Where the file lies beside the archive, its sentences take the
+labels' place.
 """
 
 from __future__ import annotations
@@ -76,4 +77,6 @@ def load_watched(folder: str | Path, frames: dict[str, int], fps: float = 20.0) 
                 found.setdefault(name, []).append(Stretch(max(start, 0), stop, texts, fault, note))
         return found
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FormatError(path, f"cannot be read as captions by time ({type(error).__name__}); copy it again or take it away") from error
+        raise FormatError(
+            path, f"cannot be read as captions by time ({type(error).__name__}); copy it again or take it away"
+        ) from error

@@ -1,9 +1,10 @@
-"""Handle-FID (section 4.1 of TapMo): how close the handles of generated motion come to those of real motion on two bodies of very different size.
+"""Handle-FID (section 4.1 of TapMo): how close the handles of generated motion come to those of real motion on two
+bodies of very different size.
 
-The paper takes two SMPL bodies; ours are the reference body's tallest and smallest shapes, 2.4 m and 1.0 m. A model that knows meshes makes
-motions for each body, with its mesh feature and its adaptation; they are fitted to the body by `fit_motion`, real ones too. The handles'
-positions in a frame, seen from the root's place on the ground and its heading and divided by the body's height, are one sample; FID compares the
-Gaussians of both sets.
+The paper takes two SMPL bodies; ours are the reference body's tallest and smallest shapes, 2.4 m and 1.0 m. A model
+that knows meshes makes motions for each body, with its mesh feature and its adaptation; they are fitted to the body by
+`fit_motion`, real ones too. The handles' positions in a frame, seen from the root's place on the ground and its heading
+and divided by the body's height, are one sample; FID compares the Gaussians of both sets.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ def handle_samples(motion: HandleMotion, positions: np.ndarray, height: float) -
     return np.asarray(places[::EVERY].reshape(-1, positions.size) / height)
 
 
-def body_handles(features: Sequence[np.ndarray], shape: str, progress: Callable[[int, int], None] | None = None) -> np.ndarray:
+def body_handles(
+    features: Sequence[np.ndarray], shape: str, progress: Callable[[int, int], None] | None = None
+) -> np.ndarray:
     """Samples of motions on a body, shape (frames, 3 K).
 
     Args:

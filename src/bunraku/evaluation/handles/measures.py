@@ -35,8 +35,10 @@ def _sides(name: str, *parts: str) -> dict[str, tuple[str, ...]]:
 
 
 NAMED_PARTS: dict[str, tuple[str, ...]] = {
-    "head": ("head",), **_sides("hand", "wrist", "fingers"), **_sides("forearm", "elbow"), **_sides("upper_arm", "shoulder"),
-    "chest": ("spine2", "spine3"), "hips": ("pelvis",), **_sides("thigh", "hip"), **_sides("shin", "knee"), **_sides("foot", "ankle", "foot"),
+    "head": ("head",), **_sides("hand", "wrist", "fingers"), **_sides("forearm", "elbow"), **_sides("upper_arm",
+    "shoulder"),
+    "chest": ("spine2", "spine3"), "hips": ("pelvis",), **_sides("thigh", "hip"), **_sides("shin", "knee"),
+    **_sides("foot", "ankle", "foot"),
 }  # fmt: skip
 """The parts of a humanoid that people name, and the handles whose bones make each up."""
 
@@ -78,7 +80,9 @@ def part_purity(main: np.ndarray, weights: np.ndarray, sure: float = 0.9) -> flo
     return float(counts.max(axis=1).sum() / of_part.sum())
 
 
-def part_handles(weights: np.ndarray, areas: np.ndarray, target: np.ndarray, parts: Mapping[str, Sequence[str]] = NAMED_PARTS) -> dict[str, int]:
+def part_handles(
+    weights: np.ndarray, areas: np.ndarray, target: np.ndarray, parts: Mapping[str, Sequence[str]] = NAMED_PARTS
+) -> dict[str, int]:
     """The main handle of each named part: the one with the most weight, by area, on the part's vertices.
 
     A part's vertices are those of which its bones have more than half. Parts without vertices are left out.
@@ -105,9 +109,9 @@ def _members(target: np.ndarray, handles: Sequence[str]) -> np.ndarray:
 def accepted_handles(weights: np.ndarray, areas: np.ndarray, target: np.ndarray) -> dict[str, set[int]]:
     """The handles that mean each named part on the reference body, where the same predictor looks at it.
 
-    That is the part's main handle there. Rigs make a chest, a hand or a foot of one bone or of two, and each of these parts is two
-    handles on the reference body (the lower and the upper chest, the palm and the fingers, the foot and the toes): for them, the
-    main handle of either half means the part too.
+    That is the part's main handle there. Rigs make a chest, a hand or a foot of one bone or of two, and each of these
+    parts is two handles on the reference body (the lower and the upper chest, the palm and the fingers, the foot and
+    the toes): for them, the main handle of either half means the part too.
 
     Args:
         weights: Of the predictor on the reference body, shape (V, K).
@@ -131,17 +135,22 @@ def part_meaning(
         accepted: From `accepted_handles`.
 
     Returns:
-        For each named part that the character has; and the share of its vertices whose own main handle is right, averaged over
-        the parts, which is the stricter measure (None where it has no named part).
+        For each named part that the character has; and the share of its vertices whose own main handle is right,
+        averaged over the parts, which is the stricter measure (None where it has no named part).
     """
     found = part_handles(weights, areas, target)
     main = main_handles(weights)
     right = {name: handle in accepted.get(name, set()) for name, handle in found.items()}
-    shares = [float(np.isin(main[_members(target, NAMED_PARTS[name])], list(accepted.get(name, set()))).mean()) for name in found]
+    shares = [
+        float(np.isin(main[_members(target, NAMED_PARTS[name])], list(accepted.get(name, set()))).mean())
+        for name in found
+    ]
     return right, float(np.mean(shares)) if shares else None
 
 
-def drive(rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, rooted: bool = True, together: bool = False) -> np.ndarray:
+def drive(
+    rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, rooted: bool = True, together: bool = False
+) -> np.ndarray:
     """How handles follow a moving mesh: Eq. 3 without its global items, as in the Pose Loss (Eq. 14).
 
     Args:
@@ -165,8 +174,12 @@ def drive(rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, rooted: bool
     return skin(rest, weights, transforms)
 
 
-def pose_error(rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, height: float, rooted: bool = True, together: bool = False) -> float:
-    """Mean distance over vertices and poses between a posed mesh and what the handles make of it (`drive`), over the height."""
+def pose_error(
+    rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, height: float, rooted: bool = True, together: bool = False
+) -> float:
+    """Mean distance over vertices and poses between a posed mesh and what the handles make of it (`drive`), over the
+    height.
+    """
     return float(np.linalg.norm(drive(rest, posed, weights, rooted, together) - posed, axis=-1).mean() / height)
 
 
@@ -180,14 +193,18 @@ def same_main_handle(first: np.ndarray, second: np.ndarray) -> float:
     return float((main_handles(first) == main_handles(second)).mean())
 
 
-def truncation_error(vertices: np.ndarray, full: np.ndarray, cut: np.ndarray, transforms: np.ndarray, height: float) -> float:
-    """Mean distance over vertices and frames between a mesh that plays with all its weights and with fewer, over the height.
+def truncation_error(
+    vertices: np.ndarray, full: np.ndarray, cut: np.ndarray, transforms: np.ndarray, height: float
+) -> float:
+    """Mean distance over vertices and frames between a mesh that plays with all its weights and with fewer, over the
+    height.
 
     Args:
         vertices: Rest vertices [m], shape (V, 3).
         full, cut: The two sets of weights, shape (V, K).
         transforms: Of each handle in each frame, shape (N, K, 3, 4).
     """
-    # Skinning is linear in the weights and these differ by rows that sum to 0, so one product gives the difference itself.
+    # Skinning is linear in the weights and these differ by rows that sum to 0, so one product gives the difference
+    # itself.
     gap = skin(vertices, full - cut, transforms)
     return float(np.linalg.norm(gap, axis=-1).mean() / height)

@@ -12,7 +12,8 @@ __all__ = ["carried", "resampled"]
 
 
 def resampled(character: Character, count: int) -> Character:
-    """A character with about `count` vertices: welded, then simplified by edge collapses or refined by halving long edges.
+    """A character with about `count` vertices: welded, then simplified by edge collapses or refined by halving long
+    edges.
 
     Args:
         character: Any mesh.

@@ -1,7 +1,8 @@
-"""How much the rest pose of a character shows in its animation: the same motion on the same character from five rest poses.
+"""How much the rest pose of a character shows in its animation: the same motion on the same character from five rest
+poses.
 
-A humanoid is posed by its own rig into a T-pose, an A-pose, arms down, sitting and crouching. A motion of the reference body is
-fitted to each, and the animated vertices are compared with those of the T-pose.
+A humanoid is posed by its own rig into a T-pose, an A-pose, arms down, sitting and crouching. A motion of the reference
+body is fitted to each, and the animated vertices are compared with those of the T-pose.
 """
 
 from __future__ import annotations
@@ -51,7 +52,8 @@ def rest_pose_transfer(
 ) -> dict[str, Any]:
     """Mean distance between a character animated from another rest pose and from its T-pose, over its height.
 
-    Places along the floor are compared relative to the first frame's mean vertex, heights relative to the floor of the rest pose.
+    Places along the floor are compared relative to the first frame's mean vertex, heights relative to the floor of the
+    rest pose.
 
     Args:
         subjects: Rigged humanoids; others are passed over.
@@ -60,9 +62,10 @@ def rest_pose_transfer(
         stages: Which stages fit the motions; all when None.
 
     Returns:
-        `rest_pose_transfer`, the mean over characters, poses and motions; `poses`, `motions` and `characters`, the means of each; `in_place`,
-        the mean where each frame's place on the floor is taken away, so that longer or shorter strides do not count; `ground`, the mean
-        difference of the lowest vertex' height; all as fractions of the height.
+        `rest_pose_transfer`, the mean over characters, poses and motions; `poses`, `motions` and `characters`, the
+        means of each; `in_place`, the mean where each frame's place on the floor is taken away, so that longer or
+        shorter strides do not count; `ground`, the mean difference of the lowest vertex' height; all as fractions of
+        the height.
     """
     motions = motions or code_made_motions()
     rows = []
@@ -84,15 +87,26 @@ def rest_pose_transfer(
         return {key: float(np.mean([row[3] for row in rows if row[column] == key])) for key in keys}
 
     mean, ground, shape = (float(np.mean([row[column] for row in rows])) if rows else None for column in (3, 4, 5))
-    return {"rest_pose_transfer": mean, "in_place": shape, "ground": ground, "poses": means(1), "motions": means(2), "characters": means(0)}
+    return {
+        "rest_pose_transfer": mean,
+        "in_place": shape,
+        "ground": ground,
+        "poses": means(1),
+        "motions": means(2),
+        "characters": means(0),
+    }
 
 
-def _animated(one: Subject, pose: str, motions: Mapping[str, HandleMotion], predict: Predict | None, stages: Stages | None) -> dict[str, np.ndarray]:
+def _animated(
+    one: Subject, pose: str, motions: Mapping[str, HandleMotion], predict: Predict | None, stages: Stages | None
+) -> dict[str, np.ndarray]:
     """Surface vertices of each motion, shape (N, V, 3): floor at 0, the first frame's mean over the origin."""
     vertices = posed_limbs(one.truth, pose)
     character = Character(one.name, vertices, one.character.faces)
     handles = predict(character) if predict is not None else true_handles(one, vertices)
-    legs = one.surface & (one.truth.target[:, _LEGS].sum(axis=1) > 0.5)  # what stands: a weapon in a hand may hang lower
+    legs = one.surface & (
+        one.truth.target[:, _LEGS].sum(axis=1) > 0.5
+    )  # what stands: a weapon in a hand may hang lower
     floor = float(vertices[legs if legs.any() else one.surface, 1].min())
     out = {}
     for name, motion in motions.items():
@@ -121,7 +135,9 @@ def code_made_motions(seconds: float = 2.0) -> dict[str, HandleMotion]:
         return handle_motion_of_body(SkeletalMotion(body.skeleton, posed.rotations, root, RATE))
 
     jack: dict[str, tuple[str, np.ndarray | float]] = {}
-    hang: dict[str, tuple[str, np.ndarray | float]] = {f"{side}_shoulder": ("z", -70 * sign) for side, sign in sides.items()}
+    hang: dict[str, tuple[str, np.ndarray | float]] = {
+        f"{side}_shoulder": ("z", -70 * sign) for side, sign in sides.items()
+    }
     walk, squat = dict(hang), dict(hang)
     for side, sign in sides.items():
         walk |= {
@@ -136,5 +152,15 @@ def code_made_motions(seconds: float = 2.0) -> dict[str, HandleMotion]:
             f"{side}_elbow": ("y", -60 * sign * up),
         }
         jack |= {f"{side}_shoulder": ("z", sign * (-70 + 130 * up)), f"{side}_hip": ("z", sign * 20 * up)}
-    wave = dict(hang) | {"right_shoulder": ("z", -30.0), "right_elbow": ("z", -60 - 25 * beat), "head": ("y", 15 * beat), "spine2": ("z", 5 * beat)}
-    return {"walk": motion(walk), "wave": motion(wave), "squat": motion(squat | {"spine1": ("x", 25 * up)}), "jumping jack": motion(jack)}
+    wave = dict(hang) | {
+        "right_shoulder": ("z", -30.0),
+        "right_elbow": ("z", -60 - 25 * beat),
+        "head": ("y", 15 * beat),
+        "spine2": ("z", 5 * beat),
+    }
+    return {
+        "walk": motion(walk),
+        "wave": motion(wave),
+        "squat": motion(squat | {"spine1": ("x", 25 * up)}),
+        "jumping jack": motion(jack),
+    }

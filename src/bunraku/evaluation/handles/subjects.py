@@ -19,7 +19,9 @@ from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
 
 __all__ = ["Subject", "find_files", "is_humanoid", "load_subject", "subject", "subject_name"]
 
-_NEEDED = tuple(HANDLE_NAMES.index(name) for name in ("pelvis", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip"))
+_NEEDED = tuple(
+    HANDLE_NAMES.index(name) for name in ("pelvis", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
+)
 _HEAD = HANDLE_NAMES.index("head")
 _NO_RIG = {".ply", ".stl", ".txt"}  # the text of a RigNet rig is read with its OBJ
 UPRIGHT = 0.7
@@ -63,8 +65,8 @@ class Subject:
 def is_humanoid(truth: TrainingCharacter) -> bool:
     """Whether a rig is that of an upright body with arms.
 
-    Its bone names give a pelvis, a head, two upper arms and two thighs that move something, and the way from the root joint to
-    the head joints leads up for `UPRIGHT` of its length.
+    Its bone names give a pelvis, a head, two upper arms and two thighs that move something, and the way from the root
+    joint to the head joints leads up for `UPRIGHT` of its length.
     """
     mass = truth.weights.sum(axis=0)
     moving = set(truth.handles[mass > 0].tolist())
@@ -101,8 +103,10 @@ def subject(character: Character, name: str, path: Path | None = None) -> Subjec
     weights = np.where(total > 1e-6, weights / np.maximum(total, 1e-6), 1 / weights.shape[1]).astype(np.float32)
     turned = replace(character, vertices=vertices, rig=None, source=None)
     truth = TrainingCharacter(
-        name=name, vertices=vertices, normals=np.zeros((0, 3), np.float32), areas=areas, edges=np.zeros((0, 2), np.int64), weights=weights,
-        joints=joints, parents=limb_parents(handles, rig.parents, joints), handles=handles, target=handle_target(weights, handles),
+        name=name, vertices=vertices, normals=np.zeros((0, 3), np.float32), areas=areas, edges=np.zeros((0, 2),
+        np.int64), weights=weights,
+        joints=joints, parents=limb_parents(handles, rig.parents, joints), handles=handles,
+        target=handle_target(weights, handles),
         root=root_joint(vertices[turned.surface], joints, rig.parents, handles, mass), height=turned.height,
     )  # fmt: skip
     return Subject(name, turned, truth, turn, path)
@@ -119,7 +123,9 @@ def find_files(folder: Path, everything: bool = False) -> list[Path]:
     suffixes = {suffix for known in FORMATS if known.character for suffix in known.suffixes} - _NO_RIG
     files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in suffixes and file.is_file())
     if not files:
-        raise FormatError(folder, f"there are no characters here; give a folder with {', '.join(sorted(suffixes))} files")
+        raise FormatError(
+            folder, f"there are no characters here; give a folder with {', '.join(sorted(suffixes))} files"
+        )
     held = [file for file in files if subject_name(folder, file) in HELD_OUT]
     return files if everything or not held else held
 

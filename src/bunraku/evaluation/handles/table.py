@@ -12,7 +12,13 @@ import numpy as np
 
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.evaluation.handles.subjects import Subject, find_files, load_subject, subject, subject_name
-from bunraku.evaluation.handles.trials import Predict, Reference, measure_subject, prediction_seconds, resolution_differences
+from bunraku.evaluation.handles.trials import (
+    Predict,
+    Reference,
+    measure_subject,
+    prediction_seconds,
+    resolution_differences,
+)
 from bunraku.handles.predict import predict_handles
 
 __all__ = ["BARS", "Bar", "code_made_subjects", "evaluate_handles", "folder_subjects"]
@@ -68,7 +74,10 @@ BARS: dict[str, Bar] = {
 
 def folder_subjects(folder: Path, everything: bool = False) -> dict[str, Load]:
     """How to load each character of a folder (see `bunraku.evaluation.handles.subjects.find_files`), by name."""
-    return {subject_name(folder, file): partial(load_subject, file, subject_name(folder, file)) for file in find_files(folder, everything)}
+    return {
+        subject_name(folder, file): partial(load_subject, file, subject_name(folder, file))
+        for file in find_files(folder, everything)
+    }
 
 
 def code_made_subjects(count: int = 30) -> dict[str, Load]:
@@ -78,7 +87,10 @@ def code_made_subjects(count: int = 30) -> dict[str, Load]:
     def make(family: str, seed: int) -> Subject:
         return subject(code_made_character(family, seed), f"code_made/{family}_{seed}")
 
-    return {f"code_made/{family}_{seed}": partial(make, family, seed) for family, seed in code_made_names(count, EVALUATION_SEED)}
+    return {
+        f"code_made/{family}_{seed}": partial(make, family, seed)
+        for family, seed in code_made_names(count, EVALUATION_SEED)
+    }
 
 
 def _spread(names: list[str], count: int) -> set[str]:
@@ -110,8 +122,8 @@ def evaluate_handles(
         progress: Called with a stage's name and the share done.
 
     Returns:
-        Numbers and lists that JSON can say: the measures of `BARS` (shares, or seconds; None where no character fits one), "bars",
-        "reached", "counts", "left_out" (name: reason) and "characters" with a row for each.
+        Numbers and lists that JSON can say: the measures of `BARS` (shares, or seconds; None where no character fits
+        one), "bars", "reached", "counts", "left_out" (name: reason) and "characters" with a row for each.
 
     Raises:
         OptionError: None of the characters can be measured.
@@ -129,7 +141,10 @@ def evaluate_handles(
             left_out[name] = str(error)
         report("characters", (number + 1) / len(subjects))
     if not rows:
-        raise OptionError(f"none of the {len(subjects)} characters can be measured ({next(iter(left_out.values()), 'there are none')})")
+        raise OptionError(
+            f"none of the {len(subjects)} characters can be measured "
+            f"({next(iter(left_out.values()), 'there are none')})"
+        )
     chosen = _spread([row["name"] for row in rows], RESAMPLED)
     for number, row in enumerate(row for row in rows if row["name"] in chosen):
         row["resolutions"] = resolution_differences(subjects[row["name"]](), predict)
@@ -146,5 +161,9 @@ def evaluate_handles(
     rivals = [result[key] for key in ("pose_error_clusters", "pose_error_bone_heat") if result[key] is not None]
     if rivals and result["reached"]["pose_error"]:
         result["reached"]["pose_error"] = bool(result["pose_error"] < min(rivals))
-    result["counts"] = {"characters": len(rows), "humanoids": sum(row["humanoid"] for row in rows), "resampled": len(chosen)}
+    result["counts"] = {
+        "characters": len(rows),
+        "humanoids": sum(row["humanoid"] for row in rows),
+        "resampled": len(chosen),
+    }
     return result | {"left_out": left_out, "characters": rows}

@@ -52,10 +52,14 @@ class Reference:
         """Look at the reference body with a predictor."""
         body = reference_body()
         weights = predict(Character("reference", body.vertices, body.faces)).weights
-        return Reference(measure.accepted_handles(weights, vertex_areas(body.vertices, body.faces), body.handle_weights))
+        return Reference(
+            measure.accepted_handles(weights, vertex_areas(body.vertices, body.faces), body.handle_weights)
+        )
 
 
-def measure_subject(one: Subject, predict: Predict, reference: Reference, baselines: bool = True, seed: int = 0) -> dict[str, Any]:
+def measure_subject(
+    one: Subject, predict: Predict, reference: Reference, baselines: bool = True, seed: int = 0
+) -> dict[str, Any]:
     """All measures of one character but resolution and speed; None where one does not apply to it."""
     handles, truth, keep = predict(one.character), one.truth, one.surface
     weights, areas = handles.weights[keep], truth.areas[keep]
@@ -81,13 +85,17 @@ def _pose_errors(one: Subject, weights: np.ndarray, baselines: bool, seed: int) 
     some = np.unique(np.linspace(0, len(keep) - 1, min(len(keep), MOST_POSED)).astype(int))
     keep, weights = keep[some], weights[some]
     angle = AugmentConfig().pose_angle
-    frames = np.stack([forward_kinematics(truth.joints, truth.parents, random_pose(rng, truth, angle)) for _ in range(POSES)])
+    frames = np.stack(
+        [forward_kinematics(truth.joints, truth.parents, random_pose(rng, truth, angle)) for _ in range(POSES)]
+    )
     rest = truth.vertices[keep]
     posed = skin(rest, truth.weights[keep], frames)
     fewer = np.unique(np.linspace(0, len(rest) - 1, min(len(rest), MOST_FITTED)).astype(int))
     out = {
         "pose_error": measure.pose_error(rest, posed, weights, one.height),
-        "pose_error_together": measure.pose_error(rest[fewer], posed[:, fewer], weights[fewer], one.height, together=True),
+        "pose_error_together": measure.pose_error(
+            rest[fewer], posed[:, fewer], weights[fewer], one.height, together=True
+        ),
     }
     if baselines:
         from bunraku.baselines.bone_heat import embedded_bone_heat
@@ -102,7 +110,9 @@ def _pose_errors(one: Subject, weights: np.ndarray, baselines: bool, seed: int) 
             out[name] = measure.pose_error(rest, posed, rivals_weights, one.height, rooted=False)
             if name == "pose_error_bone_heat":
                 some = rivals_weights[fewer]
-                out["pose_error_bone_heat_together"] = measure.pose_error(rest[fewer], posed[:, fewer], some, one.height, False, together=True)
+                out["pose_error_bone_heat_together"] = measure.pose_error(
+                    rest[fewer], posed[:, fewer], some, one.height, False, together=True
+                )
     return out
 
 
@@ -112,7 +122,10 @@ def _rest_poses(one: Subject, predict: Predict) -> dict[str, Any]:
     for pose in REST_POSES:
         moved = Character(one.name, posed_limbs(one.truth, pose), one.character.faces)
         weights.append(predict(moved).weights[one.surface])
-    shares = {pose: measure.same_main_handle(weights[0], other) for pose, other in zip(REST_POSES[1:], weights[1:], strict=True)}
+    shares = {
+        pose: measure.same_main_handle(weights[0], other)
+        for pose, other in zip(REST_POSES[1:], weights[1:], strict=True)
+    }
     return {"rest_pose_agreement": float(np.mean(list(shares.values()))), "rest_poses": shares}
 
 
@@ -122,7 +135,11 @@ def _top4(one: Subject, handles: Handles) -> float:
     keep, cut = one.surface, handles.top(4)
     errors = [
         measure.truncation_error(
-            one.character.vertices[keep], handles.weights[keep], cut.weights[keep], motion.transforms(handles.positions), one.height
+            one.character.vertices[keep],
+            handles.weights[keep],
+            cut.weights[keep],
+            motion.transforms(handles.positions),
+            one.height,
         )
         for motion in motions
     ]
@@ -150,7 +167,11 @@ def _clips(one: Subject, handles: Handles) -> list[HandleMotion]:
         frames = np.unique(np.linspace(0, count - 1, CLIP_FRAMES).round().astype(int))
         posed = animation.vertices(frames) @ one.turn.T.astype(np.float32)
         if np.isfinite(posed).all():
-            out.append(handle_motion_of_mesh(one.character.vertices, posed, handles.weights, handles.positions, one.truth.areas, CLIP_RATE))
+            out.append(
+                handle_motion_of_mesh(
+                    one.character.vertices, posed, handles.weights, handles.positions, one.truth.areas, CLIP_RATE
+                )
+            )
     return out
 
 
@@ -170,9 +191,9 @@ def _fitted(one: Subject, handles: Handles) -> HandleMotion:
 def resolution_differences(one: Subject, predict: Predict) -> dict[str, float]:
     """L1 difference of the weights of a character at about 1k, 5k and 50k vertices, for each pair.
 
-    Two meshes are compared at the vertices of the coarser one; the finer one's weights are read at the closest points of its
-    surface. (The other way about, the coarse mesh's triangles would blur what is sharp on the fine one: with the very same
-    weights on both, that alone comes to about 0.1 on a person.)
+    Two meshes are compared at the vertices of the coarser one; the finer one's weights are read at the closest points
+    of its surface. (The other way about, the coarse mesh's triangles would blur what is sharp on the fine one: with the
+    very same weights on both, that alone comes to about 0.1 on a person.)
     """
     meshes = [resampled(one.character, count) for count in POINTS]
     weights = [predict(mesh).weights for mesh in meshes]

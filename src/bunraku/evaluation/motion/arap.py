@@ -1,4 +1,6 @@
-"""ARAP-Loss (Eq. 12 of TapMo): how far edges change their lengths while a character moves, and what the adaptation does to it."""
+"""ARAP-Loss (Eq. 12 of TapMo): how far edges change their lengths while a character moves, and what the adaptation does
+to it.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,8 @@ CHUNK = 50
 def arap_loss(vertices: np.ndarray, rest: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """ARAP-Loss L_ARAP [TapMo 12]: sum over the edges of the squared change of their length, in each frame, shape (N,).
 
-    The unit is the square of the rest pose's largest extent. Finer meshes have more edges that change by less, so the sum hardly
-    depends on tessellation.
+    The unit is the square of the rest pose's largest extent. Finer meshes have more edges that change by less, so the
+    sum hardly depends on tessellation.
 
     Args:
         vertices: Posed positions [m], shape (N, V, 3).
@@ -55,7 +57,9 @@ def animation_arap(animation: Animation) -> float:
     edges = edges[np.abs(weights[edges[:, 0]] - weights[edges[:, 1]]).sum(axis=1) > 1e-6]
     frames = len(animation.motion)
     parts = [np.arange(start, min(start + CHUNK, frames)) for start in range(0, frames, CHUNK)]
-    return float(np.concatenate([arap_loss(animation.vertices(part), character.vertices, edges) for part in parts]).mean())
+    return float(
+        np.concatenate([arap_loss(animation.vertices(part), character.vertices, edges) for part in parts]).mean()
+    )
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,8 @@ class ArapRow:
     Args:
         name: Its name.
         unseen: Whether no training sees it.
-        adapted: ARAP-Loss with the adaptation: the network's, and its last step on the very mesh, which is the stage `shape`.
+        adapted: ARAP-Loss with the adaptation: the network's, and its last step on the very mesh, which is the stage
+            `shape`.
         learned: With the network's adaptation alone.
         plain: Without both: delta = 0.
         loose: Without the stage `attach` too: the paper's setting without adaptation.
@@ -88,17 +93,24 @@ class ArapTable:
     rows: tuple[ArapRow, ...]
 
     def ratio(self, unseen: bool, kind: str = "adapted") -> float:
-        """ARAP-Loss with the adaptation over without, each the mean over the characters that are (un)seen; NaN without any.
+        """ARAP-Loss with the adaptation over without, each the mean over the characters that are (un)seen; NaN without
+        any.
 
         Args:
             unseen: Which characters.
             kind: "adapted", or "learned" for the network's share alone.
         """
         rows = [row for row in self.rows if row.unseen == unseen]
-        return sum(getattr(row, kind) for row in rows) / max(sum(row.plain for row in rows), 1e-30) if rows else float("nan")
+        return (
+            sum(getattr(row, kind) for row in rows) / max(sum(row.plain for row in rows), 1e-30)
+            if rows
+            else float("nan")
+        )
 
     def ratio_each(self, unseen: bool) -> float:
-        """Mean of each character's own ratio, which no character that distorts a lot by nature outweighs; NaN without any."""
+        """Mean of each character's own ratio, which no character that distorts a lot by nature outweighs; NaN without
+        any.
+        """
         rows = [row for row in self.rows if row.unseen == unseen and row.plain > 0]
         return float(np.mean([row.adapted / row.plain for row in rows])) if rows else float("nan")
 
@@ -153,13 +165,23 @@ def measure_adaptation(
             mesh = torch.from_numpy(np.array(handles.features, np.float32)).expand(len(prompts), -1)
         frames = max(1, round(seconds * model.config.fps))
         with fitting_threads(model):
-            found = sample(model, text, frames, mesh_features=mesh, steps=STEPS if steps is None else steps, guidance=GUIDANCE, seed=seed)
+            found = sample(
+                model,
+                text,
+                frames,
+                mesh_features=mesh,
+                steps=STEPS if steps is None else steps,
+                guidance=GUIDANCE,
+                seed=seed,
+            )
         figures = []
         for values, offset in zip(found.values.cpu().numpy(), found.adaptation.cpu().numpy(), strict=True):
             plain = decode(statistics.restore(values), model.config.fps)
             bare, adapted = replace(stages, shape=False), adapt(plain, offset)
             kinds = ((adapted, stages), (adapted, bare), (plain, bare), (plain, replace(bare, attach=False)))
-            figures.append([_of(fit_motion(motion, character, handles, how), character, handles, stride) for motion, how in kinds])
+            figures.append(
+                [_of(fit_motion(motion, character, handles, how), character, handles, stride) for motion, how in kinds]
+            )
             figures[-1].append(float(np.linalg.norm(offset[:, 1:], axis=-1).mean()))
         rows.append(ArapRow(name, name.partition("~")[0] in HELD_OUT, *np.mean(figures, axis=0).tolist()))
     if progress is not None:

@@ -1,7 +1,7 @@
 """What `bunraku evaluate motion` measures beside its table: speed, Handle-FID, seams, feet, distortion, creatures.
 
-Each block is a function of the result, the settings and a progress callback that returns figures by key; one that cannot run says why in
-"left_out". `BARS` lists the figures with the value that each should reach.
+Each block is a function of the result, the settings and a progress callback that returns figures by key; one that
+cannot run says why in "left_out". `BARS` lists the figures with the value that each should reach.
 """
 
 from __future__ import annotations
@@ -21,15 +21,32 @@ from bunraku.evaluation.motion.train_extractor import people
 from bunraku.evaluation.motion.windows import Window, draw_windows, window_features
 from bunraku.training.diffusion.clip_rows import load_clips
 
-__all__ = ["BARS", "Bar", "add_blocks", "arap_block", "creature_block", "foot_block", "handle_fid_block", "seam_block", "speed_block"]
+__all__ = [
+    "BARS",
+    "Bar",
+    "add_blocks",
+    "arap_block",
+    "creature_block",
+    "foot_block",
+    "handle_fid_block",
+    "seam_block",
+    "speed_block",
+]
 
 Clips = Mapping[str, Mapping[str, Any]]
 Tell = Callable[[float], None]
 SCRIPT = (
-    "a person walks forward", "a person turns around", "a person dances", "a person walks backwards", "a person waves with the right hand",
+    "a person walks forward", "a person turns around", "a person dances", "a person walks backwards",
+    "a person waves with the right hand",
 )  # fmt: skip
 """The clip of 60 s of five prompts, 12 s each."""
-FAST_SCRIPT = ("a person walks forward", "a person runs", "a person jumps up", "a person dances", "a person waves with the right hand")
+FAST_SCRIPT = (
+    "a person walks forward",
+    "a person runs",
+    "a person jumps up",
+    "a person dances",
+    "a person waves with the right hand",
+)
 """The same with what is many times as fast as the median by nature."""
 SEAM_SEEDS = 3
 
@@ -75,7 +92,9 @@ BARS = (
 
 
 def speed_block(config: MotionEvalConfig) -> dict[str, float]:
-    """Seconds from a known sentence to a handle motion of 196 frames, alone and in a batch of 8; the best of three, and of two."""
+    """Seconds from a known sentence to a handle motion of 196 frames, alone and in a batch of 8; the best of three, and
+    of two.
+    """
     from bunraku.diffusion.generate import generate_motion, generate_motions
 
     def best(count: int, work: Callable[[], object]) -> float:
@@ -95,7 +114,9 @@ def speed_block(config: MotionEvalConfig) -> dict[str, float]:
 
 
 def seam_block(config: MotionEvalConfig) -> dict[str, float]:
-    """Clips of 60 s of five prompts: the largest step of the handles from frame to frame near a seam, over the median of the clip; means of seeds."""
+    """Clips of 60 s of five prompts: the largest step of the handles from frame to frame near a seam, over the median
+    of the clip; means of seeds.
+    """
     from bunraku.diffusion.generate import generate_motions
     from bunraku.evaluation.motion.seams import measure_seams
 
@@ -103,8 +124,17 @@ def seam_block(config: MotionEvalConfig) -> dict[str, float]:
     for suffix, script in (("", SCRIPT), ("_fast", FAST_SCRIPT)):
         parts = [(prompt, 12.0) for prompt in script]
         seeds = [config.seed + number for number in range(SEAM_SEEDS)]
-        motions = generate_motions([parts] * SEAM_SEEDS, seeds=seeds, steps=config.steps, guidance=config.guidance, checkpoint=config.checkpoint)
-        found = [measure_seams(motion, [round(12 * number * motion.fps) for number in range(1, len(script))]) for motion in motions]
+        motions = generate_motions(
+            [parts] * SEAM_SEEDS,
+            seeds=seeds,
+            steps=config.steps,
+            guidance=config.guidance,
+            checkpoint=config.checkpoint,
+        )
+        found = [
+            measure_seams(motion, [round(12 * number * motion.fps) for number in range(1, len(script))])
+            for motion in motions
+        ]
         out[f"seam_jump{suffix}"] = float(np.mean([report.displacement for report in found]))
         out[f"seam_jump{suffix}_elsewhere"] = float(np.mean([report.displacement_elsewhere for report in found]))
         out[f"seam_acceleration{suffix}"] = float(np.mean([report.jump for report in found]))
@@ -133,7 +163,9 @@ def handle_fid_block(config: MotionEvalConfig, count: int, tell: Tell) -> dict[s
 
 
 def foot_block(config: MotionEvalConfig, count: int, tell: Tell) -> dict[str, float]:
-    """Feet of generated motions of held-out sentences, on the reference body and on unseen humanoids of the characters' folder."""
+    """Feet of generated motions of held-out sentences, on the reference body and on unseen humanoids of the characters'
+    folder.
+    """
     from bunraku.evaluation.motion.characters import chosen_files, foot_figures, load_named
 
     characters = []
@@ -154,7 +186,9 @@ def arap_block(config: MotionEvalConfig, quick: bool, tell: Tell) -> dict[str, f
         raise OptionError("--characters names no folder")
     files = [file for unseen in (False, True) for file in chosen_files(config.characters, unseen, 3 if quick else 15)]
     characters = load_named(files, config.characters, tell=lambda done: tell(0.3 * done))
-    return arap_figures(characters, config.checkpoint, 2 if quick else 6, config.steps, config.seed, lambda done: tell(0.3 + 0.7 * done))
+    return arap_figures(
+        characters, config.checkpoint, 2 if quick else 6, config.steps, config.seed, lambda done: tell(0.3 + 0.7 * done)
+    )
 
 
 def creature_block(config: MotionEvalConfig, quick: bool, tell: Tell) -> dict[str, Any]:
@@ -176,20 +210,34 @@ def creature_block(config: MotionEvalConfig, quick: bool, tell: Tell) -> dict[st
 
     def generate(sentence: str, feature: np.ndarray | None, seconds: float, seed: int) -> HandleMotion:
         return generate_motion(
-            sentence, seconds, seed=seed, mesh_feature=feature, steps=config.steps, guidance=config.guidance, checkpoint=config.checkpoint
+            sentence,
+            seconds,
+            seed=seed,
+            mesh_feature=feature,
+            steps=config.steps,
+            guidance=config.guidance,
+            checkpoint=config.checkpoint,
         )
 
     found = creature_accuracy(generate, config.data, features, progress=lambda done, total: tell(done / total))
-    return {"creature_accuracy": found["accuracy"], "creature_accuracy_real": found["real"]["accuracy"], "creatures": found}
+    return {
+        "creature_accuracy": found["accuracy"],
+        "creature_accuracy_real": found["real"]["accuracy"],
+        "creatures": found,
+    }
 
 
-def _windows(config: MotionEvalConfig, count: int, stream: int, clips: Clips | None = None) -> tuple[Clips, list[Window]]:
+def _windows(
+    config: MotionEvalConfig, count: int, stream: int, clips: Clips | None = None
+) -> tuple[Clips, list[Window]]:
     """The held-out clips and some windows of them."""
     clips = clips or people(load_clips(config.data, splits={config.split}), config.split)
     return clips, draw_windows(clips, count, np.random.default_rng([config.seed, stream]))
 
 
-def _motions(config: MotionEvalConfig, windows: list[Window], mesh_feature: np.ndarray | None = None) -> list[np.ndarray]:
+def _motions(
+    config: MotionEvalConfig, windows: list[Window], mesh_feature: np.ndarray | None = None
+) -> list[np.ndarray]:
     """Our model's motions of windows; for a character with its adaptation."""
     from bunraku.diffusion.generate import load_generator
     from bunraku.nn.checkpoints import shipped_checkpoint
@@ -198,7 +246,8 @@ def _motions(config: MotionEvalConfig, windows: list[Window], mesh_feature: np.n
     model, encoder = load_generator(path)
     requests = [Request(window.sentence, window.frames) for window in windows]
     return make_motions(
-        model, encoder, requests, config.sampler(), folder=config.work, digest=checkpoint_digest(path), mesh_feature=mesh_feature,
+        model, encoder, requests, config.sampler(), folder=config.work, digest=checkpoint_digest(path),
+        mesh_feature=mesh_feature,
         adapt=mesh_feature is not None,
     )  # fmt: skip
 

@@ -1,7 +1,8 @@
-"""What `bunraku evaluate motion` measures on characters: distortion with and without the adaptation, and feet that slide.
+"""What `bunraku evaluate motion` measures on characters: distortion with and without the adaptation, and feet that
+slide.
 
-The characters are those of a folder by fixed rules, so the same folder always gives the same ones: of the archive, the unseen are those
-that no training sees (`HELD_OUT`), the seen are spread evenly over the others.
+The characters are those of a folder by fixed rules, so the same folder always gives the same ones: of the archive, the
+unseen are those that no training sees (`HELD_OUT`), the seen are spread evenly over the others.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ Tell = Callable[[float], None]
 
 
 def chosen_files(folder: Path, unseen: bool, count: int) -> list[Path]:
-    """At most `count` character files of a folder, evenly over their sorted names: those that no training sees, or the others.
+    """At most `count` character files of a folder, evenly over their sorted names: those that no training sees, or the
+    others.
 
     Raises:
         FormatError: There are no characters.
@@ -43,7 +45,8 @@ def chosen_files(folder: Path, unseen: bool, count: int) -> list[Path]:
 
 
 def load_named(files: Sequence[Path], folder: Path, humanoids: bool = False, tell: Tell | None = None) -> list[Named]:
-    """Characters facing +Z with the handles that the predictor gives them; files that cannot be used are left out with a warning.
+    """Characters facing +Z with the handles that the predictor gives them; files that cannot be used are left out with
+    a warning.
 
     Args:
         files: Their files.
@@ -77,9 +80,16 @@ def mesh_features(folder: Path, names: Collection[str]) -> dict[str, np.ndarray]
 def arap_figures(
     characters: Sequence[Named], checkpoint: Path | None, prompts: int, steps: int | None, seed: int, tell: Tell
 ) -> dict[str, float | None]:
-    """ARAP-Loss of generated motions with the adaptation, without, and the ratio of both, on seen and on unseen characters."""
+    """ARAP-Loss of generated motions with the adaptation, without, and the ratio of both, on seen and on unseen
+    characters.
+    """
     table = measure_adaptation(
-        characters, ARAP_PROMPTS[:prompts], steps=steps, seed=seed, checkpoint=checkpoint, progress=lambda stage, done: tell(done)
+        characters,
+        ARAP_PROMPTS[:prompts],
+        steps=steps,
+        seed=seed,
+        checkpoint=checkpoint,
+        progress=lambda stage, done: tell(done),
     )
     out: dict[str, float | None] = {}
     for unseen, word in ((False, "seen"), (True, "unseen")):
@@ -92,7 +102,8 @@ def arap_figures(
 
 
 def foot_figures(features: Sequence[np.ndarray], characters: Sequence[Named], tell: Tell) -> dict[str, float]:
-    """Sliding, sinking and jitter of generated motions on the reference body and on characters, with all stages and without them.
+    """Sliding, sinking and jitter of generated motions on the reference body and on characters, with all stages and
+    without them.
 
     Args:
         features: Motions of the reference body, each of shape (N, 271).
@@ -113,7 +124,10 @@ def foot_figures(features: Sequence[np.ndarray], characters: Sequence[Named], te
     def mean(case: str, key: str, weight: np.ndarray | None = None) -> float:
         return float(np.average([float(row[case][key]) for row in rows], weights=weight))
 
-    out = {"foot_sliding_cm": mean("nothing", "sliding", weights), "foot_sliding_without_cm": mean("feet", "sliding", weights)}
+    out = {
+        "foot_sliding_cm": mean("nothing", "sliding", weights),
+        "foot_sliding_without_cm": mean("feet", "sliding", weights),
+    }
     out |= {"sunk_percent": mean("nothing", "sunk"), "sunk_without_percent": mean("floor", "sunk")}
     out |= {"jitter_cm": mean("nothing", "jitter"), "jitter_without_cm": mean("smooth", "jitter")}
     return out | {"foot_characters": float(len(everyone)), "foot_motions": float(len(motions))}

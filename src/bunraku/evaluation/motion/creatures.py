@@ -1,9 +1,11 @@
-"""Whether one can tell what a creature does: a classifier of actions, trained on real clips of the species that training sees.
+"""Whether one can tell what a creature does: a classifier of actions, trained on real clips of the species that
+training sees.
 
-A motion is described part by part (root, spine, head, arms, legs, tail, wings), so that a fish without legs and a horse without wings
-are told by the same numbers: how far a part moves, how fast, how suddenly, how far it is in the end from where it began, and
-how lively it still is then; and by the spectrum of the whole body. A multinomial logistic regression tells the classes apart;
-it is convex, so the same clips give the same classifier.
+A motion is described part by part (root, spine, head, arms, legs, tail, wings), so that a fish without legs and a horse
+without wings
+are told by the same numbers: how far a part moves, how fast, how suddenly, how far it is in the end from where it
+began, and how lively it still is then; and by the spectrum of the whole body. A multinomial logistic regression tells
+the classes apart; it is convex, so the same clips give the same classifier.
 """
 
 from __future__ import annotations
@@ -23,20 +25,26 @@ from bunraku.diffusion.features import ROOT_SIZE, encode
 from bunraku.errors import FormatError
 
 __all__ = [
-    "CLASSES", "ActionClassifier", "CreatureCase", "action_features", "creature_accuracy", "load_cases", "main_action", "real_accuracy",
+    "CLASSES", "ActionClassifier", "CreatureCase", "action_features", "creature_accuracy", "load_cases", "main_action",
+    "real_accuracy",
     "train_classifier",
 ]  # fmt: skip
 
 CLASSES: tuple[str, ...] = ("walk", "run", "attack", "death", "idle", "swim")
 _SAME = {
-    "gallop": "run", "trot": "run", "run carry": "run", "carry": "walk", "headbutt": "attack", "kick": "attack", "bite": "attack", "punch": "attack",
+    "gallop": "run", "trot": "run", "run carry": "run", "carry": "walk", "headbutt": "attack", "kick": "attack",
+    "bite": "attack", "punch": "attack",
     "slash": "attack", "swim fast": "swim", "swim impulse": "swim", "idle head low": "idle", "hover": "idle",
 }  # fmt: skip
 _KINDS = (
-    ("spine1", "spine2", "spine3"), ("neck", "head", "head_top", "face"), ("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"),
+    ("spine1", "spine2", "spine3"), ("neck", "head", "head_top", "face"), ("shoulder", "elbow", "wrist"), ("hip",
+    "knee", "ankle"),
     ("tail", "tail_tip"), ("wing",),
 )  # fmt: skip
-_PARTS = [[i - 1 for i, name in enumerate(HANDLE_NAMES) if name.removeprefix("left_").removeprefix("right_") in kind] for kind in _KINDS]
+_PARTS = [
+    [i - 1 for i, name in enumerate(HANDLE_NAMES) if name.removeprefix("left_").removeprefix("right_") in kind]
+    for kind in _KINDS
+]
 _BANDS = (1, 3, 5, 8, 13, 33)  # edges of the spectrum's bands, in cycles over WINDOW frames
 WINDOW = 64
 RIDGE = 5.0
@@ -57,7 +65,11 @@ def _course(values: np.ndarray, fps: float) -> list[float]:
     speed = np.linalg.norm(np.diff(values, axis=0), axis=1) * fps
     edge = max(1, len(values) // 6)
     extent = _log(float(np.sqrt(values.var(axis=0).sum())))
-    mean, peak, end = _log(float(np.sqrt((speed**2).mean()))), _log(float(speed.max())), _log(float(speed[-edge:].mean()))
+    mean, peak, end = (
+        _log(float(np.sqrt((speed**2).mean()))),
+        _log(float(speed.max())),
+        _log(float(speed[-edge:].mean())),
+    )
     change = _log(float(np.linalg.norm(values[-edge:].mean(axis=0) - values[:edge].mean(axis=0))))
     reach = _log(float(np.linalg.norm(values - values[0], axis=1).max()))
     return [extent, mean, peak, change, reach, end, mean - extent, peak - mean, change - extent, end - mean]
@@ -79,7 +91,13 @@ def action_features(motion: HandleMotion) -> np.ndarray:
     edge = max(1, len(x) // 6)
     turned = x[-edge:, 4:10].mean(axis=0) - x[:edge, 4:10].mean(axis=0)
     out = _course(x[:, 3:4], fps) + _course(x[:, 4:10], fps)
-    out += [x[:, 1].mean(), x[:, 2].mean(), _log(np.abs(x[:, 2]).mean()), _log(x[:, 1:3].std(axis=0).sum()), _log(x[:, 0].std())]
+    out += [
+        x[:, 1].mean(),
+        x[:, 2].mean(),
+        _log(np.abs(x[:, 2]).mean()),
+        _log(x[:, 1:3].std(axis=0).sum()),
+        _log(x[:, 0].std()),
+    ]
     out += [x[:, 3].mean(), x[:, 3].min(), x[:, 3].max(), x[-edge:, 3].mean(), turned[4], turned[0]]
     for part in _PARTS:
         out += _course(local[:, part].reshape(len(x), -1), fps)
@@ -134,7 +152,9 @@ def load_cases(folder: str | Path, held_out: bool) -> list[CreatureCase]:
 
 
 def _played_on(motion: HandleMotion) -> HandleMotion:
-    """The motion played on to `LONG` frames: again from its start where it ends as it began, with its last pose held otherwise."""
+    """The motion played on to `LONG` frames: again from its start where it ends as it began, with its last pose held
+    otherwise.
+    """
     frames, poses = len(motion), motion.rotations.reshape(len(motion), -1)
     step = np.linalg.norm(np.diff(poses, axis=0), axis=1).max(initial=0) if frames > 1 else 0.0
     loops = frames > 2 and np.linalg.norm(poses[-1] - poses[0]) <= 1.5 * step
@@ -142,7 +162,9 @@ def _played_on(motion: HandleMotion) -> HandleMotion:
     path = motion.root_translation[order].astype(np.float64)
     if loops:  # where it goes, it goes on
         rounds = np.arange(LONG) // frames
-        path[:, [0, 2]] += np.outer(rounds, (motion.root_translation[-1] - motion.root_translation[0])[[0, 2]] * frames / (frames - 1))
+        path[:, [0, 2]] += np.outer(
+            rounds, (motion.root_translation[-1] - motion.root_translation[0])[[0, 2]] * frames / (frames - 1)
+        )
     return replace(motion.take(order), root_translation=path)
 
 
@@ -171,8 +193,14 @@ class ActionClassifier:
 
 def train_classifier(cases: Sequence[CreatureCase]) -> ActionClassifier:
     """Fit the classifier to real clips, each also played on; all classes count the same in all."""
-    motions = [motion for case in cases for motion in ([case.motion, _played_on(case.motion)] if len(case.motion) < LONG else [case.motion])]
-    labels = np.array([CLASSES.index(case.action) for case in cases for _ in range(2 if len(case.motion) < LONG else 1)])
+    motions = [
+        motion
+        for case in cases
+        for motion in ([case.motion, _played_on(case.motion)] if len(case.motion) < LONG else [case.motion])
+    ]
+    labels = np.array(
+        [CLASSES.index(case.action) for case in cases for _ in range(2 if len(case.motion) < LONG else 1)]
+    )
     weights = np.array([case.weight for case in cases for _ in range(2 if len(case.motion) < LONG else 1)])
     total = np.bincount(labels, weights, len(CLASSES))
     weights = weights / np.maximum(total, 1e-9)[labels] * len(labels) / np.count_nonzero(total)
@@ -198,17 +226,26 @@ def train_classifier(cases: Sequence[CreatureCase]) -> ActionClassifier:
 
 
 def _table(cases: Sequence[CreatureCase], told: Sequence[str]) -> dict[str, Any]:
-    """Share told rightly, overall ("accuracy"), as the mean over classes ("balanced"), and by class, with all confusions."""
+    """Share told rightly, overall ("accuracy"), as the mean over classes ("balanced"), and by class, with all
+    confusions.
+    """
     confusion = {name: dict.fromkeys(CLASSES, 0) for name in CLASSES}
     for case, answer in zip(cases, told, strict=True):
         confusion[case.action][answer] += 1
     by_class = {name: row[name] / sum(row.values()) for name, row in confusion.items() if sum(row.values())}
     right = sum(confusion[name][name] for name in CLASSES)
-    return {"accuracy": right / len(cases), "balanced": float(np.mean(list(by_class.values()))), "by_class": by_class, "confusion": confusion}
+    return {
+        "accuracy": right / len(cases),
+        "balanced": float(np.mean(list(by_class.values()))),
+        "by_class": by_class,
+        "confusion": confusion,
+    }
 
 
 def real_accuracy(classifier: ActionClassifier, cases: Sequence[CreatureCase]) -> dict[str, Any]:
-    """How well the classifier tells real clips: `accuracy`, `balanced` (mean over classes), `by_class` and `confusion`."""
+    """How well the classifier tells real clips: `accuracy`, `balanced` (mean over classes), `by_class` and
+    `confusion`.
+    """
     return _table(cases, classifier.tell([case.motion for case in cases]))
 
 
@@ -224,7 +261,8 @@ def creature_accuracy(
     """How often generated clips of held-out species are told to be what was asked for.
 
     Args:
-        generate: Called with a sentence, f_phi of the character (448,) or None, a length [s] and a seed; gives a motion of the
+        generate: Called with a sentence, f_phi of the character (448,) or None, a length [s] and a seed; gives a motion
+            of the
             reference body.
         data: What `bunraku data motions --creatures` wrote.
         features: f_phi of each character by its name (the mesh bank).
@@ -233,7 +271,8 @@ def creature_accuracy(
         progress: Called with the number of clips done and of all.
 
     Returns:
-        `accuracy`, `balanced`, `by_class` and `confusion` of the generated clips; `real`: the same of the real held-out clips;
+        `accuracy`, `balanced`, `by_class` and `confusion` of the generated clips; `real`: the same of the real held-out
+        clips;
         `clips`: how many were generated; `wrong`: (sentence, character, told as) of each failure.
 
     Raises:
@@ -250,5 +289,7 @@ def creature_accuracy(
         told += classifier.tell([motion])
         if progress:
             progress(number + 1, len(cases))
-    wrong = [(case.text, case.character, answer) for case, answer in zip(cases, told, strict=True) if answer != case.action]
+    wrong = [
+        (case.text, case.character, answer) for case, answer in zip(cases, told, strict=True) if answer != case.action
+    ]
     return {**_table(cases, told), "real": real_accuracy(classifier, held), "clips": len(cases), "wrong": wrong}

@@ -1,14 +1,17 @@
-"""The feature extractor of the motion table: motions and sentences in one space (Guo et al. 2022, section A.2 of TapMo).
+"""The feature extractor of the motion table: motions and sentences in one space (Guo et al. 2022, section A.2 of
+TapMo).
 
-A motion encoder and a text encoder give vectors of the same size, trained so that a motion lies near its own sentence and
-far from others. The frames are folded four to a token, a small transformer mixes them, their mean is the motion's vector;
-the sentence comes from the frozen text encoder's tokens. Vectors have the length 10, so distances run from 0 to 20.
+A motion encoder and a text encoder give vectors of the same size, trained so that a motion lies near its own sentence
+and far from others. The frames are folded four to a token, a small transformer mixes them, their mean is the motion's
+vector; the sentence comes from the frozen text encoder's tokens. Vectors have the length 10, so distances run from 0 to
+20.
 
 The corrected protocol. MDM's evaluation embedded the captions of generated motions with the number of padded tokens in
 place of the number of words, while real motions got the right number, so the same caption had two different vectors and
 generated rows looked worse (its issue 182, mended in January 2024). Here there is one path for all rows: sentences are
 embedded by `embed_sentences` alone, each once, with the tokenizer's own mask, and neither padding nor the rest of the
-batch can change a vector. The same holds for motions: `embed_motions` masks what lies behind a motion's end. Tests hold both.
+batch can change a vector. The same holds for motions: `embed_motions` masks what lies behind a motion's end. Tests hold
+both.
 """
 
 from __future__ import annotations
@@ -28,7 +31,15 @@ from bunraku.errors import WeightsError
 from bunraku.language.encoders import MiniLMEncoder, TextBatch, TextEncoder
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 
-__all__ = ["RADIUS", "Extractor", "ExtractorConfig", "embed_motions", "embed_sentences", "load_extractor", "save_extractor"]
+__all__ = [
+    "RADIUS",
+    "Extractor",
+    "ExtractorConfig",
+    "embed_motions",
+    "embed_sentences",
+    "load_extractor",
+    "save_extractor",
+]
 
 KIND = "extractor"
 RADIUS = 10.0
@@ -83,7 +94,10 @@ class _Layer(nn.Module):
 
     def forward(self, x: Tensor, mask: Tensor) -> Tensor:
         """x (B, T, d), mask (B, T), True where real."""
-        query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in self.inside(self.norm_a(x)).chunk(3, dim=-1))
+        query, key, value = (
+            part.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+            for part in self.inside(self.norm_a(x)).chunk(3, dim=-1)
+        )
         # written out: torch's fused backward takes most of a step on a CPU
         scores = ((query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)).masked_fill(~mask[:, None, None], -1e4)
         mixed = torch.softmax(scores, dim=-1, dtype=scores.dtype) @ value
@@ -112,17 +126,23 @@ class Extractor(nn.Module):
         self.register_buffer("mean", torch.zeros(config.features))
         self.register_buffer("std", torch.ones(config.features))
         weights = feature_weights() if config.features == FEATURE_SIZE else np.ones(config.features, np.float32)
-        self.register_buffer("weights", torch.from_numpy(np.sqrt(weights)))  # idle handles count less, as in the denoiser's loss
+        self.register_buffer(
+            "weights", torch.from_numpy(np.sqrt(weights))
+        )  # idle handles count less, as in the denoiser's loss
         self.register_buffer("rates", 1000.0 ** (-torch.arange(0, width, 2) / width), persistent=False)
         self.motion_in = nn.Linear(config.features * config.frames_per_token, width)
         self.motion_layers = _layers(config, config.layers)
         self.motion_norm = nn.LayerNorm(2 * width)
-        self.motion_out = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Dropout(drop), nn.Linear(width, config.embedding))
+        self.motion_out = nn.Sequential(
+            nn.Linear(2 * width, width), nn.GELU(), nn.Dropout(drop), nn.Linear(width, config.embedding)
+        )
         self.text_in = nn.Linear(config.text_size, width)
         self.text_layers = _layers(config, 1)
         self.pooled_in = nn.Linear(config.pooled_size, width)
         self.text_norm = nn.LayerNorm(2 * width)
-        self.text_out = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Dropout(drop), nn.Linear(width, config.embedding))
+        self.text_out = nn.Sequential(
+            nn.Linear(2 * width, width), nn.GELU(), nn.Dropout(drop), nn.Linear(width, config.embedding)
+        )
         self.log_scale = nn.Parameter(torch.tensor(2.7))  # of the cosines in the loss
 
     def _places(self, tokens: int, device: torch.device) -> Tensor:
@@ -151,7 +171,9 @@ class Extractor(nn.Module):
         for layer in self.motion_layers:
             h = layer(h, mask)
         most = h.masked_fill(~mask[..., None], -1e4).amax(1)  # a short event in a long motion survives in the maximum
-        return RADIUS * F.normalize(self.motion_out(self.motion_norm(torch.cat([_mean(h, mask), most], dim=-1))).float(), dim=-1)
+        return RADIUS * F.normalize(
+            self.motion_out(self.motion_norm(torch.cat([_mean(h, mask), most], dim=-1))).float(), dim=-1
+        )
 
     def text(self, text: TextBatch) -> Tensor:
         """Vectors of sentences, shape (B, E), of length `RADIUS`."""
@@ -159,7 +181,9 @@ class Extractor(nn.Module):
         for layer in self.text_layers:
             h = layer(h, text.mask)
         pooled = self.pooled_in(text.pooled * self.config.pooled_size**0.5)
-        return RADIUS * F.normalize(self.text_out(self.text_norm(torch.cat([_mean(h, text.mask), pooled.to(h.dtype)], dim=-1))).float(), dim=-1)
+        return RADIUS * F.normalize(
+            self.text_out(self.text_norm(torch.cat([_mean(h, text.mask), pooled.to(h.dtype)], dim=-1))).float(), dim=-1
+        )
 
 
 @torch.inference_mode()
@@ -217,5 +241,8 @@ def load_extractor(path: str | Path, device: str | torch.device = "cpu") -> Extr
         model.load_state_dict(state)
         model.notes = dict(notes or {})
     except Exception as error:
-        raise WeightsError(f"{path}: the config and the weights of this extractor disagree ({str(error).splitlines()[0]}); train it again") from error
+        raise WeightsError(
+            f"{path}: the config and the weights of this extractor disagree ({str(error).splitlines()[0]}); train it "
+            "again"
+        ) from error
     return model.to(device).eval().requires_grad_(False)

@@ -1,7 +1,7 @@
 """The measures of generated motion (Guo et al. 2022, section 4.1 of TapMo), on the vectors of the feature extractor.
 
-Vectors have shape (B, E). All distances are Euclidean. Each function is plain arithmetic on arrays, with no opinion on where
-they come from; `motion_eval` draws the samples.
+Vectors have shape (B, E). All distances are Euclidean. Each function is plain arithmetic on arrays, with no opinion on
+where they come from; `motion_eval` draws the samples.
 """
 
 from __future__ import annotations
@@ -14,7 +14,17 @@ import numpy as np
 
 from bunraku.errors import OptionError
 
-__all__ = ["Interval", "diversity", "fid", "frechet_distance", "interval", "multimodal_distance", "multimodality", "r_precision", "t_quantile"]
+__all__ = [
+    "Interval",
+    "diversity",
+    "fid",
+    "frechet_distance",
+    "interval",
+    "multimodal_distance",
+    "multimodality",
+    "r_precision",
+    "t_quantile",
+]
 
 
 @dataclass(frozen=True)
@@ -33,7 +43,9 @@ def t_quantile(degrees: int) -> float:
 
 
 def interval(values: Sequence[float]) -> Interval:
-    """Mean and 95 % interval of independent runs: t times the standard deviation over the root of their number; 0 wide for one run."""
+    """Mean and 95 % interval of independent runs: t times the standard deviation over the root of their number; 0 wide
+    for one run.
+    """
     found = np.asarray(values, float)
     if len(found) < 2:
         return Interval(float(found.mean()), 0.0)
@@ -61,11 +73,13 @@ def multimodal_distance(motions: np.ndarray, sentences: np.ndarray) -> float:
     return float(np.linalg.norm(np.asarray(motions, float) - np.asarray(sentences, float), axis=-1).mean())
 
 
-def frechet_distance(mean_a: np.ndarray, covariance_a: np.ndarray, mean_b: np.ndarray, covariance_b: np.ndarray) -> float:
+def frechet_distance(
+    mean_a: np.ndarray, covariance_a: np.ndarray, mean_b: np.ndarray, covariance_b: np.ndarray
+) -> float:
     """Squared Frechet distance of two Gaussians (Dowson & Landau 1982): |m_a - m_b|^2 + tr(A + B - 2 (A B)^(1/2)).
 
-    The trace of the root is the sum of the singular values of A^(1/2) B^(1/2), which stays real and stable where a covariance is
-    singular.
+    The trace of the root is the sum of the singular values of A^(1/2) B^(1/2), which stays real and stable where a
+    covariance is singular.
 
     Args:
         mean_a: Shape (E,).
@@ -79,7 +93,9 @@ def frechet_distance(mean_a: np.ndarray, covariance_a: np.ndarray, mean_b: np.nd
         roots.append((vectors * np.sqrt(np.clip(values, 0, None))) @ vectors.T)
     shared = np.linalg.svd(roots[0] @ roots[1], compute_uv=False).sum()
     gap = np.square(np.asarray(mean_a, float) - np.asarray(mean_b, float)).sum()
-    return float(max(gap + np.trace(np.atleast_2d(covariance_a)) + np.trace(np.atleast_2d(covariance_b)) - 2 * shared, 0.0))
+    return float(
+        max(gap + np.trace(np.atleast_2d(covariance_a)) + np.trace(np.atleast_2d(covariance_b)) - 2 * shared, 0.0)
+    )
 
 
 def fid(a: np.ndarray, b: np.ndarray) -> float:
@@ -95,7 +111,9 @@ def fid(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def diversity(vectors: np.ndarray, random: np.random.Generator, pairs: int = 300) -> float:
-    """Mean distance of motions drawn in two lists without repetition (Guo et al. 2022), shape (B, E); `pairs` of them at most B / 2."""
+    """Mean distance of motions drawn in two lists without repetition (Guo et al. 2022), shape (B, E); `pairs` of them
+    at most B / 2.
+    """
     count = min(pairs, len(vectors) // 2)
     if count < 1:
         raise OptionError("Diversity needs at least 2 motions")

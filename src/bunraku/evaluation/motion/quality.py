@@ -1,6 +1,8 @@
-"""How clean a motion is: do standing feet slide, does anything sink, does it jitter; and what each stage of fitting does about it.
+"""How clean a motion is: do standing feet slide, does anything sink, does it jitter; and what each stage of fitting
+does about it.
 
-All lengths are at human size: those of the character times 1.7 m over its height. Nothing here uses what the stages detect.
+All lengths are at human size: those of the character times 1.7 m over its height. Nothing here uses what the stages
+detect.
 """
 
 from __future__ import annotations
@@ -18,13 +20,24 @@ from bunraku.core.skinning import posed_points, skin
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.legs import find_legs
 from bunraku.retarget.stages.ground import standing
-from bunraku.retarget.stance import neutral_pose, rest_turns
+from bunraku.retarget.stance import rest_turns, stance_of
 
-__all__ = ["Gauge", "MotionQuality", "foot_sliding", "gauge", "jitter", "measure", "penetration", "pooled", "stage_effects"]
+__all__ = [
+    "Gauge",
+    "MotionQuality",
+    "foot_sliding",
+    "gauge",
+    "jitter",
+    "measure",
+    "penetration",
+    "pooled",
+    "stage_effects",
+]
 
 HUMAN = 1.7  # m
 DOWN = 0.05  # a foot is down where its lowest vertex is so near to the ground, over the leg's length
-SWING = 1.0  # m/s at human size: a foot that moves faster along the ground than this and than the body does is swung, not slid
+# m/s at human size: a foot that moves faster along the ground than this and than the body does is swung, not slid
+SWING = 1.0
 POINTS = 300  # vertices of each foot that are looked at
 SINK = 20000  # vertices of the body that are looked at
 CLEANING = ("smooth", "feet", "floor")
@@ -40,7 +53,8 @@ class Gauge:
         handles: Its handles.
         feet: Vertices of each foot, arrays of indices; none of who has no legs.
         legs: Length of each leg [m].
-        stands: Vertices that must not sink, shape (n,): all of the surface but, of who stands on legs, what may hang lower than the feet
+        stands: Vertices that must not sink, shape (n,): all of the surface but, of who stands on legs, what may hang
+            lower than the feet
             such as a weapon in a hand (`standing`).
         present: Handles that the character has, shape (K,), bool.
         floor: Height of the ground [m].
@@ -89,14 +103,24 @@ def gauge(character: Character, handles: Handles) -> Gauge:
     """What to measure on a character; the same for all its motions."""
     turns, joints = rest_turns(character, handles)
     legs = find_legs(character, handles, joints)
-    stands = np.flatnonzero(standing(*neutral_pose(character, handles, joints, turns)))
+    stands = np.flatnonzero(standing(*stance_of(character, handles, joints, turns)))
     floor = float(character.vertices[stands, 1].min())
     feet = tuple(leg.foot_area[:: max(1, len(leg.foot_area) // POINTS)] for leg in legs)
-    return Gauge(character, handles, feet, tuple(leg.length for leg in legs), stands[:: max(1, len(stands) // SINK)], joints.present, floor)
+    return Gauge(
+        character,
+        handles,
+        feet,
+        tuple(leg.length for leg in legs),
+        stands[:: max(1, len(stands) // SINK)],
+        joints.present,
+        floor,
+    )
 
 
 def _slides(what: Gauge, transforms: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Ways of feet that are down from a frame to the next [cm], whether each is no swing, and how many pairs of frames and feet there are."""
+    """Ways of feet that are down from a frame to the next [cm], whether each is no swing, and how many pairs of frames
+    and feet there are.
+    """
     ways, slid, count = [], [], 0
     h = what.handles.positions
     root = transforms[:, 0, :, :3] @ h[0] + transforms[:, 0, :, 3]
@@ -119,7 +143,9 @@ def _slides(what: Gauge, transforms: np.ndarray, fps: float) -> tuple[np.ndarray
 def _depths(what: Gauge, transforms: np.ndarray) -> np.ndarray:
     """How deep the lowest vertex is below the ground in each frame [% of the height], shape (N,)."""
     vertices, weights = what.character.vertices[what.stands], what.handles.weights[what.stands]
-    lowest = np.concatenate([skin(vertices, weights, transforms[n : n + 50])[..., 1].min(axis=1) for n in range(0, len(transforms), 50)])
+    lowest = np.concatenate(
+        [skin(vertices, weights, transforms[n : n + 50])[..., 1].min(axis=1) for n in range(0, len(transforms), 50)]
+    )
     return np.maximum(what.floor - lowest, 0) / what.character.height * 100
 
 
@@ -127,7 +153,9 @@ def _jitter(what: Gauge, transforms: np.ndarray) -> float:
     places = posed_points(transforms, what.handles.positions)
     if len(places) < 4:
         return 0.0
-    return float(np.linalg.norm(np.diff(places[:, what.present].astype(np.float64), 3, axis=0), axis=-1).mean() * what.scale)
+    return float(
+        np.linalg.norm(np.diff(places[:, what.present].astype(np.float64), 3, axis=0), axis=-1).mean() * what.scale
+    )
 
 
 def measure(what: Gauge, motion: HandleMotion) -> MotionQuality:
@@ -162,30 +190,42 @@ def _of_reference(motion: HandleMotion | Animation) -> Animation:
 def foot_sliding(motion: HandleMotion | Animation) -> float:
     """Mean way of a foot along the ground while it is down, in centimetres a frame at human size.
 
-    A foot is down from one frame to the next where vertices of it are, in both, nearer to the ground than 5 % of the leg's length;
-    its way is the mean of those vertices'. A foot that moves faster than the body does, and than 1 m/s, is swung forward low over the
-    ground, as captured feet are in walking, and does not count.
+    A foot is down from one frame to the next where vertices of it are, in both, nearer to the ground than 5 % of the
+    leg's length; its way is the mean of those vertices'. A foot that moves faster than the body does, and than 1 m/s,
+    is swung forward low over the ground, as captured feet are in walking, and does not count.
 
     Args:
         motion: An animation, or a handle motion of the reference body.
     """
     animation = _of_reference(motion)
     ways, slid, _ = _slides(
-        gauge(animation.character, animation.handles), animation.motion.transforms(animation.handles.positions), animation.motion.fps
+        gauge(animation.character, animation.handles),
+        animation.motion.transforms(animation.handles.positions),
+        animation.motion.fps,
     )
     return float(ways[slid].mean()) if slid.any() else 0.0
 
 
 def penetration(motion: HandleMotion | Animation) -> float:
-    """Depth of the lowest vertex of all frames below the ground [% of the height]; of an animation, or a motion of the reference body."""
+    """Depth of the lowest vertex of all frames below the ground [% of the height]; of an animation, or a motion of the
+    reference body.
+    """
     animation = _of_reference(motion)
-    return float(_depths(gauge(animation.character, animation.handles), animation.motion.transforms(animation.handles.positions)).max())
+    return float(
+        _depths(
+            gauge(animation.character, animation.handles), animation.motion.transforms(animation.handles.positions)
+        ).max()
+    )
 
 
 def jitter(motion: HandleMotion | Animation) -> float:
-    """Mean third difference of the handles' places [cm at human size]; of an animation, or a motion of the reference body."""
+    """Mean third difference of the handles' places [cm at human size]; of an animation, or a motion of the reference
+    body.
+    """
     animation = _of_reference(motion)
-    return _jitter(gauge(animation.character, animation.handles), animation.motion.transforms(animation.handles.positions))
+    return _jitter(
+        gauge(animation.character, animation.handles), animation.motion.transforms(animation.handles.positions)
+    )
 
 
 def pooled(found: Sequence[MotionQuality]) -> MotionQuality:
@@ -196,23 +236,27 @@ def pooled(found: Sequence[MotionQuality]) -> MotionQuality:
         return float(np.average([getattr(each, name) for each in found], weights=weight)) if weight.sum() else 0.0
 
     return MotionQuality(
-        sliding=mean("sliding", down), sliding_all=mean("sliding_all", down), down=int(down.sum()), contact_share=mean("contact_share", frames),
+        sliding=mean("sliding", down), sliding_all=mean("sliding_all", down), down=int(down.sum()),
+        contact_share=mean("contact_share", frames),
         sunk=mean("sunk", frames), deepest=max((each.deepest for each in found), default=0.0),
         jitter=mean("jitter", frames), frames=int(frames.sum()),
     )  # fmt: skip
 
 
-def stage_effects(motions: Sequence[HandleMotion], characters: Mapping[str, tuple[Character, Handles]]) -> list[dict[str, float | str]]:
-    """What each cleaning stage does: every motion on every character with all stages, with each left out once, and with none of them.
+def stage_effects(
+    motions: Sequence[HandleMotion], characters: Mapping[str, tuple[Character, Handles]]
+) -> list[dict[str, float | str]]:
+    """What each cleaning stage does: every motion on every character with all stages, with each left out once, and with
+    none of them.
 
     Args:
         motions: Of the reference body.
         characters: Character and handles by name.
 
     Returns:
-        A row for each character and case: `character` (of all together: "all"), `without` (a stage, "nothing" or "smooth, feet, floor")
-        and the fields of `MotionQuality`; `moved` is the mean distance of the handles' places in the root's frame from those without any
-        of the stages [cm].
+        A row for each character and case: `character` (of all together: "all"), `without` (a stage, "nothing" or
+        "smooth, feet, floor") and the fields of `MotionQuality`; `moved` is the mean distance of the handles' places in
+        the root's frame from those without any of the stages [cm].
     """
     everything = Stages(shape=True)
     cases = {"nothing": everything, **{name: replace(everything, **{name: False}) for name in CLEANING}}
@@ -233,7 +277,9 @@ def stage_effects(motions: Sequence[HandleMotion], characters: Mapping[str, tupl
             if own:
                 quality = pooled([each for each, _ in own])
                 values = {field.name: getattr(quality, field.name) for field in fields(quality)}
-                rows.append({"character": name, "without": case, **values, "moved": float(np.mean([moved for _, moved in own]))})
+                rows.append(
+                    {"character": name, "without": case, **values, "moved": float(np.mean([moved for _, moved in own]))}
+                )
     return rows
 
 

@@ -1,8 +1,9 @@
-"""Motion-to-text retrieval with the denoiser as judge: does a held-out motion find back the sentence it was captioned with?
+"""Motion-to-text retrieval with the denoiser as judge: does a held-out motion find back the sentence it was captioned
+with?
 
-For a clip and each of 32 candidate sentences, the clip is noised and the error of the predicted x0 under that sentence is
-taken, as in diffusion classifiers (Li et al. 2023). The candidates share the noise. The sentence with the least error is the
-answer; a model that ignores its text is right one time in 32.
+For a clip and each of 32 candidate sentences, the clip is noised and the error of the predicted x0 under that sentence
+is taken, as in diffusion classifiers (Li et al. 2023). The candidates share the noise. The sentence with the least
+error is the answer; a model that ignores its text is right one time in 32.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ def wilson_interval(right: int, total: int) -> tuple[float, float]:
 
 
 def draw_candidates(texts: Sequence[str], labels: Sequence[str], count: int, random: np.random.Generator) -> list[str]:
-    """The first of a clip's captions and `count` - 1 others, each of another meaning than the clip's and than one another.
+    """The first of a clip's captions and `count` - 1 others, each of another meaning than the clip's and than one
+    another.
 
     Args:
         texts: All captions of the clip.
@@ -57,13 +59,22 @@ def draw_candidates(texts: Sequence[str], labels: Sequence[str], count: int, ran
     others = {caption_group(label).name: label for label in sorted(labels, reverse=True)}
     names = sorted(name for name in others if name not in own)
     if len(names) < count - 1:
-        raise OptionError(f"the held-out clips have captions of {len(names) + 1} meanings, fewer than the {count} candidates asked for")
+        raise OptionError(
+            f"the held-out clips have captions of {len(names) + 1} meanings, fewer than the {count} candidates asked "
+            "for"
+        )
     return [texts[0], *(others[names[index]] for index in random.permutation(len(names))[: count - 1])]
 
 
 @torch.inference_mode()
 def candidate_errors(
-    model: Denoiser, encoder: TextEncoder, clean: torch.Tensor, sentences: Sequence[str], levels: Sequence[int], seed: int, bf16: bool = True
+    model: Denoiser,
+    encoder: TextEncoder,
+    clean: torch.Tensor,
+    sentences: Sequence[str],
+    levels: Sequence[int],
+    seed: int,
+    bf16: bool = True,
 ) -> torch.Tensor:
     """Weighted squared error of x0 under each sentence.
 
@@ -122,8 +133,8 @@ def retrieval(
         progress: Called with (clips done, total).
 
     Returns:
-        Numbers and lists that JSON can say: "clips", "candidates", "chance", "top1" to "top3", "top1_interval" (95 %, Wilson),
-        "times_chance", "mean_rank", and "rows" with each clip's caption, rank and first answer.
+        Numbers and lists that JSON can say: "clips", "candidates", "chance", "top1" to "top3", "top1_interval" (95 %,
+        Wilson), "times_chance", "mean_rank", and "rows" with each clip's caption, rank and first answer.
 
     Raises:
         FormatError: The data are missing or damaged.
@@ -145,7 +156,14 @@ def retrieval(
         clean = torch.from_numpy(statistics.normalise(features[start : start + frames]).astype(np.float32)).clamp(-8, 8)
         captions = draw_candidates(entry["texts"], labels, candidates, np.random.default_rng([seed, number]))
         with fitting_threads(model):
-            errors = candidate_errors(model, encoder, clean, [caption_variants(text)[0] for text in captions], levels, seed * 1_000_003 + number)
+            errors = candidate_errors(
+                model,
+                encoder,
+                clean,
+                [caption_variants(text)[0] for text in captions],
+                levels,
+                seed * 1_000_003 + number,
+            )
         score = (errors / errors.mean(1, keepdim=True)).mean(0)  # each noise level counts the same
         rank = int((score <= score[0]).sum())  # a draw is lost, so that a model without an opinion is last
         answer = captions[0] if rank == 1 else captions[1 + int(score[1:].argmin())]

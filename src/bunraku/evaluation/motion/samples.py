@@ -1,7 +1,7 @@
 """Motions made for a table, kept in a folder as they are made, so that a killed evaluation goes on where it stopped.
 
-The folder's name is a digest of all that decides the motions: the weights, the sampler's settings, and the sentences with their
-lengths. Motions of one length are made in one batch, each batch from a seed of its own.
+The folder's name is a digest of all that decides the motions: the weights, the sampler's settings, and the sentences
+with their lengths. Motions of one length are made in one batch, each batch from a seed of its own.
 """
 
 from __future__ import annotations
@@ -108,14 +108,20 @@ def make_motions(
 
     longest = max((request.frames for request in requests), default=0)
     if longest > model.config.frames:
-        raise OptionError(f"a motion of {longest} frames is longer than the {model.config.frames} that these weights make at once")
+        raise OptionError(
+            f"a motion of {longest} frames is longer than the {model.config.frames} that these weights make at once"
+        )
     if bf16 is None:
         bf16 = bool(torch.cpu._is_avx512_bf16_supported()) if model.mean.device.type == "cpu" else True
     home = None if folder is None else folder / _key(digest, requests, sampling, mesh_feature, adapt, bf16)
     if home is not None:
         home.mkdir(parents=True, exist_ok=True)
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
-    mesh = None if mesh_feature is None or not model.knows_meshes else torch.as_tensor(np.asarray(mesh_feature, np.float32))[None]
+    mesh = (
+        None
+        if mesh_feature is None or not model.knows_meshes
+        else torch.as_tensor(np.asarray(mesh_feature, np.float32))[None]
+    )
     out: list[np.ndarray] = [np.zeros((0, FEATURE_SIZE), np.float32)] * len(requests)
     done = 0
     for number, rows in enumerate(_batches(requests)):
@@ -126,7 +132,8 @@ def make_motions(
             with fitting_threads(model):
                 found = sample(
                     model, encoder.encode([requests[row].sentence for row in rows]), shape[1],
-                    mesh_features=None if mesh is None else mesh.expand(len(rows), -1), steps=sampling.steps, guidance=sampling.guidance,
+                    mesh_features=None if mesh is None else mesh.expand(len(rows), -1), steps=sampling.steps,
+                    guidance=sampling.guidance,
                     seed=sampling.seed + 104_729 * (number + 1), method=sampling.method, bf16=bf16,
                 )  # fmt: skip
             values = statistics.restore(found.values.float().cpu().numpy()).astype(np.float32)
@@ -150,10 +157,19 @@ def _batches(requests: Sequence[Request]) -> list[list[int]]:
     by_length: dict[int, list[int]] = {}
     for row, request in enumerate(requests):
         by_length.setdefault(request.frames, []).append(row)
-    return [rows[start : start + BATCH] for _, rows in sorted(by_length.items()) for start in range(0, len(rows), BATCH)]
+    return [
+        rows[start : start + BATCH] for _, rows in sorted(by_length.items()) for start in range(0, len(rows), BATCH)
+    ]
 
 
-def _key(digest: str, requests: Sequence[Request], sampling: SamplerSettings, mesh: np.ndarray | None, adapt: bool, bf16: bool) -> str:
+def _key(
+    digest: str,
+    requests: Sequence[Request],
+    sampling: SamplerSettings,
+    mesh: np.ndarray | None,
+    adapt: bool,
+    bf16: bool,
+) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
     how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, bf16, BATCH]
     say = [digest, wanted, how, None if mesh is None else np.asarray(mesh, float).round(4).tolist()]

@@ -5,8 +5,8 @@ Two rates are measured between neighbouring frames, each the mean over the 30 ha
 - displacement: how far the handles go from one frame to the next, |p(n + 1) - p(n)| [m]
 - jump: how much that step changes, |p(n + 2) - 2 p(n + 1) + p(n)| [m]; a motion that goes fast but steadily has none
 
-For both, the ratio is the largest value within 10 frames of a seam over the median of the whole clip. A real motion has ratios
-well above 1 too (a leap is faster than the median), so the same ratio away from all seams is given beside it.
+For both, the ratio is the largest value within 10 frames of a seam over the median of the whole clip. A real motion has
+ratios well above 1 too (a leap is faster than the median), so the same ratio away from all seams is given beside it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ class SeamReport:
 
 
 def handle_places(motion: HandleMotion, positions: np.ndarray | None = None) -> np.ndarray:
-    """World positions of the handles [m], shape (N, K, 3); of the reference body's unless rest positions (K, 3) are given."""
+    """World positions of the handles [m], shape (N, K, 3); of the reference body's unless rest positions (K, 3) are
+    given.
+    """
     rest = np.asarray(reference_body().handles.positions if positions is None else positions, float)
     transforms = motion.transforms(rest).astype(float)
     return np.asarray(posed_points(transforms, rest))
@@ -77,8 +79,9 @@ def measure_loop(motion: HandleMotion, positions: np.ndarray | None = None) -> d
         positions: As in `measure_seams`.
 
     Returns:
-        `pose` [m]: mean distance of the handles between the last pose and the first; `velocity`: how much the handles' step
-        changes where the rounds meet, over the median change inside the clip; `travel` [m]: the way over the ground of a round.
+        `pose` [m]: mean distance of the handles between the last pose and the first; `velocity`: how much the handles'
+        step changes where the rounds meet, over the median change inside the clip; `travel` [m]: the way over the
+        ground of a round.
     """
     from bunraku.core.travel import placed_at, repeated
 

@@ -1,11 +1,12 @@
 """The table of generated motion (A.2 of TapMo): real data, our denoiser, and "TapMo (MDM)", in one protocol.
 
-Windows of clips that no training saw are drawn once (`motion_windows`); each model makes a motion of each window's length from
-its sentence, once. A run then draws `clips` of the windows without repetition, and for each 31 sentences that mean something
-else: all rows of the table see the same windows and the same sentences in a run. FID compares the drawn motions with `references`
-other windows of the same clips, so the FID of the real row, which is the drawn windows themselves, is what a perfect generator
-would reach. Means over the runs come with 95 % intervals, which tell how far the choice of windows, sentences and pairs
-matters; runs share motions unless the pool has `clips` for each of them.
+Windows of clips that no training saw are drawn once (`motion_windows`); each model makes a motion of each window's
+length from its sentence, once. A run then draws `clips` of the windows without repetition, and for each 31 sentences
+that mean something
+else: all rows of the table see the same windows and the same sentences in a run. FID compares the drawn motions with
+`references` other windows of the same clips, so the FID of the real row, which is the drawn windows themselves, is what
+a perfect generator would reach. Means over the runs come with 95 % intervals, which tell how far the choice of windows,
+sentences and pairs matters; runs share motions unless the pool has `clips` for each of them.
 """
 
 from __future__ import annotations
@@ -80,7 +81,10 @@ class MotionEvalConfig:
         """The sampler that is measured."""
         from bunraku.diffusion.generate import GUIDANCE, STEPS
 
-        steps, guidance = STEPS if self.steps is None else self.steps, GUIDANCE if self.guidance is None else self.guidance
+        steps, guidance = (
+            STEPS if self.steps is None else self.steps,
+            GUIDANCE if self.guidance is None else self.guidance,
+        )
         return SamplerSettings(steps, guidance, seed=self.seed)
 
 
@@ -118,7 +122,9 @@ def measure_rows(
     """
     for run in range(config.runs):
         drawn = np.random.default_rng([config.seed, run, 1]).permutation(len(windows))[: config.clips]
-        table = candidate_sentences([windows[i] for i in drawn], clips, config.candidates, np.random.default_rng([config.seed, run, 2]))
+        table = candidate_sentences(
+            [windows[i] for i in drawn], clips, config.candidates, np.random.default_rng([config.seed, run, 2])
+        )
         text = np.stack([[sentences[sentence] for sentence in row] for row in table])
         for row in rows.values():
             motions = row.vectors[drawn]
@@ -126,7 +132,9 @@ def measure_rows(
                 row.add(f"r_precision_{place}", share)
             row.add("fid", fid(motions, references))
             row.add("mm_dist", multimodal_distance(motions, text[:, 0]))
-            row.add("diversity", diversity(motions, np.random.default_rng([config.seed, run, 3])))  # the same pairs in all rows
+            row.add(
+                "diversity", diversity(motions, np.random.default_rng([config.seed, run, 3]))
+            )  # the same pairs in all rows
             if row.repeated is not None:
                 row.add("multimodality", multimodality(row.repeated, np.random.default_rng([config.seed, run, 4])))
         report("measures", (run + 1) / config.runs)
@@ -161,10 +169,11 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         report: Called with a stage's name and the share done.
 
     Returns:
-        Numbers and lists that JSON can say: "rows" by name ("real", "tapmo", "tapmo_mdm"), each measure with "mean" and "half"
-        (of the 95 % interval); "counts"; and at the top level the figures that the bars are about: "r_precision_1" and
-        "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_over_tapmo_mdm", "fid_real_halves", "fid_steps_ratio", "mm_dist",
-        "diversity", "multimodality", and what `motion_blocks` adds. A figure that was not measured is None.
+        Numbers and lists that JSON can say: "rows" by name ("real", "tapmo", "tapmo_mdm"), each measure with "mean" and
+        "half" (of the 95 % interval); "counts"; and at the top level the figures that the bars are about:
+        "r_precision_1" and "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_over_tapmo_mdm",
+        "fid_real_halves", "fid_steps_ratio", "mm_dist", "diversity", "multimodality", and what `motion_blocks` adds. A
+        figure that was not measured is None.
 
     Raises:
         OptionError: A setting is out of range, or the held-out clips have too few meanings.
@@ -181,7 +190,9 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     if config.mdm is not None:
         models["tapmo_mdm"] = config.mdm
     loaded = {name: load_generator(path) for name, path in models.items()}
-    clips = people(load_clips(config.data, lambda done, total: report("clips", done / total), {config.split}), config.split)
+    clips = people(
+        load_clips(config.data, lambda done, total: report("clips", done / total), {config.split}), config.split
+    )
     windows = draw_windows(clips, config.pool, np.random.default_rng([config.seed, 11]))
     others = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))
     named = _distinct(windows, config.prompts)
@@ -193,7 +204,9 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
 
         encoder = text_encoder(extractor.config.text_encoder)
     sentences = embed_sentences(extractor, encoder, [window.sentence for window in windows])
-    real, references = (embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, others))
+    real, references = (
+        embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, others)
+    )
     rows = {"real": Row(real)}
     for name, (model, own_encoder) in loaded.items():
         digest = checkpoint_digest(models[name])
@@ -204,7 +217,11 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         requests = [Request(window.sentence, window.frames) for window in windows]
         motions = make_motions(model, own_encoder, requests, sampling, folder=config.work, digest=digest, progress=tell)
         again = [Request(window.sentence, window.frames) for window in named for _ in range(config.repeats)]
-        repeated = make_motions(model, own_encoder, again, sampling, folder=config.work, digest=digest) if config.repeats > 1 else []
+        repeated = (
+            make_motions(model, own_encoder, again, sampling, folder=config.work, digest=digest)
+            if config.repeats > 1
+            else []
+        )
         vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
         rows[name] = Row(embed_motions(extractor, motions), vectors)
     measure_rows(rows, references, windows, clips, sentences, config, report)
@@ -220,19 +237,39 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     if not config.reference_steps:
         left_out["fid_steps_ratio"] = "it needs --reference-steps 1000"
     result["left_out"] = left_out
-    counts = {"clips": len({window.clip for window in windows}), "meanings": len({window.meaning for window in windows})}
+    counts = {
+        "clips": len({window.clip for window in windows}),
+        "meanings": len({window.meaning for window in windows}),
+    }
     seconds = sum(len(clips[name]["features"]) for name in {window.clip for window in windows}) / 20
-    result["counts"] = counts | {"seconds": seconds, "windows": len(windows), "drawn": min(config.clips, len(windows)), "runs": config.runs}
+    result["counts"] = counts | {
+        "seconds": seconds,
+        "windows": len(windows),
+        "drawn": min(config.clips, len(windows)),
+        "runs": config.runs,
+    }
     result["counts"] |= {"candidates": config.candidates, "steps": sampling.steps, "guidance": sampling.guidance}
-    result["parameters"] = {name: sum(value.numel() for value in model.parameters()) for name, (model, _) in loaded.items()}
+    result["parameters"] = {
+        name: sum(value.numel() for value in model.parameters()) for name, (model, _) in loaded.items()
+    }
     result["notes"] = {name: model.notes for name, (model, _) in loaded.items()} | {"extractor": extractor.notes}
-    result["settings"] = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()}
+    result["settings"] = {
+        key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()
+    }
     return result
 
 
 def _check(config: MotionEvalConfig) -> None:
-    if min(config.pool, config.references) < 4 or not 2 <= config.clips <= config.pool or config.runs < 1 or config.candidates < 4:
-        raise OptionError("an evaluation needs a pool of 4 or more, from 2 to all of it drawn a run, 1 or more runs, and 4 or more candidates")
+    if (
+        min(config.pool, config.references) < 4
+        or not 2 <= config.clips <= config.pool
+        or config.runs < 1
+        or config.candidates < 4
+    ):
+        raise OptionError(
+            "an evaluation needs a pool of 4 or more, from 2 to all of it drawn a run, 1 or more runs, and 4 or more "
+            "candidates"
+        )
     if config.reference_steps < 0 or config.reference_steps > 1000 or config.reference_clips < 2:
         raise OptionError("the comparison of samplers takes 0 to 1,000 steps and at least 2 motions")
     if (config.steps is not None and not 1 <= config.steps <= 1000) or config.prompts < 1 or config.repeats < 0:
@@ -240,7 +277,12 @@ def _check(config: MotionEvalConfig) -> None:
 
 
 def _steps_ratio(
-    extractor: Extractor, fast: np.ndarray, references: np.ndarray, windows: list[Window], config: MotionEvalConfig, report: Report
+    extractor: Extractor,
+    fast: np.ndarray,
+    references: np.ndarray,
+    windows: list[Window],
+    config: MotionEvalConfig,
+    report: Report,
 ) -> dict[str, float]:
     """FID of the default sampler and of many DDPM steps on the same windows, against the reference windows."""
     from bunraku.diffusion.generate import load_generator
@@ -255,10 +297,16 @@ def _steps_ratio(
     def tell(done: int, total: int) -> None:
         report(f"{sampling.steps} steps", done / total)
 
-    motions = make_motions(model, encoder, requests, sampling, folder=config.work, digest=checkpoint_digest(path), progress=tell)
+    motions = make_motions(
+        model, encoder, requests, sampling, folder=config.work, digest=checkpoint_digest(path), progress=tell
+    )
     reference = fid(embed_motions(extractor, motions), references)
     here = fid(fast[:count], references)
-    return {"fid_steps_ratio": here / max(reference, 1e-12), "fid_default_steps": here, "fid_reference_steps": reference}
+    return {
+        "fid_steps_ratio": here / max(reference, 1e-12),
+        "fid_default_steps": here,
+        "fid_reference_steps": reference,
+    }
 
 
 def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:

@@ -1,11 +1,11 @@
 """Training of the feature extractor: a motion and its sentence are drawn together, all other pairs of the batch apart.
 
 The loss is the cross-entropy of finding the sentence among the batch's and the motion among the batch's (InfoNCE, as in
-TMR, Petrovich et al. 2023). Pairs that mean the same do not count as wrong. Batches hold motions of about one length, so
-that length tells nothing. Only clips of the training split are seen, and of these only captured motions of people.
+TMR, Petrovich et al. 2023). Pairs that mean the same do not count as wrong. Batches hold motions of about one length,
+so that length tells nothing. Only clips of the training split are seen, and of these only captured motions of people.
 
-A run folder holds `state.safetensors` (all that is needed to go on), `extractor.safetensors` (the averaged weights), `log.csv`
-and the encoded captions. The same command goes on where a run stopped.
+A run folder holds `state.safetensors` (all that is needed to go on), `extractor.safetensors` (the averaged weights),
+`log.csv` and the encoded captions. The same command goes on where a run stopped.
 """
 
 from __future__ import annotations
@@ -23,7 +23,14 @@ from torch import Tensor
 
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
-from bunraku.evaluation.motion.extractor import RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences, save_extractor
+from bunraku.evaluation.motion.extractor import (
+    RADIUS,
+    Extractor,
+    ExtractorConfig,
+    embed_motions,
+    embed_sentences,
+    save_extractor,
+)
 from bunraku.evaluation.motion.metrics import r_precision
 from bunraku.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
 from bunraku.language.captions import caption_variants
@@ -77,14 +84,24 @@ class ExtractorTrainConfig:
 
 
 def people(clips: Mapping[str, dict[str, Any]], split: str) -> dict[str, dict[str, Any]]:
-    """Captured motions of people of one split: no creature, and no labelled action of a game character, of which each has many
-    captions that mean the same."""
+    """Captured motions of people of one split: no creature, and no labelled action of a game character, of which each
+    has many captions that mean the same.
+    """
     others = ("species", "character", "action")
-    return {name: entry for name, entry in clips.items() if entry.get("split", "train") == split and not any(entry.get(key) for key in others)}
+    return {
+        name: entry
+        for name, entry in clips.items()
+        if entry.get("split", "train") == split and not any(entry.get(key) for key in others)
+    }
 
 
 def retrieval_of(
-    model: Extractor, encoder: TextEncoder, clips: Mapping[str, Mapping[str, Any]], windows: Sequence[Window], candidates: int = 32, seed: int = 0
+    model: Extractor,
+    encoder: TextEncoder,
+    clips: Mapping[str, Mapping[str, Any]],
+    windows: Sequence[Window],
+    candidates: int = 32,
+    seed: int = 0,
 ) -> tuple[float, float, float]:
     """Top-1, top-2 and top-3 R-Precision of real windows."""
     random = np.random.default_rng([seed, 3])
@@ -112,12 +129,18 @@ class ExtractorTrainer:
         self.model.std.copy_(torch.from_numpy(statistics.std))
         self.average = Extractor(config.extractor).to(config.device).eval()
         self.average.load_state_dict(self.model.state_dict())
-        self.optimizer = torch.optim.AdamW(self.model.parameters(), lr=config.rate, betas=(0.9, 0.98), weight_decay=config.weight_decay)
+        self.optimizer = torch.optim.AdamW(
+            self.model.parameters(), lr=config.rate, betas=(0.9, 0.98), weight_decay=config.weight_decay
+        )
         self.step, self.seconds = 0, 0.0
 
     def progress(self) -> float:
         """How far the run is through its limits, 0 to 1."""
-        done = self.seconds / (60 * self.config.minutes) if self.config.minutes > 0 else self.step / max(self.config.steps, 1)
+        done = (
+            self.seconds / (60 * self.config.minutes)
+            if self.config.minutes > 0
+            else self.step / max(self.config.steps, 1)
+        )
         return min(done, 1.0)
 
     def batch(self, number: int) -> list[Window]:
@@ -135,13 +158,17 @@ class ExtractorTrainer:
         lengths = torch.tensor([window.frames for window in windows])
         values = torch.zeros(len(windows), int(lengths.max()), self.model.config.features)
         for row, window in zip(values, windows, strict=True):
-            row[: window.frames] = torch.from_numpy(np.ascontiguousarray(window_features(self.clips, window), np.float32))
+            row[: window.frames] = torch.from_numpy(
+                np.ascontiguousarray(window_features(self.clips, window), np.float32)
+            )
         with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=self.config.bf16):
             motion = self.model.motion(values.to(device), lengths.to(device))
             text = self.model.text(self.bank([window.sentence for window in windows]).to(device))
         logits = self.model.log_scale.exp().clamp(max=50) * (motion @ text.T) / RADIUS**2
         meanings = [window.meaning for window in windows]
-        same = torch.tensor([[a == b for b in meanings] for a in meanings], device=device) & ~torch.eye(len(windows), dtype=torch.bool, device=device)
+        same = torch.tensor([[a == b for b in meanings] for a in meanings], device=device) & ~torch.eye(
+            len(windows), dtype=torch.bool, device=device
+        )
         logits = logits.masked_fill(same, -1e4)
         target = torch.arange(len(windows), device=device)
         loss = 0.5 * (F.cross_entropy(logits, target) + F.cross_entropy(logits.T, target))
@@ -167,7 +194,9 @@ class ExtractorTrainer:
         """Write the training state and the checkpoint; a kill leaves the last ones."""
         out, settings = Path(self.config.out), plain_settings(asdict(self.config))
         models = {"model": self.model.state_dict(), "average": self.average.state_dict()}
-        state = TrainingState(self.step, models, {"adam": self.optimizer.state_dict()}, settings, {"seconds": self.seconds})
+        state = TrainingState(
+            self.step, models, {"adam": self.optimizer.state_dict()}, settings, {"seconds": self.seconds}
+        )
         save_training_state(out / "state.safetensors", state)
         notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "clips": len(self.clips), **results}
         return save_extractor(out / "extractor.safetensors", self.average, notes)
@@ -181,7 +210,10 @@ class ExtractorTrainer:
         try:
             state = resumed(Path(self.config.out), self.model, self.average, self.optimizer)
         except (RuntimeError, ValueError) as error:
-            raise OptionError(f"{self.config.out}: this run was started with another network; give the same settings, or another folder") from error
+            raise OptionError(
+                f"{self.config.out}: this run was started with another network; give the same settings, or another "
+                "folder"
+            ) from error
         if state is None:
             return False
         self.step, self.seconds = state.step, float(state.values["seconds"])
@@ -190,7 +222,9 @@ class ExtractorTrainer:
 
 def _sentences(clips: Mapping[str, Mapping[str, Any]]) -> list[str]:
     texts = {text for entry in clips.values() for text in entry["texts"]}
-    return sorted({sentence for text in texts for mirrored in (False, True) for sentence in caption_variants(text, mirrored)})
+    return sorted(
+        {sentence for text in texts for mirrored in (False, True) for sentence in caption_variants(text, mirrored)}
+    )
 
 
 def train_extractor(
@@ -219,11 +253,20 @@ def train_extractor(
     clips = load_clips(config.data, lambda done, total: report("clips", done / total), splits={"train", "val"})
     train, held = people(clips, "train"), people(clips, "val")
     if not train:
-        raise OptionError(f"{config.data}: there are no training clips of people; build the data again with 'bunraku data motions'")
+        raise OptionError(
+            f"{config.data}: there are no training clips of people; build the data again with 'bunraku data motions'"
+        )
     encoder = encoder or text_encoder()
-    network = replace(config.extractor, text_encoder=encoder.name, text_size=encoder.token_size, pooled_size=encoder.pooled_size)
+    network = replace(
+        config.extractor, text_encoder=encoder.name, text_size=encoder.token_size, pooled_size=encoder.pooled_size
+    )
     config = replace(config, extractor=network)
-    bank = TextBank(encoder, _sentences(train), config.out / "captions.safetensors", lambda done, total: report("captions", done / total))
+    bank = TextBank(
+        encoder,
+        _sentences(train),
+        config.out / "captions.safetensors",
+        lambda done, total: report("captions", done / total),
+    )
     trainer = ExtractorTrainer(config, train, bank)
     trainer.restore()
     windows, candidates = _validation(held)
@@ -234,11 +277,19 @@ def train_extractor(
         while trainer.progress() < 1:
             rows.append(trainer.train_step())
             if trainer.step % config.validate_every == 0 or trainer.progress() >= 1:
-                row = {"step": trainer.step, "minutes": trainer.seconds / 60, **{key: float(np.mean([r[key] for r in rows])) for key in rows[0]}}
+                row = {
+                    "step": trainer.step,
+                    "minutes": trainer.seconds / 60,
+                    **{key: float(np.mean([r[key] for r in rows])) for key in rows[0]},
+                }
                 results = {}
                 if windows:
                     tops = retrieval_of(trainer.average, encoder, held, windows, candidates)
-                    results = {"validation_candidates": candidates, "validation_top1": tops[0], "validation_top3": tops[2]}
+                    results = {
+                        "validation_candidates": candidates,
+                        "validation_top1": tops[0],
+                        "validation_top3": tops[2],
+                    }
                 row |= results
                 append_row(config.out / "log.csv", row)
                 path, rows = trainer.save(results), []

@@ -1,8 +1,8 @@
 """Windows of captioned clips: what the feature extractor is trained and the motion table is measured on.
 
-Few clips are held out, so each gives many windows: cuts of its own length or less, and their mirror images with the words
-mirrored too. A window's meaning is the group of its caption (see `captions`), mirrored where the window is, so that
-"turns left" and the mirror image of "turns right" are the same.
+Few clips are held out, so each gives many windows: cuts of its own length or less, and their mirror images with the
+words mirrored too. A window's meaning is the group of its caption (see `captions`), mirrored where the window is, so
+that "turns left" and the mirror image of "turns right" are the same.
 """
 
 from __future__ import annotations
@@ -65,12 +65,16 @@ def _shares(clips: Mapping[str, Mapping[str, Any]], names: list[str]) -> np.ndar
 
 
 def draw_windows(
-    clips: Mapping[str, Mapping[str, Any]], count: int, random: np.random.Generator, shortest: int = SHORTEST, longest: int = 196
+    clips: Mapping[str, Mapping[str, Any]],
+    count: int,
+    random: np.random.Generator,
+    shortest: int = SHORTEST,
+    longest: int = 196,
 ) -> list[Window]:
     """Windows at random places, half of them mirrored.
 
-    A clip of at most `longest` frames gives windows of three fifths of its length or more; a longer one of three fifths of
-    `longest` or more. Lengths are rounded down to one of `LENGTHS` where that is not under `shortest`.
+    A clip of at most `longest` frames gives windows of three fifths of its length or more; a longer one of three fifths
+    of `longest` or more. Lengths are rounded down to one of `LENGTHS` where that is not under `shortest`.
 
     Args:
         clips: What `load_clips` returned.
@@ -107,7 +111,9 @@ def window_features(clips: Mapping[str, Mapping[str, Any]], window: Window) -> n
     return mirror(features) if window.mirrored else features
 
 
-def candidate_sentences(windows: list[Window], clips: Mapping[str, Mapping[str, Any]], count: int, random: np.random.Generator) -> list[list[str]]:
+def candidate_sentences(
+    windows: list[Window], clips: Mapping[str, Mapping[str, Any]], count: int, random: np.random.Generator
+) -> list[list[str]]:
     """For each window its own sentence, then `count` - 1 sentences of other windows, each of another meaning.
 
     No candidate means the same as any caption of the window's clip, or as another candidate.
@@ -130,7 +136,15 @@ def candidate_sentences(windows: list[Window], clips: Mapping[str, Mapping[str, 
         own = {window_meaning(text, window.mirrored) for text in clips[window.clip]["texts"]} | {window.meaning}
         others = [meaning for meaning in meanings if meaning not in own]
         if len(others) < count - 1:
-            raise OptionError(f"the held-out clips have captions of {len(others) + 1} meanings, fewer than the {count} candidates asked for")
+            raise OptionError(
+                f"the held-out clips have captions of {len(others) + 1} meanings, fewer than the {count} candidates "
+                "asked for"
+            )
         drawn = [others[index] for index in random.permutation(len(others))[: count - 1]]
-        rows.append([window.sentence, *(by_meaning[meaning][int(random.integers(len(by_meaning[meaning])))] for meaning in drawn)])
+        rows.append(
+            [
+                window.sentence,
+                *(by_meaning[meaning][int(random.integers(len(by_meaning[meaning])))] for meaning in drawn),
+            ]
+        )
     return rows

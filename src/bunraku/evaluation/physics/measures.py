@@ -1,4 +1,6 @@
-"""What simulated apparel is measured by: chains that stretch, bodies that do not come to rest. Of the result alone, whatever simulated it."""
+"""What simulated apparel is measured by: chains that stretch, bodies that do not come to rest. Of the result alone,
+whatever simulated it.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,11 @@ class Chain:
 
 
 def apparel_chains(character: Character, rig: ApparelRig) -> list[Chain]:
-    """Chains of a character: the shortest ways over its joints from bodies that follow their bones to those at the ends.
+    """Chains of a character: the shortest ways over its joints from bodies that follow their bones to those at the
+    ends.
 
-    Joints that close loops (the cross-links of skirts) are not on them, nor are joints whose file lets the bodies come apart.
+    Joints that close loops (the cross-links of skirts) are not on them, nor are joints whose file lets the bodies come
+    apart.
     """
     beside: dict[int, list[tuple[int, int]]] = {}
     for number, joint in enumerate(rig.joints):
@@ -72,9 +76,9 @@ def apparel_chains(character: Character, rig: ApparelRig) -> list[Chain]:
             parent, number = above[bodies[-1]]
             bodies.append(parent)
             joints.append(number)
-        places = [link_place(character, rig, body, number) for body, number in zip(bodies[-2::-1], joints[::-1], strict=True)] + [
-            rig.bodies[end].position
-        ]
+        places = [
+            link_place(character, rig, body, number) for body, number in zip(bodies[-2::-1], joints[::-1], strict=True)
+        ] + [rig.bodies[end].position]
         length = float(sum(np.linalg.norm(b - a) for a, b in zip(places[:-1], places[1:], strict=True)))
         if length > _SHORT:
             chains.append(Chain(tuple(bodies[::-1]), tuple(joints[::-1]), length))
@@ -82,14 +86,17 @@ def apparel_chains(character: Character, rig: ApparelRig) -> list[Chain]:
 
 
 def link_place(character: Character, rig: ApparelRig, body: int, joint: int) -> np.ndarray:
-    """Where a body hangs in the rest pose [m], shape (3,): at its joint, or, where the file holds it at its bone (mode 2), at the bone's head."""
+    """Where a body hangs in the rest pose [m], shape (3,): at its joint, or, where the file holds it at its bone (mode
+    2), at the bone's head.
+    """
     entry = rig.bodies[body]
     assert character.rig is not None
     return np.asarray(character.rig.positions[entry.bone] if entry.mode == 2 else rig.joints[joint].position)
 
 
 def chain_lengths(animation: RigAnimation, rig: ApparelRig, chains: list[Chain]) -> np.ndarray:
-    """How long the chains are in each frame [m], shape (N, C): along their joints, gaps between the two sides of a joint included.
+    """How long the chains are in each frame [m], shape (N, C): along their joints, gaps between the two sides of a
+    joint included.
 
     What is seen counts, which is the bones: a body that is held at its bone hangs on that bone's parent.
 

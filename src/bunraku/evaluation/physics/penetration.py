@@ -1,7 +1,8 @@
 """How much of a character's apparel is inside its body, frame by frame.
 
-Bodies of avatars are layers of open sheets (faces, shirts, sleeves), so inside is where the generalized winding number (Jacobson et al. 2013,
-by the fast sums of Barill et al. 2018) of all of them together exceeds a half, and depth is the distance to the nearest sheet.
+Bodies of avatars are layers of open sheets (faces, shirts, sleeves), so inside is where the generalized winding number
+(Jacobson et al. 2013, by the fast sums of Barill et al. 2018) of all of them together exceeds a half, and depth is the
+distance to the nearest sheet.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ class BodyVolume:
         faces = character.faces[~apparel[character.faces].any(axis=1)]
         if not len(faces):
             raise CharacterError(f"{character.name}: all of it is apparel, so there is no body to be inside of")
-        points, index = np.unique(np.round(character.vertices[np.unique(faces)].astype(np.float64), 6), axis=0, return_inverse=True)
+        points, index = np.unique(
+            np.round(character.vertices[np.unique(faces)].astype(np.float64), 6), axis=0, return_inverse=True
+        )
         place = np.full(len(character.vertices), -1)
         place[np.unique(faces)] = index.ravel()
         weights = _means(body.weights[np.unique(faces)], index.ravel(), len(points))
@@ -65,7 +68,9 @@ class BodyVolume:
         few, few_faces, collapses = fast_simplification.simplify(
             points.astype(np.float32), faces.astype(np.int32), target_count=most_faces, return_collapses=True
         )
-        few, few_faces, kept = fast_simplification.replay_simplification(points.astype(np.float32), faces.astype(np.int32), collapses)
+        few, few_faces, kept = fast_simplification.replay_simplification(
+            points.astype(np.float32), faces.astype(np.int32), collapses
+        )
         return cls(few.astype(np.float64), np.ascontiguousarray(few_faces, np.int64), _means(weights, kept, len(few)))
 
     def posed(self, transforms: np.ndarray) -> np.ndarray:

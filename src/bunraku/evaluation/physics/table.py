@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -62,9 +63,12 @@ def evaluate_physics(
         files: PMX, PMD or VRM files.
         wardrobe: Seeds of wardrobe characters.
         clothes, body_data: As `wardrobe_character` takes them.
-        motions: Motion files; a walk, a dance and kicks made by code when there are none. A VMD is played as MMD plays it.
-        seconds: Length of the clip that every character plays: the motions one after the other, each as long, repeated where it is shorter [s].
-        quick: Leave out what takes longest: penetration, rest and whether the same comes out twice, which are None then.
+        motions: Motion files; a walk, a dance and kicks made by code when there are none. A VMD is played as MMD plays
+            it.
+        seconds: Length of the clip that every character plays: the motions one after the other, each as long, repeated
+            where it is shorter [s].
+        quick: Leave out what takes longest: penetration, rest and whether the same comes out twice, which are None
+            then.
         progress: Called with the name of a character and the share done.
 
     Returns:
@@ -76,15 +80,16 @@ def evaluate_physics(
     tell = progress or (lambda stage, done: None)
     sources: list[tuple[str, Callable[[], Character]]] = []
     for path in map(Path, files):
-        sources.append((path.name, lambda path=path: load_character(path)))  # type: ignore[misc]
+        sources.append((path.name, partial(load_character, path)))
     for seed in wardrobe:
-        sources.append((f"wardrobe {seed}", lambda seed=seed: wardrobe_character(seed, clothes=clothes, body_data=body_data)))  # type: ignore[misc]
+        made = partial(wardrobe_character, seed, clothes=clothes, body_data=body_data)
+        sources.append((f"wardrobe {seed}", made))
     rows: list[dict[str, Any]] = []
     failed: dict[str, str] = {}
     for name, load in sources:
         tell(name, 0.0)
         try:
-            rows.append({"name": name} | measure_physics(load(), motions, seconds, quick, lambda done, name=name: tell(name, done)))  # type: ignore[misc]
+            rows.append({"name": name} | measure_physics(load(), motions, seconds, quick, partial(tell, name)))
         except BunrakuError as error:
             failed[name] = str(error)
         tell(name, 1.0)
@@ -104,7 +109,13 @@ def evaluate_physics(
         for key, bar in PHYSICS_BARS.items()
         if bar.bar
     }
-    return out | {"reached": reached, "seconds": seconds, "motions": list(rows[0]["motions"]), "characters": rows, "failed": failed}
+    return out | {
+        "reached": reached,
+        "seconds": seconds,
+        "motions": list(rows[0]["motions"]),
+        "characters": rows,
+        "failed": failed,
+    }
 
 
 def measure_physics(
@@ -142,10 +153,17 @@ def measure_physics(
     tell(0.6)
     result = simulation.animation
     chains = apparel_chains(character, rig)
-    stretch = chain_lengths(result, rig, chains) / np.array([chain.length for chain in chains]) - 1 if chains else np.zeros((len(result), 1))
+    stretch = (
+        chain_lengths(result, rig, chains) / np.array([chain.length for chain in chains]) - 1
+        if chains
+        else np.zeros((len(result), 1))
+    )
     worst = np.unravel_index(int(stretch.argmax()), stretch.shape)
     row: dict[str, Any] = {
-        "motions": {name: {"chain_stretch": float(stretch[start:stop].max(initial=0))} for name, (start, stop) in zip(names, bounds, strict=True)},
+        "motions": {
+            name: {"chain_stretch": float(stretch[start:stop].max(initial=0))}
+            for name, (start, stop) in zip(names, bounds, strict=True)
+        },
         "chain_stretch": float(stretch.max()),
         "worst_chain": rig.bodies[chains[worst[1]].bodies[-1]].name if chains else "",
         "chains": len(chains),
@@ -181,21 +199,31 @@ def joined(parts: Sequence[RigAnimation], blend: float = BLEND) -> tuple[RigAnim
         blend: Length of a way [s].
 
     Returns:
-        The whole, and the first frame and the one after the last of each part; ways belong to the part that they lead to.
+        The whole, and the first frame and the one after the last of each part; ways belong to the part that they lead
+        to.
     """
     fps, steps = parts[0].fps, max(1, round(blend * parts[0].fps))
     shares = np.arange(1, steps + 1) / (steps + 1)
     shares = shares * shares * (3 - 2 * shares)
-    rotations, translations, bounds = [np.asarray(parts[0].rotations)], [np.asarray(parts[0].translations)], [(0, len(parts[0]))]
+    rotations, translations, bounds = (
+        [np.asarray(parts[0].rotations)],
+        [np.asarray(parts[0].translations)],
+        [(0, len(parts[0]))],
+    )
     for part in parts[1:]:
         rig = part.character.rig
         assert rig is not None
         before = RigAnimation(part.character, rotations[-1][-1:], translations[-1][-1:], fps)
-        core = int(np.argmax(np.bincount(rig.indices.ravel(), rig.weights.ravel(), minlength=len(rig.names))))  # a bone of the trunk or of a head
+        core = int(
+            np.argmax(np.bincount(rig.indices.ravel(), rig.weights.ravel(), minlength=len(rig.names)))
+        )  # a bone of the trunk or of a head
         shift = before.world()[1][0, core] - part.world()[1][0, core]
         moved = np.array(part.translations)
         moved[:, rig.parents < 0] += np.array([shift[0], 0, shift[2]], np.float32)
-        start, end = quaternion_from_matrix(rotations[-1][-1].astype(float)), quaternion_from_matrix(part.rotations[0].astype(float))
+        start, end = (
+            quaternion_from_matrix(rotations[-1][-1].astype(float)),
+            quaternion_from_matrix(part.rotations[0].astype(float)),
+        )
         between = [quaternion_slerp(start, end, np.full(len(start), share)) for share in shares]
         way = np.array([(1 - share) * translations[-1][-1] + share * moved[0] for share in shares])
         rotations += [matrix_from_quaternion(np.array(between)), np.asarray(part.rotations)]
@@ -228,11 +256,15 @@ def _parts(body: UnifiedBody, motions: Sequence[str | Path], seconds: float) -> 
     return names, out
 
 
-def _penetration(body: UnifiedBody, mask: np.ndarray, result: RigAnimation, frames: np.ndarray) -> tuple[np.ndarray, float]:
-    """Share of apparel that is deep in the body, and the share that is so at rest and is left out, since no motion put it there.
+def _penetration(
+    body: UnifiedBody, mask: np.ndarray, result: RigAnimation, frames: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Share of apparel that is deep in the body, and the share that is so at rest and is left out, since no motion put
+    it there.
 
     Returns:
-        As simulated, rigid with the nearest joint, and rigid with what its bones hang on, shape (N, 3); and the share at rest.
+        As simulated, rigid with the nearest joint, and rigid with what its bones hang on, shape (N, 3); and the share
+        at rest.
     """
     character, rig = body.parts.character, body.parts.character.rig
     assert rig is not None
@@ -240,7 +272,9 @@ def _penetration(body: UnifiedBody, mask: np.ndarray, result: RigAnimation, fram
     inside = volume.deep(volume.rest, character.vertices[chosen])
     chosen = chosen[~inside]
     if not len(chosen):
-        raise CharacterError(f"{character.name}: all of its apparel is inside its body at rest, so penetration says nothing")
+        raise CharacterError(
+            f"{character.name}: all of its apparel is inside its body at rest, so penetration says nothing"
+        )
     points = character.vertices[chosen]
     dense = replace(rig, indices=rig.indices[chosen], weights=rig.weights[chosen]).dense_weights()
     bones = np.flatnonzero(dense.any(axis=0))
@@ -260,7 +294,9 @@ def _rest_speed(character: Character, rig: ApparelRig) -> float:
     skeleton = character.rig
     assert skeleton is not None
     frames, bones = round((REST + 1) * FPS) + 1, len(skeleton.names)
-    still = RigAnimation(character, np.tile(np.eye(3, dtype=np.float32), (frames, bones, 1, 1)), np.zeros((frames, bones, 3)), FPS)
+    still = RigAnimation(
+        character, np.tile(np.eye(3, dtype=np.float32), (frames, bones, 1, 1)), np.zeros((frames, bones, 3)), FPS
+    )
     speeds = body_speeds(simulate(still, rig, warmup=0.0).animation, rig)
     return float(speeds[round(REST * FPS) :].mean()) if speeds.size else 0.0
 
@@ -270,7 +306,10 @@ def _deterministic(animation: RigAnimation, rig: ApparelRig) -> bool:
     few = round(3 * FPS)
     cut = RigAnimation(animation.character, animation.rotations[:few], animation.translations[:few], animation.fps)
     first, second = (simulate(cut, rig).animation for _ in range(2))
-    return first.rotations.tobytes() == second.rotations.tobytes() and first.translations.tobytes() == second.translations.tobytes()
+    return (
+        first.rotations.tobytes() == second.rotations.tobytes()
+        and first.translations.tobytes() == second.translations.tobytes()
+    )
 
 
 def _ratio(rows: Sequence[dict[str, Any]], key: str, against: str) -> float | None:

@@ -1,7 +1,7 @@
 """One character of the table of motion transfer: what is measured of it with every motion.
 
-Rigged characters are their own truth: where a limb of the source points, the limb between the same two bones of the result must point,
-whether the rig was moved or handles that know nothing of it.
+Rigged characters are their own truth: where a limb of the source points, the limb between the same two bones of the
+result must point, whether the rig was moved or handles that know nothing of it.
 """
 
 from __future__ import annotations
@@ -84,9 +84,9 @@ def measure_character(path: Path, name: str, sources: Mapping[str, Source]) -> d
         sources: Motions by their kinds.
 
     Returns:
-        `name`; `finished`, how many motions came through; `failed`, reasons by kind, "" for the character itself; and where it could
-        be read `vertices` and `humanoid`, whether it has a rig of one. Of those: `angle_rig` and `angle_handles` [degrees], and with
-        clips `back` and `back_copied`, over the height.
+        `name`; `finished`, how many motions came through; `failed`, reasons by kind, "" for the character itself; and
+        where it could be read `vertices` and `humanoid`, whether it has a rig of one. Of those: `angle_rig` and
+        `angle_handles` [degrees], and with clips `back` and `back_copied`, over the height.
     """
     row: dict[str, Any] = {"name": name, "finished": 0, "failed": {}}
     try:
@@ -118,7 +118,9 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
             row["finished"] += 1
             if humanoid:
                 assert parts is not None
-                on_handles.append(float(limb_angles(parts, _carried_heads(parts, result, frames), source.joints[frames]).mean()))
+                on_handles.append(
+                    float(limb_angles(parts, _carried_heads(parts, result, frames), source.joints[frames]).mean())
+                )
                 moved = apply_transfer(character, source.motion, onto="rig")
                 assert isinstance(moved, RigAnimation)
                 on_rig.append(float(limb_angles(parts, _rig_heads(parts, moved, frames), source.joints[frames]).mean()))
@@ -130,7 +132,9 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
 
 
 def _there_and_back(path: Path, character: Character, name: str) -> dict[str, float]:
-    """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and back; none without clips."""
+    """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and
+    back; none without clips.
+    """
     from bunraku.io.play import clip_names, load_animation
     from bunraku.pipelines.to_reference import reference_motion
     from bunraku.pipelines.transfer import apply_transfer, same_skeleton
@@ -138,7 +142,9 @@ def _there_and_back(path: Path, character: Character, name: str) -> dict[str, fl
     try:
         clip = load_animation(path, 0, 20.0)
         names = clip_names(clip.character.source.document)
-        clip = load_animation(path, next((number for number, title in enumerate(names) if "walk" in title.lower()), 0), 20.0)
+        clip = load_animation(
+            path, next((number for number, title in enumerate(names) if "walk" in title.lower()), 0), 20.0
+        )
         truth, height = clip.vertices(), clip.character.height
         back = apply_transfer(character, reference_motion(clip), onto="rig", stages=CARRIED)
         copied = same_skeleton(clip.character, clip)
@@ -152,7 +158,8 @@ def _there_and_back(path: Path, character: Character, name: str) -> dict[str, fl
 
 
 def limb_angles(parts: RigParts, heads: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """Angles between limbs of a result and of its source [degrees], shape (N, limbs): upper arms, forearms, thighs and shins.
+    """Angles between limbs of a result and of its source [degrees], shape (N, limbs): upper arms, forearms, thighs and
+    shins.
 
     Args:
         parts: The rig that names the limbs.
@@ -173,7 +180,9 @@ def _rig_heads(parts: RigParts, animation: RigAnimation, frames: np.ndarray) -> 
 
 
 def _carried_heads(parts: RigParts, animation: Animation | RigAnimation, frames: np.ndarray) -> np.ndarray:
-    """Where the skinning of an animation takes a rig's joints: as it takes the vertices that both parts of the joint hold, in the mean."""
+    """Where the skinning of an animation takes a rig's joints: as it takes the vertices that both parts of the joint
+    hold, in the mean.
+    """
     own = parts.handles.weights.astype(np.float64)
     world = animation.motion.transforms(animation.handles.positions)[frames].astype(np.float64)
     heads = np.tile(parts.joints.positions, (len(world), 1, 1))

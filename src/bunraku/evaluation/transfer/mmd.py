@@ -1,6 +1,7 @@
 """Soles of MMD models that a VMD moves by leg IK: how far they are from where the IK targets put them.
 
-The leg's target is where the ankle shall be, the toes' target is where the toes shall point from there. A target can be farther from the
+The leg's target is where the ankle shall be, the toes' target is where the toes shall point from there. A target can be
+farther from the
 hip than the leg is long, because a VMD made for one model is played on another: such frames are counted by themselves.
 """
 
@@ -31,9 +32,10 @@ def measure_soles(folder: str | Path | None, failed: dict[str, str]) -> dict[str
         failed: Gets the files that could not be read, and why.
 
     Returns:
-        `soles`, the largest distance of an ankle or toe from where the targets put it, in frames in which the leg reaches [m];
-        `soles_reached`, the share of these; `soles_beyond`, in the other frames the largest distance of an ankle from the place
-        nearest to its target that the leg can reach [m]; `soles_target`, the largest from the target itself [m]. None without files.
+        `soles`, the largest distance of an ankle or toe from where the targets put it, in frames in which the leg
+        reaches [m]; `soles_reached`, the share of these; `soles_beyond`, in the other frames the largest distance of an
+        ankle from the place nearest to its target that the leg can reach [m]; `soles_target`, the largest from the
+        target itself [m]. None without files.
     """
     from bunraku.formats.mmd.model import mmd_model
     from bunraku.formats.mmd.vmd import load_vmd
@@ -61,7 +63,9 @@ def measure_soles(folder: str | Path | None, failed: dict[str, str]) -> dict[str
                 failed[path.name] = str(error)
     if not found:
         return dict.fromkeys(KEYS)
-    reached, gap, beyond, target = (np.concatenate([legs[key] for legs in found]) for key in ("reached", "gap", "beyond", "target"))
+    reached, gap, beyond, target = (
+        np.concatenate([legs[key] for legs in found]) for key in ("reached", "gap", "beyond", "target")
+    )
     return {
         "soles": float(gap[reached].max()) if reached.any() else None,
         "soles_reached": float(reached.mean()),
@@ -79,9 +83,9 @@ def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dic
         vmd: The motion.
 
     Returns:
-        For each leg, arrays of N frames: `reached`, whether the ankle's target is within the leg's reach; `gap`, the larger of the
-        ankle's and the toe's distance from where the targets put them [m]; `beyond`, that of the ankle from the place nearest to its
-        target that the leg reaches [m]; `target`, that of the ankle from its target [m].
+        For each leg, arrays of N frames: `reached`, whether the ankle's target is within the leg's reach; `gap`, the
+        larger of the ankle's and the toe's distance from where the targets put them [m]; `beyond`, that of the ankle
+        from the place nearest to its target that the leg reaches [m]; `target`, that of the ankle from its target [m].
 
     Raises:
         MotionError: The motion moves none of the model's bones.
@@ -113,7 +117,9 @@ def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dic
 
 
 def leg_reach(model: MmdModel, knee: MmdIkLink, hip: int, ankle: int) -> float:
-    """How far from the hip the ankle can be [m], with the knee between its limits; for a knee without limits, the leg's length."""
+    """How far from the hip the ankle can be [m], with the knee between its limits; for a knee without limits, the leg's
+    length.
+    """
     rest = model.positions
     thigh, shin = rest[knee.bone] - rest[hip], rest[ankle] - rest[knee.bone]
     if knee.lower is None or knee.upper is None:

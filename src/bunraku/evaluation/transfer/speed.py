@@ -53,7 +53,10 @@ def times(character: Character | None, walk: HandleMotion) -> dict[str, float | 
     dense = _many(character)
     rounds = int(np.ceil(200 / len(walk)))
     long = replace(walk.take(np.tile(np.arange(len(walk)), rounds)[:200]), fps=20.0)
-    ways: Sequence[tuple[str, dict[str, Any]]] = (("seconds_rig", {"onto": "rig"}), ("seconds_handles", {"onto": "handles", "handles": rig(dense)}))
+    ways: Sequence[tuple[str, dict[str, Any]]] = (
+        ("seconds_rig", {"onto": "rig"}),
+        ("seconds_handles", {"onto": "handles", "handles": rig(dense)}),
+    )
     for key, how in ways:
         taken = []
         for _ in range(2):  # the first call also loads what is kept
@@ -93,7 +96,12 @@ def _bvh_seconds() -> float:
     names = tuple(HANDLE_NAMES) + ("end",)
     parents = np.array([-1] + [max(0, joint - 1 - joint % 5) for joint in range(1, 31)])
     swing = np.sin(np.linspace(0, 300, 14_400))[:, None, None] * random.normal(size=(1, 31, 3))
-    motion = SkeletalMotion(Skeleton(names, parents, random.normal(size=(31, 3)) * 0.2), matrix_from_axis_angle(swing), np.zeros((14_400, 3)), 120.0)
+    motion = SkeletalMotion(
+        Skeleton(names, parents, random.normal(size=(31, 3)) * 0.2),
+        matrix_from_axis_angle(swing),
+        np.zeros((14_400, 3)),
+        120.0,
+    )
     with tempfile.TemporaryDirectory() as folder:
         path = write_bvh(motion, Path(folder) / "long.bvh")
         taken = []

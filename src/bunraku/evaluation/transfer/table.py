@@ -49,7 +49,9 @@ BARS: dict[str, Bar] = {
     "bvh_degrees": Bar("BVH written and read again", 0.01, unit=" deg"),
     "soles": Bar("VMD with leg IK: soles from where the IK target puts them, where the leg reaches", 0.01, unit=" m"),
     "soles_reached": Bar("frames in which the leg reaches", None),
-    "soles_beyond": Bar("other frames: ankles from the place nearest to the target that the leg can reach", None, unit=" m"),
+    "soles_beyond": Bar(
+        "other frames: ankles from the place nearest to the target that the leg can reach", None, unit=" m"
+    ),
     "soles_target": Bar("other frames: ankles from the target itself, largest", None, unit=" m"),
     "seconds_bvh": Bar("reading a BVH of 2 minutes at 120 Hz", 0.5, unit=" s"),
     "seconds_rig": Bar("10 s of motion onto the rig of 20k vertices", 1.5, unit=" s"),
@@ -58,9 +60,11 @@ BARS: dict[str, Bar] = {
 
 
 def pick_motions(folder: str | Path) -> dict[str, Path]:
-    """A motion of each kind of `KINDS` in a folder: by the captions of its `captions.csv`, or by the names of the files.
+    """A motion of each kind of `KINDS` in a folder: by the captions of its `captions.csv`, or by the names of the
+    files.
 
-    Of several that fit, one that says just this word is taken, then the one with the fewest words, then the first by name.
+    Of several that fit, one that says just this word is taken, then the one with the fewest words, then the first by
+    name.
 
     Raises:
         FormatError: There is none of some kind.
@@ -71,15 +75,27 @@ def pick_motions(folder: str | Path) -> dict[str, Path]:
     if table.is_file():
         with table.open(newline="", encoding="utf-8") as file:
             found = [
-                (row["caption"], folder / row["file"]) for row in csv.DictReader(file) if row.get("caption") and (folder / row["file"]).is_file()
+                (row["caption"], folder / row["file"])
+                for row in csv.DictReader(file)
+                if row.get("caption") and (folder / row["file"]).is_file()
             ]
-    found += [(path.stem.replace("_", " "), path) for path in sorted(folder.glob("*")) if path.suffix.lower() in (".bvh", ".npz", ".npy", ".fbx")]
+    found += [
+        (path.stem.replace("_", " "), path)
+        for path in sorted(folder.glob("*"))
+        if path.suffix.lower() in (".bvh", ".npz", ".npy", ".fbx")
+    ]
     out = {}
     for kind in KINDS:
         words = [(text.lower().split(), path) for text, path in found]
-        fits = [(kind not in some, len(some), path.name, path) for some, path in words if any(word.startswith(kind) for word in some)]
+        fits = [
+            (kind not in some, len(some), path.name, path)
+            for some, path in words
+            if any(word.startswith(kind) for word in some)
+        ]
         if not fits:
-            raise FormatError(folder, f"it holds no motion whose caption or name says '{kind}'; the table needs {', '.join(KINDS)}")
+            raise FormatError(
+                folder, f"it holds no motion whose caption or name says '{kind}'; the table needs {', '.join(KINDS)}"
+            )
         out[kind] = min(fits)[3]
     return out
 
@@ -101,7 +117,8 @@ def evaluate_transfer(
         motions: Folder with a motion of each kind, BVH with a `captions.csv` beside them or named by kind.
         mmd: Folder with MMD models and VMD files, searched through, for the rows of soles.
         limit: How many characters to take, spread over all; all when None.
-        work: Where what was measured of each character is kept, so that a second call goes on where the first was stopped.
+        work: Where what was measured of each character is kept, so that a second call goes on where the first was
+            stopped.
         speed: Whether to measure times too.
         progress: Called with a stage's name and the share done.
 
@@ -134,22 +151,37 @@ def evaluate_transfer(
         if progress:
             progress("characters", (number + 1) / len(files))
     result: dict[str, Any] = {"finished": sum(row["finished"] for row in rows) / (len(rows) * len(KINDS))}
-    found = {key: [row[key] for row in rows if key in row] for key in ("angle_rig", "angle_handles", "back", "back_copied")}
+    found = {
+        key: [row[key] for row in rows if key in row] for key in ("angle_rig", "angle_handles", "back", "back_copied")
+    }
     result |= {key: float(np.mean(values)) if values else None for key, values in found.items()}
     result["back_median"] = float(np.median(found["back"])) if found["back"] else None
     result["bvh_degrees"] = bvh_again(picked["walk"])
     failed = {f"{row['name']} {kind}".rstrip(): reason for row in rows for kind, reason in row["failed"].items()}
     result |= measure_soles(mmd, failed)
     if speed:
-        humanoids = [(abs(row["vertices"] - MANY), path) for row, path in zip(rows, files, strict=True) if row.get("humanoid")]
+        humanoids = [
+            (abs(row["vertices"] - MANY), path) for row, path in zip(rows, files, strict=True) if row.get("humanoid")
+        ]
         nearest = min(humanoids)[1] if humanoids else None
         result |= times(None if nearest is None else facing_character(nearest, names[nearest]), sources["walk"].motion)
     else:
         result |= dict.fromkeys(("seconds_bvh", "seconds_rig", "seconds_handles"))
     known = {key: bar for key, bar in BARS.items() if bar.bar is not None and result[key] is not None}
-    result["reached"] = {key: bool(result[key] >= bar.bar if bar.high else result[key] <= bar.bar) for key, bar in known.items()}
-    counts = {"characters": len(rows), "humanoids": sum(bool(row.get("humanoid")) for row in rows), "clips": len(found["back"])}
-    return result | {"counts": counts, "motions": {kind: path.name for kind, path in picked.items()}, "failed": failed, "rows": rows}
+    result["reached"] = {
+        key: bool(result[key] >= bar.bar if bar.high else result[key] <= bar.bar) for key, bar in known.items()
+    }
+    counts = {
+        "characters": len(rows),
+        "humanoids": sum(bool(row.get("humanoid")) for row in rows),
+        "clips": len(found["back"]),
+    }
+    return result | {
+        "counts": counts,
+        "motions": {kind: path.name for kind, path in picked.items()},
+        "failed": failed,
+        "rows": rows,
+    }
 
 
 class _Kept:
@@ -167,7 +199,9 @@ class _Kept:
             folder.mkdir(parents=True, exist_ok=True)
             lines = self.file.read_text(encoding="utf-8").splitlines() if self.file.is_file() else []
         except OSError as error:
-            raise FormatError(folder, f"rows cannot be kept here ({error.strerror}); name another folder with --work") from None
+            raise FormatError(
+                folder, f"rows cannot be kept here ({error.strerror}); name another folder with --work"
+            ) from None
         for line in lines:
             try:
                 made_of, row = json.loads(line)

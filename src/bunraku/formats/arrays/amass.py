@@ -1,7 +1,7 @@
 """AMASS: motion capture as pose parameters of SMPL-H and SMPL-X in `.npz` files (Mahmood et al. 2019).
 
-The rotations of the 22 body joints are taken and put on the reference body's bones; no body model is needed. Shapes, soft tissue
-and fingers are left out.
+The rotations of the 22 body joints are taken and put on the reference body's bones; no body model is needed. Shapes,
+soft tissue and fingers are left out.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _SIZES = (0.7, 1.3)  # of people, as shares of the reference body; what else is 
 def read_amass(path: Path, data: bytes) -> SkeletalMotion:
     """Read an AMASS file.
 
-    Rotations are turned from SMPL's T-pose to the reference body's, so limbs point where they did.
-    The place of the pelvis is that of the file, whose `trans` is the pelvis but for a constant of the body's shape; the skeleton is
-    the reference body's, scaled so that the feet reach the ground at height 0 where the person stands.
+    Rotations are turned from SMPL's T-pose to the reference body's, so limbs point where they did. The place of the
+    pelvis is that of the file, whose `trans` is the pelvis but for a constant of the body's shape; the skeleton is the
+    reference body's, scaled so that the feet reach the ground at height 0 where the person stands.
 
     Args:
         path: The file.
@@ -51,17 +51,28 @@ def read_amass(path: Path, data: bytes) -> SkeletalMotion:
         names = npz_names(archive)
         rate = next((name for name in _RATES if name in names), None)
         if "trans" not in names or not ("poses" in names or {"root_orient", "pose_body"} <= names) or rate is None:
-            raise FormatError(path, "this NPZ lacks poses, trans or mocap_framerate, so it is no motion of AMASS; some of its files are shapes only")
+            raise FormatError(
+                path,
+                "this NPZ lacks poses, trans or mocap_framerate, so it is no motion of AMASS; some of its files are "
+                "shapes only",
+            )
         parts = ("poses",) if "poses" in names else ("root_orient", "pose_body")
-        poses = np.concatenate([_rows(path, read_member(path, archive, name, len(data)), name) for name in parts], axis=1)
+        poses = np.concatenate(
+            [_rows(path, read_member(path, archive, name, len(data)), name) for name in parts], axis=1
+        )
         trans = _rows(path, read_member(path, archive, "trans", len(data)), "trans")
         fps = read_member(path, archive, rate, len(data))
     if poses.shape[1] < 3 * JOINT_COUNT or trans.shape != (len(poses), 3):
-        raise FormatError(path, f"its poses {poses.shape} and trans {trans.shape} are not (N, 66 or more) and (N, 3); download it again")
+        raise FormatError(
+            path,
+            f"its poses {poses.shape} and trans {trans.shape} are not (N, 66 or more) and (N, 3); download it again",
+        )
     if fps.size != 1 or not 1 <= float(fps.reshape(())) <= 1000:
         raise FormatError(path, f"its '{rate}' must be one number from 1 to 1000; download it again")
     if len(poses) > MOST_FRAMES:
-        raise FormatError(path, f"its {len(poses):,} frames are too many, at most {MOST_FRAMES:,} are read; cut it into shorter ones")
+        raise FormatError(
+            path, f"its {len(poses):,} frames are too many, at most {MOST_FRAMES:,} are read; cut it into shorter ones"
+        )
     rotations = matrix_from_axis_angle(poses[:, : 3 * JOINT_COUNT].reshape(-1, JOINT_COUNT, 3))
     rotations[:, 0] = _UP @ rotations[:, 0]
     rotations = _in_our_pose(rotations)
@@ -79,12 +90,16 @@ def _in_our_pose(rotations: np.ndarray) -> np.ndarray:
 
 def _rows(path: Path, array: np.ndarray, name: str) -> np.ndarray:
     if array.ndim != 2 or not len(array):
-        raise FormatError(path, f"its '{name}' must have a row for each frame, not the shape {array.shape}; download it again")
+        raise FormatError(
+            path, f"its '{name}' must have a row for each frame, not the shape {array.shape}; download it again"
+        )
     return array
 
 
 def _sized(rotations: np.ndarray, trans: np.ndarray, fps: float) -> SkeletalMotion:
-    """On the reference body's skeleton, scaled to the person as far as the height of the pelvis while standing tells."""
+    """On the reference body's skeleton, scaled to the person as far as the height of the pelvis while standing
+    tells.
+    """
     from bunraku.body.reference import leg_length, reference_body  # after the formats, in the order of imports
 
     body = reference_body()
@@ -95,4 +110,6 @@ def _sized(rotations: np.ndarray, trans: np.ndarray, fps: float) -> SkeletalMoti
     size = float(np.median(trans[standing, 1] / -ankles[standing])) if standing.sum() >= 5 else 1.0
     if not _SIZES[0] < size < _SIZES[1]:
         return motion
-    return SkeletalMotion(Skeleton(skeleton.names, skeleton.parents, skeleton.offsets * np.float32(size)), rotations, trans, fps)
+    return SkeletalMotion(
+        Skeleton(skeleton.names, skeleton.parents, skeleton.offsets * np.float32(size)), rotations, trans, fps
+    )

@@ -1,4 +1,5 @@
-"""HumanML3D (Guo et al. 2022): motions as feature vectors (N, 263) or joint positions (N, 22, 3) in `.npy` files, and their captions.
+"""HumanML3D (Guo et al. 2022): motions as feature vectors (N, 263) or joint positions (N, 22, 3) in `.npy` files, and
+their captions.
 
 A row of `new_joint_vecs` holds, at 20 frames a second and for SMPL's 22 joints in our frame:
 
@@ -12,8 +13,8 @@ A row of `new_joint_vecs` holds, at 20 frames a second and for SMPL's 22 joints 
 259:263 contacts of both feet
 ======= =====================================================================================================
 
-The rotations are relative to a skeleton whose bones lie along the axes and know nothing of how bones are rolled, so the positions,
-which are exact, are what is read; `bunraku.body.from_positions` finds the rotations.
+The rotations are relative to a skeleton whose bones lie along the axes and know nothing of how bones are rolled, so the
+positions, which are exact, are what is read; `bunraku.body.from_positions` finds the rotations.
 """
 
 from __future__ import annotations
@@ -57,7 +58,11 @@ def read_humanml3d(path: Path, data: bytes) -> SkeletalMotion:
     elif array.ndim == 3 and array.shape[1:] == (JOINT_COUNT, 3) and len(array):
         positions = array
     else:
-        raise FormatError(path, f"motions of HumanML3D have shape (N, {VECTOR_SIZE}) or (N, {JOINT_COUNT}, 3), not {array.shape}; give one of those")
+        raise FormatError(
+            path,
+            f"motions of HumanML3D have shape (N, {VECTOR_SIZE}) or (N, {JOINT_COUNT}, 3), not {array.shape}; give "
+            "one of those",
+        )
     from bunraku.body.from_positions import motion_from_positions  # after the formats, in the order of imports
 
     return motion_from_positions(positions, HUMANML3D_FPS)

@@ -43,10 +43,22 @@ def open_npz(path: Path, data: bytes) -> Iterator[zipfile.ZipFile]:
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in archive.infolist()):
+            if any(
+                entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in archive.infolist()
+            ):
                 raise zipfile.BadZipFile  # numpy writes no others, and their errors are of other kinds
             yield archive
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, OSError, RuntimeError, SyntaxError, TypeError, ValueError, zlib.error):
+    except (
+        zipfile.BadZipFile,
+        EOFError,
+        NotImplementedError,
+        OSError,
+        RuntimeError,
+        SyntaxError,
+        TypeError,
+        ValueError,
+        zlib.error,
+    ):
         raise FormatError(path, "the NPZ is truncated or broken; save it again") from None
 
 
@@ -65,7 +77,11 @@ def refuse_objects(path: Path, archive: zipfile.ZipFile) -> None:
         with archive.open(f"{name}.npy") as file:
             header = io.BytesIO(file.read(65536))
         if _header(header)[1].hasobject:
-            raise FormatError(path, f"its array '{name}' holds pickled objects, which can run code when loaded, and is refused; save plain numbers")
+            raise FormatError(
+                path,
+                f"its array '{name}' holds pickled objects, which can run code when loaded, and is refused; save "
+                "plain numbers",
+            )
 
 
 def read_member(path: Path, archive: zipfile.ZipFile, name: str, data_size: int) -> np.ndarray:
@@ -84,7 +100,10 @@ def read_member(path: Path, archive: zipfile.ZipFile, name: str, data_size: int)
     if entry.file_size > MAX_ARRAY_BYTES:
         raise FormatError(path, f"its array '{name}' unpacks to more than {MAX_ARRAY_BYTES >> 30} GiB; cut the motion")
     if entry.file_size > FREE_BYTES + MAX_GROWTH * data_size:
-        raise FormatError(path, f"its array '{name}' unpacks to {entry.file_size // data_size} times the size of the file; save it again")
+        raise FormatError(
+            path,
+            f"its array '{name}' unpacks to {entry.file_size // data_size} times the size of the file; save it again",
+        )
     with archive.open(entry) as file:
         return _plain(path, file.read(entry.file_size), f" '{name}'")
 
@@ -95,7 +114,9 @@ def _header(file: io.BytesIO) -> tuple[tuple[int, ...], np.dtype]:
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     try:
         shape, _, dtype = header(file)
-    except Exception as error:  # a header is Python text: its parser fails in many ways, even for memory where brackets are deep
+    except (
+        Exception
+    ) as error:  # a header is Python text: its parser fails in many ways, even for memory where brackets are deep
         raise ValueError(str(error)) from None
     return shape, dtype
 
@@ -107,7 +128,9 @@ def _plain(path: Path, data: bytes, name: str) -> np.ndarray:
     for length in shape:
         size *= int(length)
     if dtype.hasobject:
-        raise FormatError(path, f"its array{name} holds pickled objects, not plain numbers, and is refused; save plain numbers")
+        raise FormatError(
+            path, f"its array{name} holds pickled objects, not plain numbers, and is refused; save plain numbers"
+        )
     if dtype.kind not in "bfiu" or size != len(data) - content.tell():
         raise FormatError(path, f"its array{name} is not plain numbers, or is cut short; save it again")
     content.seek(0)

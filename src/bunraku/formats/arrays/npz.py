@@ -19,7 +19,16 @@ if TYPE_CHECKING:
     from bunraku.core.animation import Animation
     from bunraku.core.character import Handles
 
-__all__ = ["REFERENCE", "pack_animation", "pack_motion", "read_any_motion", "read_motion", "read_positions", "read_reference", "write_animation"]
+__all__ = [
+    "REFERENCE",
+    "pack_animation",
+    "pack_motion",
+    "read_any_motion",
+    "read_motion",
+    "read_positions",
+    "read_reference",
+    "write_animation",
+]
 
 REFERENCE = "reference_"
 
@@ -83,7 +92,8 @@ def read_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
     Args:
         path: The file.
         data: Its bytes.
-        prefix: What stands before the names of the arrays: nothing, or `REFERENCE` for the motion of the reference body.
+        prefix: What stands before the names of the arrays: nothing, or `REFERENCE` for the motion of the reference
+            body.
 
     Raises:
         FormatError: The file is broken, or is not a handle motion.
@@ -92,9 +102,13 @@ def read_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
     with open_npz(path, data) as archive:
         missing = [name for name in _NEEDED if prefix + name not in npz_names(archive)]
         if missing:
-            raise FormatError(path, f"this NPZ lacks {', '.join(missing)}, so it is no handle motion; save one with Animation.save")
+            raise FormatError(
+                path, f"this NPZ lacks {', '.join(missing)}, so it is no handle motion; save one with Animation.save"
+            )
         arrays = {name: read_member(path, archive, prefix + name, len(data)) for name in _NEEDED}
-        native = prefix + "native" in npz_names(archive) and bool(np.any(read_member(path, archive, prefix + "native", len(data))))
+        native = prefix + "native" in npz_names(archive) and bool(
+            np.any(read_member(path, archive, prefix + "native", len(data)))
+        )
     if arrays["fps"].size != 1:
         raise FormatError(path, "its 'fps' must be one number; save it again")
     fps = float(arrays["fps"].reshape(()))
@@ -123,7 +137,8 @@ def read_reference(path: Path, data: bytes) -> HandleMotion | None:
 
 
 def read_positions(path: Path, data: bytes) -> np.ndarray | None:
-    """Rest positions of the handles that a motion was made for [m], shape (K, 3), or None where the file does not hold them.
+    """Rest positions of the handles that a motion was made for [m], shape (K, 3), or None where the file does not hold
+    them.
 
     Raises:
         FormatError: The file is broken.

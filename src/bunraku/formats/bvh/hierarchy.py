@@ -15,7 +15,8 @@ MOST_JOINTS = 4096
 MOST_CHANNELS = 9
 _WORDS = re.compile(
     r"(?:ROOT|JOINT)\b[ \t]*(?P<joint>[^\r\n{}]*)|(?P<end>END[ \t]+SITE)\b[^\r\n{}]*|(?P<open>\{)|(?P<close>\})"
-    r"|OFFSETS?\b[ \t]*(?P<offset>[^\r\n{}]*)|CHANNELS\b\s*(?P<channels>\d{1,18}\b(?:\s+[XYZ](?:position|rotation|scale)\b)*)|(?P<other>\S+)",
+    r"|OFFSETS?\b[ \t]*(?P<offset>[^\r\n{}]*)"
+    r"|CHANNELS\b\s*(?P<channels>\d{1,18}\b(?:\s+[XYZ](?:position|rotation|scale)\b)*)|(?P<other>\S+)",
     re.IGNORECASE,
 )
 
@@ -59,10 +60,14 @@ def parse_hierarchy(path: Path, text: str) -> tuple[list[BvhJoint], int]:
             if waiting or (kind == "end" and here is None):
                 raise FormatError(path, f"its hierarchy has no braces before {name or 'an end site'}; export it again")
             if kind == "joint" and name in inside:
-                raise FormatError(path, f"its joint '{name}' is inside itself, a cycle; give every joint a name of its own")
+                raise FormatError(
+                    path, f"its joint '{name}' is inside itself, a cycle; give every joint a name of its own"
+                )
             if len(joints) >= MOST_JOINTS:
                 raise FormatError(path, f"it has more than {MOST_JOINTS} joints; export the skeleton without its props")
-            joints.append(BvhJoint(_unique(name or "joint", names) if kind == "joint" else "", above[-1] if above else -1))
+            joints.append(
+                BvhJoint(_unique(name or "joint", names) if kind == "joint" else "", above[-1] if above else -1)
+            )
             inside.append(name)
             waiting = True
         elif kind == "open" and waiting:
@@ -76,11 +81,17 @@ def parse_hierarchy(path: Path, text: str) -> tuple[list[BvhJoint], int]:
         elif kind == "channels" and here is not None and here.name and not here.channels:
             count, *kinds = word["channels"].lower().split()
             if int(count) != len(kinds) or len(kinds) > MOST_CHANNELS:
-                raise FormatError(path, f"its joint '{here.name}' announces {count} channels and names {len(kinds)}; export it again")
-            here.channels = [("xyz".index(channel[0]), channel[1:], columns + place) for place, channel in enumerate(kinds)]
+                raise FormatError(
+                    path, f"its joint '{here.name}' announces {count} channels and names {len(kinds)}; export it again"
+                )
+            here.channels = [
+                ("xyz".index(channel[0]), channel[1:], columns + place) for place, channel in enumerate(kinds)
+            ]
             columns += len(kinds)
         else:
-            raise FormatError(path, f"its hierarchy has '{word[0].strip()[:40]}' where it makes no sense; export it again")
+            raise FormatError(
+                path, f"its hierarchy has '{word[0].strip()[:40]}' where it makes no sense; export it again"
+            )
     if above or waiting:
         raise FormatError(path, "its hierarchy is cut off: braces are open at its end; export it again")
     if not any(joint.name for joint in joints):
@@ -103,5 +114,7 @@ def _offset(path: Path, words: str, name: str) -> tuple[float, float, float]:
     except ValueError:
         x = y = z = math.nan
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise FormatError(path, f"the offset of its joint '{name}' is '{words.strip()[:40]}', not three numbers; export it again")
+        raise FormatError(
+            path, f"the offset of its joint '{name}' is '{words.strip()[:40]}', not three numbers; export it again"
+        )
     return x, y, z

@@ -1,8 +1,8 @@
 """BVH (Biovision Hierarchy): skeletal motion as text, from any program that writes it.
 
-The format names neither unit nor axes. The unit is the one that makes the skeleton most nearly as large as a person's, and a skeleton
-that stands along +Z both at rest and in motion is turned to +Y. Joints keep the file's names and their rotations its rest pose;
-`bunraku.skeletons.skeleton_map` finds out which joint is what.
+The format names neither unit nor axes. The unit is the one that makes the skeleton most nearly as large as a person's,
+and a skeleton that stands along +Z both at rest and in motion is turned to +Y. Joints keep the file's names and their
+rotations its rest pose; `bunraku.skeletons.skeleton_map` finds out which joint is what.
 """
 
 from __future__ import annotations
@@ -21,7 +21,15 @@ from bunraku.formats.files import MAX_TEXT_BYTES, check_input, read_bounded
 
 __all__ = ["BVH_UNITS", "load_bvh", "read_bvh"]
 
-BVH_UNITS: dict[str, float] = {"mm": 0.001, "cm": 0.01, "in": 0.0254, "cmu": 0.0254 / 0.45, "dm": 0.1, "ft": 0.3048, "m": 1.0}
+BVH_UNITS: dict[str, float] = {
+    "mm": 0.001,
+    "cm": 0.01,
+    "in": 0.0254,
+    "cmu": 0.0254 / 0.45,
+    "dm": 0.1,
+    "ft": 0.3048,
+    "m": 1.0,
+}
 """Length of the units that are found in BVH files [m]; "cmu" is that of the CMU database's own skeletons."""
 
 PERSON = 2.2  # from the toes up the trunk and out to a hand [m]
@@ -29,7 +37,10 @@ MOST_HEADER = 4 << 20
 CHUNK = 2000  # frames turned into matrices at once
 MOST_ROTATIONS = 40_000_000  # of all joints in all frames: 1.4 GB
 _MOTION = re.compile(rb"^[ \t]*MOTION\b", re.MULTILINE | re.IGNORECASE)
-_FRAMES = re.compile(rb"\s*MOTION\s+Frames\s*:?[ \t]*(?P<count>[^\s]*)[ \t]*\r?\n?\s*Frame\s*Time\s*:?[ \t]*(?P<time>[^\s]*)", re.IGNORECASE)
+_FRAMES = re.compile(
+    rb"\s*MOTION\s+Frames\s*:?[ \t]*(?P<count>[^\s]*)[ \t]*\r?\n?\s*Frame\s*Time\s*:?[ \t]*(?P<time>[^\s]*)",
+    re.IGNORECASE,
+)
 _NO_NUMBER = re.compile(rb"(?<!\S)(?![+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?(?!\S))\S+")
 
 
@@ -53,8 +64,9 @@ def load_bvh(path: str | Path, unit: str | None = None, up: str | None = None) -
 def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None = None) -> SkeletalMotion:
     """Read a BVH file from its bytes.
 
-    Joints whose position moves: the root's is the motion's path; a joint with most of the skeleton below it takes its place, as the
-    hips below a still `Root` do; others keep the mean as their offset. Of several roots the one with most joints is read.
+    Joints whose position moves: the root's is the motion's path; a joint with most of the skeleton below it takes its
+    place, as the hips below a still `Root` do; others keep the mean as their offset. Of several roots the one with most
+    joints is read.
 
     Args:
         path: The file.
@@ -76,13 +88,17 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
     _check_size(path, len(data))
     start = _MOTION.search(data, 0, MOST_HEADER)
     if start is None:
-        parse_hierarchy(path, data[:MOST_HEADER].decode("utf-8", "replace"))  # says what is wrong if that is no hierarchy
+        parse_hierarchy(
+            path, data[:MOST_HEADER].decode("utf-8", "replace")
+        )  # says what is wrong if that is no hierarchy
         raise FormatError(path, "there is no MOTION after its hierarchy, the file is cut off; export it again")
     joints, columns = parse_hierarchy(path, data[: start.start()].decode("utf-8", "replace"))
     values, fps = _frames(path, data, start.start(), columns)
     tree = _largest_tree(joints)
     if len(values) * len(tree) > MOST_ROTATIONS:  # joints without channels take no room in the file
-        raise FormatError(path, f"its {len(values):,} frames of {len(tree):,} joints are too many; cut it into shorter ones")
+        raise FormatError(
+            path, f"its {len(values):,} frames of {len(tree):,} joints are too many; cut it into shorter ones"
+        )
     rotations = _rotations(values, [joints[joint] for joint in tree])
     motion = _assembled(path, joints, tree, values, rotations, fps)
     scale = BVH_UNITS[unit] if unit else _unit(joints)
@@ -91,7 +107,11 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
 
 def _check_size(path: Path, size: int) -> None:
     if size > MAX_TEXT_BYTES:
-        raise FormatError(path, f"{size >> 20} MiB are too many for a motion, at most {MAX_TEXT_BYTES >> 20} are read; cut it into shorter ones")
+        raise FormatError(
+            path,
+            f"{size >> 20} MiB are too many for a motion, at most {MAX_TEXT_BYTES >> 20} are read; cut it into "
+            "shorter ones",
+        )
 
 
 def _frames(path: Path, data: bytes, start: int, columns: int) -> tuple[np.ndarray, float]:
@@ -102,7 +122,9 @@ def _frames(path: Path, data: bytes, start: int, columns: int) -> tuple[np.ndarr
     try:
         count, seconds = int(head["count"]), float(head["time"])
     except ValueError:
-        raise FormatError(path, "its number of frames or its frame time is missing or is no number; export it again") from None
+        raise FormatError(
+            path, "its number of frames or its frame time is missing or is no number; export it again"
+        ) from None
     if count <= 0:
         raise FormatError(path, f"it has {count} frames; export at least one")
     if not 1e-4 <= seconds <= 10:
@@ -112,10 +134,18 @@ def _frames(path: Path, data: bytes, start: int, columns: int) -> tuple[np.ndarr
         raise FormatError(path, "none of its joints has channels, so nothing moves; export it again")
     room = len(data) - head.end()
     if need > (room + 1) // 2:  # a number and a blank are two bytes
-        raise FormatError(path, f"it announces {count} frames of {columns} numbers but is cut off: they do not fit into the file; export it again")
+        raise FormatError(
+            path,
+            f"it announces {count} frames of {columns} numbers but is cut off: they do not fit into the file; export "
+            "it again",
+        )
     values = _numbers(path, data[head.end() :], need, columns)
     if len(values) < need:
-        raise FormatError(path, f"it is cut off: of {count} frames {len(values) // columns} are there; export it again, or correct 'Frames:'")
+        raise FormatError(
+            path,
+            f"it is cut off: of {count} frames {len(values) // columns} are there; export it again, or correct "
+            "'Frames:'",
+        )
     values = values[:need].reshape(count, columns)
     if not np.isfinite(values).all():
         frame = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
@@ -138,7 +168,9 @@ def _numbers(path: Path, text: bytes, need: int, columns: int) -> np.ndarray:
         return before
     word = bad[0][:20].decode("utf-8", "replace") if bad else ""
     comma = ", decimals need a point" if "," in word else ""
-    raise FormatError(path, f"its frame {len(before) // columns + 1} holds '{word}', which is no number{comma}; export it again")
+    raise FormatError(
+        path, f"its frame {len(before) // columns + 1} holds '{word}', which is no number{comma}; export it again"
+    )
 
 
 def _parsed(text: bytes) -> np.ndarray:
@@ -192,7 +224,9 @@ def _euler(angles: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
 
 
 def _positions(joint: BvhJoint, values: np.ndarray) -> np.ndarray:
-    """Offset of a joint from its parent in every frame, shape (N, 3) or (1, 3): its position channels where it has some."""
+    """Offset of a joint from its parent in every frame, shape (N, 3) or (1, 3): its position channels where it has
+    some.
+    """
     out = np.array([joint.offset])
     channels = [(axis, column) for axis, kind, column in joint.channels if kind == "position"]
     if not channels:
@@ -205,7 +239,9 @@ def _positions(joint: BvhJoint, values: np.ndarray) -> np.ndarray:
     return out
 
 
-def _assembled(path: Path, joints: list[BvhJoint], tree: list[int], values: np.ndarray, rotations: np.ndarray, fps: float) -> SkeletalMotion:
+def _assembled(
+    path: Path, joints: list[BvhJoint], tree: list[int], values: np.ndarray, rotations: np.ndarray, fps: float
+) -> SkeletalMotion:
     """The tree as a skeletal motion in the file's unit and axes."""
     number = {joint: place for place, joint in enumerate(tree)}
     parents = np.array([number.get(joints[joint].parent, -1) for joint in tree])
@@ -216,11 +252,17 @@ def _assembled(path: Path, joints: list[BvhJoint], tree: list[int], values: np.n
     size = max(float(np.linalg.norm(offsets[1:], axis=-1).sum()), 1e-9)
     root, path_of_root = 0, places[0]
     while True:  # the hips below a root that stays behind
-        moving = [j for j in np.flatnonzero(parents == root) if len(places[j]) > 1 and np.ptp(places[j], axis=0).max() > 0.003 * size]
+        moving = [
+            j
+            for j in np.flatnonzero(parents == root)
+            if len(places[j]) > 1 and np.ptp(places[j], axis=0).max() > 0.003 * size
+        ]
         lower = next((int(j) for j in moving if 2 * len(_below(parents, int(j))) >= len(_below(parents, root))), None)
         if lower is None:
             break
-        path_of_root = path_of_root + np.einsum("nij,nj->ni", rotations[:, root], np.broadcast_to(places[lower], (len(values), 3)))
+        path_of_root = path_of_root + np.einsum(
+            "nij,nj->ni", rotations[:, root], np.broadcast_to(places[lower], (len(values), 3))
+        )
         rotations[:, lower] = rotations[:, root] @ rotations[:, lower]
         root = lower
     kept = _below(parents, root)
@@ -242,7 +284,9 @@ def _below(parents: np.ndarray, root: int) -> list[int]:
 
 
 def _unit(joints: list[BvhJoint]) -> float:
-    """The unit [m] in which the skeleton, with its end sites, is most nearly as large as a person's, however it rests."""
+    """The unit [m] in which the skeleton, with its end sites, is most nearly as large as a person's, however it
+    rests.
+    """
     reach, size = [0.0] * len(joints), 0.0  # longest way down from each joint, longest way between any two
     for index in range(len(joints) - 1, -1, -1):
         parent = joints[index].parent
@@ -260,7 +304,9 @@ def _in_our_frame(motion: SkeletalMotion, scale: float, up: str | None) -> Skele
     skeleton = motion.skeleton
     if up is None:
         shown = np.unique(np.linspace(0, len(motion) - 1, 50).astype(int))
-        extent = np.ptp(SkeletalMotion(skeleton, motion.rotations[shown], motion.root_translation[shown], 1.0).world()[1], axis=1).mean(axis=0)
+        extent = np.ptp(
+            SkeletalMotion(skeleton, motion.rotations[shown], motion.root_translation[shown], 1.0).world()[1], axis=1
+        ).mean(axis=0)
         x, y, z = np.ptp(skeleton.positions, axis=0)
         up = "+z" if z > 3 * y and z > 0.4 * x and extent[2] > 1.3 * extent[1] else "+y"
     turn = np.eye(3, dtype=np.float32) if up == "+y" else np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)

@@ -21,7 +21,15 @@ CHUNK = 2000  # frames made into text at once
 TIP = 0.4  # how long the end of a joint without children is, as a share of the bone above
 
 
-def write_bvh(motion: SkeletalMotion, path: str | Path, *, fps: float | None = None, unit: str = "cm", up: str = "+y", order: str = "zxy") -> Path:
+def write_bvh(
+    motion: SkeletalMotion,
+    path: str | Path,
+    *,
+    fps: float | None = None,
+    unit: str = "cm",
+    up: str = "+y",
+    order: str = "zxy",
+) -> Path:
     """Write a skeletal motion as BVH.
 
     Args:
@@ -61,7 +69,9 @@ def write_bvh(motion: SkeletalMotion, path: str | Path, *, fps: float | None = N
             cut = slice(start, start + CHUNK)
             angles = _angles(turn @ motion.rotations[cut][:, sequence].astype(float) @ turn.T, order.upper(), before)
             before = angles[-1]
-            rows = np.concatenate([motion.root_translation[cut] @ turn.T * scale, angles.reshape(len(angles), -1)], axis=1)
+            rows = np.concatenate(
+                [motion.root_translation[cut] @ turn.T * scale, angles.reshape(len(angles), -1)], axis=1
+            )
             file.write("".join([row % tuple(values) for values in rows.tolist()]).encode())
     return path
 
@@ -85,7 +95,12 @@ def _hierarchy(skeleton: Skeleton, offsets: np.ndarray, order: str) -> tuple[lis
         x, y, z = offsets[joint] if joint else np.zeros(3)
         name = " ".join(skeleton.names[joint].translate(str.maketrans("{}", "()")).split()) or f"joint_{joint}"
         channels = f"6 Xposition Yposition Zposition {rotations}" if not joint else f"3 {rotations}"
-        lines += [f"{pad}{'JOINT' if joint else 'ROOT'} {name}", pad + "{", f"{pad}  OFFSET {x:.6f} {y:.6f} {z:.6f}", f"{pad}  CHANNELS {channels}"]
+        lines += [
+            f"{pad}{'JOINT' if joint else 'ROOT'} {name}",
+            pad + "{",
+            f"{pad}  OFFSET {x:.6f} {y:.6f} {z:.6f}",
+            f"{pad}  CHANNELS {channels}",
+        ]
         if not children[joint]:
             x, y, z = offsets[joint] * TIP if joint else np.zeros(3)
             lines += [f"{pad}  End Site", f"{pad}  {{", f"{pad}    OFFSET {x:.6f} {y:.6f} {z:.6f}", f"{pad}  }}"]
@@ -98,7 +113,11 @@ def _angles(rotations: np.ndarray, order: str, before: np.ndarray | None) -> np.
     """Angles of rotations (N, J, 3, 3) [degrees], shape (N, J, 3), without jumps by whole turns from frame to frame."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of gimbal lock: one of the solutions is as good as another
-        angles = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler(order, degrees=True).reshape(*rotations.shape[:2], 3)
+        angles = (
+            Rotation.from_matrix(rotations.reshape(-1, 3, 3))
+            .as_euler(order, degrees=True)
+            .reshape(*rotations.shape[:2], 3)
+        )
     if before is not None:
         return np.asarray(np.unwrap(np.concatenate([before[None], angles]), axis=0, period=360)[1:])
     return np.asarray(np.unwrap(angles, axis=0, period=360))

@@ -91,7 +91,9 @@ def find_clip(scene: FbxScene, clips: list[FbxClip], clip: int | str | None) -> 
             return clips[names.index(str(clip))]
     number = int(clip) if str(clip).isdecimal() else -1
     if not 0 <= number < len(clips):
-        raise OptionError(f"{scene.tree.path} has no clip {clip!r}; it has {', '.join(known.name for known in clips[:20])}")
+        raise OptionError(
+            f"{scene.tree.path} has no clip {clip!r}; it has {', '.join(known.name for known in clips[:20])}"
+        )
     return clips[number]
 
 
@@ -109,10 +111,13 @@ def sample_clip(scene: FbxScene, clip: FbxClip, fps: float) -> tuple[Values, int
     count = int(np.floor(min(clip.seconds * fps, 1e9) + 1e-3)) + 1
     if count * max(len(scene.models), 1) > MAX_TRANSFORMS:
         scene.tree.fail(
-            f"its clip '{clip.name}' of {clip.seconds:.0f} s moves {len(scene.models)} objects, too many to read; cut it or lower the frame rate"
+            f"its clip '{clip.name}' of {clip.seconds:.0f} s moves {len(scene.models)} objects, too many to read; cut "
+            "it or lower the frame rate"
         )
     moments = clip.start + np.arange(count) / fps
     return {
-        key: np.stack([curve.at(moments) if isinstance(curve, Curve) else np.full(count, curve) for curve in trio], axis=1)
+        key: np.stack(
+            [curve.at(moments) if isinstance(curve, Curve) else np.full(count, curve) for curve in trio], axis=1
+        )
         for key, trio in clip.curves.items()
     }, count

@@ -12,7 +12,14 @@ from bunraku.formats.fbx.scene import TICKS, FbxObject
 __all__ = ["Curve", "read_curve"]
 
 CONSTANT, CUBIC, NEXT, WEIGHTED_RIGHT, WEIGHTED_LEFT = 0x2, 0x8, 0x100, 0x0100_0000, 0x0200_0000
-AUTO, TCB, USER, FLAT_AT_EQUAL, OVER_TIME, PROGRESSIVE = 0x100, 0x200, 0x400, 0x1000, 0x2000, 0x4000  # how a cubic key gets its tangents
+AUTO, TCB, USER, FLAT_AT_EQUAL, OVER_TIME, PROGRESSIVE = (
+    0x100,
+    0x200,
+    0x400,
+    0x1000,
+    0x2000,
+    0x4000,
+)  # how a cubic key gets its tangents
 WEIGHT_UNIT = 9999.0
 
 
@@ -48,11 +55,15 @@ class Curve:
         curved = np.flatnonzero(((flags & CUBIC) > 0) & ~held & (after > before))
         if len(curved):
             rows = before[curved]
-            out[curved] = _cubic(share[curved], start[curved], end[curved], span[curved], self.slopes[rows], self.weights[rows])
+            out[curved] = _cubic(
+                share[curved], start[curved], end[curved], span[curved], self.slopes[rows], self.weights[rows]
+            )
         return np.where(share <= 0, start, np.where(share >= 1, end, out))
 
 
-def _cubic(share: np.ndarray, start: np.ndarray, end: np.ndarray, span: np.ndarray, slopes: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _cubic(
+    share: np.ndarray, start: np.ndarray, end: np.ndarray, span: np.ndarray, slopes: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
     """A Bezier curve over time whose inner points lie on the tangents, at shares of its span."""
     right, left = weights[:, 0], weights[:, 1]
     s = share.copy()
@@ -61,7 +72,11 @@ def _cubic(share: np.ndarray, start: np.ndarray, end: np.ndarray, span: np.ndarr
         low, high = np.zeros(len(bent)), np.ones(len(bent))
         for _ in range(40):
             middle = (low + high) / 2
-            time = 3 * (1 - middle) ** 2 * middle * right[bent] + 3 * (1 - middle) * middle**2 * (1 - left[bent]) + middle**3
+            time = (
+                3 * (1 - middle) ** 2 * middle * right[bent]
+                + 3 * (1 - middle) * middle**2 * (1 - left[bent])
+                + middle**3
+            )
             low, high = np.where(time < share[bent], middle, low), np.where(time < share[bent], high, middle)
         s[bent] = (low + high) / 2
     first, second = start + right * span * slopes[:, 0], end - left * span * slopes[:, 1]
@@ -81,7 +96,12 @@ def read_curve(tree: FbxTree, thing: FbxObject) -> Curve | None:
     if not len(times):
         return None
     flags, data, counts = (thing.node.array(name) for name in ("KeyAttrFlags", "KeyAttrDataFloat", "KeyAttrRefCount"))
-    known = len(flags) == len(counts) and counts.min(initial=1) >= 1 and int(counts.astype(float).sum()) == len(times) and len(data) == 4 * len(flags)
+    known = (
+        len(flags) == len(counts)
+        and counts.min(initial=1) >= 1
+        and int(counts.astype(float).sum()) == len(times)
+        and len(data) == 4 * len(flags)
+    )
     if not known or not len(flags):  # without what says how to go from key to key, straight on
         straight = np.zeros((len(times), 2))
         return Curve(times, values, np.zeros(len(times), np.int64), straight, straight + 1 / 3)
@@ -106,7 +126,9 @@ def _with_auto(times: np.ndarray, values: np.ndarray, flags: np.ndarray, slopes:
     secant = np.diff(values) / np.where(span > 0, span, 1)
     left, right = np.concatenate([secant[:1], secant]), np.concatenate([secant, secant[-1:]])
     gap = np.concatenate([span[:1], times[2:] - times[:-2], span[-1:]])
-    over_time = np.concatenate([secant[:1], (values[2:] - values[:-2]) / np.where(gap[1:-1] > 0, gap[1:-1], 1), secant[-1:]])
+    over_time = np.concatenate(
+        [secant[:1], (values[2:] - values[:-2]) / np.where(gap[1:-1] > 0, gap[1:-1], 1), secant[-1:]]
+    )
     slope = np.where((flags & OVER_TIME) > 0, over_time, (left + right) / 2)
     limit = 3 * np.minimum(np.abs(left), np.abs(right))
     limited = np.where(left * right > 0, np.clip(slope, -limit, limit), 0)  # never beyond the values of its neighbours

@@ -1,7 +1,8 @@
 """An FBX file as a glTF document, so that all that reads, plays and writes glTF works for it too.
 
-Joints get frames without scale: with N that takes the scale and shear out of a joint's bind pose, `world N` moves a mesh whose
-inverse bind matrix is `N^-1 inverse(bind)` exactly as `world` does. Skinned meshes are stored where their bind pose puts them.
+Joints get frames without scale: with N that takes the scale and shear out of a joint's bind pose, `world N` moves a
+mesh whose inverse bind matrix is `N^-1 inverse(bind)` exactly as `world` does. Skinned meshes are stored where their
+bind pose puts them.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ def scene_document(scene: FbxScene, fps: float | None = None) -> tuple[Document,
         fps: Frames a second of the clips [1/s]; None leaves them out.
 
     Returns:
-        The document in its default pose, and the file's vertex (of all its meshes, one after another) of each document vertex, shape (U,).
+        The document in its default pose, and the file's vertex (of all its meshes, one after another) of each document
+        vertex, shape (U,).
 
     Raises:
         FormatError: Something in the file is broken, or it holds no mesh.
@@ -57,10 +59,14 @@ class _Builder:
         self.scene, self.frame = scene, scene.frame
         self.world = default_world(scene)
         self.placed = _placed_meshes(scene)
-        self.binds = bind_matrices(scene, self.world, [cluster for placed in self.placed if placed.skin for cluster in placed.skin.clusters])
+        self.binds = bind_matrices(
+            scene, self.world, [cluster for placed in self.placed if placed.skin for cluster in placed.skin.clusters]
+        )
         self.materials = Materials(scene)
         path = scene.tree.path
-        self.builder = GltfBuilder({"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"name": path.stem}]})
+        self.builder = GltfBuilder(
+            {"asset": {"version": "2.0", "generator": "bunraku"}, "scene": 0, "scenes": [{"name": path.stem}]}
+        )
         self.nodes: dict[int, int] = {}
         self.normalise: dict[int, np.ndarray] = {}
 
@@ -118,7 +124,9 @@ class _Builder:
             local, above = self._world_of(model), self._above(model)
             if above >= 0:
                 local = inverses(self._world_of(above)[None])[0] @ local
-            self.nodes[model] = self.builder.add("nodes", {"name": self.scene.models[model].name, **_node_transform(local)})
+            self.nodes[model] = self.builder.add(
+                "nodes", {"name": self.scene.models[model].name, **_node_transform(local)}
+            )
             if above >= 0:
                 self._adopt(self.nodes[above], self.nodes[model])
 
@@ -137,13 +145,17 @@ class _Builder:
             place = place @ bound @ geometric
         linear = place[:3, :3]
         positions = self.frame.metres * (mesh.points @ linear.T + place[:3, 3])
-        attributes: dict[str, int] = {"POSITION": self.builder.array(positions[mesh.index].astype(np.float32), ARRAY_BUFFER)}
+        attributes: dict[str, int] = {
+            "POSITION": self.builder.array(positions[mesh.index].astype(np.float32), ARRAY_BUFFER)
+        }
         if mesh.normals is not None and abs(np.linalg.det(linear)) > 1e-30:
             normals = mesh.normals @ np.linalg.inv(linear)
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
             attributes["NORMAL"] = self.builder.array(normals.astype(np.float32), ARRAY_BUFFER)
         if mesh.uvs is not None:
-            attributes["TEXCOORD_0"] = self.builder.array((mesh.uvs * [1, -1] + [0, 1]).astype(np.float32), ARRAY_BUFFER)
+            attributes["TEXCOORD_0"] = self.builder.array(
+                (mesh.uvs * [1, -1] + [0, 1]).astype(np.float32), ARRAY_BUFFER
+            )
         if mesh.colors is not None:
             stored = np.full((len(mesh.index), 4), 65535, "<u2")
             stored[:, :3] = np.round(65535 * linear_from_srgb(np.clip(mesh.colors, 0, 1)))
@@ -151,18 +163,27 @@ class _Builder:
         node: dict[str, Any] = {"name": placed.geometry.name or model.name}
         if skin is not None:
             self._add_weights(attributes, skin, mesh.index)
-            node["skin"] = self._bind(skin, place @ np.linalg.inv(geometric) if abs(np.linalg.det(geometric)) > 1e-30 else place, shared)
+            node["skin"] = self._bind(
+                skin, place @ np.linalg.inv(geometric) if abs(np.linalg.det(geometric)) > 1e-30 else place, shared
+            )
             node["name"] = model.name
-        node["mesh"] = self.builder.add("meshes", {"name": node["name"], "primitives": self._primitives(model, mesh, attributes, linear)})
+        node["mesh"] = self.builder.add(
+            "meshes", {"name": node["name"], "primitives": self._primitives(model, mesh, attributes, linear)}
+        )
         return self.builder.add("nodes", node)
 
-    def _primitives(self, model: FbxObject, mesh: FbxMesh, attributes: dict[str, int], linear: np.ndarray) -> list[dict[str, Any]]:
+    def _primitives(
+        self, model: FbxObject, mesh: FbxMesh, attributes: dict[str, int], linear: np.ndarray
+    ) -> list[dict[str, Any]]:
         materials = self.scene.below(model, "Material")
         triangles = mesh.triangles[:, [0, 2, 1]] if np.linalg.det(linear) < 0 else mesh.triangles
         kind, out = "<u2" if len(mesh.index) < 65535 else "<u4", []
         for slot in np.unique(mesh.materials):
             chosen = triangles[mesh.materials == slot].reshape(-1, 1).astype(kind)
-            primitive: dict[str, Any] = {"attributes": attributes, "indices": self.builder.array(chosen, ELEMENT_ARRAY_BUFFER)}
+            primitive: dict[str, Any] = {
+                "attributes": attributes,
+                "indices": self.builder.array(chosen, ELEMENT_ARRAY_BUFFER),
+            }
             if 0 <= slot < len(materials):
                 primitive["material"] = self.materials.number(materials[slot])
             out.append(primitive)
@@ -171,14 +192,19 @@ class _Builder:
     def _add_weights(self, attributes: dict[str, int], skin: FbxSkin, index: np.ndarray) -> None:
         width = -(-skin.indices.shape[1] // 4)
         joints, shares = np.zeros((len(index), 4 * width), "<u2"), np.zeros((len(index), 4 * width), np.float32)
-        joints[:, : skin.indices.shape[1]], shares[:, : skin.indices.shape[1]] = skin.indices[index], skin.weights[index]
+        joints[:, : skin.indices.shape[1]], shares[:, : skin.indices.shape[1]] = (
+            skin.indices[index],
+            skin.weights[index],
+        )
         for part in range(width):
             columns = slice(4 * part, 4 * part + 4)
             attributes[f"JOINTS_{part}"] = self.builder.array(np.ascontiguousarray(joints[:, columns]), ARRAY_BUFFER)
             attributes[f"WEIGHTS_{part}"] = self.builder.array(np.ascontiguousarray(shares[:, columns]), ARRAY_BUFFER)
 
     def _bind(self, skin: FbxSkin, place: np.ndarray, shared: list[int]) -> int:
-        """Add the skin of a mesh that stands at a place; joints that nothing is bound to come after those of the clusters."""
+        """Add the skin of a mesh that stands at a place; joints that nothing is bound to come after those of the
+        clusters.
+        """
         places = [self.scene.places[cluster.joint.id] for cluster in skin.clusters]
         extra = [joint for joint in shared if joint not in places]
         scale = np.diag([*3 * [self.frame.metres], 1.0])
@@ -187,7 +213,8 @@ class _Builder:
         back = np.linalg.inv(scale @ place)
         into = scale @ hand
         inverse = [
-            inverses(self.normalise[place][None])[0] @ into @ cluster.transform @ back for place, cluster in zip(places, skin.clusters, strict=True)
+            inverses(self.normalise[place][None])[0] @ into @ cluster.transform @ back
+            for place, cluster in zip(places, skin.clusters, strict=True)
         ]
         inverse += [inverses((self.frame.world(self.binds[joint]) @ self.normalise[joint])[None])[0] for joint in extra]
         return self._add_skin([self.nodes[joint] for joint in places + extra], np.stack(inverse))
@@ -201,7 +228,9 @@ class _Builder:
         for clip in read_clips(self.scene):
             values, count = sample_clip(self.scene, clip, fps)
             raw = world_matrices(self.scene, values, models)
-            world = {model: self.frame.world(some) @ self.normalise[model] for model, some in zip(models, raw, strict=True)}
+            world = {
+                model: self.frame.world(some) @ self.normalise[model] for model, some in zip(models, raw, strict=True)
+            }
             clock = self.builder.array((np.arange(count) / fps).astype(np.float32)[:, None], bounds=True)
             channels: list[dict[str, Any]] = []
             samplers: list[dict[str, Any]] = []
@@ -212,7 +241,13 @@ class _Builder:
                 local = world[model] if above < 0 else inverses(world[above]) @ world[model]
                 for path, track in zip(("translation", "rotation", "scale"), _decompose(local), strict=True):
                     channels.append({"sampler": len(samplers), "target": {"node": self.nodes[model], "path": path}})
-                    samplers.append({"input": clock, "output": self.builder.array(track.astype(np.float32)), "interpolation": "LINEAR"})
+                    samplers.append(
+                        {
+                            "input": clock,
+                            "output": self.builder.array(track.astype(np.float32)),
+                            "interpolation": "LINEAR",
+                        }
+                    )
             if channels:
                 self.builder.add("animations", {"name": clip.name, "channels": channels, "samplers": samplers})
 
@@ -249,7 +284,9 @@ def _unscaled(linear: np.ndarray) -> np.ndarray:
 
 
 def _decompose(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Translation, rotation as a quaternion whose sign never jumps, and scale; shapes (N, 3), (N, 4), (N, 3). Shear is lost."""
+    """Translation, rotation as a quaternion whose sign never jumps, and scale; shapes (N, 3), (N, 4), (N, 3). Shear is
+    lost.
+    """
     linear = local[:, :3, :3]
     scale = np.linalg.norm(linear, axis=1)
     scale[:, 0] *= np.where(np.linalg.det(linear) < 0, -1, 1)

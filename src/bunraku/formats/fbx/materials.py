@@ -20,7 +20,8 @@ MAX_IMAGES = 256
 class Materials:
     """The materials that the meshes of a file use, each once.
 
-    A texture is taken from the file itself, from its folder, or from the `.fbm` or `textures` folder beside it; one that lies
+    A texture is taken from the file itself, from its folder, or from the `.fbm` or `textures` folder beside it; one
+    that lies
     elsewhere or cannot be read leaves its material without it: the mesh is still good.
 
     Args:
@@ -72,7 +73,11 @@ class Materials:
 
     def _texture(self, texture: FbxObject) -> int | None:
         videos = self.scene.below(texture, "Video")
-        names = [node.text(key) for node in (texture.node, *(video.node for video in videos)) for key in ("RelativeFilename", "FileName", "Filename")]
+        names = [
+            node.text(key)
+            for node in (texture.node, *(video.node for video in videos))
+            for key in ("RelativeFilename", "FileName", "Filename")
+        ]
         key = (videos[0].id if videos else 0, names[0])
         if key not in self._textures:
             image = next(filter(None, map(_embedded, videos)), None) or self._file(names)

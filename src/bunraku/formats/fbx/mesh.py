@@ -87,7 +87,10 @@ def read_mesh(scene: FbxScene, geometry: FbxObject) -> FbxMesh:
     last = stored < 0  # the last corner of a polygon is stored as its complement
     corners = np.where(last, ~stored, stored)
     if len(corners) and (int(corners.max()) >= len(points) or not last[-1]):
-        fail(f"a face of '{geometry.name}' uses vertex {int(corners.max())} but there are {len(points)}, or it never ends; {BROKEN}")
+        fail(
+            f"a face of '{geometry.name}' uses vertex {int(corners.max())} but there are {len(points)}, or it never "
+            f"ends; {BROKEN}"
+        )
     ends = np.flatnonzero(last)
     sizes = np.diff(ends, prepend=-1)
     polygon = np.repeat(np.arange(len(sizes)), sizes)
@@ -110,11 +113,17 @@ def read_mesh(scene: FbxScene, geometry: FbxObject) -> FbxMesh:
         out[corner_of >= 0] = values[chosen[corner_of[corner_of >= 0]], : len(default)]
         return out
 
-    return FbxMesh(points, index, triangles, materials, spread(uvs, (0, 0)), spread(normals, (0, 1, 0)), spread(colors, (1, 1, 1)))
+    return FbxMesh(
+        points, index, triangles, materials, spread(uvs, (0, 0)), spread(normals, (0, 1, 0)), spread(colors, (1, 1, 1))
+    )
 
 
-def _layer(node: FbxNode, name: str, values_name: str, index_name: str, width: int, corners: np.ndarray, polygon: np.ndarray) -> np.ndarray | None:
-    """Values of the first layer of a kind for each corner, shape (corners, width); None where there are none that can be used."""
+def _layer(
+    node: FbxNode, name: str, values_name: str, index_name: str, width: int, corners: np.ndarray, polygon: np.ndarray
+) -> np.ndarray | None:
+    """Values of the first layer of a kind for each corner, shape (corners, width); None where there are none that can
+    be used.
+    """
     layer = node.child(name)
     if layer is None:
         return None
@@ -135,7 +144,13 @@ def _layer(node: FbxNode, name: str, values_name: str, index_name: str, width: i
 
 
 def _places(mapping: str, corners: np.ndarray, polygon: np.ndarray) -> np.ndarray | None:
-    kinds = {"ByPolygonVertex": np.arange(len(corners)), "ByVertice": corners, "ByVertex": corners, "ByPolygon": polygon, "AllSame": polygon * 0}
+    kinds = {
+        "ByPolygonVertex": np.arange(len(corners)),
+        "ByVertice": corners,
+        "ByVertex": corners,
+        "ByPolygon": polygon,
+        "AllSame": polygon * 0,
+    }
     return kinds.get(mapping)
 
 
@@ -162,7 +177,9 @@ def _unique_rows(columns: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         code = np.unique(column, return_inverse=True)[1]
         label = np.unique(label * (int(code.max(initial=0)) + 1) + code, return_inverse=True)[1]
     first = np.unique(label, return_index=True)[1]
-    order = np.argsort(first, kind="stable")  # in the order of the file, so that the first corner of a vertex keeps its place
+    order = np.argsort(
+        first, kind="stable"
+    )  # in the order of the file, so that the first corner of a vertex keeps its place
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
     return first[order], place[label]
@@ -196,13 +213,21 @@ def read_skin(scene: FbxScene, geometry: FbxObject, points: int) -> FbxSkin | No
         return None
     which, who, shares = [], [], []
     for number, cluster in enumerate(clusters):
-        index, weight = cluster.thing.node.array("Indexes").astype(np.int64), cluster.thing.node.array("Weights").astype(float)
+        index, weight = (
+            cluster.thing.node.array("Indexes").astype(np.int64),
+            cluster.thing.node.array("Weights").astype(float),
+        )
         if len(index) != len(weight) or index.min(initial=0) < 0 or index.max(initial=0) >= points:
-            scene.tree.fail(f"the skin of '{geometry.name}' moves vertex {int(index.max(initial=0))} but there are {points}; {BROKEN}")
+            scene.tree.fail(
+                f"the skin of '{geometry.name}' moves vertex {int(index.max(initial=0))} but there are {points}; "
+                f"{BROKEN}"
+            )
         which.append(index)
         who.append(np.full(len(index), number))
         shares.append(np.where(np.isfinite(weight) & (weight > 0), weight, 0))
-    return FbxSkin(clusters, *strongest(np.concatenate(which), np.concatenate(who), np.concatenate(shares), points, INFLUENCES))
+    return FbxSkin(
+        clusters, *strongest(np.concatenate(which), np.concatenate(who), np.concatenate(shares), points, INFLUENCES)
+    )
 
 
 def _matrix(numbers: np.ndarray) -> np.ndarray | None:

@@ -38,9 +38,9 @@ def load_fbx_motion(path: str | Path, clip: int | str | None = None, fps: float 
 def read_motion(path: Path, data: bytes, *, clip: int | str | None = None, fps: float = 20.0) -> SkeletalMotion:
     """Read a clip of an FBX file from its bytes.
 
-    A joint's rotation is relative to its rest pose, in axes that are ours there, as in all skeletal motions: identities put the
-    skeleton into its rest pose. That is the bind pose of the file's skin; without a skin that of its bind pose object, then the
-    pose without keys, where joints that are oriented by their pre-rotation have none of their own.
+    A joint's rotation is relative to its rest pose, in axes that are ours there, as in all skeletal motions: identities
+    put the skeleton into its rest pose. That is the bind pose of the file's skin; without a skin that of its bind pose
+    object, then the pose without keys, where joints that are oriented by their pre-rotation have none of their own.
 
     Args:
         path: The file.
@@ -83,7 +83,9 @@ def _joints(scene: FbxScene, clip: FbxClip) -> list[int]:
     """The joints of the skeleton that a clip moves most of, root first and parents before children."""
     moved = {model for model, _ in clip.curves}
     bones = [place for place, model in enumerate(scene.models) if model.subtype in BONES]
-    chosen = dict.fromkeys(bones or [place for place, model in enumerate(scene.models) if place in moved and model.subtype != "Camera"], 0)
+    chosen = dict.fromkeys(
+        bones or [place for place, model in enumerate(scene.models) if place in moved and model.subtype != "Camera"], 0
+    )
     trees: dict[int, list[int]] = {}
     root_of: dict[int, int] = {}
     for model in sorted(chosen):  # parents come first

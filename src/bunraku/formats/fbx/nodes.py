@@ -44,7 +44,9 @@ class Allowance:
         self.left -= size
         if self.left < 0:
             raise FormatError(
-                self.path, f"its arrays take more than {MAX_UNPACKED >> 20} MiB when unpacked; simplify the mesh or shorten its clips first"
+                self.path,
+                f"its arrays take more than {MAX_UNPACKED >> 20} MiB when unpacked; simplify the mesh or shorten its "
+                "clips first",
             )
 
 
@@ -162,6 +164,11 @@ def check_version(path: Path, version: int) -> None:
         FormatError: The version is not read.
     """
     if version < 7000:
-        raise FormatError(path, f"this is FBX {version / 1000:.1f}, which is not read; export it again as FBX 2011 or later (7.1 to 7.7)")
+        raise FormatError(
+            path,
+            f"this is FBX {version / 1000:.1f}, which is not read; export it again as FBX 2011 or later (7.1 to 7.7)",
+        )
     if version >= 8000:
-        raise FormatError(path, f"this is FBX {version / 1000:.1f}, newer than what is read; export it as FBX 2020 (7.7) or earlier")
+        raise FormatError(
+            path, f"this is FBX {version / 1000:.1f}, newer than what is read; export it as FBX 2020 (7.7) or earlier"
+        )

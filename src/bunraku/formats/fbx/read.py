@@ -18,8 +18,8 @@ __all__ = ["fbx_facts", "read_fbx"]
 def read_fbx(path: Path, data: bytes, *, rest: str = "bind", clip_fps: float | None = None) -> Character:
     """Read an FBX file of version 7.1 to 7.7, binary or text.
 
-    The vertices are the control points of all meshes in the order of the file, turned from the frame and unit that it states
-    into ours. Hidden meshes are left out where others are not; blend shapes are not read.
+    The vertices are the control points of all meshes in the order of the file, turned from the frame and unit that it
+    states into ours. Hidden meshes are left out where others are not; blend shapes are not read.
 
     Args:
         path: The file.
@@ -36,7 +36,8 @@ def read_fbx(path: Path, data: bytes, *, rest: str = "bind", clip_fps: float | N
 
 
 def fbx_facts(path: Path, data: bytes) -> dict[str, Any]:
-    """What an FBX file says of itself, for people: version, program, clips, and the unit and axes that reading turns into ours.
+    """What an FBX file says of itself, for people: version, program, clips, and the unit and axes that reading turns
+    into ours.
 
     Raises:
         FormatError: The file is broken, or of a version that is not read.
@@ -44,7 +45,10 @@ def fbx_facts(path: Path, data: bytes) -> dict[str, Any]:
     tree = read_tree(path, data)
     scene = read_scene(tree)
     frame = scene.frame
-    clips = [{"name": clip.name, "seconds": round(clip.seconds, 3), "channels": len(clip.curves)} for clip in read_clips(scene)]
+    clips = [
+        {"name": clip.name, "seconds": round(clip.seconds, 3), "channels": len(clip.curves)}
+        for clip in read_clips(scene)
+    ]
     return {
         "generator": tree.root.text("Creator") or tree.section("FBXHeaderExtension").text("Creator"),
         "fbx_version": f"{tree.version / 1000:.1f}",

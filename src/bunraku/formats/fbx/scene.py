@@ -55,7 +55,8 @@ class Frame:
     """The frame and unit of a file.
 
     Args:
-        axes: What turns its vectors into ours (+Y up, +Z forward), shape (3, 3); it mirrors where the file is left-handed.
+        axes: What turns its vectors into ours (+Y up, +Z forward), shape (3, 3); it mirrors where the file is
+            left-handed.
         metres: Its unit of length [m].
         up: Its up axis, for people.
         front: Its front axis.
@@ -111,7 +112,9 @@ class FbxScene:
         """Objects of a kind that one is connected to."""
         return self._of(self.owners, thing, kind, subtype)
 
-    def _of(self, links: dict[int, list[tuple[int, str]]], thing: FbxObject, kind: str, subtype: str) -> list[FbxObject]:
+    def _of(
+        self, links: dict[int, list[tuple[int, str]]], thing: FbxObject, kind: str, subtype: str
+    ) -> list[FbxObject]:
         found = (self.objects.get(other) for other, _ in links.get(thing.id, ()))
         return [other for other in found if other is not None and other.kind == kind and subtype in ("", other.subtype)]
 
@@ -155,7 +158,9 @@ def read_scene(tree: FbxTree) -> FbxScene:
     for node in tree.section("Objects").children:
         if len(node.values) >= 3 and type(node.values[0]) is int and node.values[0] != 0:
             own = {**templates.get(node.name, {}), **_properties(node)}
-            objects[node.values[0]] = FbxObject(node.values[0], node.name, str(node.values[2]), _name(str(node.values[1])), node, own)
+            objects[node.values[0]] = FbxObject(
+                node.values[0], node.name, str(node.values[2]), _name(str(node.values[1])), node, own
+            )
     links: dict[int, list[tuple[int, str]]] = {}
     owners: dict[int, list[tuple[int, str]]] = {}
     for link in tree.section("Connections").all("C"):
@@ -168,7 +173,9 @@ def read_scene(tree: FbxTree) -> FbxScene:
     return FbxScene(tree, objects, links, owners, models, parents)
 
 
-def _hierarchy(tree: FbxTree, objects: dict[int, FbxObject], owners: dict[int, list[tuple[int, str]]]) -> tuple[tuple[FbxObject, ...], np.ndarray]:
+def _hierarchy(
+    tree: FbxTree, objects: dict[int, FbxObject], owners: dict[int, list[tuple[int, str]]]
+) -> tuple[tuple[FbxObject, ...], np.ndarray]:
     """The models with parents first, and the parent of each."""
     found = [thing for thing in objects.values() if thing.kind == "Model"]
     if len(found) > MAX_MODELS:
@@ -176,7 +183,14 @@ def _hierarchy(tree: FbxTree, objects: dict[int, FbxObject], owners: dict[int, l
     above: dict[int, int] = {}
     children: dict[int, list[FbxObject]] = {}
     for model in found:
-        parent = next((owner for owner, what in owners.get(model.id, ()) if not what and owner in objects and objects[owner].kind == "Model"), 0)
+        parent = next(
+            (
+                owner
+                for owner, what in owners.get(model.id, ())
+                if not what and owner in objects and objects[owner].kind == "Model"
+            ),
+            0,
+        )
         above[model.id] = parent
         children.setdefault(parent, []).append(model)
     ordered = list(children.get(0, []))

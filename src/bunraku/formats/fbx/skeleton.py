@@ -16,7 +16,8 @@ BONES = ("LimbNode", "Limb", "Root")
 def bind_matrices(scene: FbxScene, world: np.ndarray, clusters: list[Cluster]) -> dict[int, np.ndarray]:
     """World transforms of all joints in the bind pose, in the file's frame and unit.
 
-    Clusters say it of the joints that they move; the others are where the default pose has them relative to a joint that is known.
+    Clusters say it of the joints that they move; the others are where the default pose has them relative to a joint
+    that is known.
 
     Args:
         scene: The file.
@@ -36,7 +37,9 @@ def bind_matrices(scene: FbxScene, world: np.ndarray, clusters: list[Cluster]) -
     for place in bones:
         parent = int(scene.parents[place])
         if place not in known:
-            known[place] = known[parent] @ inverses(world[parent][None])[0] @ world[place] if parent in known else world[place]
+            known[place] = (
+                known[parent] @ inverses(world[parent][None])[0] @ world[place] if parent in known else world[place]
+            )
     return dict(sorted(known.items()))
 
 

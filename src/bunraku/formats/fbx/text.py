@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 
 from bunraku.errors import FormatError
-from bunraku.formats.fbx.nodes import BROKEN, MAX_DEPTH, MAX_NODES, MAX_VALUES, Allowance, FbxArray, FbxNode, FbxTree, check_version
+from bunraku.formats.fbx.nodes import (
+    BROKEN,
+    MAX_DEPTH,
+    MAX_NODES,
+    MAX_VALUES,
+    Allowance,
+    FbxArray,
+    FbxNode,
+    FbxTree,
+    check_version,
+)
 from bunraku.formats.files import check_text
 
 __all__ = ["read_text_tree"]
@@ -53,7 +63,9 @@ def _parse(path: Path, data: bytes) -> FbxNode:
             values += 1
         elif kind == 4 and match.group(4) == b"{":
             if len(stack) >= MAX_DEPTH or current is stack[-1]:
-                raise FormatError(path, f"its brackets are nested more than {MAX_DEPTH} deep or belong to nothing; {BROKEN}")
+                raise FormatError(
+                    path, f"its brackets are nested more than {MAX_DEPTH} deep or belong to nothing; {BROKEN}"
+                )
             stack.append(current)
         elif kind == 4:
             if len(stack) == 1:
@@ -66,7 +78,11 @@ def _parse(path: Path, data: bytes) -> FbxNode:
             current.values.append(_word(match.group(6)))
             values += 1
         if nodes > MAX_NODES or values > MAX_VALUES:
-            raise FormatError(path, f"it has more than {MAX_NODES:,} nodes or {MAX_VALUES:,} values; shorten its clips or export fewer objects")
+            raise FormatError(
+                path,
+                f"it has more than {MAX_NODES:,} nodes or {MAX_VALUES:,} values; shorten its clips or export fewer "
+                "objects",
+            )
     if len(stack) > 1:
         raise FormatError(path, f"it ends in the middle of '{stack[-1].name}'; {BROKEN}")
     return root

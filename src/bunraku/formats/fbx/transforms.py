@@ -1,4 +1,5 @@
-"""The transform of an FBX model: translation, rotation of any order between pre- and post-rotation, scale, and two pivots.
+"""The transform of an FBX model: translation, rotation of any order between pre- and post-rotation, scale, and two
+pivots.
 
 With offsets O, pivots P and `Rpost` inverted, a point x of a model goes to
 
@@ -17,7 +18,11 @@ from bunraku.formats.fbx.scene import FbxObject, FbxScene
 
 __all__ = ["PROPERTIES", "Values", "default_world", "euler_matrices", "geometric_matrix", "world_matrices"]
 
-PROPERTIES: dict[str, tuple[float, float, float]] = {"Lcl Translation": (0, 0, 0), "Lcl Rotation": (0, 0, 0), "Lcl Scaling": (1, 1, 1)}
+PROPERTIES: dict[str, tuple[float, float, float]] = {
+    "Lcl Translation": (0, 0, 0),
+    "Lcl Rotation": (0, 0, 0),
+    "Lcl Scaling": (1, 1, 1),
+}
 """The properties that clips move, with their defaults; rotations in degrees."""
 
 _ORDERS = ("XYZ", "XZY", "YZX", "YXZ", "ZXY", "ZYX", "XYZ")  # the first letter turns first; spheric XYZ is read as XYZ
@@ -56,14 +61,20 @@ def euler_matrices(degrees: np.ndarray, order: str = "XYZ") -> np.ndarray:
 def geometric_matrix(model: FbxObject) -> np.ndarray:
     """What moves the mesh of a model but not its children, shape (4, 4)."""
     out = np.eye(4)
-    out[:3, :3] = euler_matrices(model.numbers("GeometricRotation", (0, 0, 0))) * model.numbers("GeometricScaling", (1, 1, 1))
+    out[:3, :3] = euler_matrices(model.numbers("GeometricRotation", (0, 0, 0))) * model.numbers(
+        "GeometricScaling", (1, 1, 1)
+    )
     out[:3, 3] = model.numbers("GeometricTranslation", (0, 0, 0))
     return out
 
 
 def default_world(scene: FbxScene) -> np.ndarray:
     """World transforms of all models in the default pose, in the file's frame and unit, shape (M, 4, 4)."""
-    return np.concatenate(world_matrices(scene, {}, list(range(len(scene.models))))) if scene.models else np.zeros((0, 4, 4))
+    return (
+        np.concatenate(world_matrices(scene, {}, list(range(len(scene.models)))))
+        if scene.models
+        else np.zeros((0, 4, 4))
+    )
 
 
 def world_matrices(scene: FbxScene, values: Values, chosen: list[int]) -> list[np.ndarray]:
@@ -110,7 +121,9 @@ def _placed(model: FbxObject, place: int, values: Values, parent: _World | None)
     if parent is None:
         matrix[:, :3, :3] = rotation * scale[:, None, :]
         return _World(matrix, rotation, scale)
-    matrix[:, :3, 3] = np.einsum("nij,nj->ni", *_same(parent.matrix[:, :3, :3], matrix[:, :3, 3])) + parent.matrix[:, :3, 3]
+    matrix[:, :3, 3] = (
+        np.einsum("nij,nj->ni", *_same(parent.matrix[:, :3, :3], matrix[:, :3, 3])) + parent.matrix[:, :3, 3]
+    )
     inherit = int(model.number("InheritType", 1))
     if inherit == 1:
         matrix[:, :3, :3] = parent.matrix[:, :3, :3] @ (rotation * scale[:, None, :])

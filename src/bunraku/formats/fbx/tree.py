@@ -1,6 +1,7 @@
 """The node tree of an FBX file: binary FBX 7.1 to 7.7 here, text in `fbx_text`.
 
-A node has a name, values and children. Arrays stay packed until they are asked for, so what nobody reads costs nothing, and all
+A node has a name, values and children. Arrays stay packed until they are asked for, so what nobody reads costs nothing,
+and all
 that are unpacked share one allowance: a file of some kilobytes cannot ask for gigabytes.
 """
 
@@ -13,14 +14,30 @@ from typing import Any, NoReturn
 import numpy as np
 
 from bunraku.errors import FormatError
-from bunraku.formats.fbx.nodes import BROKEN, MAX_DEPTH, MAX_NODES, MAX_UNPACKED, MAX_VALUES, Allowance, FbxArray, FbxNode, FbxTree, check_version
+from bunraku.formats.fbx.nodes import (
+    BROKEN,
+    MAX_DEPTH,
+    MAX_NODES,
+    MAX_UNPACKED,
+    MAX_VALUES,
+    Allowance,
+    FbxArray,
+    FbxNode,
+    FbxTree,
+    check_version,
+)
 
 __all__ = ["read_tree"]
 
 MAGIC = b"Kaydara FBX Binary  \x00"
 
-_ARRAYS = {ord(k): np.dtype(d) for k, d in (("f", "<f4"), ("d", "<f8"), ("i", "<i4"), ("l", "<i8"), ("b", "u1"), ("c", "u1"))}
-_SCALARS = {ord(k): struct.Struct(f) for k, f in (("Y", "<h"), ("C", "<b"), ("B", "<b"), ("I", "<i"), ("F", "<f"), ("D", "<d"), ("L", "<q"))}
+_ARRAYS = {
+    ord(k): np.dtype(d) for k, d in (("f", "<f4"), ("d", "<f8"), ("i", "<i4"), ("l", "<i8"), ("b", "u1"), ("c", "u1"))
+}
+_SCALARS = {
+    ord(k): struct.Struct(f)
+    for k, f in (("Y", "<h"), ("C", "<b"), ("B", "<b"), ("I", "<i"), ("F", "<f"), ("D", "<d"), ("L", "<q"))
+}
 
 
 def read_tree(path: Path, data: bytes) -> FbxTree:
@@ -74,7 +91,9 @@ class _Binary:
             self.values += count
             if self.nodes > MAX_NODES or self.values > MAX_VALUES:
                 raise FormatError(
-                    self.path, f"it has more than {MAX_NODES:,} nodes or {MAX_VALUES:,} values; shorten its clips or export fewer objects"
+                    self.path,
+                    f"it has more than {MAX_NODES:,} nodes or {MAX_VALUES:,} values; shorten its clips or export "
+                    "fewer objects",
                 )
             self._values(child.values, begin, begin + length, count)
             node.children.append(child)
@@ -104,7 +123,12 @@ class _Binary:
                 at += 12
                 dtype = _ARRAYS[kind]
                 length = length if encoding else number * dtype.itemsize
-                if at + length > end or encoding > 1 or number * dtype.itemsize > MAX_UNPACKED or number > 1100 * max(length, 1):
+                if (
+                    at + length > end
+                    or encoding > 1
+                    or number * dtype.itemsize > MAX_UNPACKED
+                    or number > 1100 * max(length, 1)
+                ):
                     self.fail("an array is longer than the file")
                 out.append(FbxArray(self.allowance, dtype, number, bool(encoding), view[at : at + length]))
                 at += length

@@ -1,8 +1,8 @@
 """The bind pose of a glTF document: the pose in which its meshes were skinned, whatever the nodes say.
 
-Game packs often leave their nodes in the middle of a clip. The inverse bind matrices still tell the pose of modelling: joint j
-stood at `inverse(IBM_j)`, up to one transform G that all joints of a skin share. G is what the file itself says of where the
-skeleton stands; what hangs on a joint without being skinned (a weapon, a hat) goes along with its joint.
+Game packs often leave their nodes in the middle of a clip. The inverse bind matrices still tell the pose of modelling:
+joint j stood at `inverse(IBM_j)`, up to one transform G that all joints of a skin share. G is what the file itself says
+of where the skeleton stands; what hangs on a joint without being skinned (a weapon, a hat) goes along with its joint.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree
 
 
 def _used_skins(document: Document, tree: NodeTree, skins: SkinJoints) -> list[tuple[int, list[int]]]:
-    """Skins that the scene's meshes use, those higher in the tree and with more joints first, and the mesh nodes of each."""
+    """Skins that the scene's meshes use, those higher in the tree and with more joints first, and the mesh nodes of
+    each.
+    """
     users: dict[int, list[int]] = {}
     for node in tree.scene:
         entry = document.items("nodes")[node]
@@ -91,19 +93,23 @@ def _carried(tree: NodeTree, fixed: dict[int, np.ndarray]) -> np.ndarray:
     return world
 
 
-def _placement(tree: NodeTree, default: np.ndarray, nodes: list[int], bind: np.ndarray, meshes: list[int]) -> np.ndarray | None:
+def _placement(
+    tree: NodeTree, default: np.ndarray, nodes: list[int], bind: np.ndarray, meshes: list[int]
+) -> np.ndarray | None:
     """The transform G from the space of the inverse bind matrices to the world, shape (4, 4), None where nothing fits.
 
-    Exporters differ in that space: it is that of the node above the skeleton, that of the mesh, or the world. Of those that give
-    the bones the length that they have in the file, the one that brings the joints closest to the default pose is right, turned by
-    a quarter or a half about +Y where only the clip turned the skeleton to the front. Where none does, the skeleton's root is put
-    where it is by default.
+    Exporters differ in that space: it is that of the node above the skeleton, that of the mesh, or the world. Of those
+    that give the bones the length that they have in the file, the one that brings the joints closest to the default
+    pose is right, turned by a quarter or a half about +Y where only the clip turned the skeleton to the front. Where
+    none does, the skeleton's root is put where it is by default.
     """
     joints = set(nodes)
     root = next((i for i, node in enumerate(nodes) if not _has_ancestor(tree, node, joints)), 0)
     above = int(tree.parents[nodes[root]])
     target = default[nodes]
-    pairs = [(i, nodes.index(int(tree.parents[node]))) for i, node in enumerate(nodes) if int(tree.parents[node]) in joints]
+    pairs = [
+        (i, nodes.index(int(tree.parents[node]))) for i, node in enumerate(nodes) if int(tree.parents[node]) in joints
+    ]
 
     def distance(choice: np.ndarray) -> float:
         return float(np.sqrt((((choice @ bind)[:, :3, 3] - target[:, :3, 3]) ** 2).sum(axis=1).mean()))
@@ -126,11 +132,16 @@ def _placement(tree: NodeTree, default: np.ndarray, nodes: list[int], bind: np.n
 
 
 def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root: int) -> np.ndarray:
-    """The placement turned by quarters about the vertical through its root joint, to face where the default pose does, shape (4, 4).
+    """The placement turned by quarters about the vertical through its root joint, to face where the default pose does,
+    shape (4, 4).
 
-    The mean turn of all joints tells: clips turn single limbs any way, but all joints one way only where they turn the whole.
+    The mean turn of all joints tells: clips turn single limbs any way, but all joints one way only where they turn the
+    whole.
     """
-    own, want = (some[:, :3, :3] / np.cbrt(np.abs(np.linalg.det(some[:, :3, :3])) + 1e-30)[:, None, None] for some in (placed, target))
+    own, want = (
+        some[:, :3, :3] / np.cbrt(np.abs(np.linalg.det(some[:, :3, :3])) + 1e-30)[:, None, None]
+        for some in (placed, target)
+    )
     change = np.einsum("jab,jcb->ac", want, own)
     yaw = np.arctan2(change[0, 2] - change[2, 0], change[0, 0] + change[2, 2])
     quarters = np.round(yaw / (np.pi / 2))
@@ -141,7 +152,9 @@ def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root:
 
 
 def _size_ratio(placed: np.ndarray, target: np.ndarray, pairs: list[tuple[int, int]]) -> float:
-    """How much longer the bones are than they should be, the median; of single joints how much larger their axes are."""
+    """How much longer the bones are than they should be, the median; of single joints how much larger their axes
+    are.
+    """
     child, parent = np.array([i for i, _ in pairs], int), np.array([j for _, j in pairs], int)
     own = np.linalg.norm(placed[child, :3, 3] - placed[parent, :3, 3], axis=1)
     want = np.linalg.norm(target[child, :3, 3] - target[parent, :3, 3], axis=1)

@@ -151,7 +151,10 @@ def mesh_document(
     for faces, material in triangles:
         if len(faces) and attributes:
             kind = "<u2" if len(positions) < 65535 else "<u4"
-            primitive = {"attributes": attributes, "indices": builder.array(faces.reshape(-1, 1).astype(kind), ELEMENT_ARRAY_BUFFER)}
+            primitive = {
+                "attributes": attributes,
+                "indices": builder.array(faces.reshape(-1, 1).astype(kind), ELEMENT_ARRAY_BUFFER),
+            }
             primitives.append(primitive if material is None else {**primitive, "material": material})
     if not primitives and attributes:
         primitives = [{"attributes": attributes, "mode": 0}]

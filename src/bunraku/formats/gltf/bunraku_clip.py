@@ -1,8 +1,8 @@
 """The handle motion inside a GLB that Bunraku wrote.
 
-The channels of a GLB are quaternions at the frame rate of the file, from which the motion that was fitted cannot be had back to
-the last bit, nor the one of the reference body at all. So an NPZ with both travels in a buffer view of its own, which
-`asset.extras` names: viewers pass over it, and 3D programs that write the file anew leave it out.
+The channels of a GLB are quaternions at the frame rate of the file, from which the motion that was fitted cannot be had
+back to the last bit, nor the one of the reference body at all. So an NPZ with both travels in a buffer view of its own,
+which `asset.extras` names: viewers pass over it, and 3D programs that write the file anew leave it out.
 """
 
 from __future__ import annotations
@@ -65,7 +65,11 @@ def packed_motion(path: Path, data: bytes) -> bytes:
     extras = document.tree["asset"].get("extras")
     view = extras.get(KEY) if isinstance(extras, dict) else None
     if view is None:
-        raise FormatError(path, "it holds no handle motion of Bunraku (another program may have written it anew); make one with `bunraku animate`")
+        raise FormatError(
+            path,
+            "it holds no handle motion of Bunraku (another program may have written it anew); make one with `bunraku "
+            "animate`",
+        )
     return bytes(document.view(view))
 
 
@@ -78,14 +82,22 @@ def clip_handles(path: Path, character: Character) -> Handles:
     rig = character.rig
     roles = [_role(name) for name in rig.names] if rig is not None else []
     if rig is None or len(rig.names) != len(HANDLE_NAMES) or None in roles:
-        raise FormatError(path, f"its joints are not the {len(HANDLE_NAMES)} handles of Bunraku; animate the character anew with `bunraku animate`")
-    own = [HANDLE_NAMES.index(name) if name in HANDLE_NAMES else -1 for name in rig.names]  # -1 plays the part of another
+        raise FormatError(
+            path,
+            f"its joints are not the {len(HANDLE_NAMES)} handles of Bunraku; animate the character anew with `bunraku "
+            "animate`",
+        )
+    own = [
+        HANDLE_NAMES.index(name) if name in HANDLE_NAMES else -1 for name in rig.names
+    ]  # -1 plays the part of another
     free = iter(sorted(set(range(len(own))) - set(own)))
     order = np.argsort([next(free) if slot < 0 else slot for slot in own])
     weights = rig.dense_weights()[:, order]
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     played = np.array(roles, np.int64)[order]
-    return Handles(rig.positions[order], weights, roles=None if np.array_equal(played, np.arange(len(played))) else played)
+    return Handles(
+        rig.positions[order], weights, roles=None if np.array_equal(played, np.arange(len(played))) else played
+    )
 
 
 def _role(name: str) -> int | None:

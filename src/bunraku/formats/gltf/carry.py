@@ -1,8 +1,8 @@
 """Carry the meshes, materials and images of one glTF document over to another, with their values as they are.
 
-Every accessor that a mesh uses gets its elements copied into a buffer view of its own. So nothing that the old skins and
-animations left behind travels along, strides and alignments are right whatever they were, and what no valid file may hold
-(numbers that are not, normals without a direction) is mended on the way.
+Every accessor that a mesh uses gets its elements copied into a buffer view of its own. So nothing that the old skins
+and animations left behind travels along, strides and alignments are right whatever they were, and what no valid file
+may hold (numbers that are not, normals without a direction) is mended on the way.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from bunraku.formats.gltf.read import Source
 
 __all__ = ["MeshCarrier", "carry_images", "carry_tree", "used_extensions"]
 
-_WHITE_PNG = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4//8/AAX+Av4N70a4AAAAAElFTkSuQmCC")
+_WHITE_PNG = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4//8/AAX+Av4N70a4AAAAAElFTkSuQmCC"
+)
 _PRIMITIVE_EXTENSIONS = ("KHR_materials_variants", "FB_ngon_encoding")
 _ROOT_EXTENSIONS = ("KHR_materials_variants", "KHR_xmp_json_ld")
 
@@ -32,12 +34,18 @@ def carry_tree(document: Document) -> dict[str, Any]:
     tree: dict[str, Any] = {"asset": {"version": "2.0", "generator": "bunraku", **asset}, "scene": 0, "scenes": [{}]}
     scenes, scene = document.items("scenes"), old.get("scene", 0)
     if scenes and isinstance(scene, int) and scene < len(scenes):
-        tree["scenes"][0].update({key: copy.deepcopy(scenes[scene][key]) for key in ("name", "extras") if key in scenes[scene]})
+        tree["scenes"][0].update(
+            {key: copy.deepcopy(scenes[scene][key]) for key in ("name", "extras") if key in scenes[scene]}
+        )
     for key in ("materials", "textures", "samplers"):
         if document.items(key):
             tree[key] = copy.deepcopy(document.items(key))
     extensions = old.get("extensions")
-    kept = {name: copy.deepcopy(extensions[name]) for name in _ROOT_EXTENSIONS if name in extensions} if isinstance(extensions, dict) else {}
+    kept = (
+        {name: copy.deepcopy(extensions[name]) for name in _ROOT_EXTENSIONS if name in extensions}
+        if isinstance(extensions, dict)
+        else {}
+    )
     if kept:
         tree["extensions"] = kept
     if "extras" in old:
@@ -110,7 +118,8 @@ class MeshCarrier:
 
         Args:
             part: The mesh where a node places it.
-            rest: Positions that replace the raw ones [m], shape (V, 3) over its groups; its normals, tangents and morph targets are
+            rest: Positions that replace the raw ones [m], shape (V, 3) over its groups; its normals, tangents and morph
+                targets are
                 bent as its skin bends them. None keeps everything as it is.
         """
         old = self.document.items("meshes")[part.mesh]
@@ -128,8 +137,12 @@ class MeshCarrier:
             shared = self._vertex_data(first, stop - start, bend)
             for member, triangles in zip(group.primitives, group.triangles, strict=True):
                 own = old["primitives"][member]
-                data = shared if own["attributes"] == first["attributes"] else self._vertex_data(own, stop - start, bend)
-                primitives[member] = self._primitive(own, {**data, "attributes": dict(data["attributes"])}, triangles if part.mirrored else None)
+                data = (
+                    shared if own["attributes"] == first["attributes"] else self._vertex_data(own, stop - start, bend)
+                )
+                primitives[member] = self._primitive(
+                    own, {**data, "attributes": dict(data["attributes"])}, triangles if part.mirrored else None
+                )
             start = stop
         mesh["primitives"] = [primitive for primitive in primitives if primitive]
         if weights and all("targets" in primitive for primitive in mesh["primitives"]):
@@ -168,9 +181,13 @@ class MeshCarrier:
             if str(self.document.item("accessors", accessor).get("type")).startswith("MAT"):
                 continue  # glTF gives no meaning to matrices a vertex
             if bend is not None and name in ("POSITION", "NORMAL", "TANGENT"):
-                values = self.document.accessor(accessor, ("VEC4",) if name == "TANGENT" else ("VEC3",)).astype(np.float64)
+                values = self.document.accessor(accessor, ("VEC4",) if name == "TANGENT" else ("VEC3",)).astype(
+                    np.float64
+                )
                 bent = bend.attribute(name, values, keep_base="targets" in old)
-                attributes[name] = self.builder.array(_mended(name, bent.astype(np.float32)), ARRAY_BUFFER, bounds=name == "POSITION")
+                attributes[name] = self.builder.array(
+                    _mended(name, bent.astype(np.float32)), ARRAY_BUFFER, bounds=name == "POSITION"
+                )
             else:
                 attributes[name] = self._carry(accessor, name)
         data: dict[str, Any] = {"attributes": attributes}
@@ -185,7 +202,9 @@ class MeshCarrier:
             if self.document.count(accessor) != count:
                 continue
             if bend is not None and name in ("POSITION", "NORMAL", "TANGENT"):
-                bent = bend.offset(name, self.document.accessor(accessor, ("VEC3",)).astype(np.float64)).astype(np.float32)
+                bent = bend.offset(name, self.document.accessor(accessor, ("VEC3",)).astype(np.float64)).astype(
+                    np.float32
+                )
                 out[name] = self.builder.array(np.nan_to_num(bent), ARRAY_BUFFER, bounds=name == "POSITION")
             else:
                 out[name] = self._carry(accessor, f"target {name}")
@@ -199,10 +218,17 @@ class MeshCarrier:
 
     def _copy(self, index: int, role: str) -> int:
         old = self.document.item("accessors", index)
-        extra: dict[str, Any] = {name: copy.deepcopy(old[name]) for name in ("name", "normalized", "extras") if name in old}
+        extra: dict[str, Any] = {
+            name: copy.deepcopy(old[name]) for name in ("name", "normalized", "extras") if name in old
+        }
         kinds = ("SCALAR",) if role == "INDEX" else ("SCALAR", "VEC2", "VEC3", "VEC4")
         bounds = role in ("POSITION", "target POSITION")
-        if "bufferView" not in old and "sparse" not in old and role != "INDEX" and not role.endswith(("POSITION", "NORMAL", "TANGENT")):
+        if (
+            "bufferView" not in old
+            and "sparse" not in old
+            and role != "INDEX"
+            and not role.endswith(("POSITION", "NORMAL", "TANGENT"))
+        ):
             return self.builder.zeros({**extra, **{name: old[name] for name in ("componentType", "count", "type")}})
         values = self.document.accessor(index, kinds, raw=True)
         if role == "INDEX":
@@ -223,7 +249,9 @@ class _Bend:
         self.sign = np.where((a * cofactors[:, :, 0]).sum(axis=1) < 0, -1.0, 1.0)
         self.normal = cofactors * self.sign[:, None, None]
         size = float(np.ptp(vertices, axis=0).max(initial=0))
-        self.faithful = bool(np.abs(vertices - rest).max(initial=0) <= 1e-5 * size + 1e-6 * np.abs(vertices).max(initial=0))
+        self.faithful = bool(
+            np.abs(vertices - rest).max(initial=0) <= 1e-5 * size + 1e-6 * np.abs(vertices).max(initial=0)
+        )
 
     def attribute(self, name: str, values: np.ndarray, keep_base: bool) -> np.ndarray:
         if name == "POSITION":
@@ -251,7 +279,9 @@ class _Bend:
 
 
 def _mended(role: str, values: np.ndarray) -> np.ndarray:
-    """Values that a valid file may hold: finite, unit normals, colours from 0 to 1. Good values come back as they are."""
+    """Values that a valid file may hold: finite, unit normals, colours from 0 to 1. Good values come back as they
+    are.
+    """
     if values.dtype.kind != "f":
         return values
     if not np.isfinite(values).all():

@@ -1,4 +1,6 @@
-"""A colour for each vertex, for previews: base colour factor, base colour texture at the UV, and vertex colour, multiplied."""
+"""A colour for each vertex, for previews: base colour factor, base colour texture at the UV, and vertex colour,
+multiplied.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,9 @@ def vertex_colors(document: Document, parts: tuple[MeshPart, ...], count: int) -
     return colors
 
 
-def _primitive_colors(document: Document, primitive: dict[str, Any], count: int, images: dict[int, np.ndarray | None]) -> np.ndarray:
+def _primitive_colors(
+    document: Document, primitive: dict[str, Any], count: int, images: dict[int, np.ndarray | None]
+) -> np.ndarray:
     material = document.item("materials", primitive["material"]) if "material" in primitive else {}
     texture, factor = _base_color(document, material)
     texels = _sample(document, primitive, texture, count, images) if texture is not None else None
@@ -81,7 +85,11 @@ def _base_color(document: Document, material: dict[str, Any]) -> tuple[dict[str,
 
 
 def _sample(
-    document: Document, primitive: dict[str, Any], info: dict[str, Any], count: int, images: dict[int, np.ndarray | None]
+    document: Document,
+    primitive: dict[str, Any],
+    info: dict[str, Any],
+    count: int,
+    images: dict[int, np.ndarray | None],
 ) -> np.ndarray | None:
     """Texels at the UVs of a primitive, nearest neighbour, sRGB, shape (V, 3), uint8."""
     transform = (info.get("extensions") or {}).get("KHR_texture_transform") or {}
@@ -120,7 +128,9 @@ def _image_of(texture: dict[str, Any]) -> Any:
 
 
 def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np.ndarray | None]:
-    """The base colour images of all meshes, decoded side by side: that is most of the time that a textured file takes."""
+    """The base colour images of all meshes, decoded side by side: that is most of the time that a textured file
+    takes.
+    """
     wanted: set[int] = set()
     for mesh in {part.mesh for part in parts}:
         for primitive in document.objects(document.item("meshes", mesh), "primitives"):

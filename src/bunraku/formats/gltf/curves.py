@@ -34,10 +34,14 @@ def clip_curves(document: Document, animation: dict[str, Any]) -> Curves:
         node, kind = document.integer(target, "node", high=last), target["path"]
         index = document.integer(channel, "sampler")
         if index >= len(samplers):
-            document.fail("an animation channel names a sampler that does not exist; the file is broken, export it again")
+            document.fail(
+                "an animation channel names a sampler that does not exist; the file is broken, export it again"
+            )
         how = samplers[index].get("interpolation", "LINEAR")
         times = document.accessor(samplers[index].get("input"), ("SCALAR",))[:, 0].astype(float)
-        values = document.accessor(samplers[index].get("output"), ("VEC4",) if kind == "rotation" else ("VEC3",)).astype(float)
+        values = document.accessor(
+            samplers[index].get("output"), ("VEC4",) if kind == "rotation" else ("VEC3",)
+        ).astype(float)
         keys = 3 if how == "CUBICSPLINE" else 1
         total += len(values)
         if total > MAX_KEYS:
@@ -72,7 +76,9 @@ def _sample(times: np.ndarray, values: np.ndarray, how: str, kind: str, moments:
     return values[before] + (values[after] - values[before]) * share[:, None]
 
 
-def node_worlds(document: Document, tree: NodeTree, curves: Curves, moments: np.ndarray, chosen: list[int]) -> np.ndarray:
+def node_worlds(
+    document: Document, tree: NodeTree, curves: Curves, moments: np.ndarray, chosen: list[int]
+) -> np.ndarray:
     """World transforms of the chosen nodes at each moment, shape (N, J, 4, 4)."""
     nodes = document.items("nodes")
     moving = {node for node, _ in curves}
@@ -84,7 +90,9 @@ def node_worlds(document: Document, tree: NodeTree, curves: Curves, moments: np.
             chain.append(node)
             node = int(tree.parents[node])
         if (len(known) + len(chain)) * len(moments) > MAX_WORLDS:
-            document.fail(f"its clip moves {len(known) + len(chain)} nodes in {len(moments)} frames, which are too many; cut it")
+            document.fail(
+                f"its clip moves {len(known) + len(chain)} nodes in {len(moments)} frames, which are too many; cut it"
+            )
         for link in reversed(chain):
             above = int(tree.parents[link])
             if link not in moving:  # its default place, carried along by what is above it

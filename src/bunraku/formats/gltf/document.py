@@ -19,14 +19,25 @@ from bunraku.formats.files import inside, read_bounded
 __all__ = ["COMPONENT_TYPES", "ELEMENT_SIZES", "MAX_ELEMENTS", "Document", "open_document"]
 
 COMPONENT_TYPES: dict[int, np.dtype[Any]] = {
-    code: np.dtype(name) for code, name in ((5120, "i1"), (5121, "u1"), (5122, "<i2"), (5123, "<u2"), (5125, "<u4"), (5126, "<f4"))
+    code: np.dtype(name)
+    for code, name in ((5120, "i1"), (5121, "u1"), (5122, "<i2"), (5123, "<u2"), (5125, "<u4"), (5126, "<f4"))
 }
 ELEMENT_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 MAX_ELEMENTS = 50_000_000
 """Most elements of one accessor: one may be declared without any data behind it, so the file's size is no bound."""
 
 _COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
-_UNDERSTOOD = ("KHR_mesh_quantization", "KHR_texture_", "KHR_materials_", "KHR_lights_", "KHR_animation_", "KHR_xmp", "EXT_texture_", "VRM", "MSFT_")
+_UNDERSTOOD = (
+    "KHR_mesh_quantization",
+    "KHR_texture_",
+    "KHR_materials_",
+    "KHR_lights_",
+    "KHR_animation_",
+    "KHR_xmp",
+    "EXT_texture_",
+    "VRM",
+    "MSFT_",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +74,12 @@ class Document:
     def item(self, kind: str, index: Any) -> dict[str, Any]:
         """One entry of a top-level list."""
         items = self.tree.get(kind, [])  # only the entry is checked: files hold thousands, and each is asked for often
-        if not isinstance(items, list) or type(index) is not int or not 0 <= index < len(items) or not isinstance(items[index], dict):
+        if (
+            not isinstance(items, list)
+            or type(index) is not int
+            or not 0 <= index < len(items)
+            or not isinstance(items[index], dict)
+        ):
             self.fail(f"{kind}[{index!r:.20}] does not exist; the file is broken, export it again")
         return items[index]
 
@@ -73,7 +89,10 @@ class Document:
         if type(value) is float and value.is_integer():
             value = int(value)
         if type(value) is not int or not 0 <= value <= high:
-            self.fail(f"'{key}' must be a whole number from 0 to {high}, not {value!r:.40}; the file is broken, export it again")
+            self.fail(
+                f"'{key}' must be a whole number from 0 to {high}, not {value!r:.40}; the file is broken, export it "
+                "again"
+            )
         return value
 
     def numbers(self, owner: dict[str, Any], key: str, default: list[float]) -> np.ndarray:
@@ -87,7 +106,10 @@ class Document:
 
     def indices(self, owner: dict[str, Any], key: str, kind: str) -> list[int]:
         """A list of indices into a top-level list, under a key of an object."""
-        value, listed = owner.get(key, []), self.tree.get(kind, [])  # the list's own entries are not checked, as in `item`
+        value, listed = (
+            owner.get(key, []),
+            self.tree.get(kind, []),
+        )  # the list's own entries are not checked, as in `item`
         count = len(listed) if isinstance(listed, list) else 0
         if not isinstance(value, list) or not all(type(x) is int and 0 <= x < count for x in value):
             self.fail(f"'{key}' points at {kind} that do not exist; the file is broken, export it again")
@@ -102,7 +124,10 @@ class Document:
         start, length = self.integer(view, "byteOffset", 0), self.integer(view, "byteLength")
         data = memoryview(self.buffers[buffer])
         if start + length > len(data):
-            self.fail(f"bufferViews[{index}] ends at byte {start + length} of {len(data)}; the file is truncated, export or download it again")
+            self.fail(
+                f"bufferViews[{index}] ends at byte {start + length} of {len(data)}; the file is truncated, export or "
+                "download it again"
+            )
         return data[start : start + length]
 
     def count(self, index: Any) -> int:
@@ -123,10 +148,16 @@ class Document:
         accessor = self.item("accessors", index)
         kind, component = accessor.get("type"), accessor.get("componentType")
         if kind not in kinds:
-            self.fail(f"accessors[{index}] has type {kind!r:.20} where {' or '.join(kinds)} is needed; the file is broken, export it again")
+            self.fail(
+                f"accessors[{index}] has type {kind!r:.20} where {' or '.join(kinds)} is needed; the file is broken, "
+                "export it again"
+            )
         dtype = COMPONENT_TYPES.get(component) if type(component) is int else None
         if dtype is None:
-            self.fail(f"accessors[{index}] has component type {component!r:.20}, which glTF does not know; the file is broken, export it again")
+            self.fail(
+                f"accessors[{index}] has component type {component!r:.20}, which glTF does not know; the file is "
+                "broken, export it again"
+            )
         count, size = self.count(index), ELEMENT_SIZES[kind]
         if "bufferView" in accessor:
             values = self._elements(accessor, accessor["bufferView"], dtype, count, size)
@@ -146,9 +177,15 @@ class Document:
         width = dtype.itemsize * size
         stride = self.integer(self.item("bufferViews", view), "byteStride", width, high=65535)
         if stride < width:
-            self.fail(f"bufferViews[{view}] packs elements of {width} bytes every {stride}; the file is broken, export it again")
+            self.fail(
+                f"bufferViews[{view}] packs elements of {width} bytes every {stride}; the file is broken, export it "
+                "again"
+            )
         if count and offset + stride * (count - 1) + width > len(data):
-            self.fail(f"an accessor reads past the end of bufferViews[{view}]; the file is truncated, export or download it again")
+            self.fail(
+                f"an accessor reads past the end of bufferViews[{view}]; the file is truncated, export or download it "
+                "again"
+            )
         if not count:
             return np.zeros((0, size), dtype)
         return np.ndarray((count, size), dtype, data, offset, (stride, dtype.itemsize))
@@ -156,7 +193,11 @@ class Document:
     def _sparse(self, sparse: dict[str, Any], values: np.ndarray, dtype: np.dtype) -> np.ndarray:
         count = self.integer(sparse, "count", high=len(values))
         where, what = sparse.get("indices"), sparse.get("values")
-        if not isinstance(where, dict) or not isinstance(what, dict) or where.get("componentType") not in (5121, 5123, 5125):
+        if (
+            not isinstance(where, dict)
+            or not isinstance(what, dict)
+            or where.get("componentType") not in (5121, 5123, 5125)
+        ):
             self.fail("a sparse accessor lacks its indices or values; the file is broken, export it again")
         rows = self._elements(where, where.get("bufferView"), COMPONENT_TYPES[where["componentType"]], count, 1)[:, 0]
         if count and int(rows.max()) >= len(values):
@@ -173,7 +214,8 @@ def open_document(path: Path, data: bytes) -> Document:
         data: Its bytes.
 
     Raises:
-        FormatError: The file is truncated or broken, needs an extension that is not understood, or points outside its folder.
+        FormatError: The file is truncated or broken, needs an extension that is not understood, or points outside its
+            folder.
     """
     if data[:4] == b"glTF":
         text, chunk = _glb_chunks(path, data)
@@ -182,12 +224,17 @@ def open_document(path: Path, data: bytes) -> Document:
     try:
         tree = json.loads(bytes(text).decode("utf-8-sig"), parse_constant=_no_constant)
     except (ValueError, RecursionError):
-        raise FormatError(path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again") from None
+        raise FormatError(
+            path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again"
+        ) from None
     if not isinstance(tree, dict) or not isinstance(tree.get("asset"), dict):
         raise FormatError(path, "this is not a glTF document, it has no 'asset'; export it again as glTF 2.0")
     document = Document(path, tree, [], {})
     if not str(tree["asset"].get("version", "")).startswith("2"):
-        document.fail(f"this is glTF {str(tree['asset'].get('version'))[:10]} but only version 2 is read; export it again as glTF 2.0")
+        document.fail(
+            f"this is glTF {str(tree['asset'].get('version'))[:10]} but only version 2 is read; export it again as "
+            "glTF 2.0"
+        )
     _check_extensions(document)
     for index, buffer in enumerate(document.items("buffers")):
         document.buffers.append(_buffer(document, buffer, chunk if index == 0 else None))
@@ -206,15 +253,21 @@ def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]
         raise FormatError(path, "the GLB ends inside its header; it is truncated, export or download it again")
     version, total = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise FormatError(path, f"this is GLB version {version} but only version 2 is read; export it again as glTF 2.0")
+        raise FormatError(
+            path, f"this is GLB version {version} but only version 2 is read; export it again as glTF 2.0"
+        )
     if total > len(data):
-        raise FormatError(path, f"the GLB should have {total} bytes but has {len(data)}; it is truncated, export or download it again")
+        raise FormatError(
+            path, f"the GLB should have {total} bytes but has {len(data)}; it is truncated, export or download it again"
+        )
     whole, offset = memoryview(data)[:total], 12
     chunks: dict[int, memoryview] = {}
     while offset + 8 <= total:
         length, kind = struct.unpack_from("<II", data, offset)
         if offset + 8 + length > total:
-            raise FormatError(path, "a chunk of the GLB is longer than the file; it is truncated, export or download it again")
+            raise FormatError(
+                path, "a chunk of the GLB is longer than the file; it is truncated, export or download it again"
+            )
         chunks.setdefault(kind, whole[offset + 8 : offset + 8 + length])
         offset += 8 + length + (-length % 4)
     if 0x4E4F534A not in chunks:
@@ -227,9 +280,13 @@ def _check_extensions(document: Document) -> None:
     for name in required if isinstance(required, list) else []:
         name = str(name)[:80]
         if name in _COMPRESSED:
-            document.fail(f"its meshes are compressed with {name}, which is not read; export it again without mesh compression")
+            document.fail(
+                f"its meshes are compressed with {name}, which is not read; export it again without mesh compression"
+            )
         if not name.startswith(_UNDERSTOOD):
-            document.fail(f"it needs the glTF extension {name}, which is not read; export it again without that extension")
+            document.fail(
+                f"it needs the glTF extension {name}, which is not read; export it again without that extension"
+            )
 
 
 def _buffer(document: Document, buffer: dict[str, Any], chunk: memoryview | None) -> bytes:
@@ -243,7 +300,10 @@ def _buffer(document: Document, buffer: dict[str, Any], chunk: memoryview | None
         data = b""  # a fallback buffer of a compressed file: views into it fail where they are used
         length = 0
     if len(data) < length:
-        document.fail(f"a buffer should have {length} bytes but has {len(data)}; the file is truncated, export or download it again")
+        document.fail(
+            f"a buffer should have {length} bytes but has {len(data)}; the file is truncated, export or download it "
+            "again"
+        )
     return bytes(data) if len(data) == length else bytes(memoryview(data)[:length])  # a view could not be pickled
 
 
@@ -260,9 +320,14 @@ def _resource(document: Document, uri: Any, what: str, missing_ok: bool = False)
             document.fail(f"its embedded {what} is not valid base64; the file is broken, export it again")
     target = inside(document.path.parent, uri)
     if target is None:
-        document.fail(f"its {what} {uri[:80]!r} is not in the folder of the file, so it is not opened; put the {what} beside the file")
+        document.fail(
+            f"its {what} {uri[:80]!r} is not in the folder of the file, so it is not opened; put the {what} beside "
+            "the file"
+        )
     if not os.path.isfile(target):
         if missing_ok:
             return None
-        document.fail(f"its {what} {uri[:80]!r} is missing; put it beside the file, or export a GLB, which holds everything")
+        document.fail(
+            f"its {what} {uri[:80]!r} is missing; put it beside the file, or export a GLB, which holds everything"
+        )
     return read_bounded(target)

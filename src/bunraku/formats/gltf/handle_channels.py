@@ -61,14 +61,18 @@ def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, m
     rotations = quaternion_from_matrix(motion.rotations.astype(np.float64))
     rotations[:, 0] = quaternion_from_matrix(motion.root_rotation.astype(np.float64))
     flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
-    rotations[1:] *= np.cumprod(flips, axis=0)[..., None]  # an interpolated quaternion must not change its sign on the way
+    rotations[1:] *= np.cumprod(flips, axis=0)[
+        ..., None
+    ]  # an interpolated quaternion must not change its sign on the way
 
     times = (np.arange(len(motion)) / motion.fps).astype(np.float32)[:, None]
     every = builder.array(times, bounds=True)
     single: int | None = None
     extent = max(float(np.ptp(h, axis=0).max()), 1e-9)
     tracks = (("translation", translations, 1e-7 * extent), ("rotation", rotations, 1e-7))
-    moving = {(path, k): np.ptp(values[:, k], axis=0).max() > small for path, values, small in tracks for k in range(len(h))}
+    moving = {
+        (path, k): np.ptp(values[:, k], axis=0).max() > small for path, values, small in tracks for k in range(len(h))
+    }
     if not any(moving.values()):
         moving["translation", 0] = True  # one channel keeps the length of a motion that stands still
     channels: list[dict[str, Any]] = []

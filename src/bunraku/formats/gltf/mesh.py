@@ -12,7 +12,15 @@ from bunraku.formats.gltf.document import Document
 from bunraku.formats.gltf.nodes import NodeTree, SkinJoints
 from bunraku.formats.mesh.skins import borrow_weights
 
-__all__ = ["MeshPart", "PrimitiveData", "check_size", "primitive_groups", "primitive_triangles", "read_part", "skin_matrices"]
+__all__ = [
+    "MeshPart",
+    "PrimitiveData",
+    "check_size",
+    "primitive_groups",
+    "primitive_triangles",
+    "read_part",
+    "skin_matrices",
+]
 
 MAX_VERTICES, MAX_TRIANGLES, MAX_PRIMITIVES = 20_000_000, 40_000_000, 50_000
 
@@ -45,7 +53,8 @@ class MeshPart:
     Args:
         node: The node.
         mesh: Its mesh.
-        transform: What takes raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its rest pose.
+        transform: What takes raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its
+            rest pose.
         mirrored: Whether the transform turns the triangles inside out; those of the groups are turned back.
         groups: Its vertices.
     """
@@ -67,16 +76,23 @@ def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int,
             document.fail(f"meshes[{mesh}] has a primitive without attributes; the file is broken, export it again")
         if "POSITION" not in attributes:
             if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
-                document.fail("its meshes are compressed with KHR_draco_mesh_compression, which is not read; export it again without that")
+                document.fail(
+                    "its meshes are compressed with KHR_draco_mesh_compression, which is not read; export it again "
+                    "without that"
+                )
             continue  # glTF lets extensions bring positions; there is nothing to draw without one
-        key = tuple(repr(attributes.get(name)) for name in ("POSITION", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1"))
+        key = tuple(
+            repr(attributes.get(name)) for name in ("POSITION", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1")
+        )
         groups.setdefault((*key, repr(primitive.get("targets"))), []).append(index)
     for members in groups.values():
         yield tuple(members), primitives[members[0]]["attributes"]
 
 
 def primitive_triangles(document: Document, primitive: dict[str, Any], count: int) -> np.ndarray:
-    """Vertex indices of the triangles of a primitive: lists, strips and fans; none for points and lines, shape (F, 3)."""
+    """Vertex indices of the triangles of a primitive: lists, strips and fans; none for points and lines, shape (F,
+    3).
+    """
     mode = document.integer(primitive, "mode", 4, high=6)
     if mode < 4:
         return np.zeros((0, 3), np.int64)
@@ -86,7 +102,10 @@ def primitive_triangles(document: Document, primitive: dict[str, Any], count: in
             document.fail("the indices of a mesh are not unsigned whole numbers; the file is broken, export it again")
         order = order.astype(np.int64)
         if len(order) and int(order.max()) >= count:
-            document.fail(f"a triangle uses vertex {int(order.max())} but its mesh has {count}; the file is broken, export it again")
+            document.fail(
+                f"a triangle uses vertex {int(order.max())} but its mesh has {count}; the file is broken, export it "
+                "again"
+            )
     else:
         order = np.arange(count)
     if mode == 4:
@@ -163,13 +182,19 @@ def rest_positions(document: Document, node: dict[str, Any], mesh: int, primitiv
     targets = document.objects(primitive, "targets")
     if isinstance(weights, list) and all(type(weight) in (int, float) for weight in weights):
         for weight, target in zip(weights, targets, strict=False):
-            if weight and np.isfinite(weight) and "POSITION" in target and document.count(target["POSITION"]) == len(raw):
+            if (
+                weight
+                and np.isfinite(weight)
+                and "POSITION" in target
+                and document.count(target["POSITION"]) == len(raw)
+            ):
                 raw += weight * document.accessor(target["POSITION"], ("VEC3",))
     return raw
 
 
 def check_size(document: Document, nodes: list[int]) -> None:
-    """Refuse a document whose nodes place more than can be worked with; many may place one mesh, so the file's size is no bound.
+    """Refuse a document whose nodes place more than can be worked with; many may place one mesh, so the file's size is
+    no bound.
 
     Raises:
         FormatError: There are too many vertices, triangles or primitives.
@@ -200,17 +225,28 @@ def check_size(document: Document, nodes: list[int]) -> None:
 
 
 def _rigid_joint(tree: NodeTree, skins: SkinJoints, node: int) -> int | None:
-    """The joint that carries an unskinned mesh: its nearest ancestor joint, else the first joint that no joint carries."""
+    """The joint that carries an unskinned mesh: its nearest ancestor joint, else the first joint that no joint
+    carries.
+    """
     if not skins.nodes:
         return None
     chosen = {joint_node: joint for joint, joint_node in enumerate(skins.nodes)}
     above = tree.ancestor_in(node, chosen)
     if above is not None:
         return chosen[above]
-    return next((j for j, n in enumerate(skins.nodes) if tree.parents[n] < 0 or tree.ancestor_in(int(tree.parents[n]), chosen) is None), 0)
+    return next(
+        (
+            j
+            for j, n in enumerate(skins.nodes)
+            if tree.parents[n] < 0 or tree.ancestor_in(int(tree.parents[n]), chosen) is None
+        ),
+        0,
+    )
 
 
-def _influences(document: Document, attributes: dict[str, Any], raw: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray, int]:
+def _influences(
+    document: Document, attributes: dict[str, Any], raw: np.ndarray, slots: int
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Slots and weights of each vertex with broken weights mended, and how many were."""
     joints, weights = [], []
     for name in ("0", "1"):
@@ -218,12 +254,18 @@ def _influences(document: Document, attributes: dict[str, Any], raw: np.ndarray,
             joints.append(document.accessor(attributes[f"JOINTS_{name}"], ("VEC4",), raw=True))
             weights.append(document.accessor(attributes[f"WEIGHTS_{name}"], ("VEC4",)).astype(float))
             if len(joints[-1]) != len(raw) or len(weights[-1]) != len(raw) or joints[-1].dtype.kind != "u":
-                document.fail("the skin of a mesh weighs another number of vertices than it has; the file is broken, export it again")
+                document.fail(
+                    "the skin of a mesh weighs another number of vertices than it has; the file is broken, export it "
+                    "again"
+                )
     indices, shares = np.concatenate(joints, 1).astype(np.int64), np.concatenate(weights, 1)
     shares = np.where(np.isfinite(shares) & (shares > 0), shares, 0)
     indices[shares == 0] = 0
     if len(indices) and int(indices.max()) >= slots:
-        document.fail(f"a vertex is weighted to joint {int(indices.max())} of a skin with {slots}; the file is broken, export it again")
+        document.fail(
+            f"a vertex is weighted to joint {int(indices.max())} of a skin with {slots}; the file is broken, export "
+            "it again"
+        )
     total = shares.sum(axis=1)
     lost = np.flatnonzero(~(total > 1e-9))
     if len(lost):
@@ -232,7 +274,9 @@ def _influences(document: Document, attributes: dict[str, Any], raw: np.ndarray,
     return indices, shares / total[:, None], len(lost)
 
 
-def _skinned(raw: np.ndarray, slots: np.ndarray, weights: np.ndarray, bind: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def _skinned(
+    raw: np.ndarray, slots: np.ndarray, weights: np.ndarray, bind: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Default-pose positions of a skinned mesh, and the one matrix that gives them where one does."""
     used = np.unique(slots[weights > 0])
     mean = bind[used].mean(axis=0) if len(used) else np.eye(4)
@@ -247,7 +291,9 @@ def _skinned(raw: np.ndarray, slots: np.ndarray, weights: np.ndarray, bind: np.n
     for column in range(slots.shape[1]):
         if weights[:, column].any():
             matrices = bind[slots[:, column]]
-            vertices += weights[:, column, None] * (np.einsum("vij,vj->vi", matrices[:, :3, :3], raw) + matrices[:, :3, 3])
+            vertices += weights[:, column, None] * (
+                np.einsum("vij,vj->vi", matrices[:, :3, :3], raw) + matrices[:, :3, 3]
+            )
     if not finite.all() or not np.isfinite(vertices).all():
         return vertices, None
     fit, _, rank, _ = np.linalg.lstsq(np.c_[raw, np.ones(len(raw))], vertices, rcond=1e-7)
@@ -262,6 +308,8 @@ def _skinned(raw: np.ndarray, slots: np.ndarray, weights: np.ndarray, bind: np.n
 def _common(transforms: list[np.ndarray | None]) -> np.ndarray | None:
     """The matrix that all groups of a mesh share, None where they differ: a node has one skin."""
     first = transforms[0] if transforms else None
-    if first is None or any(other is None or not np.allclose(other, first, rtol=1e-6, atol=1e-9) for other in transforms):
+    if first is None or any(
+        other is None or not np.allclose(other, first, rtol=1e-6, atol=1e-9) for other in transforms
+    ):
         return None
     return first

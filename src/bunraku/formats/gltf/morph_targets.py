@@ -34,7 +34,9 @@ class Shapes:
     def offsets(self, count: int) -> np.ndarray:
         """Displacements in each of `count` frames [m], shape (N, M, 3)."""
         weights = np.stack([np.interp(np.arange(count), self.frames, column) for column in self.weights.T], axis=1)
-        return np.asarray((weights.astype(np.float32) @ self.shapes.reshape(len(self.shapes), -1)).reshape(count, -1, 3))
+        return np.asarray(
+            (weights.astype(np.float32) @ self.shapes.reshape(len(self.shapes), -1)).reshape(count, -1, 3)
+        )
 
 
 def key_shapes(offsets: np.ndarray, tolerance: float) -> Shapes:
@@ -73,9 +75,11 @@ def _straight(offsets: np.ndarray, first: int, last: int, tolerance: float) -> b
 
 
 def mixed_shapes(offsets: np.ndarray, tolerance: float) -> Shapes:
-    """The fewest shapes that all frames are sums of, found by singular values: fewer than `key_shapes`, and all there in every frame.
+    """The fewest shapes that all frames are sums of, found by singular values: fewer than `key_shapes`, and all there
+    in every frame.
 
-    Their signs and sizes are such that weights run from 0 to 1; one more shape, always there in full, makes up for that.
+    Their signs and sizes are such that weights run from 0 to 1; one more shape, always there in full, makes up for
+    that.
 
     Args:
         offsets: As in `key_shapes`.
@@ -101,4 +105,8 @@ def mixed_shapes(offsets: np.ndarray, tolerance: float) -> Shapes:
     least, span = mix.min(axis=0), np.ptp(mix, axis=0)
     shapes = np.concatenate([(middle + least @ basis[:low])[None], span[:, None] * basis[:low]])
     weights = np.concatenate([np.ones((count, 1)), (mix - least) / np.maximum(span, 1e-30)], axis=1)
-    return Shapes(shapes.reshape(len(shapes), -1, 3).astype(np.float32), np.arange(count), np.clip(weights, 0, 1).astype(np.float32))
+    return Shapes(
+        shapes.reshape(len(shapes), -1, 3).astype(np.float32),
+        np.arange(count),
+        np.clip(weights, 0, 1).astype(np.float32),
+    )

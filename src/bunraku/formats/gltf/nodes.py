@@ -67,7 +67,10 @@ class SkinJoints:
 def posed_skins(skins: SkinJoints, tree: NodeTree) -> SkinJoints:
     """The joints with the nodes in another pose."""
     nodes = np.array(skins.nodes, int)
-    return replace(skins, bind=[tree.world[nodes[slots]] @ inverse for slots, inverse in zip(skins.slots, skins.inverse, strict=True)])
+    return replace(
+        skins,
+        bind=[tree.world[nodes[slots]] @ inverse for slots, inverse in zip(skins.slots, skins.inverse, strict=True)],
+    )
 
 
 def read_nodes(document: Document) -> NodeTree:
@@ -109,7 +112,9 @@ def _local(document: Document, node: dict) -> np.ndarray:
         return matrix
     local = np.eye(4)
     rotation = document.numbers(node, "rotation", [0, 0, 0, 1])
-    local[:3, :3] = matrix_from_quaternion(rotation) * document.numbers(node, "scale", [1, 1, 1]) if rotation.any() else np.eye(3)
+    local[:3, :3] = (
+        matrix_from_quaternion(rotation) * document.numbers(node, "scale", [1, 1, 1]) if rotation.any() else np.eye(3)
+    )
     local[:3, 3] = document.numbers(node, "translation", [0, 0, 0])
     return local
 

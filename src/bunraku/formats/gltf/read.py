@@ -32,7 +32,8 @@ class Source:
         tree: Its nodes in the character's rest pose.
         skins: Its joints in that pose.
         parts: Its meshes where nodes and skins place them.
-        index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats have
+        index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats
+            have
             fewer vertices than their document where a seam splits one in two.
         suffix: The format of the file.
         model: What else the file holds that glTF has no place for, such as the `MmdModel` of a PMX file.
@@ -50,13 +51,14 @@ class Source:
 def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
     """Read a GLB, glTF or VRM file.
 
-    The vertices are those of all primitives in node order, in world space in the rest pose; primitives of one mesh that share
-    their positions share their vertices.
+    The vertices are those of all primitives in node order, in world space in the rest pose; primitives of one mesh that
+    share their positions share their vertices.
 
     Args:
         path: The file.
         data: Its bytes.
-        rest: "bind" rests in the pose that the skins were bound in (see `gltf_bind`), "default" in that of the file's nodes, which
+        rest: "bind" rests in the pose that the skins were bound in (see `gltf_bind`), "default" in that of the file's
+            nodes, which
             may be the middle of a clip.
 
     Raises:
@@ -66,7 +68,9 @@ def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
     return character_from_document(open_document(path, data), path.stem, rest=rest)
 
 
-def character_from_document(document: Document, name: str, index: np.ndarray | None = None, suffix: str = ".glb", *, rest: str = "bind") -> Character:
+def character_from_document(
+    document: Document, name: str, index: np.ndarray | None = None, suffix: str = ".glb", *, rest: str = "bind"
+) -> Character:
     """The character that a glTF document holds.
 
     Args:
@@ -118,7 +122,10 @@ def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[Mes
     indices, weights, start = np.zeros((count, width), np.int32), np.zeros((count, width), np.float32), 0
     for group in groups:
         stop = start + len(group.vertices)
-        indices[start:stop, : group.joints.shape[1]], weights[start:stop, : group.joints.shape[1]] = group.joints, group.weights
+        indices[start:stop, : group.joints.shape[1]], weights[start:stop, : group.joints.shape[1]] = (
+            group.joints,
+            group.weights,
+        )
         start = stop
     chosen = {node: joint for joint, node in enumerate(skins.nodes)}
     above = [tree.ancestor_in(int(tree.parents[node]), chosen) for node in skins.nodes]

@@ -15,7 +15,9 @@ __all__ = ["add_bone_clip"]
 SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still
 
 
-def add_bone_clip(builder: GltfBuilder, joints: list[int], local: np.ndarray, have: float, want: float, name: str) -> None:
+def add_bone_clip(
+    builder: GltfBuilder, joints: list[int], local: np.ndarray, have: float, want: float, name: str
+) -> None:
     """Add the animation: channels where a node leaves what its entry says, one key where it stays there.
 
     Args:
@@ -37,7 +39,11 @@ def add_bone_clip(builder: GltfBuilder, joints: list[int], local: np.ndarray, ha
     size = max(float(np.abs(local[..., :3, 3]).max()), 1e-9)
     every = builder.array((np.arange(len(between)) / want).astype(np.float32)[:, None], bounds=True)
     once = builder.array(np.zeros((1, 1), np.float32), bounds=True)
-    tracks = (("translation", between.linear(local[..., :3, 3]), SMALL * size), ("rotation", turned, SMALL), ("scale", between.linear(scale), None))
+    tracks = (
+        ("translation", between.linear(local[..., :3, 3]), SMALL * size),
+        ("rotation", turned, SMALL),
+        ("scale", between.linear(scale), None),
+    )
     channels: list[dict[str, Any]] = []
     samplers: list[dict[str, Any]] = []
     for joint, node in enumerate(joints):
@@ -53,9 +59,14 @@ def add_bone_clip(builder: GltfBuilder, joints: list[int], local: np.ndarray, ha
             channels.append({"sampler": len(samplers), "target": {"node": node, "path": kind}})
             data = builder.array(np.ascontiguousarray(track if moves else track[:1]))
             samplers.append({"input": every if moves else once, "output": data, "interpolation": "LINEAR"})
-    if not any(sampler["input"] == every for sampler in samplers):  # one channel keeps the length of a motion that stands still
+    if not any(
+        sampler["input"] == every for sampler in samplers
+    ):  # one channel keeps the length of a motion that stands still
         first = next(channel["sampler"] for channel in channels if channel["target"]["path"] == "rotation")
-        samplers[first] |= {"input": every, "output": builder.array(np.repeat(turned[:1, 0].astype(np.float32), len(between), axis=0))}
+        samplers[first] |= {
+            "input": every,
+            "output": builder.array(np.repeat(turned[:1, 0].astype(np.float32), len(between), axis=0)),
+        }
     builder.tree["animations"] = [{"name": name, "channels": channels, "samplers": samplers}]
 
 

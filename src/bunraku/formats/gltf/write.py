@@ -1,4 +1,6 @@
-"""Write GLB: the user's own meshes, materials, textures and UVs, with the handles as a skin and their motion as channels."""
+"""Write GLB: the user's own meshes, materials, textures and UVs, with the handles as a skin and their motion as
+channels.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,15 @@ from bunraku.formats.gltf.read import Source, character_from_document
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
 
-__all__ = ["build_document", "document_of", "finish_document", "joint_attributes", "keeps_positions", "write_animation", "write_character"]
+__all__ = [
+    "build_document",
+    "document_of",
+    "finish_document",
+    "joint_attributes",
+    "keeps_positions",
+    "write_animation",
+    "write_character",
+]
 
 
 def write_animation(animation: Animation, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
@@ -54,12 +64,15 @@ def write_character(character: Character, handles: Handles | None, path: Path) -
         CharacterError: The handles weigh another number of vertices.
     """
     if handles is not None and len(handles.weights) != len(character.vertices):
-        raise CharacterError(f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}")
+        raise CharacterError(
+            f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
+        )
     return finish_document(build_document(character, handles, path)[0], path)
 
 
 def joint_attributes(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The four largest weights of each vertex as glTF stores them: joints (V, 4) uint8 or uint16, weights (V, 4) float32.
+    """The four largest weights of each vertex as glTF stores them: joints (V, 4) uint8 or uint16, weights (V, 4)
+    float32.
 
     The float32 weights of a vertex sum to 1 as closely as float32 can say; unused places name joint 0.
     """
@@ -79,8 +92,14 @@ def document_of(character: Character) -> Source:
     if isinstance(source, Source) and len(source.index) and int(source.index.max()) + 1 == len(character.vertices):
         return source
     colors = None if character.colors is None else linear_from_srgb(character.colors / 255.0)
-    material = {"name": character.name, "doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9}}
-    document = mesh_document(Path(character.name), character.vertices, [(character.faces, 0)], colors=colors, materials=[material])
+    material = {
+        "name": character.name,
+        "doubleSided": True,
+        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9},
+    }
+    document = mesh_document(
+        Path(character.name), character.vertices, [(character.faces, 0)], colors=colors, materials=[material]
+    )
     made = character_from_document(document, character.name).source
     assert isinstance(made, Source)
     return made
@@ -89,7 +108,8 @@ def document_of(character: Character) -> Source:
 def build_document(character: Character, handles: Handles | None, path: Path) -> tuple[GltfBuilder, list[int]]:
     """The character's meshes and materials, skinned to handles where there are some, and the nodes of the handles.
 
-    The scene's nodes are that of handle 0, where there are handles, and then one for each of the source's parts that has vertices.
+    The scene's nodes are that of handle 0, where there are handles, and then one for each of the source's parts that
+    has vertices.
     """
     source = document_of(character)
     try:
@@ -101,11 +121,15 @@ def build_document(character: Character, handles: Handles | None, path: Path) ->
         for part in source.parts:
             stop = start + sum(len(group.vertices) for group in part.groups)
             if stop > start:
-                roots.append(_add_part(builder, carrier, character, handles, joints, part, source.index[start:stop], skins))
+                roots.append(
+                    _add_part(builder, carrier, character, handles, joints, part, source.index[start:stop], skins)
+                )
             start = stop
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {str(error)[:80]}"
-        raise FormatError(path, f"{source.document.path} is too broken to be written ({reason}); export it again") from error
+        raise FormatError(
+            path, f"{source.document.path} is too broken to be written ({reason}); export it again"
+        ) from error
     builder.tree["scenes"][0]["nodes"] = roots
     return builder, joints
 
@@ -142,7 +166,10 @@ def _add_part(
     stored = (inverse @ transform).transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
     key = stored.tobytes()
     if key not in skins:
-        skins[key] = builder.add("skins", {"name": "handles", "joints": joints, "skeleton": joints[0], "inverseBindMatrices": builder.array(stored)})
+        skins[key] = builder.add(
+            "skins",
+            {"name": "handles", "joints": joints, "skeleton": joints[0], "inverseBindMatrices": builder.array(stored)},
+        )
     node["skin"] = skins[key]
     return builder.add("nodes", node)
 
@@ -157,11 +184,15 @@ def _add_influences(builder: GltfBuilder, mesh: dict[str, Any], group: Primitive
 
 
 def keeps_positions(part: MeshPart, rest: np.ndarray, character: Character) -> bool:
-    """Whether the raw positions of a mesh can stay: one matrix takes them to the character's vertices, without mirroring."""
+    """Whether the raw positions of a mesh can stay: one matrix takes them to the character's vertices, without
+    mirroring.
+    """
     if part.transform is None or part.mirrored or np.linalg.det(part.transform[:3, :3]) <= 0:
         return False
     vertices = np.concatenate([group.vertices for group in part.groups])
-    return bool(np.abs(vertices - rest).max() <= 1e-5 * np.ptp(character.vertices, axis=0).max() + 1e-6 * np.abs(vertices).max())
+    return bool(
+        np.abs(vertices - rest).max() <= 1e-5 * np.ptp(character.vertices, axis=0).max() + 1e-6 * np.abs(vertices).max()
+    )
 
 
 def finish_document(builder: GltfBuilder, path: Path) -> Path:

@@ -1,7 +1,7 @@
 """Write GLB where vertices move on their own: the skin for what it can say, and morph targets for the rest.
 
-glTF adds morph targets before it skins, so each displacement is taken back through the skin of its frame. Targets hold only the
-vertices that leave their skin (sparse accessors), and as few shapes as a tolerance allows.
+glTF adds morph targets before it skins, so each displacement is taken back through the skin of its frame. Targets hold
+only the vertices that leave their skin (sparse accessors), and as few shapes as a tolerance allows.
 """
 
 from __future__ import annotations
@@ -30,7 +30,13 @@ ZERO = {"componentType": 5126, "type": "VEC3"}
 
 
 def write_point_animation(
-    animation: PointAnimation, path: Path, *, fps: float | None = None, name: str | None = None, tolerance: float | None = None, shapes: str = "mixed"
+    animation: PointAnimation,
+    path: Path,
+    *,
+    fps: float | None = None,
+    name: str | None = None,
+    tolerance: float | None = None,
+    shapes: str = "mixed",
 ) -> Path:
     """Write an animation whose vertices also move on their own as GLB.
 
@@ -40,7 +46,8 @@ def write_point_animation(
         fps: Frames a second [1/s]; those of the motion by default.
         name: The clip's name; the file's by default.
         tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
-        shapes: "mixed" takes the fewest shapes that all frames are mixed of; "keys" the shapes of some frames, of which two at most show
+        shapes: "mixed" takes the fewest shapes that all frames are mixed of; "keys" the shapes of some frames, of which
+            two at most show
             at any time, for players that cannot mix many. Those files are larger, by far where cloth moves fast.
 
     Returns:
@@ -70,7 +77,9 @@ def write_point_animation(
 
 
 def _before_skin(moved: PointAnimation, moving: np.ndarray) -> np.ndarray:
-    """Displacements of some vertices in the rest pose that the four weights of the file take to where they are [m], shape (N, M, 3)."""
+    """Displacements of some vertices in the rest pose that the four weights of the file take to where they are [m],
+    shape (N, M, 3).
+    """
     handles, rest = moved.animation.handles, moved.character.vertices[moving].astype(np.float64)
     joints, shares = joint_attributes(handles.weights[moving])
     transforms = moved.motion.transforms(handles.positions)
@@ -124,7 +133,9 @@ def _add_targets(builder: GltfBuilder, moved: PointAnimation, moving: np.ndarray
         targets: dict[int, list[dict[str, int]]] = {}
         at = first
         for group in part.groups:
-            targets[id(group)] = _targets(builder, place[source.index[at : at + len(group.vertices)]], found.shapes @ back.T)
+            targets[id(group)] = _targets(
+                builder, place[source.index[at : at + len(group.vertices)]], found.shapes @ back.T
+            )
             at += len(group.vertices)
         present = [primitive for primitive in mesh["primitives"] if primitive]
         for member, primitive in zip(sorted(own), present, strict=True):
@@ -136,7 +147,9 @@ def _add_targets(builder: GltfBuilder, moved: PointAnimation, moving: np.ndarray
         weights = np.tile(np.array(mesh["weights"], np.float32), (len(found.frames), 1))
         weights[:, older:] = found.weights
         clip["channels"].append({"sampler": len(clip["samplers"]), "target": {"node": node, "path": "weights"}})
-        clip["samplers"].append({"input": times, "output": builder.array(weights.reshape(-1, 1)), "interpolation": "LINEAR"})
+        clip["samplers"].append(
+            {"input": times, "output": builder.array(weights.reshape(-1, 1)), "interpolation": "LINEAR"}
+        )
 
 
 def _targets(builder: GltfBuilder, place: np.ndarray, shapes: np.ndarray) -> list[dict[str, int]]:
@@ -161,6 +174,10 @@ def _targets(builder: GltfBuilder, place: np.ndarray, shapes: np.ndarray) -> lis
         if len(rows) < total:
             low, high = np.minimum(low, 0), np.maximum(high, 0)
         entry: dict[str, Any] = {**ZERO, "count": total, "min": low.tolist(), "max": high.tolist()}
-        entry["sparse"] = {"count": len(rows), "indices": where, "values": {"bufferView": builder.view(values.tobytes())}}
+        entry["sparse"] = {
+            "count": len(rows),
+            "indices": where,
+            "values": {"bufferView": builder.view(values.tobytes())},
+        }
         out.append({"POSITION": builder.zeros(entry)})
     return out

@@ -1,8 +1,9 @@
 """Write a rig's animation as GLB: the file's own nodes, skins, materials and meshes with one animation.
 
-Nodes keep their order, names and extras, so extensions that name them (those of VRM avatars) still mean the same. Meshes and images are
-carried over value by value (see `gltf_carry`); joints and weights are those that were read, which are whole where the file's were not. Files
-without a skin of their own kind get a plain one, made of the character's rig.
+Nodes keep their order, names and extras, so extensions that name them (those of VRM avatars) still mean the same.
+Meshes and images are carried over value by value (see `gltf_carry`); joints and weights are those that were read, which
+are whole where the file's were not. Files without a skin of their own kind get a plain one, made of the character's
+rig.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ __all__ = ["save_rig_animation"]
 _KEPT = ("asset", "nodes", "scene", "scenes", "cameras", "extensions", "extras", "extensionsUsed", "extensionsRequired")
 
 
-def save_rig_animation(animation: RigAnimation, path: str | Path, *, fps: float | None = None, name: str | None = None) -> Path:
+def save_rig_animation(
+    animation: RigAnimation, path: str | Path, *, fps: float | None = None, name: str | None = None
+) -> Path:
     """Write the animation as GLB.
 
     Args:
@@ -54,7 +57,9 @@ def save_rig_animation(animation: RigAnimation, path: str | Path, *, fps: float 
         add_bone_clip(builder, joints, local, animation.fps, rate, str(name) if name else path.stem)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {str(error)[:80]}"
-        raise FormatError(path, f"{animation.character.name} is too broken to be written ({reason}); export it again") from error
+        raise FormatError(
+            path, f"{animation.character.name} is too broken to be written ({reason}); export it again"
+        ) from error
     return finish_document(builder, path)
 
 
@@ -62,11 +67,17 @@ def _fits(source: Source, animation: RigAnimation) -> bool:
     """Whether the document's joints are the rig's bones."""
     rig = animation.character.rig
     assert rig is not None
-    return len(source.skins.nodes) == len(rig.names) and len(source.index) > 0 and int(source.index.max()) + 1 == len(animation.character.vertices)
+    return (
+        len(source.skins.nodes) == len(rig.names)
+        and len(source.index) > 0
+        and int(source.index.max()) + 1 == len(animation.character.vertices)
+    )
 
 
 def _own_rig(source: Source, animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndarray]:
-    """The document with its own nodes; also the nodes of the bones, and their transforms in their parents, shape (N, J, 4, 4)."""
+    """The document with its own nodes; also the nodes of the bones, and their transforms in their parents, shape (N, J,
+    4, 4).
+    """
     document = source.document
     tree = carry_tree(document)
     tree.update({key: copy.deepcopy(document.tree[key]) for key in _KEPT if key in document.tree})
@@ -79,7 +90,9 @@ def _own_rig(source: Source, animation: RigAnimation) -> tuple[GltfBuilder, list
     for number in range(len(document.items("meshes"))):
         builder.add("meshes", _mesh(carrier, number, parts.get(number)))
     for skin, matrices in zip(document.items("skins"), source.skins.inverse, strict=True):
-        entry: dict[str, Any] = {key: copy.deepcopy(skin[key]) for key in ("name", "joints", "skeleton", "extras") if key in skin}
+        entry: dict[str, Any] = {
+            key: copy.deepcopy(skin[key]) for key in ("name", "joints", "skeleton", "extras") if key in skin
+        }
         if "inverseBindMatrices" in skin:
             entry["inverseBindMatrices"] = builder.array(matrices.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
         builder.add("skins", entry)
@@ -93,9 +106,13 @@ def _own_rig(source: Source, animation: RigAnimation) -> tuple[GltfBuilder, list
 
 
 def _lift_skinned(tree: dict[str, Any]) -> None:
-    """Put nodes with a skinned mesh on top of the scene, without a place of their own: what is above them moves nothing, by glTF's rule."""
+    """Put nodes with a skinned mesh on top of the scene, without a place of their own: what is above them moves
+    nothing, by glTF's rule.
+    """
     nodes = tree.get("nodes", [])
-    lifted = {number for number, node in enumerate(nodes) if "mesh" in node and "skin" in node and not node.get("children")}
+    lifted = {
+        number for number, node in enumerate(nodes) if "mesh" in node and "skin" in node and not node.get("children")
+    }
     above = {int(child): node for node in nodes for child in node.get("children", [])}
     for scene in tree.get("scenes", []):
         stack, shown = list(scene.get("nodes", [])), set()
@@ -115,7 +132,9 @@ def _lift_skinned(tree: dict[str, Any]) -> None:
 
 
 def _local(source: Source, animation: RigAnimation, builder: GltfBuilder) -> np.ndarray:
-    """Transform of each bone's node in its parent, shape (N, J, 4, 4). A character that was turned upright gets a node above all."""
+    """Transform of each bone's node in its parent, shape (N, J, 4, 4). A character that was turned upright gets a node
+    above all.
+    """
     rig = animation.character.rig
     assert rig is not None
     file = read_nodes(source.document)  # turned to the front where the file is a VRM 0.x
@@ -147,10 +166,15 @@ def _local(source: Source, animation: RigAnimation, builder: GltfBuilder) -> np.
     if not np.array_equal(turn, np.eye(4)):
         nodes = builder.tree["nodes"]
         for scene in builder.tree.get("scenes", []):
-            free = [node for node in scene.get("nodes", []) if "skin" in nodes[node] and not nodes[node].get("children")]
+            free = [
+                node for node in scene.get("nodes", []) if "skin" in nodes[node] and not nodes[node].get("children")
+            ]
             below = [node for node in scene.get("nodes", []) if node not in free]
             if below:
-                scene["nodes"] = [*free, builder.add("nodes", {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below})]
+                scene["nodes"] = [
+                    *free,
+                    builder.add("nodes", {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}),
+                ]
     return out
 
 
@@ -212,7 +236,9 @@ def _influences(builder: GltfBuilder, joints: np.ndarray, weights: np.ndarray, s
 
 
 def _plain_rig(animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndarray]:
-    """The meshes with one skin made of the rig, whose bones turn in the world's axes where they rest; the rest as `_own_rig`."""
+    """The meshes with one skin made of the rig, whose bones turn in the world's axes where they rest; the rest as
+    `_own_rig`.
+    """
     character, rig = animation.character, animation.character.rig
     assert rig is not None
     source = document_of(character)
@@ -228,7 +254,9 @@ def _plain_rig(animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndar
     nodes = list(range(len(rest)))
     inverse = np.tile(np.eye(4), (len(rest), 1, 1))
     inverse[:, 3, :3] = -rest  # column after column
-    skin = builder.add("skins", {"joints": nodes, "inverseBindMatrices": builder.array(inverse.reshape(-1, 16).astype(np.float32))})
+    skin = builder.add(
+        "skins", {"joints": nodes, "inverseBindMatrices": builder.array(inverse.reshape(-1, 16).astype(np.float32))}
+    )
     carrier, start = MeshCarrier(source, builder), 0
     roots = [bone for bone in nodes if rig.parents[bone] < 0]
     slots = np.arange(len(rest))

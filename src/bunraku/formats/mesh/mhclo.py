@@ -1,7 +1,8 @@
 """Read MakeHuman's clothes: a `.mhclo` file binds each vertex of an OBJ to three vertices of the MakeHuman base mesh.
 
-A clothes vertex is the weighted mean of its three base vertices plus an offset, and the offset grows with the body: along each
-axis it is multiplied by the distance of two base vertices over their distance on the body that the clothes were made on.
+A clothes vertex is the weighted mean of its three base vertices plus an offset, and the offset grows with the body:
+along each axis it is multiplied by the distance of two base vertices over their distance on the body that the clothes
+were made on.
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ def read_mhclo(path: str | Path) -> Clothes:
     """Read a `.mhclo` file and the OBJ that it names, which must lie in its folder or below.
 
     Raises:
-        FormatError: A file is missing or too large, a line cannot be understood, the OBJ lies elsewhere, or the two do not fit.
+        FormatError: A file is missing or too large, a line cannot be understood, the OBJ lies elsewhere, or the two do
+        not fit.
     """
     path = Path(path)
     data = _text(path)
@@ -70,10 +72,16 @@ def read_mhclo(path: str | Path) -> Clothes:
     for number, line in enumerate(data.decode("utf-8", "replace").splitlines(), 1):
         lines.take(number, line.split("#")[0].split())
     if not lines.rows:
-        raise FormatError(path, "this binds no vertices (no lines after 'verts'); it is not a MakeHuman clothes file, or it is truncated")
+        raise FormatError(
+            path,
+            "this binds no vertices (no lines after 'verts'); it is not a MakeHuman clothes file, or it is truncated",
+        )
     obj = inside(path.parent, lines.obj)
     if obj is None:
-        raise FormatError(path, f"its mesh {lines.obj[:80]!r} is no file in its folder; put the .obj beside it and name it in obj_file")
+        raise FormatError(
+            path,
+            f"its mesh {lines.obj[:80]!r} is no file in its folder; put the .obj beside it and name it in obj_file",
+        )
     rows = np.array(lines.rows)
     faces = _faces(path, obj, len(rows))
     shares = rows[:, 3:6]
@@ -104,7 +112,10 @@ def fit(clothes: Clothes, base_vertices: np.ndarray, unit: float = 0.1) -> np.nd
     body = np.asarray(base_vertices, np.float64)
     most = max(int(clothes.base.max()), int(clothes.scale_vertices.max()))
     if most >= len(body):
-        raise CharacterError(f"{clothes.name}: the clothes are bound to vertex {most} but the body has {len(body)}; give the whole base mesh")
+        raise CharacterError(
+            f"{clothes.name}: the clothes are bound to vertex {most} but the body has {len(body)}; give the whole "
+            "base mesh"
+        )
     first, second = body[clothes.scale_vertices[:, 0]], body[clothes.scale_vertices[:, 1]]
     scale = np.abs(np.diagonal(first - second)) / clothes.scale_lengths
     scale = np.where(clothes.scale_vertices[:, 0] >= 0, scale, unit)
@@ -114,7 +125,9 @@ def fit(clothes: Clothes, base_vertices: np.ndarray, unit: float = 0.1) -> np.nd
 def fit_weights(clothes: Clothes, base_weights: np.ndarray) -> np.ndarray:
     """Skin weights of the base mesh at the clothes' vertices, shape (B, J) -> (V, J); not negative, rows sum to 1."""
     shares = np.maximum(clothes.shares, 0)
-    out = np.einsum("vc,vcj->vj", shares / shares.sum(axis=1, keepdims=True), np.asarray(base_weights, np.float64)[clothes.base])
+    out = np.einsum(
+        "vc,vcj->vj", shares / shares.sum(axis=1, keepdims=True), np.asarray(base_weights, np.float64)[clothes.base]
+    )
     return np.asarray(out / np.maximum(out.sum(axis=1, keepdims=True), 1e-12))
 
 
@@ -158,11 +171,17 @@ class _Lines:
         try:
             if self._section == "verts":
                 if len(self.rows) == MAX_VERTICES:
-                    raise FormatError(self.path, f"this binds more than {MAX_VERTICES} vertices; simplify the garment first")
+                    raise FormatError(
+                        self.path, f"this binds more than {MAX_VERTICES} vertices; simplify the garment first"
+                    )
                 if len(words) == 1:
                     self.rows.append([self._vertex(words[0])] * 3 + [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
                 elif len(words) in (6, 9):
-                    self.rows.append([self._vertex(word) for word in words[:3]] + [float(word) for word in words[3:]] + [0.0] * (9 - len(words)))
+                    self.rows.append(
+                        [self._vertex(word) for word in words[:3]]
+                        + [float(word) for word in words[3:]]
+                        + [0.0] * (9 - len(words))
+                    )
                 else:
                     raise ValueError
             elif self._section == "delete_verts":
@@ -202,12 +221,17 @@ class _Lines:
 def _text(path: Path) -> bytes:
     data = read_bounded(path)
     if len(data) > MAX_TEXT:
-        raise FormatError(path, f"{len(data) >> 20} MiB are too many for a garment, at most {MAX_TEXT >> 20} are read; check the file")
+        raise FormatError(
+            path, f"{len(data) >> 20} MiB are too many for a garment, at most {MAX_TEXT >> 20} are read; check the file"
+        )
     return data
 
 
 def _faces(path: Path, obj: Path, count: int) -> np.ndarray:
     mesh = read_obj(obj, _text(obj))
     if len(mesh.vertices) != count:
-        raise FormatError(path, f"{count} vertices are bound but {obj.name} has {len(mesh.vertices)}; the two files do not belong together")
+        raise FormatError(
+            path,
+            f"{count} vertices are bound but {obj.name} has {len(mesh.vertices)}; the two files do not belong together",
+        )
     return mesh.faces

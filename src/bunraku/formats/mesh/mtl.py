@@ -22,10 +22,13 @@ _OPTION_ARGUMENTS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
 )
 
 
-def read_materials(path: Path, libraries: list[str], wanted: list[str]) -> tuple[dict[str, int], list[dict[str, Any]], list[tuple[bytes, str]]]:
+def read_materials(
+    path: Path, libraries: list[str], wanted: list[str]
+) -> tuple[dict[str, int], list[dict[str, Any]], list[tuple[bytes, str]]]:
     """The materials that an OBJ file uses.
 
-    A library or texture that is missing, or lies outside the file's folder, leaves its material without it: the mesh is still good.
+    A library or texture that is missing, or lies outside the file's folder, leaves its material without it: the mesh is
+    still good.
 
     Args:
         path: The OBJ file.
@@ -53,7 +56,9 @@ def read_materials(path: Path, libraries: list[str], wanted: list[str]) -> tuple
     return numbers, materials, images
 
 
-def _material(path: Path, name: str, lines: dict[str, str], images: list[tuple[bytes, str]], textures: dict[Path, int | None]) -> dict[str, Any]:
+def _material(
+    path: Path, name: str, lines: dict[str, str], images: list[tuple[bytes, str]], textures: dict[Path, int | None]
+) -> dict[str, Any]:
     shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
     material: dict[str, Any] = {"name": name, "pbrMetallicRoughness": shader}
     color = linear_from_srgb(np.clip(_floats(lines.get("kd", ""), 3, 1.0 if "map_kd" in lines else 0.8), 0, 1))
@@ -116,7 +121,8 @@ def _parse(data: bytes, found: dict[str, dict[str, str]]) -> None:
 
 
 def embeddable(image: Path | bytes) -> tuple[bytes, str] | None:
-    """Bytes of an image as glTF may embed it, PNG or JPEG, with their MIME type; other kinds are converted. None if it cannot be read.
+    """Bytes of an image as glTF may embed it, PNG or JPEG, with their MIME type; other kinds are converted. None if it
+    cannot be read.
 
     Args:
         image: A file, or its bytes.

@@ -1,7 +1,8 @@
 """Read Wavefront OBJ with its MTL and textures, keeping the order of its vertices.
 
-glTF has one UV and one normal a vertex where OBJ has one a corner. The first corner of a vertex keeps its place, each further
-one with another UV or normal is appended, and the map back makes the character see only the vertices of the file.
+glTF has one UV and one normal a vertex where OBJ has one a corner. The first corner of a vertex keeps its place, each
+further one with another UV or normal is appended, and the map back makes the character see only the vertices of the
+file.
 """
 
 from __future__ import annotations
@@ -40,15 +41,22 @@ def read_obj(path: Path, data: bytes) -> Character:
     lines = _Lines(path, data)
     rows = _numbers(path, lines.positions, (3, 4, 6, 7, 8), "a vertex (v)")
     positions = rows[:, :3]
-    # Three numbers after the position are a colour; four or five are a weight and a colour, or a colour and an alpha: take the first three.
+    # Three numbers after the position are a colour; four or five are a weight and a colour, or a colour and an alpha:
+    # take the first three.
     colors = linear_from_srgb(np.clip(np.nan_to_num(rows[:, 3:6]), 0, 1)) if rows.shape[1] >= 6 else None
     corners, of_face, sizes, face_material = lines.corners(len(positions))
     uvs = _numbers(path, lines.uvs, (2, 3, 1), "a texture coordinate (vt)")
     normals = _numbers(path, lines.normals, (3,), "a normal (vn)")
-    for column, what, have in ((0, "vertex", len(positions)), (1, "texture coordinate", len(uvs)), (2, "normal", len(normals))):
+    for column, what, have in (
+        (0, "vertex", len(positions)),
+        (1, "texture coordinate", len(uvs)),
+        (2, "normal", len(normals)),
+    ):
         low = 0 if column == 0 else -1
         if len(corners) and not low <= int(corners[:, column].min()) <= int(corners[:, column].max()) < have:
-            raise FormatError(path, f"a face uses {what} {int(corners[:, column].max()) + 1} but there are {have}; {_BROKEN}")
+            raise FormatError(
+                path, f"a face uses {what} {int(corners[:, column].max()) + 1} but there are {have}; {_BROKEN}"
+            )
     slots, index, corner_of = split_corners(corners, len(positions))
     triangles, material = fans(slots[of_face], sizes, face_material)
     names, materials, images = read_materials(path, lines.libraries, lines.materials)
@@ -110,12 +118,17 @@ class _Lines:
                 raise FormatError(path, "this is not an OBJ file, it holds binary data; check its suffix")
 
     def corners(self, vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Different corners as (vertex, UV, normal), -1 for none, shape (C, 3); the corner of each face corner; face sizes; face materials."""
+        """Different corners as (vertex, UV, normal), -1 for none, shape (C, 3); the corner of each face corner; face
+        sizes; face materials.
+        """
         faces = self.faces
         if any(b"#" in face for face in faces):
             faces = [face.split(b"#")[0] for face in faces]
         if self.counts:
-            faces = [b" ".join(self._absolute(c, counts) for c in face.split()) for face, counts in zip(faces, self.counts, strict=True)]
+            faces = [
+                b" ".join(self._absolute(c, counts) for c in face.split())
+                for face, counts in zip(faces, self.counts, strict=True)
+            ]
         sizes = np.fromiter((len(face.split()) for face in faces), np.int64, len(faces))
         flat = b" ".join(faces).split()
         known = {corner: number for number, corner in enumerate(dict.fromkeys(flat))}
@@ -135,7 +148,10 @@ class _Lines:
 
     def _absolute(self, corner: bytes, counts: tuple[int, int, int]) -> bytes:
         try:
-            parts = [b"%d" % (int(part) + count + 1) if part[:1] == b"-" else part for part, count in zip(corner.split(b"/"), counts, strict=False)]
+            parts = [
+                b"%d" % (int(part) + count + 1) if part[:1] == b"-" else part
+                for part, count in zip(corner.split(b"/"), counts, strict=False)
+            ]
         except ValueError:
             parts = [corner]
         return b"/".join(parts)

@@ -21,8 +21,10 @@ from bunraku.formats.mesh.obj import parse_numbers
 __all__ = ["read_ply"]
 
 _TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
-    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8",
+    "float64": "f8",
 }  # fmt: skip
 _BROKEN = "the file is truncated or broken, export it again"
 
@@ -50,7 +52,11 @@ def read_ply(path: Path, data: bytes) -> Character:
     triangles = np.zeros((0, 3), np.int64)
     if kind == "ascii":
         check_text(path, data)
-    reader = _Text(path, body, elements) if kind == "ascii" else _Binary(path, body, ">" if kind == "binary_big_endian" else "<")
+    reader = (
+        _Text(path, body, elements)
+        if kind == "ascii"
+        else _Binary(path, body, ">" if kind == "binary_big_endian" else "<")
+    )
     for element in elements:
         lists = [entry for entry in element.properties if entry[2]]
         if not lists:
@@ -80,11 +86,19 @@ def _document(path: Path, vertices: dict[str, np.ndarray], triangles: np.ndarray
     normals, uvs = columns(("nx", "ny", "nz")), columns(("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
     colors = columns(("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
     if colors is not None:
-        scale = np.iinfo(colors.dtype).max if colors.dtype.kind in "iu" else (255.0 if np.nan_to_num(colors).max(initial=0) > 1 else 1.0)
+        scale = (
+            np.iinfo(colors.dtype).max
+            if colors.dtype.kind in "iu"
+            else (255.0 if np.nan_to_num(colors).max(initial=0) > 1 else 1.0)
+        )
         colors = linear_from_srgb(np.clip(np.nan_to_num(colors.astype(float)) / scale, 0, 1))
     if normals is not None:
         length = np.linalg.norm(normals.astype(float), axis=1, keepdims=True)
-        normals = normals / np.where(length > 1e-12, length, 1) if np.isfinite(length).all() and (length > 1e-12).all() else None
+        normals = (
+            normals / np.where(length > 1e-12, length, 1)
+            if np.isfinite(length).all() and (length > 1e-12).all()
+            else None
+        )
     if uvs is not None:
         uvs = np.nan_to_num(np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1))
     shader: dict = {"metallicFactor": 0, "roughnessFactor": 0.9}
@@ -94,7 +108,9 @@ def _document(path: Path, vertices: dict[str, np.ndarray], triangles: np.ndarray
         shader["baseColorTexture"] = {"index": 0}
     materials = [{"name": path.stem, "pbrMetallicRoughness": shader}]
     images = [image] if image else None
-    return mesh_document(path, positions, [(triangles, 0)], normals=normals, uvs=uvs, colors=colors, materials=materials, images=images)
+    return mesh_document(
+        path, positions, [(triangles, 0)], normals=normals, uvs=uvs, colors=colors, materials=materials, images=images
+    )
 
 
 def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, bytes]:
@@ -119,7 +135,9 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, bytes]:
         except (KeyError, IndexError, ValueError):
             raise FormatError(path, f"the PLY header line {line[:60]!r} cannot be understood; {_BROKEN}") from None
     if kind not in ("ascii", "binary_little_endian", "binary_big_endian"):
-        raise FormatError(path, f"the PLY kind {kind[:30]!r} is unknown; export it again as ascii or binary_little_endian")
+        raise FormatError(
+            path, f"the PLY kind {kind[:30]!r} is unknown; export it again as ascii or binary_little_endian"
+        )
     if any(element.count < 0 or len(element.properties) > 1000 for element in elements):
         raise FormatError(path, f"the PLY header declares impossible counts; {_BROKEN}")
     return kind, elements, texture, data[line_end + 1 :]
@@ -157,7 +175,10 @@ class _Binary:
             raise self._short()
         rows = np.frombuffer(self.body, dtype, element.count, self.at) if dtype.itemsize else np.zeros(0, dtype)
         self.at += element.count * dtype.itemsize
-        return {entry[0]: rows[name].astype(rows[name].dtype.newbyteorder("=")) for name, entry in zip(names, element.properties, strict=True)}
+        return {
+            entry[0]: rows[name].astype(rows[name].dtype.newbyteorder("="))
+            for name, entry in zip(names, element.properties, strict=True)
+        }
 
     def lists(self, element: _Element) -> tuple[np.ndarray, np.ndarray]:
         """The vertex lists of an element, end to end, and the length of each."""
@@ -199,7 +220,10 @@ class _Binary:
 
     def _walk(self, element: _Element) -> tuple[np.ndarray, np.ndarray]:
         flat, sizes, at, chosen = [], [], self.at, _wanted(element)
-        plan = [(np.dtype(self.order + kind), None if length is None else np.dtype(self.order + length)) for _, kind, length in element.properties]
+        plan = [
+            (np.dtype(self.order + kind), None if length is None else np.dtype(self.order + length))
+            for _, kind, length in element.properties
+        ]
         for _ in range(element.count):
             lists = 0
             for kind, length in plan:

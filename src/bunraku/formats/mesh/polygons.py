@@ -1,7 +1,7 @@
 """Polygons whose corners have UVs and normals of their own, as triangles of vertices that have one each.
 
-The first corner of a vertex keeps its place, each further one that differs is appended, so the vertices of the file come first
-and in their order.
+The first corner of a vertex keeps its place, each further one that differs is appended, so the vertices of the file
+come first and in their order.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ def split_corners(corners: np.ndarray, vertices: int) -> tuple[np.ndarray, np.nd
         vertices: How many vertices the file has, V.
 
     Returns:
-        Document vertex of each corner (C,), file vertex of each document vertex (U,), and the corner that each document vertex
-        shows, -1 for none (U,).
+        Document vertex of each corner (C,), file vertex of each document vertex (U,), and the corner that each document
+        vertex shows, -1 for none (U,).
     """
     unique, first = np.unique(corners[:, 0], return_index=True)
     slots = np.full(len(corners), -1, np.int64)
@@ -45,4 +45,6 @@ def fans(corners: np.ndarray, sizes: np.ndarray, materials: np.ndarray) -> tuple
     face = np.repeat(np.arange(len(sizes)), counts)
     starts = (np.cumsum(sizes) - sizes)[face]
     step = np.arange(len(face)) - (np.cumsum(counts) - counts)[face]
-    return np.stack([corners[starts], corners[starts + step + 1], corners[starts + step + 2]], axis=1).reshape(-1, 3), materials[face]
+    return np.stack([corners[starts], corners[starts + step + 1], corners[starts + step + 2]], axis=1).reshape(
+        -1, 3
+    ), materials[face]

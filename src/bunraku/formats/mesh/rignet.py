@@ -1,8 +1,8 @@
 """Read the rigged characters of ModelsResource-RigNet: an OBJ, and a text with its joints, their tree and the skin.
 
-The text has lines `joints NAME X Y Z`, `root NAME`, `hier PARENT CHILD` and `skin VERTEX JOINT WEIGHT JOINT WEIGHT ...`, with
-vertices counted from 0. It lies beside the OBJ as `NAME_rig.txt`, or, as in the published archive, in a folder `rig_info` (or
-`rig_info_remesh`) beside the folder `obj` (or `obj_remesh`) of the mesh, as `NAME.txt`.
+The text has lines `joints NAME X Y Z`, `root NAME`, `hier PARENT CHILD` and `skin VERTEX JOINT WEIGHT JOINT WEIGHT
+...`, with vertices counted from 0. It lies beside the OBJ as `NAME_rig.txt`, or, as in the published archive, in a
+folder `rig_info` (or `rig_info_remesh`) beside the folder `obj` (or `obj_remesh`) of the mesh, as `NAME.txt`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,11 @@ def read_rignet(path: Path, data: bytes) -> Character:
     text = _read_text(path, data)
     mesh = find_mesh(path)
     if mesh is None:
-        raise FormatError(path, "there is no mesh to this rig; put its .obj beside it, or keep the folders obj and rig_info of the archive together")
+        raise FormatError(
+            path,
+            "there is no mesh to this rig; put its .obj beside it, or keep the folders obj and rig_info of the "
+            "archive together",
+        )
     character = read_obj(mesh, read_bounded(mesh))
     return _rigged(character, text, path)
 
@@ -88,7 +92,11 @@ def find_rig(mesh: Path) -> Path | None:
 
 def find_mesh(rig: Path) -> Path | None:
     """The OBJ that belongs to a rig text, None where there is none."""
-    candidates = [rig.with_name(f"{rig.stem.removesuffix('_rig')}{suffix}.obj") for suffix in _SUFFIXES] if rig.stem.endswith("_rig") else []
+    candidates = (
+        [rig.with_name(f"{rig.stem.removesuffix('_rig')}{suffix}.obj") for suffix in _SUFFIXES]
+        if rig.stem.endswith("_rig")
+        else []
+    )
     if rig.parent.name.startswith("rig_info"):
         folder = rig.parent.parent / f"obj{rig.parent.name.removeprefix('rig_info')}"
         candidates.append(folder / f"{rig.stem.removesuffix('_rig')}.obj")
@@ -99,10 +107,16 @@ def _rigged(character: Character, text: _Text, path: Path) -> Character:
     count = len(character.vertices)
     if len(text.vertices) and int(text.vertices.max()) >= count:
         raise FormatError(
-            path, f"a skin line is for vertex {int(text.vertices.max())} but the mesh has {count}; take the mesh that belongs to this rig"
+            path,
+            f"a skin line is for vertex {int(text.vertices.max())} but the mesh has {count}; take the mesh that "
+            "belongs to this rig",
         )
     if 2 * text.lines < count:
-        raise FormatError(path, f"it has skin lines for {text.lines} of the {count} vertices of the mesh; take the mesh that belongs to this rig")
+        raise FormatError(
+            path,
+            f"it has skin lines for {text.lines} of the {count} vertices of the mesh; take the mesh that belongs to "
+            "this rig",
+        )
     indices, weights = strongest(text.vertices, text.joints, text.shares, count, INFLUENCES)
     lost = np.flatnonzero(weights.sum(axis=1) <= 0)
     if len(lost):
@@ -191,7 +205,10 @@ def _read_text(path: Path, data: bytes) -> _Text:
             reader.number = number
             reader.line(words)
     if not reader.joints:
-        raise FormatError(path, "it has no joints; a rig has lines 'joints NAME X Y Z', 'root NAME', 'hier PARENT CHILD' and 'skin ...'")
+        raise FormatError(
+            path,
+            "it has no joints; a rig has lines 'joints NAME X Y Z', 'root NAME', 'hier PARENT CHILD' and 'skin ...'",
+        )
     if not reader.shares:
         raise FormatError(path, f"it has no skin lines; {_FIX}")
     unknown = next((name for name in reader.names if name not in reader.joints), None)
@@ -200,7 +217,15 @@ def _read_text(path: Path, data: bytes) -> _Text:
     joints = np.fromiter((reader.joints[name] for name in reader.names), np.int64, len(reader.names))
     shares = np.maximum(np.array(reader.shares), 0)
     vertices = np.array(reader.vertices, np.int64)
-    return _Text(tuple(reader.joints), np.array(reader.positions), _parents(path, reader), vertices, joints, shares, len(reader.seen))
+    return _Text(
+        tuple(reader.joints),
+        np.array(reader.positions),
+        _parents(path, reader),
+        vertices,
+        joints,
+        shares,
+        len(reader.seen),
+    )
 
 
 def _parents(path: Path, reader: _Reader) -> np.ndarray:
@@ -215,7 +240,9 @@ def _parents(path: Path, reader: _Reader) -> np.ndarray:
             reader.fail(f"gives the joint '{child[:40]}' a second parent")
         parents[reader.joints[child]] = reader.joints[parent]
     if len(reader.roots) != 1 or reader.roots[0] not in reader.joints:
-        raise FormatError(path, f"it needs one line 'root NAME' that names one of its joints, and has {len(reader.roots)}; {_FIX}")
+        raise FormatError(
+            path, f"it needs one line 'root NAME' that names one of its joints, and has {len(reader.roots)}; {_FIX}"
+        )
     names, root = list(reader.joints), reader.joints[reader.roots[0]]
     if parents[root] >= 0:
         raise FormatError(path, f"its root '{names[root][:40]}' has a parent; {_FIX}")
@@ -230,5 +257,7 @@ def _parents(path: Path, reader: _Reader) -> np.ndarray:
         stack += below
     lost = next((name for joint, name in enumerate(names) if joint not in reached), None)
     if lost is not None:
-        raise FormatError(path, f"its 'hier' lines do not lead from the root to the joint '{lost[:40]}', or go in a loop; {_FIX}")
+        raise FormatError(
+            path, f"its 'hier' lines do not lead from the root to the joint '{lost[:40]}', or go in a loop; {_FIX}"
+        )
     return parents

@@ -28,7 +28,9 @@ __all__ = ["check_sequence", "write_obj_sequence", "write_ply_sequence"]
 Frame = Callable[[np.ndarray], bytes]
 
 
-def write_obj_sequence(animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m") -> Path:
+def write_obj_sequence(
+    animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m"
+) -> Path:
     """Write `walk.obj` as a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on: positions and triangles.
 
     Args:
@@ -48,7 +50,9 @@ def write_obj_sequence(animation: Animation | PointAnimation, path: Path, *, fps
     return _write(animation, path, fps, FileFrame.of(up, unit), _obj_frame(animation.character))
 
 
-def write_ply_sequence(animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m") -> Path:
+def write_ply_sequence(
+    animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m"
+) -> Path:
     """Write `walk.ply` as a folder `walk` of binary PLY files, with vertex colours; see `write_obj_sequence`."""
     return _write(animation, path, fps, FileFrame.of(up, unit), _ply_frame(animation.character))
 
@@ -105,7 +109,9 @@ def _write(animation: Animation | PointAnimation, path: Path, fps: float | None,
         os.replace(temporary, folder)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise FormatError(path, f"the files cannot be written ({reason}); choose another place or free some space") from None
+        raise FormatError(
+            path, f"the files cannot be written ({reason}); choose another place or free some space"
+        ) from None
     finally:
         if temporary:
             with suppress(OSError):
@@ -123,6 +129,8 @@ def check_sequence(path: Path) -> Path:
     if not folder.exists():
         return folder
     pattern = re.compile(re.escape(path.stem) + r"_\d{4,}" + re.escape(path.suffix))
-    if not folder.is_dir() or any(not pattern.fullmatch(entry.name) or not entry.is_file() for entry in folder.iterdir()):
+    if not folder.is_dir() or any(
+        not pattern.fullmatch(entry.name) or not entry.is_file() for entry in folder.iterdir()
+    ):
         raise FormatError(path, f"{folder} exists and holds other files; choose another name for the sequence")
     return folder

@@ -7,7 +7,9 @@ import numpy as np
 __all__ = ["borrow_weights", "strongest"]
 
 
-def strongest(points: np.ndarray, joints: np.ndarray, shares: np.ndarray, count: int, influences: int) -> tuple[np.ndarray, np.ndarray]:
+def strongest(
+    points: np.ndarray, joints: np.ndarray, shares: np.ndarray, count: int, influences: int
+) -> tuple[np.ndarray, np.ndarray]:
     """The largest shares of each vertex as a table, renormalised.
 
     Args:

@@ -31,19 +31,28 @@ def read_stl(path: Path, data: bytes) -> Character:
         CharacterError: What it holds is no character.
     """
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
-    text = data[:512].lstrip().lower().startswith(b"solid") and b"facet" in data[:4096].lower() and len(data) != 84 + 50 * count
+    text = (
+        data[:512].lstrip().lower().startswith(b"solid")
+        and b"facet" in data[:4096].lower()
+        and len(data) != 84 + 50 * count
+    )
     if text:
         check_text(path, data)
     corners = _text(path, data) if text else _binary(path, data, count)
     triangles = np.arange(len(corners)).reshape(-1, 3)
-    material = {"name": path.stem, "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]}}
+    material = {
+        "name": path.stem,
+        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]},
+    }
     document = mesh_document(path, corners, [(triangles, 0)], materials=[material])
     return character_from_document(document, path.stem, suffix=".stl")
 
 
 def _binary(path: Path, data: bytes, count: int) -> np.ndarray:
     if len(data) < 84 + 50 * count or len(data) < 84:
-        raise FormatError(path, f"an STL of {count} triangles has {84 + 50 * count} bytes but this one has {len(data)}; {_BROKEN}")
+        raise FormatError(
+            path, f"an STL of {count} triangles has {84 + 50 * count} bytes but this one has {len(data)}; {_BROKEN}"
+        )
     return np.frombuffer(data, _RECORD, count, 84)["corners"].reshape(-1, 3)
 
 

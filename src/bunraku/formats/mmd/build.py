@@ -1,7 +1,8 @@
-"""From what a PMX or PMD file says to a character: indices checked, loops cut, materials, a rig, and the model beside it.
+"""From what a PMX or PMD file says to a character: indices checked, loops cut, materials, a rig, and the model beside
+it.
 
-Broken parts without which the file is still good are left out and named in the model's warnings; indices that the mesh itself needs
-are errors.
+Broken parts without which the file is still good are left out and named in the model's warnings; indices that the mesh
+itself needs are errors.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class MmdFile:
-    """What a file says: the mesh in MMD's frame and unit, bones, bodies and joints in ours. Its indices are not checked.
+    """What a file says: the mesh in MMD's frame and unit, bones, bodies and joints in ours. Its indices are not
+    checked.
 
     Args:
         version: "PMX 2.0", "PMX 2.1" or "PMD".
@@ -85,10 +87,13 @@ def mmd_character(path: Path, file: MmdFile) -> Character:
     bones = _check_bones(path, file)
     bodies, joints = check_physics(file.bodies, file.joints, len(bones), file.note)
     indices, weights = _check_weights(path, file)
-    document = model_document(path, file.name or path.stem, file.materials, _mesh(file), (indices, weights), bones, file.note)
+    document = model_document(
+        path, file.name or path.stem, file.materials, _mesh(file), (indices, weights), bones, file.note
+    )
     character = character_from_document(document, path.stem, None, path.suffix.lower() or ".pmx")
     model = MmdModel(
-        file.name, file.english, file.version, bones, tuple(file.morphs), bodies, joints, file.deforms.copy(), _sdef(file), _sentences(file.warnings)
+        file.name, file.english, file.version, bones, tuple(file.morphs), bodies, joints, file.deforms.copy(),
+        _sdef(file), _sentences(file.warnings)
     )  # fmt: skip
     for warning in model.warnings:
         _log.warning("%s: %s", path, warning)
@@ -106,7 +111,9 @@ def _check_mesh(path: Path, file: MmdFile) -> None:
 
 
 def _mesh(file: MmdFile) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Positions [m], normals, UVs and triangles in our frame; triangles wind the other way round in a left-handed one."""
+    """Positions [m], normals, UVs and triangles in our frame; triangles wind the other way round in a left-handed
+    one.
+    """
     return mmd_points(file.positions), file.normals * [1, 1, -1], file.uvs, file.triangles[:, ::-1]
 
 
@@ -125,7 +132,9 @@ def _check_weights(path: Path, file: MmdFile) -> tuple[np.ndarray, np.ndarray]:
     total = weights.sum(axis=1, keepdims=True)
     lost = int((total[:, 0] <= 1e-9).sum())
     if lost and count:
-        file.note(f"{lost:,} of its {len(indices):,} vertices are weighted to no bone; they take their neighbours' weights")
+        file.note(
+            f"{lost:,} of its {len(indices):,} vertices are weighted to no bone; they take their neighbours' weights"
+        )
     return np.where(weights > 0, indices, 0), weights / np.where(total > 1e-9, total, 1)
 
 
@@ -140,14 +149,23 @@ def _check_bones(path: Path, file: MmdFile) -> tuple[MmdBone, ...]:
         if tail is not None:
             there = file.bones[tail].position if 0 <= tail < count else bone.position
             bone = replace(bone, tail=there - bone.position)
-        if bone.append is not None and (not 0 <= bone.append.bone < count or bone.append.bone == index or not np.isfinite(bone.append.ratio)):
+        if bone.append is not None and (
+            not 0 <= bone.append.bone < count or bone.append.bone == index or not np.isfinite(bone.append.ratio)
+        ):
             file.note("bones take over the motion of a bone that does not exist, which is left out", bone.name)
             bone = replace(bone, append=None)
         ik = bone.ik
         if ik is not None:
-            good = 0 <= ik.target < count and all(0 <= link.bone < count and _limits(link) for link in ik.links) and np.isfinite(ik.limit)
+            good = (
+                0 <= ik.target < count
+                and all(0 <= link.bone < count and _limits(link) for link in ik.links)
+                and np.isfinite(ik.limit)
+            )
             if not good or len(ik.links) > MAX_LINKS:
-                file.note("bones have inverse kinematics of bones or with limits that do not exist, which are left out", bone.name)
+                file.note(
+                    "bones have inverse kinematics of bones or with limits that do not exist, which are left out",
+                    bone.name,
+                )
                 bone = replace(bone, ik=None)
             else:
                 bone = replace(bone, ik=replace(ik, loops=min(max(ik.loops, 0), MAX_LOOPS)))

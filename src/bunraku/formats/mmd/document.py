@@ -1,4 +1,6 @@
-"""A PMX or PMD model as a glTF document: mesh, materials, textures, and the bones as a skin, for writers and previews."""
+"""A PMX or PMD model as a glTF document: mesh, materials, textures, and the bones as a skin, for writers and
+previews.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,9 @@ def model_document(
     builder.tree["materials"] = _materials(path, materials, builder, note)
     attributes = {}
     if len(positions):
-        attributes["POSITION"] = builder.array(positions.astype(np.float32), ARRAY_BUFFER, bounds=bool(np.isfinite(positions).all()))
+        attributes["POSITION"] = builder.array(
+            positions.astype(np.float32), ARRAY_BUFFER, bounds=bool(np.isfinite(positions).all())
+        )
         attributes["NORMAL"] = builder.array(_unit(normals).astype(np.float32), ARRAY_BUFFER)
         attributes["TEXCOORD_0"] = builder.array(np.nan_to_num(uvs).astype(np.float32), ARRAY_BUFFER)
         if bones:
@@ -83,7 +87,9 @@ def model_document(
         start += corners
         if len(chosen) and attributes:
             primitive: dict[str, Any] = {"attributes": attributes, "mode": 4}
-            primitive["indices"] = builder.array(np.ascontiguousarray(chosen).reshape(-1, 1).astype(kind), ELEMENT_ARRAY_BUFFER)
+            primitive["indices"] = builder.array(
+                np.ascontiguousarray(chosen).reshape(-1, 1).astype(kind), ELEMENT_ARRAY_BUFFER
+            )
             primitives.append(primitive | ({"material": number} if number < len(materials) else {}))
     if not primitives and attributes:
         primitives = [{"attributes": attributes, "mode": 0}]
@@ -119,10 +125,15 @@ def _add_skin(builder: GltfBuilder, bones: Sequence[MmdBone]) -> None:
     inverse = np.tile(np.eye(4), (len(bones), 1, 1))
     inverse[:, :3, 3] = [-bone.position for bone in bones]
     stored = inverse.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
-    builder.add("skins", {"joints": list(range(first, first + len(bones))), "skeleton": 1, "inverseBindMatrices": builder.array(stored)})
+    builder.add(
+        "skins",
+        {"joints": list(range(first, first + len(bones))), "skeleton": 1, "inverseBindMatrices": builder.array(stored)},
+    )
 
 
-def _materials(path: Path, materials: Sequence[MmdMaterial], builder: GltfBuilder, note: Callable[[str, str], None]) -> list[dict[str, Any]]:
+def _materials(
+    path: Path, materials: Sequence[MmdMaterial], builder: GltfBuilder, note: Callable[[str, str], None]
+) -> list[dict[str, Any]]:
     images: dict[Path, tuple[int, bool] | None] = {}
     out = []
     for material in materials:
@@ -142,7 +153,11 @@ def _materials(path: Path, materials: Sequence[MmdMaterial], builder: GltfBuilde
 
 
 def _texture(
-    path: Path, name: str, images: dict[Path, tuple[int, bool] | None], builder: GltfBuilder, note: Callable[[str, str], None]
+    path: Path,
+    name: str,
+    images: dict[Path, tuple[int, bool] | None],
+    builder: GltfBuilder,
+    note: Callable[[str, str], None],
 ) -> tuple[int, bool] | None:
     """Number of a texture and whether one can see through it; None where there is none inside the model's folder."""
     target = inside(path.parent, name)
@@ -152,7 +167,11 @@ def _texture(
     target = _whatever_case(path.parent, target)
     if target not in images:
         image = embeddable(target) if os.path.isfile(target) else None
-        images[target] = None if image is None else (builder.add("textures", {"source": builder.image(*image)}), _transparent(image[0]))
+        images[target] = (
+            None
+            if image is None
+            else (builder.add("textures", {"source": builder.image(*image)}), _transparent(image[0]))
+        )
     if images[target] is None:
         note("textures are missing or cannot be read; their materials are plain", name)
     return images[target]
@@ -182,6 +201,10 @@ def _transparent(data: bytes) -> bool:
 
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            return "A" in image.getbands() and image.width * image.height < 70_000_000 and bool(image.getchannel("A").getextrema()[0] < 250)  # type: ignore[operator, index]
+            return (
+                "A" in image.getbands()
+                and image.width * image.height < 70_000_000
+                and bool(image.getchannel("A").getextrema()[0] < 250)  # type: ignore[operator, index]
+            )
     except Exception:  # not a PNG, or one that will not open: seen as it is
         return False

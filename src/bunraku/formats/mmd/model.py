@@ -1,7 +1,9 @@
-"""What a model of MikuMikuDance holds beside its mesh: bones with their dependencies, rigid bodies, joints, and how vertices deform.
+"""What a model of MikuMikuDance holds beside its mesh: bones with their dependencies, rigid bodies, joints, and how
+vertices deform.
 
-All of it is in our frame: +Y up, +Z forward, right-handed, metres. MMD's is left-handed, models face -Z, and its unit is taken as 8 cm:
-z is turned round, and so are rotations about x and y. In the rest pose the axes of every bone are those of the world.
+All of it is in our frame: +Y up, +Z forward, right-handed, metres. MMD's is left-handed, models face -Z, and its unit
+is taken as 8 cm: z is turned round, and so are rotations about x and y. In the rest pose the axes of every bone are
+those of the world.
 """
 
 from __future__ import annotations
@@ -143,7 +145,8 @@ class MmdBody:
         name: Its name.
         bone: The bone that it goes with, -1 for none.
         shape: "sphere", "box" or "capsule".
-        size: Radius for a sphere, half extents of a box, radius and length between the ends' centres of a capsule along y [m], shape (3,).
+        size: Radius for a sphere, half extents of a box, radius and length between the ends' centres of a capsule along
+            y [m], shape (3,).
         position: Its centre in the rest pose [m], shape (3,).
         rotation: Its axes in the rest pose, columns, shape (3, 3).
         mass: As in the file, 0 or more.
@@ -269,7 +272,9 @@ class MmdModel:
     @property
     def order(self) -> list[int]:
         """Bones in the order in which MMD deforms them."""
-        return sorted(range(len(self.bones)), key=lambda bone: (self.bones[bone].after_physics, self.bones[bone].layer, bone))
+        return sorted(
+            range(len(self.bones)), key=lambda bone: (self.bones[bone].after_physics, self.bones[bone].layer, bone)
+        )
 
     def bone(self, name: str) -> int:
         """Index of the first bone with this name, -1 for none."""
@@ -288,7 +293,9 @@ def mmd_points(values: Any) -> np.ndarray:
 
 
 def mmd_turn(angles: Any) -> np.ndarray:
-    """The rotation that MMD's angles about x, y, z [rad] stand for (about z first, then x, then y), in our frame, shape (3, 3)."""
+    """The rotation that MMD's angles about x, y, z [rad] stand for (about z first, then x, then y), in our frame, shape
+    (3, 3).
+    """
     (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
     x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

@@ -29,7 +29,8 @@ def read_body(reader: MmdReader, name: str, bone: int, origin: np.ndarray) -> Mm
     size, position, angles = reader.floats(3), reader.floats(3), reader.floats(3)
     mass, linear, angular, restitution, friction, mode = reader.values("5fB")
     return MmdBody(
-        name, bone, BODY_SHAPES[shape] if shape < len(BODY_SHAPES) else "", size * MMD_METRE, origin + mmd_points(position), mmd_turn(angles),
+        name, bone, BODY_SHAPES[shape] if shape < len(BODY_SHAPES) else "", size * MMD_METRE,
+        origin + mmd_points(position), mmd_turn(angles),
         mass, linear, angular, restitution, friction, mode, group, mask,
     )  # fmt: skip
 
@@ -43,7 +44,9 @@ def read_joint(reader: MmdReader, name: str, bodies: tuple[int, int]) -> MmdJoin
     return MmdJoint(name, bodies, mmd_points(position), mmd_turn(angles), low, high, *turned, spring, angle_spring)
 
 
-def check_physics(bodies: list[MmdBody], joints: list[MmdJoint], bones: int, note: Note) -> tuple[tuple[MmdBody, ...], tuple[MmdJoint, ...]]:
+def check_physics(
+    bodies: list[MmdBody], joints: list[MmdJoint], bones: int, note: Note
+) -> tuple[tuple[MmdBody, ...], tuple[MmdJoint, ...]]:
     """The bodies and joints that can be used.
 
     Args:

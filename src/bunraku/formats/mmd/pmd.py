@@ -18,7 +18,16 @@ from bunraku.formats.mmd.reader import MmdReader
 
 __all__ = ["read_pmd"]
 
-_VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2), ("bones", "<u2", 2), ("weight", "u1"), ("edge", "u1")])
+_VERTEX = np.dtype(
+    [
+        ("position", "<f4", 3),
+        ("normal", "<f4", 3),
+        ("uv", "<f4", 2),
+        ("bones", "<u2", 2),
+        ("weight", "u1"),
+        ("edge", "u1"),
+    ]
+)
 _NONE = 0xFFFF
 _TURNS_AND_MOVES, _IK, _TURNS_WITH, _TWIST, _TURNS_PARTLY = 1, 2, 5, 8, 9  # kinds of bones
 _STILL = (6, 7)  # targets of inverse kinematics, and hidden ones
@@ -33,7 +42,8 @@ def read_pmd(path: Path, data: bytes) -> Character:
         data: Its bytes.
 
     Raises:
-        FormatError: It is no PMD file, is cut off, announces more than it has room for, or has indices that point outside.
+        FormatError: It is no PMD file, is cut off, announces more than it has room for, or has indices that point
+            outside.
         CharacterError: What it holds is no character.
     """
     return mmd_character(path, read_pmd_file(path, data))
@@ -108,7 +118,8 @@ def _bone(reader: MmdReader, out: MmdFile, index: int) -> tuple[MmdBone, int]:
         append = MmdAppend(tail, float(np.int16(np.uint16(other))) / 100, True, False)
         out.tails[index] = -1
     bone = MmdBone(
-        name, "", position, -1 if parent == _NONE else parent, rotates=kind not in _STILL, moves=kind in (_TURNS_AND_MOVES, _IK), append=append
+        name, "", position, -1 if parent == _NONE else parent, rotates=kind not in _STILL,
+        moves=kind in (_TURNS_AND_MOVES, _IK), append=append
     )  # fmt: skip
     return bone, int(kind)
 
@@ -129,7 +140,9 @@ def _inverse_kinematics(reader: MmdReader, out: MmdFile) -> None:
         if goal >= len(out.bones):
             out.note("inverse kinematics are of bones that do not exist and are left out", f"bone {goal}")
             continue
-        out.bones[goal] = replace(out.bones[goal], layer=1, ik=MmdIk(int(target), int(loops), 4.0 * limit, tuple(chain)))
+        out.bones[goal] = replace(
+            out.bones[goal], layer=1, ik=MmdIk(int(target), int(loops), 4.0 * limit, tuple(chain))
+        )
 
 
 def _link(bone: int, out: MmdFile) -> MmdIkLink:
@@ -166,7 +179,9 @@ def _physics(reader: MmdReader, out: MmdFile) -> None:
     for _ in range(bodies):
         name, bone = reader.field(20), int(reader.one("H"))
         bone = -1 if bone == _NONE else bone
-        origin = out.bones[max(bone, 0)].position if max(bone, 0) < len(out.bones) else np.zeros(3)  # those on no bone stand at the first
+        origin = (
+            out.bones[max(bone, 0)].position if max(bone, 0) < len(out.bones) else np.zeros(3)
+        )  # those on no bone stand at the first
         out.bodies.append(read_body(reader, name, bone, origin))
     joints = reader.count("joints", 124, "I")
     if joints > MAX_JOINTS:

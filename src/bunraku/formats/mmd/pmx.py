@@ -63,7 +63,8 @@ def read_pmx(path: Path, data: bytes) -> Character:
         data: Its bytes.
 
     Raises:
-        FormatError: It is no PMX file, is cut off, announces more than it has room for, or has indices that point outside.
+        FormatError: It is no PMX file, is cut off, announces more than it has room for, or has indices that point
+            outside.
         CharacterError: What it holds is no character.
     """
     return mmd_character(path, read_pmx_file(path, data))
@@ -113,7 +114,9 @@ def _vertices(read: _Read) -> None:
     reader, sizes = read.reader, read.sizes
     head = 32 + 16 * sizes.uvs
     count = reader.count("vertices", head + 1 + sizes.bone + 4)
-    length = [head + 1 + bones * sizes.bone + 4 * numbers + 4 for bones, numbers in zip(_BONES_OF, _NUMBERS_OF, strict=True)]
+    length = [
+        head + 1 + bones * sizes.bone + 4 * numbers + 4 for bones, numbers in zip(_BONES_OF, _NUMBERS_OF, strict=True)
+    ]
     data, at, starts, end = reader.data, reader.at, np.empty(count, np.int64), len(reader.data)
     for vertex in range(count):
         starts[vertex] = at
@@ -136,7 +139,9 @@ def _vertices(read: _Read) -> None:
         chosen = np.flatnonzero(out.deforms == kind)
         first = starts[chosen, None] + head + 1
         out.indices[chosen, :bones] = np.ascontiguousarray(raw[first + np.arange(bones * sizes.bone)]).view(integer)
-        values = np.ascontiguousarray(raw[first + bones * sizes.bone + np.arange(4 * numbers)]).view("<f4").astype(float)
+        values = (
+            np.ascontiguousarray(raw[first + bones * sizes.bone + np.arange(4 * numbers)]).view("<f4").astype(float)
+        )
         if bones == 1:
             out.weights[chosen, 0] = 1
         elif bones == 2:
@@ -176,7 +181,9 @@ def _bone(read: _Read, index: int) -> MmdBone:
         tail = mmd_points(reader.floats(3))
     append = None
     if flags & 0x300:
-        append = MmdAppend(reader.index(size), float(reader.one("f")), bool(flags & 0x100), bool(flags & 0x200), bool(flags & 0x80))
+        append = MmdAppend(
+            reader.index(size), float(reader.one("f")), bool(flags & 0x100), bool(flags & 0x200), bool(flags & 0x80)
+        )
     fixed = mmd_points(reader.floats(3)) / MMD_METRE if flags & 0x400 else None
     local = None
     if flags & 0x800:
@@ -196,7 +203,8 @@ def _bone(read: _Read, index: int) -> MmdBone:
         reader.section = section
         ik = MmdIk(target, loops, limit, tuple(links))
     return MmdBone(
-        name, english, position, parent, layer, bool(flags & 0x1000), bool(flags & 0x2), bool(flags & 0x4), tail, append, fixed, local, ik
+        name, english, position, parent, layer, bool(flags & 0x1000), bool(flags & 0x2), bool(flags & 0x4), tail,
+        append, fixed, local, ik
     )  # fmt: skip
 
 
@@ -207,7 +215,13 @@ def _morph(read: _Read) -> MmdMorph:
     _, kind = reader.values("BB")
     if kind >= len(_MORPHS):
         reader.fail(f"a morph is of kind {kind}, which PMX does not have")
-    index = {"group": sizes.morph, "flip": sizes.morph, "bone": sizes.bone, "material": sizes.material, "impulse": sizes.body}
+    index = {
+        "group": sizes.morph,
+        "flip": sizes.morph,
+        "bone": sizes.bone,
+        "material": sizes.material,
+        "impulse": sizes.body,
+    }
     rest = {"group": 4, "flip": 4, "vertex": 12, "bone": 28, "uv": 16, "material": 1 + 28 * 4, "impulse": 1 + 24}
     what = _MORPHS[kind]
     size = index.get(what, sizes.vertex) + rest[what]

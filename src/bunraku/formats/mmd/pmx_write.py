@@ -1,7 +1,7 @@
 """Write PMX 2.0, the models of MikuMikuDance: mesh, materials, bones with their dependencies, rigid bodies and joints.
 
-`load_character` reads such a file back to the same character. What `MmdModel` does not keep is not written: the offsets of morphs
-and the pictures of textures; materials have their colours.
+`load_character` reads such a file back to the same character. What `MmdModel` does not keep is not written: the offsets
+of morphs and the pictures of textures; materials have their colours.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ def write_pmx(character: Character) -> bytes:
 
 
 def save_pmx(character: Character, path: str | Path) -> Path:
-    """Write `write_pmx` to a file; nothing half-written is left behind. Arguments and errors are those of `write_pmx`."""
+    """Write `write_pmx` to a file; nothing half-written is left behind. Arguments and errors are those of
+    `write_pmx`.
+    """
     target = Path(path)
     data = write_pmx(character)
     with atomic_write(target) as stream:
@@ -48,7 +50,9 @@ def _file_of(character: Character) -> MmdFile:
     name = Path(f"{character.name}.pmx")
     model = mmd_model(character)
     if model is None or character.rig is None:
-        raise FormatError(name, "this character is no MMD model, so there is nothing to write as PMX; load one from a PMX or PMD file")
+        raise FormatError(
+            name, "this character is no MMD model, so there is nothing to write as PMX; load one from a PMX or PMD file"
+        )
     document = character.source.document
     primitives = document.tree["meshes"][0]["primitives"]
     attributes = primitives[0]["attributes"]
@@ -62,9 +66,14 @@ def _file_of(character: Character) -> MmdFile:
     out.deforms = model.deforms
     out.indices, out.weights = np.full((len(positions), 4), -1, np.int64), np.zeros((len(positions), 4))
     columns = min(4, character.rig.indices.shape[1])
-    out.indices[:, :columns], out.weights[:, :columns] = character.rig.indices[:, :columns], character.rig.weights[:, :columns]
+    out.indices[:, :columns], out.weights[:, :columns] = (
+        character.rig.indices[:, :columns],
+        character.rig.weights[:, :columns],
+    )
     out.sdef = np.zeros((len(positions), 3, 3))
-    out.sdef[model.sdef.vertices] = np.stack([model.sdef.center, model.sdef.r0, model.sdef.r1], axis=1) * _MIRROR / MMD_METRE
+    out.sdef[model.sdef.vertices] = (
+        np.stack([model.sdef.center, model.sdef.r0, model.sdef.r1], axis=1) * _MIRROR / MMD_METRE
+    )
     materials, triangles = document.tree.get("materials", []), []
     for primitive in primitives:
         if "indices" in primitive:
@@ -82,7 +91,14 @@ def _material(entry: dict, corners: int) -> MmdMaterial:
     factor = np.array(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1.0, 1, 1, 1]), float)
     seen = srgb_from_linear(factor[:3])
     diffuse = np.array([*seen, factor[3]], np.float32).astype(float)
-    return MmdMaterial(str(entry.get("name", "material")), diffuse, seen - diffuse[:3] * LIGHT, bool(entry.get("doubleSided")), "", corners)
+    return MmdMaterial(
+        str(entry.get("name", "material")),
+        diffuse,
+        seen - diffuse[:3] * LIGHT,
+        bool(entry.get("doubleSided")),
+        "",
+        corners,
+    )
 
 
 def _units(positions: np.ndarray) -> np.ndarray:
@@ -140,7 +156,9 @@ def pmx_bytes(file: MmdFile) -> bytes:
         ("joints", len(file.joints), MAX_JOINTS),
     ):
         if count > most:
-            raise FormatError(Path(f"{file.name}.pmx"), f"it would have {count:,} {what}, and at most {most:,} are read; use fewer")
+            raise FormatError(
+                Path(f"{file.name}.pmx"), f"it would have {count:,} {what}, and at most {most:,} are read; use fewer"
+            )
     out = _Writer(file)
     out.parts.append(b"PMX ")
     out.pack("f", 2.1 if (file.deforms == 4).any() else 2.0)
@@ -205,7 +223,14 @@ def _bone(out: _Writer, bone: MmdBone, tail: int | None) -> None:
     out.floats(bone.position * _MIRROR / MMD_METRE)
     out.index(bone.parent, out.bone)
     append, ik = bone.append, bone.ik
-    flags = 0x18 | (tail is not None) | 0x2 * bone.rotates | 0x4 * bone.moves | 0x20 * (ik is not None) | 0x1000 * bone.after_physics
+    flags = (
+        0x18
+        | (tail is not None)
+        | 0x2 * bone.rotates
+        | 0x4 * bone.moves
+        | 0x20 * (ik is not None)
+        | 0x1000 * bone.after_physics
+    )
     if append is not None:
         flags |= 0x80 * append.local | 0x100 * append.rotation | 0x200 * append.translation
     flags |= 0x400 * (bone.fixed_axis is not None) | 0x800 * (bone.local_axes is not None)
@@ -235,7 +260,10 @@ def _bone(out: _Writer, bone: MmdBone, tail: int | None) -> None:
 def _frames(out: _Writer, file: MmdFile) -> None:
     """The two display frames that editors expect, and one of all further bones."""
     out.pack("i", 3 if len(file.bones) > 1 else 2)
-    for name, english, special, bones in (("Root", "Root", 1, range(min(1, len(file.bones)))), ("表情", "Exp", 1, range(0))):
+    for name, english, special, bones in (
+        ("Root", "Root", 1, range(min(1, len(file.bones)))),
+        ("表情", "Exp", 1, range(0)),
+    ):
         _frame(out, name, english, special, bones)
     if len(file.bones) > 1:
         _frame(out, "ボーン", "Bones", 0, range(1, len(file.bones)))

@@ -1,8 +1,8 @@
 """VMD: motion of MikuMikuDance, keys of bones by name with a Bezier curve to each, and switches of inverse kinematics.
 
-Bones are those of some model that the file does not hold, so what is read are tracks by name, relative to the model's rest pose. MMD's
-frame is left-handed and faces -Z; tracks are in ours, its unit is taken as 8 cm. Keys of morphs are counted, those of camera, light
-and shadow skipped.
+Bones are those of some model that the file does not hold, so what is read are tracks by name, relative to the model's
+rest pose. MMD's frame is left-handed and faces -Z; tracks are in ours, its unit is taken as 8 cm. Keys of morphs are
+counted, those of camera, light and shadow skipped.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ MMD_METRE = 0.08
 """Length of MMD's unit [m]: models are about 20 of them tall."""
 
 LONGEST = 4 * 3600 * 30  # frames
-_BONE = np.dtype([("name", "S15"), ("frame", "<u4"), ("position", "<f4", 3), ("rotation", "<f4", 4), ("curve", "u1", (4, 16))])
+_BONE = np.dtype(
+    [("name", "S15"), ("frame", "<u4"), ("position", "<f4", 3), ("rotation", "<f4", 4), ("curve", "u1", (4, 16))]
+)
 _MORPH = np.dtype([("name", "S15"), ("frame", "<u4"), ("weight", "<f4")])
 _SKIPPED = (("camera keys", 61), ("light keys", 28), ("shadow keys", 9))
 _HEADERS = ((b"Vocaloid Motion Data 0002", 20), (b"Vocaloid Motion Data file", 10))  # and bytes of the model's name
@@ -40,7 +42,8 @@ class VmdTrack:
         frames: Frame of each key at 30 frames a second, rising, shape (K,).
         positions: How far the bone is moved from its rest place, in its parent's axes [m], shape (K, 3).
         rotations: How it is turned from its rest pose, xyzw, shape (K, 4).
-        curves: Control points x1, y1, x2, y2 from 0 to 1 of the way from the key before to this one, for x, y, z and the rotation,
+        curves: Control points x1, y1, x2, y2 from 0 to 1 of the way from the key before to this one, for x, y, z and
+            the rotation,
             shape (K, 4, 4).
     """
 
@@ -57,7 +60,9 @@ class VmdTrack:
         share = (at - self.frames[low]) / np.maximum(self.frames[high] - self.frames[low], 1)
         along = _eased(self.curves[high], share)
         positions = self.positions[low] + along[:, :3] * (self.positions[high] - self.positions[low])
-        return positions, np.asarray(matrix_from_quaternion(quaternion_slerp(self.rotations[low], self.rotations[high], along[:, 3])))
+        return positions, np.asarray(
+            matrix_from_quaternion(quaternion_slerp(self.rotations[low], self.rotations[high], along[:, 3]))
+        )
 
 
 @dataclass(frozen=True)
@@ -85,8 +90,12 @@ class VmdMotion:
         """How many frames there are from frame 0 to the last key, at a rate [1/s]."""
         return int(self.last_frame / VMD_FPS * fps + 1e-6) + 1
 
-    def sample(self, fps: float = VMD_FPS, bones: Collection[str] | None = None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Positions [m] (N, 3) and rotation matrices (N, 3, 3) of each bone, or those named, from frame 0 to the last key, at a rate [1/s]."""
+    def sample(
+        self, fps: float = VMD_FPS, bones: Collection[str] | None = None
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Positions [m] (N, 3) and rotation matrices (N, 3, 3) of each bone, or those named, from frame 0 to the last
+        key, at a rate [1/s].
+        """
         frames = np.arange(self.frame_count(fps)) * (VMD_FPS / fps)
         return {name: track.sample(frames) for name, track in self.bones.items() if bones is None or name in bones}
 
@@ -114,7 +123,8 @@ def read_vmd(path: Path, data: bytes) -> VmdMotion:
     """Read a VMD file from its bytes.
 
     Raises:
-        FormatError: It is no VMD file, is cut off, announces more keys than it has room for, or holds what is no number.
+        FormatError: It is no VMD file, is cut off, announces more keys than it has room for, or holds what is no
+        number.
     """
     name_size = next((size for magic, size in _HEADERS if data.startswith(magic)), 0)
     if not name_size:
@@ -125,12 +135,19 @@ def read_vmd(path: Path, data: bytes) -> VmdMotion:
     if not (np.isfinite(keys["position"]).all() and np.isfinite(keys["rotation"]).all()):
         raise FormatError(path, "one of its bone keys holds values that are not numbers; save it again")
     if len(keys) and keys["frame"].max() > LONGEST:
-        raise FormatError(path, f"its last key is at frame {keys['frame'].max()}, hours after the start; delete that key")
+        raise FormatError(
+            path, f"its last key is at frame {keys['frame'].max()}, hours after the start; delete that key"
+        )
     morphs, at = _records(path, data, at, _MORPH, "morph keys")
     for what, size in _SKIPPED:
         _, at = _records(path, data, at, np.dtype((np.void, size)), what)
     names, counts = np.unique(morphs["name"], return_counts=True)
-    return VmdMotion(model, _tracks(keys), {_text(name): int(count) for name, count in zip(names, counts, strict=True)}, _switches(path, data, at))
+    return VmdMotion(
+        model,
+        _tracks(keys),
+        {_text(name): int(count) for name, count in zip(names, counts, strict=True)},
+        _switches(path, data, at),
+    )
 
 
 def _text(raw: bytes) -> str:
@@ -145,11 +162,15 @@ def _count(path: Path, data: bytes, at: int, size: int, what: str) -> int:
     (count,) = struct.unpack_from("<I", data, at)
     room = (len(data) - at - 4) // size
     if count > room:
-        raise FormatError(path, f"it announces {count} {what} but has room for {room}: it is cut off or broken; save it again")
+        raise FormatError(
+            path, f"it announces {count} {what} but has room for {room}: it is cut off or broken; save it again"
+        )
     return int(count)
 
 
-def _records(path: Path, data: bytes, at: int, dtype: np.dtype, what: str, needed: bool = False) -> tuple[np.ndarray, int]:
+def _records(
+    path: Path, data: bytes, at: int, dtype: np.dtype, what: str, needed: bool = False
+) -> tuple[np.ndarray, int]:
     if needed and at + 4 > len(data):
         raise FormatError(path, f"it is cut off before its {what}; save it again")
     count = _count(path, data, at, dtype.itemsize, what)
@@ -167,15 +188,19 @@ def _tracks(keys: np.ndarray) -> dict[str, VmdTrack]:
         rotations = keys["rotation"][group].astype(float) * [-1, -1, 1, 1]
         length = np.linalg.norm(rotations, axis=-1, keepdims=True)
         rotations = np.where(length > 1e-6, rotations / np.maximum(length, 1e-6), [0.0, 0, 0, 1])
-        # Row r holds the curves from byte r on, so its first column is that of channel r; row 0 itself is partly overwritten.
+        # Row r holds the curves from byte r on, so its first column is that of channel r; row 0 itself is partly
+        # overwritten.
         curves = np.clip(keys["curve"][group][:, :, [0, 4, 8, 12]] / 127.0, 0, 1)
         positions = keys["position"][group].astype(float) * np.array([1, 1, -1]) * MMD_METRE
-        out[_text(names[owner[group[0]]])] = VmdTrack(keys["frame"][group].astype(np.int64), positions, rotations, curves)
+        out[_text(names[owner[group[0]]])] = VmdTrack(
+            keys["frame"][group].astype(np.int64), positions, rotations, curves
+        )
     return out
 
 
 def _eased(curves: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """How far each channel is, from 0 to 1, at a share of the time between two keys: y where x is that share, on a Bezier curve.
+    """How far each channel is, from 0 to 1, at a share of the time between two keys: y where x is that share, on a
+    Bezier curve.
 
     Args:
         curves: Control points x1, y1, x2, y2 of four channels, shape (N, 4, 4).
@@ -206,8 +231,12 @@ def _switches(path: Path, data: bytes, at: int) -> tuple[tuple[int, dict[str, bo
         frame, _, bones = struct.unpack_from("<IBI", data, at)
         at += 9
         if bones * 21 > len(data) - at:
-            raise FormatError(path, f"it announces {bones} inverse kinematics bones in one key but is cut off; save it again")
-        states = {_text(data[at + 21 * bone : at + 21 * bone + 20]): bool(data[at + 21 * bone + 20]) for bone in range(bones)}
+            raise FormatError(
+                path, f"it announces {bones} inverse kinematics bones in one key but is cut off; save it again"
+            )
+        states = {
+            _text(data[at + 21 * bone : at + 21 * bone + 20]): bool(data[at + 21 * bone + 20]) for bone in range(bones)
+        }
         at += 21 * bones
         out.append((int(frame), states))
     return tuple(sorted(out, key=lambda key: key[0]))

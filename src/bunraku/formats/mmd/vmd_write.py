@@ -1,6 +1,7 @@
 """Write VMD: keys of bones at every frame with straight curves between them, and inverse kinematics switched off.
 
-Where the rotations of legs are known the inverse kinematics of a model would only overwrite them, so they are off from frame 0 on.
+Where the rotations of legs are known the inverse kinematics of a model would only overwrite them, so they are off from
+frame 0 on.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from bunraku.geometry.rotations import quaternion_from_matrix
 
 __all__ = ["MmdClip", "pack_vmd", "write_vmd"]
 
-_KEY = np.dtype([("name", "S15"), ("frame", "<u4"), ("position", "<f4", 3), ("rotation", "<f4", 4), ("curve", "u1", 64)])
+_KEY = np.dtype(
+    [("name", "S15"), ("frame", "<u4"), ("position", "<f4", 3), ("rotation", "<f4", 4), ("curve", "u1", 64)]
+)
 _ROW = bytes([20] * 8 + [107] * 8)  # x1 and y1 of the four channels, then x2 and y2: a straight line
 _CURVE = np.frombuffer(b"".join(_ROW[shift:] + bytes(shift) for shift in range(4)), np.uint8)
 _STILL_DEGREES, _STILL_METRES = 1e-4, 1e-7
@@ -30,7 +33,8 @@ class MmdClip:
     """Motion of the bones of a model at 30 frames a second.
 
     Args:
-        bones: By their names: how far each is moved from its rest place, in its parent's axes [m], shape (N, 3), and how it is turned
+        bones: By their names: how far each is moved from its rest place, in its parent's axes [m], shape (N, 3), and
+            how it is turned
             from its rest pose, shape (N, 3, 3).
         model: Name of the model.
         ik_off: Bones whose inverse kinematics are off.
@@ -80,7 +84,9 @@ def _name(path: Path, name: str, size: int) -> bytes:
     try:
         return name.encode("cp932")[:size]
     except UnicodeEncodeError:
-        raise FormatError(path, f"the bone {name[:40]!r} has a name that VMD cannot hold (it is in Shift JIS); rename it in the model") from None
+        raise FormatError(
+            path, f"the bone {name[:40]!r} has a name that VMD cannot hold (it is in Shift JIS); rename it in the model"
+        ) from None
 
 
 def _keys(path: Path, name: str, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:

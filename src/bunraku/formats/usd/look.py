@@ -1,4 +1,6 @@
-"""Meshes as USD: one prim for each piece of one material, with UVs, vertex colours, and the base colour of its material."""
+"""Meshes as USD: one prim for each piece of one material, with UVs, vertex colours, and the base colour of its
+material.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,9 @@ class Look:
     _made: dict[tuple[int, bool], Any] = field(default_factory=dict)
 
     def bind(self, prim: Any, document: Document, number: int, painted: bool) -> None:
-        """Give a prim a material of a document; where it has no texture, one that shows the vertex colours of what is painted with them."""
+        """Give a prim a material of a document; where it has no texture, one that shows the vertex colours of what is
+        painted with them.
+        """
         key = number, painted
         if key not in self._made:
             self._made[key] = self._material(document, number, painted)
@@ -90,7 +94,9 @@ class Look:
         seen = entry.get("alphaMode") in ("MASK", "BLEND")
         if entry.get("alphaMode") == "MASK":
             cutoff = entry.get("alphaCutoff", 0.5)
-            surface.CreateInput("opacityThreshold", types.Float).Set(float(cutoff) if isinstance(cutoff, int | float) else 0.5)
+            surface.CreateInput("opacityThreshold", types.Float).Set(
+                float(cutoff) if isinstance(cutoff, int | float) else 0.5
+            )
         texture = self._texture(document, rough.get("baseColorTexture"), path, factor)
         if texture is None:
             color.Set(self.usd["Gf"].Vec3f(*factor[:3]))
@@ -108,7 +114,9 @@ class Look:
         return material
 
     def _texture(self, document: Document, info: Any, path: str, factor: list[float]) -> Any:
-        """A texture that is read by the coordinates `st`, or None where the image is missing or of a kind that USD does not have."""
+        """A texture that is read by the coordinates `st`, or None where the image is missing or of a kind that USD does
+        not have.
+        """
         if not isinstance(info, dict):
             return None
         texture = document.item("textures", info.get("index"))
@@ -147,12 +155,18 @@ class Look:
 def pieces(character: Character) -> list[Piece]:
     """The pieces of a character: those of its document where it has one, itself otherwise."""
     source = character.source
-    if not isinstance(source, Source) or not len(source.index) or int(source.index.max()) + 1 != len(character.vertices):
+    if (
+        not isinstance(source, Source)
+        or not len(source.index)
+        or int(source.index.max()) + 1 != len(character.vertices)
+    ):
         return [Piece("Mesh", np.arange(len(character.vertices)), character.faces)]
     out: list[Piece] = []
     start, document = 0, source.document
     for part in source.parts:
-        title = document.items("nodes")[part.node].get("name") or document.items("meshes")[part.mesh].get("name") or "Mesh"
+        title = (
+            document.items("nodes")[part.node].get("name") or document.items("meshes")[part.mesh].get("name") or "Mesh"
+        )
         primitives = document.items("meshes")[part.mesh]["primitives"]
         for group in part.groups:
             index = source.index[start : start + len(group.vertices)]
@@ -165,7 +179,9 @@ def pieces(character: Character) -> list[Piece]:
                 uv = _coordinates(document, primitives[member], len(group.vertices))
                 own = None if uv is None else np.ascontiguousarray(uv[used], np.float32)
                 number = material if type(material) is int else None
-                out.append(Piece(f"{prim_name(str(title), 'Mesh')}_{len(out)}", index[used], local.reshape(-1, 3), own, number))
+                out.append(
+                    Piece(f"{prim_name(str(title), 'Mesh')}_{len(out)}", index[used], local.reshape(-1, 3), own, number)
+                )
     return out
 
 
@@ -183,7 +199,9 @@ def _coordinates(document: Document, primitive: dict[str, Any], count: int) -> n
     return np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
 
 
-def add_mesh(usd: dict[str, Any], stage: Any, path: str, piece: Piece, character: Character, rest: np.ndarray, look: Look) -> Any:
+def add_mesh(
+    usd: dict[str, Any], stage: Any, path: str, piece: Piece, character: Character, rest: np.ndarray, look: Look
+) -> Any:
     """Add a piece as a mesh and return it.
 
     Args:
@@ -200,7 +218,9 @@ def add_mesh(usd: dict[str, Any], stage: Any, path: str, piece: Piece, character
     mesh.CreateSubdivisionSchemeAttr("none")
     mesh.CreatePointsAttr(array(rest))
     mesh.CreateFaceVertexCountsAttr(usd["Vt"].IntArray.FromNumpy(np.full(len(piece.faces), 3, np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(usd["Vt"].IntArray.FromNumpy(np.ascontiguousarray(piece.faces.reshape(-1), np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(
+        usd["Vt"].IntArray.FromNumpy(np.ascontiguousarray(piece.faces.reshape(-1), np.int32))
+    )
     mesh.CreateExtentAttr(array(np.stack([rest.min(axis=0), rest.max(axis=0)])))
     mesh.CreateDoubleSidedAttr(True)
     primvars = usd["UsdGeom"].PrimvarsAPI(mesh)

@@ -1,7 +1,7 @@
 """Write USD: the mesh with the handles as a UsdSkel skeleton and their motion, or its points in every frame.
 
-A skeleton is what engines and 3D programs edit; all weights of a vertex are written, not four, so it plays exactly. A point cache is
-for programs that read no skeleton, and the only way where vertices move on their own.
+A skeleton is what engines and 3D programs edit; all weights of a vertex are written, not four, so it plays exactly. A
+point cache is for programs that read no skeleton, and the only way where vertices move on their own.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ SMALL = 1e-5  # weights under this move nothing that is seen
 CHUNK = 32  # frames posed at once
 
 
-def write_usd(animation: Animation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m", points: bool = False) -> Path:
+def write_usd(
+    animation: Animation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m", points: bool = False
+) -> Path:
     """Write an animation as USD.
 
     Args:
@@ -67,7 +69,9 @@ def write_usd(animation: Animation, path: Path, *, fps: float | None = None, up:
     return _export(usd, stage, path, look)
 
 
-def write_points(animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m") -> Path:
+def write_points(
+    animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m"
+) -> Path:
     """Write where every vertex is in every frame as USD; arguments are those of `write_usd`."""
     usd, frame = _library(), FileFrame.of(up, unit)
     moved = animation.at(checked_fps(fps, animation.motion.fps))
@@ -80,7 +84,15 @@ def write_points(animation: Animation | PointAnimation, path: Path, *, fps: floa
     )
     meshes = []
     for piece in pieces(animation.character):
-        mesh = add_mesh(usd, stage, f"/{name}/{piece.name}", piece, animation.character, np.ascontiguousarray(rest[piece.index]), look)
+        mesh = add_mesh(
+            usd,
+            stage,
+            f"/{name}/{piece.name}",
+            piece,
+            animation.character,
+            np.ascontiguousarray(rest[piece.index]),
+            look,
+        )
         meshes.append((piece, mesh.GetPointsAttr(), mesh.GetExtentAttr()))
     for start in range(0, len(moved.motion), CHUNK):
         for number, posed in enumerate(moved.vertices(slice(start, start + CHUNK)), start):
@@ -100,7 +112,10 @@ def check_available() -> None:
 
 def _library() -> dict[str, Any]:
     try:
-        return {name: import_module(f"pxr.{name}") for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdShade", "UsdSkel", "UsdUtils", "Vt")}
+        return {
+            name: import_module(f"pxr.{name}")
+            for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdShade", "UsdSkel", "UsdUtils", "Vt")
+        }
     except ImportError as error:
         raise MissingExtraError("usd-core", "usd", "writing USD") from error
 
@@ -143,11 +158,23 @@ def _skinned(usd: dict[str, Any], stage: Any, root: str, animation: Animation, f
     rest = frame.points(animation.character.vertices)
     indices, weights = _influences(handles.weights)
     for piece in pieces(animation.character):
-        mesh = add_mesh(usd, stage, f"{root}/{piece.name}", piece, animation.character, np.ascontiguousarray(rest[piece.index]), look)
+        mesh = add_mesh(
+            usd,
+            stage,
+            f"{root}/{piece.name}",
+            piece,
+            animation.character,
+            np.ascontiguousarray(rest[piece.index]),
+            look,
+        )
         binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
         binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-        binding.CreateJointIndicesPrimvar(False, indices.shape[1]).Set(Vt.IntArray.FromNumpy(indices[piece.index].reshape(-1)))
-        binding.CreateJointWeightsPrimvar(False, indices.shape[1]).Set(Vt.FloatArray.FromNumpy(weights[piece.index].reshape(-1)))
+        binding.CreateJointIndicesPrimvar(False, indices.shape[1]).Set(
+            Vt.IntArray.FromNumpy(indices[piece.index].reshape(-1))
+        )
+        binding.CreateJointWeightsPrimvar(False, indices.shape[1]).Set(
+            Vt.FloatArray.FromNumpy(weights[piece.index].reshape(-1))
+        )
         binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
 
 
@@ -161,12 +188,16 @@ def _channels(handles: Handles, motion: HandleMotion, frame: FileFrame) -> tuple
     matrices[:, 0] = motion.root_rotation
     rotations = quaternion_from_matrix(frame.turn @ matrices @ frame.turn.T)
     flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
-    rotations[1:] *= np.cumprod(flips, axis=0)[..., None]  # an interpolated quaternion must not change its sign on the way
+    rotations[1:] *= np.cumprod(flips, axis=0)[
+        ..., None
+    ]  # an interpolated quaternion must not change its sign on the way
     return np.ascontiguousarray(frame.points(translations), np.float32), np.ascontiguousarray(rotations, np.float32)
 
 
 def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, as many columns as any vertex needs."""
+    """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, as many columns as any
+    vertex needs.
+    """
     from bunraku.core.character import top_influences
 
     most = max(int((weights > SMALL).sum(axis=1).max()), 1)
@@ -189,7 +220,9 @@ def _check_textures(path: Path, look: Look) -> None:
 
 
 def _export(usd: dict[str, Any], stage: Any, path: Path, look: Look) -> Path:
-    """Write the stage and its textures to a folder beside the target, from which they take their places when they are whole."""
+    """Write the stage and its textures to a folder beside the target, from which they take their places when they are
+    whole.
+    """
     check_output_folder(path)
     _check_textures(path, look)
     suffix = path.suffix.lower()
@@ -197,7 +230,10 @@ def _export(usd: dict[str, Any], stage: Any, path: Path, look: Look) -> Path:
         raise OptionError(f"USD is written to .usd, .usda, .usdc or .usdz, not {suffix}")
     try:
         with tempfile.TemporaryDirectory(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent) as folder:
-            layer, images = Path(folder, f"{prim_name(path.stem)}{'.usda' if suffix == '.usda' else '.usdc'}"), Path(folder, look.folder)
+            layer, images = (
+                Path(folder, f"{prim_name(path.stem)}{'.usda' if suffix == '.usda' else '.usdc'}"),
+                Path(folder, look.folder),
+            )
             written = bool(stage.GetRootLayer().Export(str(layer)))
             if look.textures:
                 images.mkdir()
@@ -218,5 +254,7 @@ def _export(usd: dict[str, Any], stage: Any, path: Path, look: Look) -> Path:
             os.replace(layer, path)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise FormatError(path, f"the file cannot be written ({reason}); choose another place or free some space") from None
+        raise FormatError(
+            path, f"the file cannot be written ({reason}); choose another place or free some space"
+        ) from None
     return path

@@ -1,9 +1,10 @@
 """What a VRM file holds beside its meshes: which node is which bone of a person, and spring bones with their colliders.
 
-VRM 0.x keeps them in the extension VRM, VRM 1.0 in VRMC_vrm and VRMC_springBone. Both become the same here: a spring is a chain of nodes,
-each below the one before. In VRM 0.x a group names the first nodes only, and all below them swing; a branch becomes a chain of its own.
-Offsets of colliders are in their nodes' axes; those of VRM 0.x were written by a left-handed program and have z turned round. Directions of
-gravity are in our frame, where VRM 0.x avatars have been turned to face +Z.
+VRM 0.x keeps them in the extension VRM, VRM 1.0 in VRMC_vrm and VRMC_springBone. Both become the same here: a spring is
+a chain of nodes, each below the one before. In VRM 0.x a group names the first nodes only, and all below them swing; a
+branch becomes a chain of its own. Offsets of colliders are in their nodes' axes; those of VRM 0.x were written by a
+left-handed program and have z turned round. Directions of gravity are in our frame, where VRM 0.x avatars have been
+turned to face +Z.
 """
 
 from __future__ import annotations
@@ -105,8 +106,12 @@ class _Reader:
         sentences = []
         for problem, names in self.notes.items():
             some = ", ".join(name for name in names[:3] if name)
-            sentences.append(f"{problem}: {some}{f' and {len(names) - 3} more' if len(names) > 3 else ''}" if some else problem)
-        return VrmModel(version, str(title or "")[:200], humanoid, tuple(springs), tuple(colliders), tuple(groups), tuple(sentences))
+            sentences.append(
+                f"{problem}: {some}{f' and {len(names) - 3} more' if len(names) > 3 else ''}" if some else problem
+            )
+        return VrmModel(
+            version, str(title or "")[:200], humanoid, tuple(springs), tuple(colliders), tuple(groups), tuple(sentences)
+        )
 
     def first(self, data: Any) -> VrmModel:
         """VRM 0.x."""
@@ -121,14 +126,18 @@ class _Reader:
             start = len(colliders)
             for entry in _objects(group.get("colliders")):
                 offset = _point(entry.get("offset"), 0.0) * [1, 1, -1]
-                self.collider(colliders, VrmCollider(self.node(group.get("node")), "sphere", offset, _number(entry, "radius", 0.0)))
+                self.collider(
+                    colliders,
+                    VrmCollider(self.node(group.get("node")), "sphere", offset, _number(entry, "radius", 0.0)),
+                )
             groups.append(tuple(range(start, len(colliders))))
         springs: list[VrmSpring] = []
         taken: set[int] = set()
         for group in _objects(swings.get("boneGroups")):
             direction = _point(group.get("gravityDir"), 0.0) if "gravityDir" in group else np.array([0.0, -1, 0])
             values = (
-                _number(group, "stiffiness", 1.0), _number(group, "gravityPower", 0.0), direction * [-1, 1, 1], _number(group, "dragForce", 0.4),
+                _number(group, "stiffiness", 1.0), _number(group, "gravityPower", 0.0), direction * [-1, 1, 1],
+                _number(group, "dragForce", 0.4),
                 _number(group, "hitRadius", 0.02),
             )  # fmt: skip
             own = self.group_numbers(group.get("colliderGroups"), len(groups), group.get("comment", ""))
@@ -138,7 +147,9 @@ class _Reader:
                     continue
                 for chain in self.chains(root, taken):
                     joints = tuple(VrmSpringJoint(node, *values) for node in chain)
-                    spring = VrmSpring(str(group.get("comment") or ""), joints, own, self.node(group.get("center")), True)
+                    spring = VrmSpring(
+                        str(group.get("comment") or ""), joints, own, self.node(group.get("center")), True
+                    )
                     self.spring(springs, spring)
         return self.model("0.x", _object(data.get("meta")).get("title"), humanoid, springs, colliders, groups)
 
@@ -177,11 +188,15 @@ class _Reader:
         shape = _object(extended) or shape
         if "plane" in shape:
             plane = _object(shape["plane"])
-            return VrmCollider(node, "plane", _point(plane.get("offset"), 0.0), 0.0, _point(plane.get("normal", [0, 0, 1]), 0.0))
+            return VrmCollider(
+                node, "plane", _point(plane.get("offset"), 0.0), 0.0, _point(plane.get("normal", [0, 0, 1]), 0.0)
+            )
         kind = "capsule" if "capsule" in shape else "sphere"
         body = _object(shape.get(kind))
         tail = _point(body.get("tail"), 0.0) if kind == "capsule" else None
-        return VrmCollider(node, kind, _point(body.get("offset"), 0.0), _number(body, "radius", 0.0), tail, body.get("inside") is True)
+        return VrmCollider(
+            node, kind, _point(body.get("offset"), 0.0), _number(body, "radius", 0.0), tail, body.get("inside") is True
+        )
 
     def collider(self, colliders: list[VrmCollider], new: VrmCollider) -> bool:
         """Keep a collider that can be used."""
@@ -200,7 +215,9 @@ class _Reader:
     def spring(self, springs: list[VrmSpring], new: VrmSpring) -> None:
         """Keep a spring that can be used."""
         name = new.name or (self.called(new.joints[0].node) if new.joints else "")
-        numbers = [[joint.stiffness, joint.gravity, joint.drag, joint.radius, *joint.gravity_direction] for joint in new.joints]
+        numbers = [
+            [joint.stiffness, joint.gravity, joint.drag, joint.radius, *joint.gravity_direction] for joint in new.joints
+        ]
         if not new.joints or (len(new.joints) < 2 and not new.ends_free):
             self.note("springs have no chain of nodes and are left out", name)
         elif not np.isfinite(numbers).all() or min(joint.radius for joint in new.joints) < 0:
@@ -219,7 +236,11 @@ class _Reader:
                 self.note("springs go on at nodes that are not below and are cut there", name or entry.get("node"))
                 break
             direction = _point(entry.get("gravityDir", [0, -1, 0]), 0.0)
-            stiffness, drag, radius = _number(entry, "stiffness", 1.0), _number(entry, "dragForce", 0.5), _number(entry, "hitRadius", 0.0)
+            stiffness, drag, radius = (
+                _number(entry, "stiffness", 1.0),
+                _number(entry, "dragForce", 0.5),
+                _number(entry, "hitRadius", 0.0),
+            )
             out.append(VrmSpringJoint(node, stiffness, _number(entry, "gravityPower", 0.0), direction, drag, radius))
         return tuple(out)
 
@@ -277,4 +298,6 @@ def _point(value: Any, default: float) -> np.ndarray:
         value = dict(zip("xyz", value, strict=True))
     if value is None:
         return np.full(3, default)
-    return np.array([_number(value, axis, default) for axis in "xyz"]) if isinstance(value, dict) else np.full(3, np.nan)
+    return (
+        np.array([_number(value, axis, default) for axis in "xyz"]) if isinstance(value, dict) else np.full(3, np.nan)
+    )

@@ -1,7 +1,7 @@
 """VRMA: a motion of VRM's humanoid bones in a glTF file (the extension VRMC_vrm_animation 1.0).
 
-The nodes of the file stand in the T-pose, whatever rotations they have there. What the bones do is said relative to it: with W the
-world rotation of a bone in a frame and W_0 the one at rest, the humanoid's rotation is W W_0^-1.
+The nodes of the file stand in the T-pose, whatever rotations they have there. What the bones do is said relative to it:
+with W the world rotation of a bone in a frame and W_0 the one at rest, the humanoid's rotation is W W_0^-1.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def read_vrma(path: Path, data: bytes) -> SkeletalMotion:
         data: Its bytes.
 
     Returns:
-        The humanoid bones that it has under VRM's names ("hips", "leftUpperArm"), with rotations relative to the T-pose, at the rate of
-        its keys; 30 frames a second where they are not evenly spaced.
+        The humanoid bones that it has under VRM's names ("hips", "leftUpperArm"), with rotations relative to the
+        T-pose, at the rate of its keys; 30 frames a second where they are not evenly spaced.
 
     Raises:
         FormatError: The file is broken, or no VRMA.
@@ -109,7 +109,9 @@ def _motion(document: Document) -> SkeletalMotion:
     offsets = places - np.where(parents[:, None] >= 0, places[np.maximum(parents, 0)], 0)
     if not np.isfinite(local).all():
         raise MotionError("joint rotations hold values that are not numbers")
-    return SkeletalMotion(Skeleton(tuple(names[node] for node in order), parents, offsets), local, moved[:, 0, :3, 3], fps)
+    return SkeletalMotion(
+        Skeleton(tuple(names[node] for node in order), parents, offsets), local, moved[:, 0, :3, 3], fps
+    )
 
 
 def _bones(document: Document) -> dict[str, int]:
@@ -118,7 +120,9 @@ def _bones(document: Document) -> dict[str, int]:
     humanoid = found.get("humanoid") if found is not None else None
     listed = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
     if not isinstance(listed, dict) or "hips" not in listed:
-        document.fail(f"it has no humanoid with hips under {EXTENSION}, so it is no VRMA; export it again as VRM Animation")
+        document.fail(
+            f"it has no humanoid with hips under {EXTENSION}, so it is no VRMA; export it again as VRM Animation"
+        )
     out: dict[str, int] = {}
     taken, last = set[int](), max(len(document.items("nodes")) - 1, 0)
     for name, bone in listed.items():

@@ -1,4 +1,6 @@
-"""Write VRMA: the humanoid's rotations relative to the T-pose, and the place of the hips, for any VRM character to play."""
+"""Write VRMA: the humanoid's rotations relative to the T-pose, and the place of the hips, for any VRM character to
+play.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ __all__ = ["write_vrma"]
 def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = None, name: str | None = None) -> Path:
     """Write a skeletal motion as VRMA.
 
-    Players scale the path of the hips by the height that the hips have at rest, so the skeleton is written standing on y = 0.
+    Players scale the path of the hips by the height that the hips have at rest, so the skeleton is written standing on
+    y = 0.
 
     Args:
         motion: Of any humanoid skeleton; those that do not have SMPL's 22 joints are turned into ones that do.

@@ -19,13 +19,16 @@ def check_work(model: MmdModel, frames: int) -> None:
     work = pose_work(model)
     if work > MOST or work * frames > MOST_IN_ALL:
         raise MotionError(
-            f"{model.name or 'this model'}: its bones and inverse kinematics ask for {work:,} steps in each of {frames:,} frames, too many;"
+            f"{model.name or 'this model'}: its bones and inverse kinematics ask for {work:,} steps in each of "
+            f"{frames:,} frames, too many;"
             " lower the loops of its inverse kinematics or shorten the motion"
         )
 
 
 def pose_work(model: MmdModel) -> int:
-    """How many bones are placed in a frame: each once, all below one that takes over of others, and chains of inverse kinematics in each loop."""
+    """How many bones are placed in a frame: each once, all below one that takes over of others, and chains of inverse
+    kinematics in each loop.
+    """
     parents = model.parents
     below = np.ones(len(parents), np.int64)  # a bone and those under it
     for place in reversed(bone_order(parents)):

@@ -1,4 +1,6 @@
-"""A VMD on the skeleton of an MMD model: poses, vertices, and the motion of SMPL's 22 joints that any other character can take."""
+"""A VMD on the skeleton of an MMD model: poses, vertices, and the motion of SMPL's 22 joints that any other character
+can take.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def standard_bones(model: MmdModel) -> SkeletonMap:
     """
     found = mmd_skeleton_map(model.names)
     if found is None:
-        raise MotionError(f"{model.name or 'this model'}: its bones do not have MMD's standard names (下半身, 左足, 左ひざ ...)")
+        raise MotionError(
+            f"{model.name or 'this model'}: its bones do not have MMD's standard names (下半身, 左足, 左ひざ ...)"
+        )
     return found
 
 
@@ -62,11 +66,15 @@ def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS,
     own = {_cut(name, 15): name for name in reversed(model.names)}
     if not own.keys() & vmd.bones.keys():
         raise MotionError(
-            f"the motion moves none of the {len(model.bones)} bones of {model.name or 'this model'}; take one that was made for MMD's standard bones"
+            f"the motion moves none of the {len(model.bones)} bones of {model.name or 'this model'}; take one that "
+            "was made for MMD's standard bones"
         )
     count = vmd.frame_count(fps)
     if count * len(model.bones) > MOST_TRANSFORMS:
-        raise MotionError(f"the motion has {count:,} frames for {len(model.bones):,} bones, too many; cut it or ask for fewer frames a second")
+        raise MotionError(
+            f"the motion has {count:,} frames for {len(model.bones):,} bones, too many; cut it or ask for fewer "
+            "frames a second"
+        )
     tracks = {own[name]: track for name, track in vmd.sample(fps, own).items()}
     frames = np.arange(count) * (VMD_FPS / fps)
     goals = [bone.name for bone in model.bones if bone.ik is not None]
@@ -78,7 +86,9 @@ def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS,
 
 
 def mmd_animation(character: Character, vmd: VmdMotion, fps: float = VMD_FPS) -> RigAnimation:
-    """A VMD on the character that was read from the model, as an animation of its own rig; arguments and errors are those of `play_vmd`."""
+    """A VMD on the character that was read from the model, as an animation of its own rig; arguments and errors are
+    those of `play_vmd`.
+    """
     poses = play_vmd(character, vmd, fps)
     return RigAnimation.of_world(character, poses.rotations, poses.positions, fps)
 
@@ -97,7 +107,9 @@ def _switched(vmd: VmdMotion, name: str, frames: np.ndarray) -> np.ndarray:
     return out
 
 
-def mmd_vertices(character: Character, poses: MmdPoses, frames: Sequence[int] | np.ndarray | None = None) -> Iterator[np.ndarray]:
+def mmd_vertices(
+    character: Character, poses: MmdPoses, frames: Sequence[int] | np.ndarray | None = None
+) -> Iterator[np.ndarray]:
     """Posed vertices [m] of one frame after the other, each (V, 3), float32; SDEF is taken as a blend of two bones.
 
     Args:
@@ -130,7 +142,10 @@ def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:
     root = next((bone for bone in next(iter(lines.values())) if bone in shared), -1)
     if root < 0:
         raise MotionError(f"{poses.model.name or 'this model'}: its legs and arms do not hang on one bone")
-    chosen = sorted({bone for line in lines.values() for bone in line[: line.index(root) + 1]}, key=lambda bone: (len(line_up(bone, parents)), bone))
+    chosen = sorted(
+        {bone for line in lines.values() for bone in line[: line.index(root) + 1]},
+        key=lambda bone: (len(line_up(bone, parents)), bone),
+    )
     place = {bone: number for number, bone in enumerate(chosen)}
     above = np.array([place.get(int(parents[bone]), -1) if bone != root else -1 for bone in chosen])
     rest = poses.model.positions[chosen]

@@ -1,8 +1,8 @@
 """Poses of MMD models: bones in their order of deformation, what they take over of each other, and inverse kinematics.
 
-Bones are gone through by (after physics, layer, index), as MMD does. A leg's inverse kinematics turn its links by cyclic coordinate
-descent within the file's limits. A knee, which turns about x only, starts at the angle that makes the leg as long as the way from the hip
-to the goal; the hip then points there in one step. Physics are not simulated here.
+Bones are gone through by (after physics, layer, index), as MMD does. A leg's inverse kinematics turn its links by
+cyclic coordinate descent within the file's limits. A knee, which turns about x only, starts at the angle that makes the
+leg as long as the way from the hip to the goal; the hip then points there in one step. Physics are not simulated here.
 """
 
 from __future__ import annotations
@@ -50,13 +50,19 @@ class MmdPoses:
 
 
 def pose_mmd(
-    model: MmdModel, tracks: Tracks, ik: Mapping[str, np.ndarray] | None = None, *, frames: int | None = None, fps: float = 30.0
+    model: MmdModel,
+    tracks: Tracks,
+    ik: Mapping[str, np.ndarray] | None = None,
+    *,
+    frames: int | None = None,
+    fps: float = 30.0,
 ) -> MmdPoses:
     """Pose a model.
 
     Args:
         model: The model.
-        tracks: By bones' names: how far each is moved from its rest place [m] (N, 3), and how it is turned (N, 3, 3), in its parent's
+        tracks: By bones' names: how far each is moved from its rest place [m] (N, 3), and how it is turned (N, 3, 3),
+            in its parent's
             axes. Bones without a track rest; names that the model lacks are passed over.
         ik: By names of bones with inverse kinematics: whether they are on, shape (N,), bool; on where nothing is said.
         frames: N, where there are no tracks to tell.
@@ -78,7 +84,10 @@ def pose_mmd(
         state = _State(model, stop - start)
         for name, (moved, turned) in tracks.items():
             if name in known:
-                state.keyed_moves[:, known[name]], state.keyed_turns[:, known[name]] = moved[start:stop], turned[start:stop]
+                state.keyed_moves[:, known[name]], state.keyed_turns[:, known[name]] = (
+                    moved[start:stop],
+                    turned[start:stop],
+                )
         switches = {name: np.asarray(on)[start:stop] for name, on in (ik or {}).items()}
         state.solve(switches)
         rotations[start:stop], positions[start:stop] = state.turns, state.places
@@ -140,7 +149,9 @@ class _State:
             self.places[chosen, bone] = self.places[chosen, parent] + (above @ offset[..., None])[..., 0]
 
     def _take_over(self, bone: int) -> None:
-        """What a bone takes of another: of its keys and inverse kinematics, or, where that one takes over itself, of what it takes."""
+        """What a bone takes of another: of its keys and inverse kinematics, or, where that one takes over itself, of
+        what it takes.
+        """
         append = self.model.bones[bone].append
         assert append is not None
         source = append.bone
@@ -150,7 +161,9 @@ class _State:
             else:
                 turn = self.taken_turns.get(source, self.keyed_turns[:, source])
                 turn = self.solved[source] @ turn if source in self.solved else turn
-            self.taken_turns[bone] = matrix_from_axis_angle(append.ratio * axis_angle_from_matrix(turn)) if append.ratio != 1 else turn
+            self.taken_turns[bone] = (
+                matrix_from_axis_angle(append.ratio * axis_angle_from_matrix(turn)) if append.ratio != 1 else turn
+            )
         if append.translation:
             move = self.moves[:, source] if append.local else self.taken_moves.get(source, self.keyed_moves[:, source])
             self.taken_moves[bone] = append.ratio * move
@@ -179,7 +192,12 @@ class _State:
         for bone in planes:  # hinges start from rest, whatever their keys say
             self.local[chosen, bone] = np.eye(3)
         self._refresh(below[links[-1].bone], chosen)
-        if len(links) == 2 and links[0].bone in planes and links[1].bone not in planes and path.index(links[0].bone) < path.index(links[1].bone):
+        if (
+            len(links) == 2
+            and links[0].bone in planes
+            and links[1].bone not in planes
+            and path.index(links[0].bone) < path.index(links[1].bone)
+        ):
             self._bend(links, planes[links[0].bone], ik.target, where, angles, below, chosen)
             links = links[::-1]  # the hip first: the knee is as it shall be
         for loop in range(ik.loops):
@@ -223,7 +241,9 @@ class _State:
         y, z = (axis + 1) % 3, (axis + 2) % 3
         along = thigh[:, y] * shin[:, y] + thigh[:, z] * shin[:, z]
         across = thigh[:, z] * shin[:, y] - thigh[:, y] * shin[:, z]
-        want = (((where - self.places[chosen, hip]) ** 2).sum(-1) - (thigh**2).sum(-1) - (shin**2).sum(-1)) / 2 - thigh[:, axis] * shin[:, axis]
+        want = (((where - self.places[chosen, hip]) ** 2).sum(-1) - (thigh**2).sum(-1) - (shin**2).sum(-1)) / 2 - thigh[
+            :, axis
+        ] * shin[:, axis]
         spread = np.arccos(np.clip(want / np.maximum(np.hypot(along, across), 1e-12), -1, 1))
         middle = np.arctan2(across, along)
         low, high = float(links[0].lower[axis]), float(links[0].upper[axis])
@@ -235,18 +255,31 @@ class _State:
         self._refresh(below[hip], chosen)
 
     def _step(
-        self, link: MmdIkLink, axis: int | None, angles: dict[int, np.ndarray], ik: MmdIk, where: np.ndarray, loop: int, chosen: np.ndarray
+        self,
+        link: MmdIkLink,
+        axis: int | None,
+        angles: dict[int, np.ndarray],
+        ik: MmdIk,
+        where: np.ndarray,
+        loop: int,
+        chosen: np.ndarray,
     ) -> None:
         """One step of the descent: turn a link so that the target comes as near to the goal as it can."""
         bone, frame, place = link.bone, self.turns[chosen, link.bone], self.places[chosen, link.bone]
         now, want = _into(frame, self.places[chosen, ik.target] - place), _into(frame, where - place)
         if axis is not None and link.lower is not None and link.upper is not None:
             y, z = (axis + 1) % 3, (axis + 2) % 3
-            turn = np.arctan2(now[:, y] * want[:, z] - now[:, z] * want[:, y], now[:, y] * want[:, y] + now[:, z] * want[:, z])
+            turn = np.arctan2(
+                now[:, y] * want[:, z] - now[:, z] * want[:, y], now[:, y] * want[:, y] + now[:, z] * want[:, z]
+            )
             turn = np.clip(turn, -ik.limit, ik.limit) if ik.limit > 0 else turn
             low, high = float(link.lower[axis]), float(link.upper[axis])
             if loop == 0:  # a straight hinge may start towards the side to which it cannot bend
-                wrong = ((angles[bone] + turn < low) | (angles[bone] + turn > high)) & (angles[bone] - turn > low) & (angles[bone] - turn < high)
+                wrong = (
+                    ((angles[bone] + turn < low) | (angles[bone] + turn > high))
+                    & (angles[bone] - turn > low)
+                    & (angles[bone] - turn < high)
+                )
                 turn = np.where(wrong, -turn, turn)
             angles[bone] = np.clip(angles[bone] + turn, low, high)
             self.local[chosen, bone] = _about(axis, angles[bone])
@@ -257,7 +290,9 @@ class _State:
         angle = np.minimum(angle, ik.limit) if ik.limit > 0 else angle
         turned = matrix_from_axis_angle(normal / np.maximum(length, 1e-12)[:, None] * angle[:, None])
         local = self.local[chosen, bone] @ turned
-        self.local[chosen, bone] = local if link.lower is None or link.upper is None else _limited(local, link.lower, link.upper)
+        self.local[chosen, bone] = (
+            local if link.lower is None or link.upper is None else _limited(local, link.lower, link.upper)
+        )
 
 
 def _into(frame: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -1,8 +1,9 @@
 """Onto the bones of MMD models: the motion of SMPL's 22 joints, and any animation of a model's rig, as keys for a VMD.
 
-A model rests in an A-pose and SMPL in a T-pose. With C the turns of `turns_of_rest`, which take the T-pose to the model's rest pose, a
-bone's world rotation is `W = W_smpl C^T`, the way back of `to_smpl`. The centre bone carries the pelvis and the path, so both halves of
-the trunk start from it; the path is scaled by the ratio of leg lengths. Inverse kinematics of legs are off, since rotations say it all.
+A model rests in an A-pose and SMPL in a T-pose. With C the turns of `turns_of_rest`, which take the T-pose to the
+model's rest pose, a bone's world rotation is `W = W_smpl C^T`, the way back of `to_smpl`. The centre bone carries the
+pelvis and the path, so both halves of the trunk start from it; the path is scaled by the ratio of leg lengths. Inverse
+kinematics of legs are off, since rotations say it all.
 """
 
 from __future__ import annotations
@@ -87,15 +88,26 @@ def _wanted(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> tupl
 
 
 def _hips(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> np.ndarray:
-    """Where the middle of the model's hips shall be [m], shape (N, 3): as far above its ankles' height as the motion's, by the legs' ratio."""
+    """Where the middle of the model's hips shall be [m], shape (N, 3): as far above its ankles' height as the motion's,
+    by the legs' ratio.
+    """
     hips = motion.world()[1][:, [_J["left_hip"], _J["right_hip"]]].mean(axis=1).astype(float)
     rest = motion.skeleton.positions.astype(float)
     own, known = model.positions, reference_body().joints
     joints = [found.of(name) for name in _LEGS]
-    length = float(np.mean([np.linalg.norm(own[a] - own[b]) + np.linalg.norm(own[b] - own[c]) for a, b, c in (joints[0::2], joints[1::2])]))
+    length = float(
+        np.mean(
+            [
+                np.linalg.norm(own[a] - own[b]) + np.linalg.norm(own[b] - own[c])
+                for a, b, c in (joints[0::2], joints[1::2])
+            ]
+        )
+    )
     source = leg_length(rest)
     toes = known[[_J["left_foot"], _J["right_foot"]], 1].mean() * source / leg_length(known)
-    low = toes - motion.skeleton.offsets[[_J["left_foot"], _J["right_foot"]], 1].mean()  # of the source's ankles above its floor
+    low = (
+        toes - motion.skeleton.offsets[[_J["left_foot"], _J["right_foot"]], 1].mean()
+    )  # of the source's ankles above its floor
     ratio = length / max(source, 1e-9)
     return np.asarray(hips * ratio + [0, own[joints[4:6], 1].mean() - low * ratio, 0])
 
@@ -103,7 +115,8 @@ def _hips(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> np.nda
 def mmd_clip(animation: RigAnimation) -> MmdClip:
     """An animation of an MMD character's rig as keys of its bones, resampled to 30 frames a second.
 
-    What a bone takes over of another ("grant") is taken off its keys again, since MMD adds it. Bones that stand still on their parents
+    What a bone takes over of another ("grant") is taken off its keys again, since MMD adds it. Bones that stand still
+    on their parents
     have no keys: those of them that take over follow in MMD as the model's maker meant them to.
 
     Args:
@@ -118,7 +131,8 @@ def mmd_clip(animation: RigAnimation) -> MmdClip:
 
 
 def settle_mmd(animation: RigAnimation) -> RigAnimation:
-    """The animation with the bones that MMD moves by itself: what takes over of others, and inverse kinematics of all but legs.
+    """The animation with the bones that MMD moves by itself: what takes over of others, and inverse kinematics of all
+    but legs.
 
     Twist bones, sleeves and second legs of a model follow what a retargeted motion does to their sources.
 
@@ -133,11 +147,15 @@ def settle_mmd(animation: RigAnimation) -> RigAnimation:
     off = _leg_goals(model)
     switches = {bone.name: np.full(frames, bone.name not in off) for bone in model.bones if bone.ik is not None}
     poses = pose_mmd(model, tracks, switches, frames=frames, fps=animation.fps)
-    return RigAnimation.of_world(animation.character, poses.rotations, poses.positions, animation.fps, animation.reference)
+    return RigAnimation.of_world(
+        animation.character, poses.rotations, poses.positions, animation.fps, animation.reference
+    )
 
 
 def _keys(model: MmdModel, rotations: np.ndarray, translations: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Keys of the bones that move, from how each stands on its parent: rotations (N, B, 3, 3) and translations (N, B, 3)."""
+    """Keys of the bones that move, from how each stands on its parent: rotations (N, B, 3, 3) and translations (N, B,
+    3).
+    """
     keyed_turns, keyed_moves = rotations.copy(), translations.copy()
     still = _still(rotations, translations)
     keyed_turns[:, still], keyed_moves[:, still] = np.eye(3), 0
@@ -146,12 +164,18 @@ def _keys(model: MmdModel, rotations: np.ndarray, translations: np.ndarray) -> d
     for bone in model.order:
         append = model.bones[bone].append
         if append is not None and append.rotation:
-            source = rotations[:, append.bone] if append.local else taken_turns.get(append.bone, keyed_turns[:, append.bone])
+            source = (
+                rotations[:, append.bone] if append.local else taken_turns.get(append.bone, keyed_turns[:, append.bone])
+            )
             taken_turns[bone] = matrix_from_axis_angle(append.ratio * axis_angle_from_matrix(source))
             if not still[bone]:
                 keyed_turns[:, bone] = rotations[:, bone] @ np.swapaxes(taken_turns[bone], -1, -2)
         if append is not None and append.translation:
-            move = translations[:, append.bone] if append.local else taken_moves.get(append.bone, keyed_moves[:, append.bone])
+            move = (
+                translations[:, append.bone]
+                if append.local
+                else taken_moves.get(append.bone, keyed_moves[:, append.bone])
+            )
             taken_moves[bone] = append.ratio * move
             if not still[bone]:
                 keyed_moves[:, bone] = translations[:, bone] - taken_moves[bone]
@@ -161,7 +185,9 @@ def _keys(model: MmdModel, rotations: np.ndarray, translations: np.ndarray) -> d
 
 def _still(rotations: np.ndarray, translations: np.ndarray) -> np.ndarray:
     """Bones that stand on their parents as they do at rest, shape (B,), bool."""
-    return np.asarray((np.abs(rotations - np.eye(3)).max(axis=(0, 2, 3)) < 1e-5) & (np.abs(translations).max(axis=(0, 2)) < 1e-5))
+    return np.asarray(
+        (np.abs(rotations - np.eye(3)).max(axis=(0, 2, 3)) < 1e-5) & (np.abs(translations).max(axis=(0, 2)) < 1e-5)
+    )
 
 
 def _resampled(animation: RigAnimation) -> tuple[np.ndarray, np.ndarray]:
@@ -174,9 +200,13 @@ def _resampled(animation: RigAnimation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _leg_goals(model: MmdModel) -> tuple[str, ...]:
-    """Bones whose inverse kinematics turn legs or feet; all that have some where the names do not tell what legs are."""
+    """Bones whose inverse kinematics turn legs or feet; all that have some where the names do not tell what legs
+    are.
+    """
     found = mmd_skeleton_map(model.names)
     if found is None:
         return tuple(bone.name for bone in model.bones if bone.ik is not None)
     legs = {found.of(name) for name in _LEGS}
-    return tuple(bone.name for bone in model.bones if bone.ik is not None and legs & {link.bone for link in bone.ik.links})
+    return tuple(
+        bone.name for bone in model.bones if bone.ik is not None and legs & {link.bone for link in bone.ik.links}
+    )

@@ -1,7 +1,8 @@
 """MMD's standard skeleton on the reference body, for motions that come without the model that they were made for.
 
-Keys of a VMD are relative to some model's rest pose and move feet by their inverse kinematics in that model's size. Those that are
-shared are made for bodies about 20 units tall whose hips are at 11 and whose arms hang 35 degrees below level; so is this one.
+Keys of a VMD are relative to some model's rest pose and move feet by their inverse kinematics in that model's size.
+Those that are shared are made for bodies about 20 units tall whose hips are at 11 and whose arms hang 35 degrees below
+level; so is this one.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ _HIPS, _CENTRE, _ARMS = 11 * MMD_METRE, 8 * MMD_METRE, np.radians(35)
 _KNEE = mmd_angles(np.radians([-180.0, 0, 0]), np.radians([-0.5, 0, 0]))
 
 
-def vmd_motion(motion: VmdMotion | str | Path, model: MmdModel | None = None, *, fps: float = VMD_FPS) -> SkeletalMotion:
+def vmd_motion(
+    motion: VmdMotion | str | Path, model: MmdModel | None = None, *, fps: float = VMD_FPS
+) -> SkeletalMotion:
     """A VMD as a motion of SMPL's 22 joints.
 
     Args:
@@ -52,7 +55,17 @@ def standard_model() -> MmdModel:
 
     def add(name: str, place: np.ndarray, parent: str = "", moves: bool = False, ik: MmdIk | None = None) -> None:
         number[name] = len(bones)
-        bones.append(MmdBone(name, "", np.asarray(place, float), number.get(parent, -1), layer=int(ik is not None), moves=moves, ik=ik))
+        bones.append(
+            MmdBone(
+                name,
+                "",
+                np.asarray(place, float),
+                number.get(parent, -1),
+                layer=int(ik is not None),
+                moves=moves,
+                ik=ik,
+            )
+        )
 
     add("全ての親", np.zeros(3), moves=True)
     add("センター", np.array([0, _CENTRE, 0]), "全ての親", True)
@@ -64,20 +77,48 @@ def standard_model() -> MmdModel:
     add("頭", places[_J["head"]], "首")
     add("下半身", waist, "腰")
     for mark, side in (("左", "left"), ("右", "right")):
-        for name, joint, parent in (("肩", "collar", "上半身2"), ("腕", "shoulder", "肩"), ("ひじ", "elbow", "腕捩"), ("手首", "wrist", "手捩")):
+        for name, joint, parent in (
+            ("肩", "collar", "上半身2"),
+            ("腕", "shoulder", "肩"),
+            ("ひじ", "elbow", "腕捩"),
+            ("手首", "wrist", "手捩"),
+        ):
             add(mark + name, places[_J[f"{side}_{joint}"]], parent if parent in number else mark + parent)
             twist = {"腕": ("腕捩", "elbow"), "ひじ": ("手捩", "wrist")}.get(name)
             if twist:  # half way down the limb, turned by keys of its own
-                add(mark + twist[0], (places[_J[f"{side}_{joint}"]] + places[_J[f"{side}_{twist[1]}"]]) / 2, mark + name)
-        for name, joint, parent in (("足", "hip", "下半身"), ("ひざ", "knee", "足"), ("足首", "ankle", "ひざ"), ("つま先", "foot", "足首")):
+                add(
+                    mark + twist[0], (places[_J[f"{side}_{joint}"]] + places[_J[f"{side}_{twist[1]}"]]) / 2, mark + name
+                )
+        for name, joint, parent in (
+            ("足", "hip", "下半身"),
+            ("ひざ", "knee", "足"),
+            ("足首", "ankle", "ひざ"),
+            ("つま先", "foot", "足首"),
+        ):
             add(mark + name, places[_J[f"{side}_{joint}"]], parent if parent in number else mark + parent)
         ankle, toe = places[_J[f"{side}_ankle"]], places[_J[f"{side}_foot"]]
         links = (MmdIkLink(number[mark + "ひざ"], *_KNEE), MmdIkLink(number[mark + "足"]))
         add(mark + "足IK親", ankle * [1, 0, 1], "全ての親", True)
         add(mark + "足ＩＫ", ankle, mark + "足IK親", True, MmdIk(number[mark + "足首"], 40, 2.0, links))
-        add(mark + "つま先ＩＫ", toe, mark + "足ＩＫ", True, MmdIk(number[mark + "つま先"], 3, 4.0, (MmdIkLink(number[mark + "足首"]),)))
+        add(
+            mark + "つま先ＩＫ",
+            toe,
+            mark + "足ＩＫ",
+            True,
+            MmdIk(number[mark + "つま先"], 3, 4.0, (MmdIkLink(number[mark + "足首"]),)),
+        )
     nothing = np.zeros((0, 3))
-    return MmdModel("", "standard bones", "", tuple(bones), (), (), (), np.zeros(0, np.uint8), MmdSdef(np.zeros(0, int), nothing, nothing, nothing))
+    return MmdModel(
+        "",
+        "standard bones",
+        "",
+        tuple(bones),
+        (),
+        (),
+        (),
+        np.zeros(0, np.uint8),
+        MmdSdef(np.zeros(0, int), nothing, nothing, nothing),
+    )
 
 
 def _a_pose() -> np.ndarray:

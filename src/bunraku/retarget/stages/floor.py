@@ -1,8 +1,8 @@
 """Nothing sinks into the ground and nothing that stands floats over it: the stage `floor` of fitting.
 
-The root is lifted where the body, without its feet, would sink. Feet are then put on the ground where they stand and lifted out of
-it where they do not, by bending their legs. What still sinks lifts the root once more. All lifts are smooth in time and never less
-than what is needed.
+The root is lifted where the body, without its feet, would sink. Feet are then put on the ground where they stand and
+lifted out of it where they do not, by bending their legs. What still sinks lifts the root once more. All lifts are
+smooth in time and never less than what is needed.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from scipy.ndimage import convolve1d, maximum_filter1d
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.legs import Leg, foot_points, move_feet
-from bunraku.retarget.stages.foot_lock import Contacts, add_bending
+from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.stages.feet import Contacts, add_bending
 from bunraku.retarget.stages.ground import lowest
-from bunraku.retarget.stages.joints import Joints
 
-__all__ = ["enough", "on_the_floor"]
+__all__ = ["enough", "settle_on_floor"]
 
 HAND = 0.45  # how far from the wrist a hand reaches, over the arm's length; farther out is what it holds
 DEPTH = 0.002  # what sinks less than this share of the height is left as it is
@@ -30,11 +30,15 @@ HOLD, PULL = 10.0, 0.05  # heights of standing feet, and of others, over the acc
 
 
 def enough(need: np.ndarray, reach: int) -> np.ndarray:
-    """A smooth curve that is nowhere below another one and nowhere larger than that is within twice `reach` frames, shape (N,)."""
+    """A smooth curve that is nowhere below another one and nowhere larger than that is within twice `reach` frames,
+    shape (N,).
+    """
     if not need.any():
         return np.zeros(len(need))
     window = np.hanning(2 * reach + 3)[1:-1]
-    return np.asarray(convolve1d(maximum_filter1d(need, 2 * reach + 1, mode="nearest"), window / window.sum(), mode="nearest"))
+    return np.asarray(
+        convolve1d(maximum_filter1d(need, 2 * reach + 1, mode="nearest"), window / window.sum(), mode="nearest")
+    )
 
 
 def _lifted(motion: HandleMotion, lift: np.ndarray) -> HandleMotion:
@@ -46,7 +50,8 @@ def _lifted(motion: HandleMotion, lift: np.ndarray) -> HandleMotion:
 
 
 def _foot_lifts(heights: np.ndarray, trust: np.ndarray, most: float, depth: float, reach: int) -> np.ndarray:
-    """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands, out of it where it does not.
+    """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands, out of it where it does
+    not.
 
     Args:
         heights: Of its lowest point over the ground [m], shape (N,).
@@ -64,7 +69,9 @@ def _foot_lifts(heights: np.ndarray, trust: np.ndarray, most: float, depth: floa
 
 
 def _solid(character: Character, handles: Handles, arms: list[Leg], stands: np.ndarray) -> np.ndarray:
-    """Vertices that must not sink, shape (V,), bool: what the character stands on, its arms and its hands, but not what they hold."""
+    """Vertices that must not sink, shape (V,), bool: what the character stands on, its arms and its hands, but not what
+    they hold.
+    """
     out = stands.copy()
     for arm in arms:
         out |= character.surface & (handles.weights[:, [arm.upper, arm.lower]].sum(axis=1) > 0.5)
@@ -78,7 +85,7 @@ def _held(character: Character, arm: Leg, near: bool) -> np.ndarray:
     return np.asarray(arm.foot_area[(away < HAND * arm.length) == near])
 
 
-def on_the_floor(
+def settle_on_floor(
     motion: HandleMotion,
     character: Character,
     handles: Handles,
@@ -99,7 +106,8 @@ def on_the_floor(
         legs: Its legs, L.
         arms: Its arms.
         contacts: Of its feet; None where they are not known.
-        stands: What may stand on the ground, shape (V,), bool. Arms and hands, but not what they hold, must not sink either.
+        stands: What may stand on the ground, shape (V,), bool. Arms and hands, but not what they hold, must not sink
+            either.
         floor: Height of the ground [m].
     """
     depth, reach = DEPTH * character.height, max(1, round(SPREAD * motion.fps))
@@ -110,7 +118,9 @@ def on_the_floor(
     def need(some: np.ndarray) -> np.ndarray:
         if not some.any():
             return np.zeros(len(motion))
-        return np.maximum(floor - depth - lowest(character.vertices[some], handles.weights[some], motion, handles.positions), 0)
+        return np.maximum(
+            floor - depth - lowest(character.vertices[some], handles.weights[some], motion, handles.positions), 0
+        )
 
     ends = np.zeros(len(character.vertices), bool)
     for limb in limbs:

@@ -15,19 +15,23 @@ from bunraku.core.skinning import skin
 from bunraku.geometry.extremes import part_extremes
 from bunraku.retarget.stages.rest_pose import upright
 
-__all__ = ["grounded", "lowest", "standing", "stride_scale"]
+__all__ = ["set_on_ground", "lowest", "standing", "stride_scale"]
 
 CHUNK = 500  # frames posed at once to find the lowest point: bounds memory
 _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
-_HANGING = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("shoulder", "elbow", "wrist", "fingers", "wing", "tail", "tail_tip"))]
+_HANGING = [
+    i
+    for i, name in enumerate(HANDLE_NAMES)
+    if name.endswith(("shoulder", "elbow", "wrist", "fingers", "wing", "tail", "tail_tip"))
+]
 
 
 def standing(character: Character, handles: Handles) -> np.ndarray:
-    """Vertices that may stand on the ground, shape (V,), bool: the surface, but of who stands on legs not what may hang lower
-    than the feet, such as a weapon in a hand, long arms or a tail.
+    """Vertices that may stand on the ground, shape (V,), bool: the surface, but of who stands on legs not what may hang
+    lower than the feet, such as a weapon in a hand, long arms or a tail.
 
     Args:
-        character: In the reference body's stance (`neutral_pose`): who sits has its legs below it all the same.
+        character: In the reference body's stance (`stance_of`): who sits has its legs below it all the same.
         handles: Its handles.
     """
     seen, heights = character.surface, character.vertices[:, 1]
@@ -38,7 +42,8 @@ def standing(character: Character, handles: Handles) -> np.ndarray:
 
 
 def stride_scale(character: Character, handles: Handles, stands: np.ndarray) -> float:
-    """How long the character's strides are over the reference body's: the height of the root handle over the floor, as a ratio.
+    """How long the character's strides are over the reference body's: the height of the root handle over the floor, as
+    a ratio.
 
     Args:
         character: In the reference body's stance.
@@ -64,11 +69,14 @@ def lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, posi
     return np.concatenate([skin(vertices[pick], weights[pick], part)[..., 1].min(axis=1) for part in parts])
 
 
-def grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, handles: Handles, scale: float, stands: np.ndarray) -> HandleMotion:
-    """The fitted motion with its lowest point as high over the floor, that of its rest pose, as the reference body's is over y = 0.
+def set_on_ground(
+    motion: HandleMotion, fitted: HandleMotion, character: Character, handles: Handles, scale: float, stands: np.ndarray
+) -> HandleMotion:
+    """The fitted motion with its lowest point as high over the floor, that of its rest pose, as the reference body's is
+    over y = 0.
 
-    The reference body's own drift off the ground is taken out first.
-    Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the ground is for that frame.
+    The reference body's own drift off the ground is taken out first. Nobody stays in the air for a second, so the
+    lowest height within 0.75 s of a frame is where the ground is for that frame.
     """
     body = reference_body()
     want = lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
@@ -78,9 +86,13 @@ def grounded(motion: HandleMotion, fitted: HandleMotion, character: Character, h
     seen = character.surface
     if stands.sum() < seen.sum():
         feet = standing(body.character(), body.handles)
-        hands_down = lowest(body.vertices[feet], body.handle_weights[feet], motion, body.handles.positions) > want + 0.01
+        hands_down = (
+            lowest(body.vertices[feet], body.handle_weights[feet], motion, body.handles.positions) > want + 0.01
+        )
         if hands_down.any():
-            have = np.where(hands_down, lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have)
+            have = np.where(
+                hands_down, lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have
+            )
     floor = float(character.vertices[stands, 1].min())
     lift = uniform_filter1d(floor + (want - drift) * scale - have, 5, mode="nearest")
     moved = fitted.root_translation.copy()

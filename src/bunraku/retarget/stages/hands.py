@@ -1,7 +1,8 @@
 """Hands that touch the body stay near it: the stage `hands` of fitting.
 
-Proportions differ, so a hand that lay on the hip ends beside it, or inside it. Where a hand of the reference body is near its head,
-chest, hips, a thigh or the other hand, the character's hand is brought to the same place of the same part, by bending the arm. A place
+Proportions differ, so a hand that lay on the hip ends beside it, or inside it. Where a hand of the reference body is
+near its head, chest, hips, a thigh or the other hand, the character's hand is brought to the same place of the same
+part, by bending the arm. A place
 is told in the box of a part: within it in shares of the box, outside of it as a gap in the character's scale.
 """
 
@@ -19,19 +20,28 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
 from bunraku.retarget.legs import Leg, move_feet
-from bunraku.retarget.stages.joints import Joints, attached
+from bunraku.retarget.stages.attach import Joints, attach_joints
 from bunraku.retarget.stages.rest_pose import upright
 
-__all__ = ["hands_kept"]
+__all__ = ["keep_hands"]
 
-NEAR, TOUCHES = 0.12, 0.05  # distance from a palm's middle to the body at which it begins to count, and counts wholly [m of the reference body]
-RESTS, PASSES = 0.3, 0.8  # speed of a palm along a part below which it may touch it, and over which it only passes by [m/s of the reference body]
+NEAR, TOUCHES = (
+    0.12,
+    0.05,
+)  # distance from a palm's middle to the body at which it begins to count, and counts wholly [m of the reference body]
+RESTS, PASSES = (
+    0.3,
+    0.8,
+    # speed of a palm along a part below which it may touch it, and over which it only passes by [m/s of the reference
+    # body]
+)
 CLOSE = 0.04  # a hand that is off its place by less than this stays where it is [m of the reference body]
 BLEND = 0.08  # deviation of the smoothing in time [s]
 MOST = 0.5  # how far a hand is moved at the most, over the arm's length
 PALM = 0.45  # what of a hand is this near to its wrist, over the arm's length, is no tool that it holds
 BOX = 0.02  # of a part's surface that may stick out of its box on each side
-_PARTS = {"head": ("head", "head_top", "face"), "spine3": ("spine2", "spine3", "left_wing", "right_wing"), "pelvis": ("pelvis", "spine1"),
+_PARTS = {"head": ("head", "head_top", "face"), "spine3": ("spine2", "spine3", "left_wing", "right_wing"),
+"pelvis": ("pelvis", "spine1"),
           "left_hip": ("left_hip",), "right_hip": ("right_hip",)}  # fmt: skip
 _H = {name: index for index, name in enumerate(HANDLE_NAMES)}
 _WRISTS = (_H["left_wrist"], _H["right_wrist"])
@@ -47,7 +57,7 @@ class _Part:
     points: np.ndarray
 
 
-def hands_kept(
+def keep_hands(
     motion: HandleMotion,
     fitted: HandleMotion,
     character: Character,
@@ -75,7 +85,10 @@ def hands_kept(
     body = reference_body()
     known = _parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
     stance = _stance(handles, joints, turns)
-    world, theirs = fitted.transforms(handles.positions).astype(np.float64), motion.transforms(body.handles.positions).astype(np.float64)
+    world, theirs = (
+        fitted.transforms(handles.positions).astype(np.float64),
+        motion.transforms(body.handles.positions).astype(np.float64),
+    )
     posed = np.einsum("vk,kij->vij", handles.weights, stance)
     vertices = np.einsum("vij,vj->vi", posed[..., :3], character.vertices) + posed[..., 3]
     own = _parts(vertices[character.surface], handles.weights[character.surface], handles.played)
@@ -115,10 +128,18 @@ def hands_kept(
     return move_feet(fitted, handles, joints, arms, shifts)
 
 
-def _joined(places: list[tuple[int, np.ndarray, np.ndarray]], shifts: np.ndarray, motion: HandleMotion, fitted: HandleMotion, scale: float) -> None:
+def _joined(
+    places: list[tuple[int, np.ndarray, np.ndarray]],
+    shifts: np.ndarray,
+    motion: HandleMotion,
+    fitted: HandleMotion,
+    scale: float,
+) -> None:
     """Bring hands together that touch each other, in place: each goes half of the way."""
     between = places[0][1] - places[1][1]
-    share = smooth_step(np.linalg.norm(between, axis=1) - NEAR / 2, NEAR, TOUCHES)  # palms' middles are apart by two hands
+    share = smooth_step(
+        np.linalg.norm(between, axis=1) - NEAR / 2, NEAR, TOUCHES
+    )  # palms' middles are apart by two hands
     turn = fitted.root_rotation.astype(np.float64) @ np.swapaxes(motion.root_rotation, -1, -2)
     want = np.einsum("nij,nj->ni", turn, between) * scale
     have = places[0][2] + shifts[:, 0] - places[1][2] - shifts[:, 1]
@@ -155,7 +176,7 @@ def _parts(vertices: np.ndarray, weights: np.ndarray, played: np.ndarray) -> dic
 
 def _stance(handles: Handles, joints: Joints, turns: np.ndarray) -> np.ndarray:
     """Transforms of the handles from the rest pose into the stance, shape (K, 3, 4)."""
-    rotations, translations = attached(turns[None].astype(np.float64), handles, joints)
+    rotations, translations = attach_joints(turns[None].astype(np.float64), handles, joints)
     still = HandleMotion(translations, rotations, np.zeros((1, 3)), np.eye(3)[None])
     return still.transforms(handles.positions)[0].astype(np.float64)
 
@@ -171,7 +192,9 @@ def _square(affine: np.ndarray) -> np.ndarray:
 
 def _applied(transforms: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (3,) or (N, 3) under affine transforms (N, 3, 4)."""
-    return np.asarray(np.einsum("nij,nj->ni", transforms[..., :3], np.broadcast_to(points, (len(transforms), 3))) + transforms[..., 3])
+    return np.asarray(
+        np.einsum("nij,nj->ni", transforms[..., :3], np.broadcast_to(points, (len(transforms), 3))) + transforms[..., 3]
+    )
 
 
 def _unapplied(transforms: np.ndarray, points: np.ndarray) -> np.ndarray:

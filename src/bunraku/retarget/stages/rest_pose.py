@@ -7,7 +7,7 @@ import numpy as np
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
-from bunraku.retarget.stages.joints import Joints
+from bunraku.retarget.stages.attach import Joints
 
 __all__ = ["rest_rotations", "upright"]
 
@@ -15,7 +15,10 @@ _LIMB_ENDS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ank
 _FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") for part in ("wrist", "fingers")}
 _BUILT_BENT = ([30, 45, 70, 80], [1, 0, 0, 1])  # how far a bent leg is straightened, by its angle [degrees]
 _KNEE = ([20, 40], [0, 1])  # how far the parts of a leg turn on their own, by the bend of the knee [degrees]
-_SITS, _CROUCHES = ([55, 65], [0, 1]), ([30, 40], [0, 1])  # how far a thigh takes its shin with it; without arms and with them
+_SITS, _CROUCHES = (
+    ([55, 65], [0, 1]),
+    ([30, 40], [0, 1]),
+)  # how far a thigh takes its shin with it; without arms and with them
 WIDE = 30.0  # legs that point farther outwards are turned down [degrees]
 SHORTEST = 0.02  # limbs shorter than this share of the height have no direction worth a turn
 
@@ -23,16 +26,23 @@ SHORTEST = 0.02  # limbs shorter than this share of the height have no direction
 _Limb = tuple[np.ndarray, np.ndarray]  # where it points and where the reference body's does, shape (3,) each
 
 
-def rest_rotations(handles: Handles, joints: Joints, reference: Handles, reference_joints: Joints, height: float) -> np.ndarray:
-    """Rotation of each handle that turns the character's rest direction of a limb into the reference body's, shape (K, 3, 3).
+def rest_rotations(
+    handles: Handles, joints: Joints, reference: Handles, reference_joints: Joints, height: float
+) -> np.ndarray:
+    """Rotation of each handle that turns the character's rest direction of a limb into the reference body's, shape (K,
+    3, 3).
 
-    Arms, and the front legs of animals, are turned wholly: a forearm goes along with its upper arm and is then straightened, and
-    hands follow their forearms. Legs of upright characters keep their stance, but do not sit or crouch (see `_leg_turns`); hind
-    legs of animals are left as they are. Everything else keeps the identity.
+    Arms, and the front legs of animals, are turned wholly: a forearm goes along with its upper arm and is then
+    straightened, and hands follow their forearms. Legs of upright characters keep their stance, but do not sit or
+    crouch (see `_leg_turns`); hind legs of animals are left as they are. Everything else keeps the identity.
     """
     out = np.tile(np.eye(3), (len(handles.positions), 1, 1))
     stands = upright(handles)
-    armed = bool(joints.present[[HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]].all())
+    armed = bool(
+        joints.present[
+            [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]
+        ].all()
+    )
 
     def direction(part: str, side: str) -> _Limb | None:
         """Of a limb; None where it is absent or too short."""
@@ -40,9 +50,15 @@ def rest_rotations(handles: Handles, joints: Joints, reference: Handles, referen
         if not joints.present[handle]:
             return None
         if joints.present[child]:
-            own, want = joints.positions[child] - joints.positions[handle], reference_joints.positions[child] - reference_joints.positions[handle]
+            own, want = (
+                joints.positions[child] - joints.positions[handle],
+                reference_joints.positions[child] - reference_joints.positions[handle],
+            )
         else:
-            own, want = handles.positions[handle] - joints.positions[handle], reference.positions[handle] - reference_joints.positions[handle]
+            own, want = (
+                handles.positions[handle] - joints.positions[handle],
+                reference.positions[handle] - reference_joints.positions[handle],
+            )
         return None if np.linalg.norm(own) < SHORTEST * height else (own, want)
 
     for side in ("left", "right"):
@@ -57,10 +73,18 @@ def rest_rotations(handles: Handles, joints: Joints, reference: Handles, referen
         if stands:
             hip, knee, ankle = (HANDLE_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle"))
             thigh, leg = direction("hip", side), None
-            if thigh is not None and joints.present[knee]:  # a hip sits deep in the body: the middle of the thigh is found more surely
-                thigh = joints.positions[knee] - handles.positions[hip], reference_joints.positions[knee] - reference.positions[hip]
+            if (
+                thigh is not None and joints.present[knee]
+            ):  # a hip sits deep in the body: the middle of the thigh is found more surely
+                thigh = (
+                    joints.positions[knee] - handles.positions[hip],
+                    reference_joints.positions[knee] - reference.positions[hip],
+                )
             if joints.present[[hip, ankle]].all():
-                leg = joints.positions[ankle] - joints.positions[hip], reference_joints.positions[ankle] - reference_joints.positions[hip]
+                leg = (
+                    joints.positions[ankle] - joints.positions[hip],
+                    reference_joints.positions[ankle] - reference_joints.positions[hip],
+                )
             out[[hip, knee]] = _leg_turns(thigh, direction("knee", side), leg, armed)
     for name, lead in _FOLLOWERS.items():
         out[HANDLE_NAMES.index(name)] = out[HANDLE_NAMES.index(lead)]
@@ -68,7 +92,9 @@ def rest_rotations(handles: Handles, joints: Joints, reference: Handles, referen
 
 
 def upright(handles: Handles) -> bool:
-    """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to stand on."""
+    """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to
+    stand on.
+    """
     if handles.roles is not None:
         return False
     spine = handles.positions[HANDLE_NAMES.index("head")] - handles.positions[0]
@@ -76,12 +102,14 @@ def upright(handles: Handles) -> bool:
 
 
 def _leg_turns(thigh: _Limb | None, shin: _Limb | None, leg: _Limb | None, armed: bool) -> np.ndarray:
-    """Turns of a thigh and a shin, shape (2, 3, 3), from where each and the whole leg point and where the reference body's do.
+    """Turns of a thigh and a shin, shape (2, 3, 3), from where each and the whole leg point and where the reference
+    body's do.
 
-    Standing wide is style and stays: legs turn about the axis from left to right. Who has arms stands on straight thighs, so bent ones
-    idle, sit or crouch and are straightened, with their shins. Legs without a body that has arms may be built bent, as those of birds
-    and walking machines are, so a thigh or a shin that is bent by more than an idle pose and less than sitting stays. A leg whose knee is
-    hardly bent turns as one, because estimates of single joints are not exact enough to bend a knee by.
+    Standing wide is style and stays: legs turn about the axis from left to right. Who has arms stands on straight
+    thighs, so bent ones idle, sit or crouch and are straightened, with their shins. Legs without a body that has arms
+    may be built bent, as those of birds and walking machines are, so a thigh or a shin that is bent by more than an
+    idle pose and less than sitting stays. A leg whose knee is hardly bent turns as one, because estimates of single
+    joints are not exact enough to bend a knee by.
     """
     out = np.tile(np.eye(3), (2, 1, 1))
     for number, limb in enumerate((thigh, shin)):

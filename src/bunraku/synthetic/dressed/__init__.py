@@ -1,4 +1,5 @@
-"""Dressed people to train on: MakeHuman bodies of every shape and age, in clothes, with hats and capes, in the proportions of games.
+"""Dressed people to train on: MakeHuman bodies of every shape and age, in clothes, with hats and capes, in the
+proportions of games.
 
 `dressed_person` makes one.
 """

@@ -49,7 +49,10 @@ def _tube(centers: np.ndarray, radii: np.ndarray, sides: int = 10) -> tuple[np.n
     angle = np.arange(sides) * 2 * np.pi / sides
     rings = np.stack([np.cos(angle), np.zeros(sides), -np.sin(angle)], axis=1)
     up = np.array([0, 1.0, 0])
-    points = [center + radius * rings @ rotation_between(up, step).T for center, radius, step in zip(centers, radii, along, strict=True)]
+    points = [
+        center + radius * rings @ rotation_between(up, step).T
+        for center, radius, step in zip(centers, radii, along, strict=True)
+    ]
     return np.concatenate(points), _grid(len(centers), sides, closed=True)
 
 
@@ -61,7 +64,9 @@ def _box(center: np.ndarray, size: Sequence[float] | np.ndarray) -> tuple[np.nda
 
 def _skull(wardrobe: Wardrobe, worn: Worn) -> tuple[np.ndarray, np.ndarray]:
     """Centre and half extents of the head [m]."""
-    head = worn.vertices[wardrobe.body.groups["body"]][wardrobe.body.joint_weights[wardrobe.body.groups["body"], _J["head"]] > 0.95]
+    head = worn.vertices[wardrobe.body.groups["body"]][
+        wardrobe.body.joint_weights[wardrobe.body.groups["body"], _J["head"]] > 0.95
+    ]
     low, high = head.min(axis=0), head.max(axis=0)
     return (low + high) / 2, (high - low) / 2
 
@@ -73,7 +78,8 @@ def hat(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     profile[:, 1] *= rng.uniform(0.7, 1.3)
     ring = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     fat = 1.05 * rng.uniform(1, 1.15)
-    local = np.stack([profile[:, :1] * np.cos(ring) * half[0] * fat, np.broadcast_to(2 * half[1] * profile[:, 1:], (len(profile), 20)),
+    local = np.stack([profile[:, :1] * np.cos(ring) * half[0] * fat, np.broadcast_to(2 * half[1] * profile[:, 1:],
+    (len(profile), 20)),
                       -profile[:, :1] * np.sin(ring) * half[2] * fat], axis=-1).reshape(-1, 3)  # fmt: skip
     tilt = np.asarray(matrix_from_axis_angle(rng.normal(0, 0.12, 3)))
     brow = center + half * np.array([0, rng.uniform(0.35, 0.6), -0.1])
@@ -89,7 +95,12 @@ def ears(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     pieces = []
     for side in (1, -1):
         out = np.array([side * np.sin(angle), np.cos(angle), 0])
-        curve = center + half * out * 0.92 + length * t * (out + [0, 0, -lean]) + length * bend * t * t * np.array([side * 0.6, 0.3, 0.4])
+        curve = (
+            center
+            + half * out * 0.92
+            + length * t * (out + [0, 0, -lean])
+            + length * bend * t * t * np.array([side * 0.6, 0.3, 0.4])
+        )
         points, faces = _tube(curve, wide * np.sin(np.pi * (0.35 + 0.63 * t[:, 0])), 8)
         pieces.append(_rigid(points, faces, "head", "head_top"))
     return joined(pieces)
@@ -102,7 +113,11 @@ def spikes(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     center, half = _skull(wardrobe, worn)
     skin = body.groups["body"]
     offset = (worn.vertices[skin] - center) / half
-    scalp = skin[(body.joint_weights[skin, _J["head"]] > 0.95) & (offset[:, 1] > 0.1 + 0.6 * offset[:, 2]) & (np.abs(normals[skin]).sum(axis=1) > 0)]
+    scalp = skin[
+        (body.joint_weights[skin, _J["head"]] > 0.95)
+        & (offset[:, 1] > 0.1 + 0.6 * offset[:, 2])
+        & (np.abs(normals[skin]).sum(axis=1) > 0)
+    ]
     pieces = []
     comb = rng.normal(0, 0.5, 3) + [0, 0.2, -0.4]
     long, wide = half[1] * rng.uniform(0.4, 1.1), half[0] * rng.uniform(0.2, 0.4)
@@ -137,7 +152,11 @@ def _back(wardrobe: Wardrobe, worn: Worn, heights: np.ndarray) -> np.ndarray:
 
 def cape(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     """A cape down the back: it hangs from the chest, and its halves are the two wings."""
-    shoulder, neck, floor = worn.joints[_J["left_shoulder"]], worn.joints[_J["neck"]], worn.vertices[:BODY_VERTICES, 1].min()
+    shoulder, neck, floor = (
+        worn.joints[_J["left_shoulder"]],
+        worn.joints[_J["neck"]],
+        worn.vertices[:BODY_VERTICES, 1].min(),
+    )
     u, v = np.meshgrid(np.linspace(-1, 1, 25), np.linspace(0, 1, 24))
     length = (shoulder[1] - floor) * rng.uniform(0.35, 0.97)
     y = shoulder[1] + 0.6 * (neck[1] - shoulder[1]) * (1 - u**2) - v * length
@@ -164,10 +183,19 @@ def wings(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     root = np.array([0.03, chest[1] + 0.05, _back(wardrobe, worn, chest[1:2])[0] + 0.01])
     span, lift, sweep = size * rng.uniform(0.25, 0.6), rng.uniform(-0.1, 0.9), rng.uniform(0.1, 0.9)
     u, v = np.meshgrid(np.linspace(0, 1, 16), np.linspace(0, 1, 9))
-    depth = size * rng.uniform(0.12, 0.4) * (0.35 + u) * (1 + 0.3 * np.cos(u * np.pi * int(rng.integers(2, 7)))) * (1.15 - u)
+    depth = (
+        size
+        * rng.uniform(0.12, 0.4)
+        * (0.35 + u)
+        * (1 + 0.3 * np.cos(u * np.pi * int(rng.integers(2, 7))))
+        * (1.15 - u)
+    )
     x, y, z = u * span, lift * span * np.sin(u * 2.0) - v * depth, -sweep * span * u
     right = root + np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    pieces = [_rigid(right, _grid(9, 16), "spine3", "left_wing"), _rigid(right * [-1, 1, 1], _grid(9, 16)[:, ::-1], "spine3", "right_wing")]
+    pieces = [
+        _rigid(right, _grid(9, 16), "spine3", "left_wing"),
+        _rigid(right * [-1, 1, 1], _grid(9, 16)[:, ::-1], "spine3", "right_wing"),
+    ]
     return joined(pieces)
 
 
@@ -176,7 +204,12 @@ def tail(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     pelvis, size = worn.joints[0], float(np.ptp(worn.vertices[:BODY_VERTICES, 1]))
     start = np.array([0, pelvis[1] - 0.02, _back(wardrobe, worn, pelvis[1:2])[0] + 0.03])
     t = np.linspace(0, 1, 14)
-    length, pitch, curl, sway = size * rng.uniform(0.25, 0.7), rng.uniform(-1.2, 0.5), rng.uniform(-0.5, 2.2), rng.normal(0, 0.5)
+    length, pitch, curl, sway = (
+        size * rng.uniform(0.25, 0.7),
+        rng.uniform(-1.2, 0.5),
+        rng.uniform(-0.5, 2.2),
+        rng.normal(0, 0.5),
+    )
     step = np.stack([np.sin(sway * t), np.sin(pitch + curl * t), -np.cos(pitch + curl * t)], axis=1) * length / len(t)
     radii = size * rng.uniform(0.012, 0.04) * (1 - rng.uniform(0.3, 0.95) * t)
     points, faces = _tube(start + np.cumsum(step, axis=0), radii)
@@ -203,12 +236,21 @@ def shoulder_pads(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> P
     """A dome on each shoulder, which moves with the upper arm."""
     size = float(np.ptp(worn.vertices[:BODY_VERTICES, 1])) * rng.uniform(0.04, 0.08)
     ring, rise = np.linspace(0, 2 * np.pi, 12, endpoint=False), np.linspace(0, np.pi / 2.05, 6)[:, None]
-    dome = np.stack([np.cos(rise) * np.cos(ring), np.broadcast_to(np.sin(rise), (6, 12)), -np.cos(rise) * np.sin(ring)], axis=-1).reshape(-1, 3)
+    dome = np.stack(
+        [np.cos(rise) * np.cos(ring), np.broadcast_to(np.sin(rise), (6, 12)), -np.cos(rise) * np.sin(ring)], axis=-1
+    ).reshape(-1, 3)
     dome = dome * size * rng.uniform(0.8, 1.3, 3)
     pieces = []
     for side, name in ((1, "left_shoulder"), (-1, "right_shoulder")):
         turn = np.asarray(matrix_from_axis_angle(np.array([0, 0, -0.6 * side])))
-        pieces.append(_rigid((dome @ turn.T) + worn.joints[_J[name]] + [0.2 * side * size, 0.1 * size, 0], _grid(6, 12, closed=True), name, name))
+        pieces.append(
+            _rigid(
+                (dome @ turn.T) + worn.joints[_J[name]] + [0.2 * side * size, 0.1 * size, 0],
+                _grid(6, 12, closed=True),
+                name,
+                name,
+            )
+        )
     return joined(pieces)
 
 
@@ -224,7 +266,9 @@ def helmet(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     return Piece(middle + (points - middle) * grow, head.faces, head.joints, head.handles)
 
 
-def shell(wardrobe: Wardrobe, worn: Worn, group: str, joints: Sequence[str], thickness: float, flare: float = 0.0) -> Piece:
+def shell(
+    wardrobe: Wardrobe, worn: Worn, group: str, joints: Sequence[str], thickness: float, flare: float = 0.0
+) -> Piece:
     """A part of the skin or of the tights, moved outwards: gloves, boots, armour, sleeves, trousers.
 
     Args:
@@ -237,5 +281,7 @@ def shell(wardrobe: Wardrobe, worn: Worn, group: str, joints: Sequence[str], thi
     piece = wardrobe.part(worn, group)
     weights = piece.joints
     kept = piece.cut(weights[:, [_J[name] for name in joints]].sum(axis=1) > 0.5)
-    ends = kept.joints[:, [_J[f"{side}_{part}"] for side in ("left", "right") for part in ("knee", "ankle", "elbow", "wrist")]].sum(axis=1)
+    ends = kept.joints[
+        :, [_J[f"{side}_{part}"] for side in ("left", "right") for part in ("knee", "ankle", "elbow", "wrist")]
+    ].sum(axis=1)
     return kept.puffed(thickness + flare * ends)

@@ -1,4 +1,6 @@
-"""What a dressed character wears: random outfits from the archive's clothes, garments cut from the base mesh, and extras."""
+"""What a dressed character wears: random outfits from the archive's clothes, garments cut from the base mesh, and
+extras.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ class Outfit:
 
 
 def random_outfit(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Outfit:
-    """A random outfit: a suit of the archive, its parts mixed, garments made of the helper surfaces, or next to nothing."""
+    """A random outfit: a suit of the archive, its parts mixed, garments made of the helper surfaces, or next to
+    nothing.
+    """
     outfit = Outfit()
     kind = rng.choice(["archive", "overall", "gown", "bare"], p=[0.73, 0.1, 0.1, 0.07])
     if kind == "overall" and wardrobe.whole:
@@ -56,7 +60,13 @@ def random_outfit(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> O
     if rng.random() < 0.1:
         _armour(outfit, wardrobe, worn, rng)
     _head(outfit, wardrobe, worn, rng)
-    for rate, extra in ((0.1, extras.cape), (0.04, extras.wings), (0.06, extras.tail), (0.08, extras.bag), (0.06, extras.shoulder_pads)):
+    for rate, extra in (
+        (0.1, extras.cape),
+        (0.04, extras.wings),
+        (0.06, extras.tail),
+        (0.08, extras.bag),
+        (0.06, extras.shoulder_pads),
+    ):
         if rng.random() < rate:
             outfit.add(extra.__name__, extra(wardrobe, worn, rng))
     return outfit
@@ -121,13 +131,20 @@ def _hands_and_feet(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.rand
         name, garment = _pick(wardrobe.shoes, rng)
         outfit.add(name, wardrobe.wear(garment, worn), garment.clothes.deleted)
     elif chance < 0.85:
-        shaft = wardrobe.body.joint_weights[:, 4:6].sum(axis=1) + wardrobe.body.joint_weights[:, [7, 8, 10, 11]].sum(axis=1)
+        shaft = wardrobe.body.joint_weights[:, 4:6].sum(axis=1) + wardrobe.body.joint_weights[:, [7, 8, 10, 11]].sum(
+            axis=1
+        )
         boots = wardrobe.part(worn, "helper-tights").puffed(rng.uniform(0.006, 0.03))
         knee, ankle = worn.joints[4, 1], worn.joints[7, 1]
         tights = np.unique(wardrobe.body.groups["helper-tights"])
-        outfit.add("boots", boots.cut((shaft[tights] > 0.5) & (boots.points[:, 1] < ankle + rng.uniform(0.15, 1) * (knee - ankle))))
+        outfit.add(
+            "boots",
+            boots.cut((shaft[tights] > 0.5) & (boots.points[:, 1] < ankle + rng.uniform(0.15, 1) * (knee - ankle))),
+        )
     if rng.random() < 0.15:
-        outfit.add("gloves", extras.shell(wardrobe, worn, "body", ("left_wrist", "right_wrist"), rng.uniform(0.002, 0.008)))
+        outfit.add(
+            "gloves", extras.shell(wardrobe, worn, "body", ("left_wrist", "right_wrist"), rng.uniform(0.002, 0.008))
+        )
 
 
 def _armour(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> None:

@@ -1,4 +1,6 @@
-"""Dressed people for the Mesh Handle Predictor: MakeHuman bodies of every shape, in MakeHuman's clothes, in game proportions."""
+"""Dressed people for the Mesh Handle Predictor: MakeHuman bodies of every shape, in MakeHuman's clothes, in game
+proportions.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ class Dressed:
 def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
     """A random person in random clothes; the same seed gives the same one.
 
-    A fifth of them are melted into one closed surface, as scans are, and a fifth are simplified to a game's few triangles.
+    A fifth of them are melted into one closed surface, as scans are, and a fifth are simplified to a game's few
+    triangles.
     """
     rng = np.random.default_rng(seed)
     vertices = wardrobe.body.shape(random_body(rng))
@@ -65,7 +68,9 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
     whole = Piece(points, whole.faces, whole.joints, whole.handles)
     form = rng.choice(["plain", "melted", "low"], p=[0.6, 0.2, 0.2])
     if form == "melted":
-        solid = Piece(pose_points(skin.points, worn.joints, skin.joints, linear)[0], skin.faces, skin.joints, skin.handles)
+        solid = Piece(
+            pose_points(skin.points, worn.joints, skin.joints, linear)[0], skin.faces, skin.joints, skin.handles
+        )
         cell = float(np.ptp(points[:, 1]) / rng.uniform(70, 130))
         whole = melted(whole, solid, cell, cell * float(rng.uniform(0.6, 1.0)))
     elif form == "low":
@@ -74,8 +79,12 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
 
 
 def _covered(worn: Worn, outfit: Outfit) -> np.ndarray:
-    """Base vertices that the clothes hide and that are near some of them: garments of an archive expect others beside them."""
+    """Base vertices that the clothes hide and that are near some of them: garments of an archive expect others beside
+    them.
+    """
     hidden = np.unique(np.concatenate(outfit.hidden))
     reach = 0.025 * float(np.ptp(worn.vertices[:BODY_VERTICES, 1]))
-    distance = cKDTree(np.concatenate([piece.points for piece in outfit.pieces])).query(worn.vertices[hidden], distance_upper_bound=reach)[0]
+    distance = cKDTree(np.concatenate([piece.points for piece in outfit.pieces])).query(
+        worn.vertices[hidden], distance_upper_bound=reach
+    )[0]
     return hidden[np.isfinite(distance)]

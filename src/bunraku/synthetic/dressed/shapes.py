@@ -19,13 +19,17 @@ def random_body(rng: np.random.Generator) -> dict[str, float]:
     african, asian, caucasian = rng.dirichlet([0.6, 0.6, 0.6])
     return {
         "gender": float(rng.beta(0.5, 0.5)), "age": float(rng.uniform(low, high)), "muscle": float(rng.beta(1.2, 1.2)),
-        "weight": float(rng.beta(1.2, 1.2)), "height": float(rng.random()), "proportions": float(rng.random()), "cupsize": float(rng.beta(1.5, 1.5)),
-        "firmness": float(rng.random()), "african": float(african), "asian": float(asian), "caucasian": float(caucasian),
+        "weight": float(rng.beta(1.2, 1.2)), "height": float(rng.random()), "proportions": float(rng.random()),
+        "cupsize": float(rng.beta(1.5, 1.5)),
+        "firmness": float(rng.random()), "african": float(african), "asian": float(asian),
+        "caucasian": float(caucasian),
     }  # fmt: skip
 
 
 def random_proportions(rng: np.random.Generator) -> np.ndarray:
-    """How much each part is scaled along X, Y and Z in a T-pose, shape (22, 3): plain people, and the ways in which games draw them."""
+    """How much each part is scaled along X, Y and Z in a T-pose, shape (22, 3): plain people, and the ways in which
+    games draw them.
+    """
     between = rng.uniform
     style = rng.choice(["person", "chibi", "toon", "heroic", "stocky"], p=[0.4, 0.18, 0.2, 0.12, 0.1])
     leg = leg_girth = arm = arm_girth = torso = width = head = hand = foot = 1.0
@@ -73,7 +77,9 @@ def rest_linear(joints: np.ndarray, proportions: np.ndarray, arm: float, elbow: 
 
 
 def random_figure(rng: np.random.Generator, joints: np.ndarray) -> np.ndarray:
-    """A random rest pose (T, A, arms down, between) and random proportions, as linear maps of the parts, shape (22, 3, 3)."""
+    """A random rest pose (T, A, arms down, between) and random proportions, as linear maps of the parts, shape (22, 3,
+    3).
+    """
     pose = rng.choice(4, p=[0.4, 0.3, 0.2, 0.1])
     arm = (rng.normal(0, 0.04), rng.normal(0.75, 0.12), rng.normal(1.25, 0.08), rng.uniform(-0.2, 1.3))[pose]
     elbow = float(rng.uniform(0, 0.5)) if rng.random() < 0.35 else 0.0

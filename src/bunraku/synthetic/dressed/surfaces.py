@@ -1,4 +1,6 @@
-"""Other meshes of the same shape: one closed skin around many parts, as scans and image-to-3D programs give it, or few triangles."""
+"""Other meshes of the same shape: one closed skin around many parts, as scans and image-to-3D programs give it, or few
+triangles.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 
 
 
 def melted(piece: Piece, solid: Piece, cell: float, thickness: float) -> Piece:
-    """The outside of all points nearer to a mesh than `thickness`, by marching cubes; weights are those of the nearest points.
+    """The outside of all points nearer to a mesh than `thickness`, by marching cubes; weights are those of the nearest
+    points.
 
     Args:
         piece: Everything that is seen, open and closed surfaces.
@@ -32,7 +35,9 @@ def melted(piece: Piece, solid: Piece, cell: float, thickness: float) -> Piece:
         if len(some):
             a, b = np.meshgrid(np.linspace(0, 1, count + 1), np.linspace(0, 1, count + 1))
             shares = np.stack([1 - a, a * (1 - b), a * b], axis=-1).reshape(-1, 3)
-            near[tuple(np.rint((np.einsum("kc,fca->fka", shares, some) - low) / cell).astype(int).reshape(-1, 3).T)] = True
+            near[tuple(np.rint((np.einsum("kc,fca->fka", shares, some) - low) / cell).astype(int).reshape(-1, 3).T)] = (
+                True
+            )
     reach = int(np.ceil(thickness / cell)) + 1
     for axis in range(3):
         near = np.any([np.roll(near, shift, axis) for shift in range(-reach, reach + 1)], axis=0)
@@ -54,12 +59,16 @@ def melted(piece: Piece, solid: Piece, cell: float, thickness: float) -> Piece:
 
 
 def simplified(piece: Piece, faces: int) -> Piece:
-    """The mesh with at most so many triangles, as characters of games have them; weights are those of the nearest points."""
+    """The mesh with at most so many triangles, as characters of games have them; weights are those of the nearest
+    points.
+    """
     import fast_simplification
 
     if faces >= len(piece.faces):
         return piece
-    points, triangles = fast_simplification.simplify(piece.points.astype(np.float32), piece.faces.astype(np.int32), target_count=faces)
+    points, triangles = fast_simplification.simplify(
+        piece.points.astype(np.float32), piece.faces.astype(np.int32), target_count=faces
+    )
     if len(triangles) < 0.2 * faces:  # it collapsed
         return piece
     return _labelled(points.astype(np.float64), triangles.astype(np.int64), piece)
@@ -70,7 +79,9 @@ def _labelled(vertices: np.ndarray, faces: np.ndarray, piece: Piece) -> Piece:
 
     _, triangle, nearest = igl.point_mesh_squared_distance(vertices, piece.points, piece.faces)
     corners = piece.faces[triangle]
-    shares = igl.barycentric_coordinates(nearest, *(np.ascontiguousarray(piece.points[corners[:, corner]]) for corner in range(3)))
+    shares = igl.barycentric_coordinates(
+        nearest, *(np.ascontiguousarray(piece.points[corners[:, corner]]) for corner in range(3))
+    )
     shares = np.clip(np.nan_to_num(shares, nan=1 / 3), 0, 1)
     shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1e-9)
     joints, handles = (np.einsum("vc,vck->vk", shares, weights[corners]) for weights in (piece.joints, piece.handles))

@@ -1,7 +1,9 @@
-"""What dressed characters wear: MakeHuman's clothes taken apart, and garments cut from the helper surfaces of its base mesh.
+"""What dressed characters wear: MakeHuman's clothes taken apart, and garments cut from the helper surfaces of its base
+mesh.
 
-A piece is worn over one body shape; its vertices have the joint and handle weights of the base vertices they are bound to.
-Hair and hats move with the head and are the handle `head_top`; skirts follow pelvis and legs, blended from left to right.
+A piece is worn over one body shape; its vertices have the joint and handle weights of the base vertices they are bound
+to. Hair and hats move with the head and are the handle `head_top`; skirts follow pelvis and legs, blended from left to
+right.
 """
 
 from __future__ import annotations
@@ -78,7 +80,8 @@ def joined(pieces: list[Piece]) -> Piece:
 
 
 def skirt_weights(points: np.ndarray, joints: np.ndarray, carried: np.ndarray) -> np.ndarray:
-    """Weights of a skirt as game rigs have them: the pelvis at the waist, the thighs further down, half and half in the middle.
+    """Weights of a skirt as game rigs have them: the pelvis at the waist, the thighs further down, half and half in the
+    middle.
 
     Args:
         points: Shape (V, 3).
@@ -133,7 +136,11 @@ class Wardrobe:
         for file in files:
             self._sort(file.stem, read_mhclo(file))
         if not (self.upper and self.lower):
-            raise FormatError(folder, "there are no MakeHuman clothes (.mhclo) for the upper and the lower body here; name the unpacked folder")
+            raise FormatError(
+                folder,
+                "there are no MakeHuman clothes (.mhclo) for the upper and the lower body here; name the unpacked "
+                "folder",
+            )
 
     def _sort(self, name: str, clothes: Clothes) -> None:
         weights = fit_weights(clothes, self.body.joint_weights)
@@ -157,7 +164,9 @@ class Wardrobe:
             return
         for shelf, kind in ((self.lower, legs[parts] > 0.5), (self.upper, legs[parts] <= 0.5)):
             if kind.sum() > 50:
-                shelf[name] = Garment(clothes, kind, _hangs(fit(clothes, self._plain.vertices), self._plain.joints, clothes.faces, kind))
+                shelf[name] = Garment(
+                    clothes, kind, _hangs(fit(clothes, self._plain.vertices), self._plain.joints, clothes.faces, kind)
+                )
 
     def wear(self, garment: Garment, worn: Worn) -> Piece:
         """A garment of the archive on a body."""
@@ -175,7 +184,9 @@ class Wardrobe:
         return Piece(points, garment.clothes.faces, joints, handles)
 
     def part(self, worn: Worn, *groups: str, keep: np.ndarray | None = None) -> Piece:
-        """Parts of the base mesh itself ("body", "helper-tights", "helper-l-eye", ...), or what is kept of them, shape (B,) bool."""
+        """Parts of the base mesh itself ("body", "helper-tights", "helper-l-eye", ...), or what is kept of them, shape
+        (B,) bool.
+        """
         wanted = np.zeros(len(worn.vertices), bool)
         for group in groups:
             wanted[self.body.groups[group]] = True
@@ -195,8 +206,14 @@ class Wardrobe:
         hem = float(np.interp(length, [0, 1, 2], [hip, knee, ankle]))
         points = piece.points.copy()
         down = smooth_step(points[:, 1], hip + 0.1, ankle)
-        points[:, [0, 2]] = worn.joints[0, [0, 2]] + (points[:, [0, 2]] - worn.joints[0, [0, 2]]) * (1 + flare * down[:, None])
-        piece = Piece(points, piece.faces, *(skirt_weights(points, worn.joints, weights) for weights in (piece.joints, piece.handles)))
+        points[:, [0, 2]] = worn.joints[0, [0, 2]] + (points[:, [0, 2]] - worn.joints[0, [0, 2]]) * (
+            1 + flare * down[:, None]
+        )
+        piece = Piece(
+            points,
+            piece.faces,
+            *(skirt_weights(points, worn.joints, weights) for weights in (piece.joints, piece.handles)),
+        )
         return piece.cut(points[:, 1] >= min(hem, hip - 0.1))
 
 

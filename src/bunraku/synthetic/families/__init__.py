@@ -1,9 +1,11 @@
-"""Characters made by code, each from a family and a seed, for training and testing on more shapes than any archive holds.
+"""Characters made by code, each from a family and a seed, for training and testing on more shapes than any archive
+holds.
 
-People of all proportions, dressed and armed; mascots; beasts on two and four legs; dragons, birds, fish, insects, blobs. Their
-bones have names that `bunraku.skeletons.bone_names` reads, so that every part has the handle that it has on characters made by
-artists. They face +Z, stand on y = 0 (or hang above it) and have their left at +X. Meshes vary as those of artists do: one
-skin, a skin for each limb, or many closed parts that cut through each other; many triangles or few; soft weights or rigid ones.
+People of all proportions, dressed and armed; mascots; beasts on two and four legs; dragons, birds, fish, insects,
+blobs. Their bones have names that `bunraku.skeletons.bone_names` reads, so that every part has the handle that it has
+on characters made by artists. They face +Z, stand on y = 0 (or hang above it) and have their left at +X. Meshes vary as
+those of artists do: one skin, a skin for each limb, or many closed parts that cut through each other; many triangles or
+few; soft weights or rigid ones.
 """
 
 from __future__ import annotations

@@ -10,7 +10,8 @@ from bunraku.synthetic.families.shapes import unit
 
 __all__ = ["beast_head", "dragon", "frog", "quadruped", "tail", "wings"]
 
-# ranges of: leg height, trunk radius, neck length, neck lift, head, snout, tail length, tail radius (all over the trunk's length)
+# ranges of: leg height, trunk radius, neck length, neck lift, head, snout, tail length, tail radius (all over the
+# trunk's length)
 _KINDS: dict[str, tuple[tuple[float, float], ...]] = {
     "dog": ((0.5, 0.85), (0.16, 0.27), (0.1, 0.35), (0.5, 1.2), (0.15, 0.3), (0.6, 1.5), (0.2, 0.7), (0.03, 0.1)),
     "cat": ((0.35, 0.6), (0.15, 0.25), (0.05, 0.25), (0.4, 1.1), (0.16, 0.32), (0.15, 0.6), (0.5, 1.0), (0.03, 0.06)),
@@ -19,14 +20,23 @@ _KINDS: dict[str, tuple[tuple[float, float], ...]] = {
     "pig": ((0.22, 0.45), (0.27, 0.42), (0.0, 0.12), (0.0, 0.4), (0.18, 0.28), (0.5, 1.2), (0.05, 0.2), (0.02, 0.04)),
     "elephant": ((0.45, 0.7), (0.3, 0.42), (0.08, 0.2), (0.2, 0.6), (0.24, 0.32), (0.3, 0.5), (0.2, 0.5), (0.02, 0.04)),
     "giraffe": ((0.9, 1.5), (0.2, 0.28), (0.7, 1.6), (1.0, 1.4), (0.13, 0.18), (1.0, 1.8), (0.3, 0.6), (0.02, 0.03)),
-    "crocodile": ((0.15, 0.3), (0.12, 0.2), (0.08, 0.2), (-0.1, 0.2), (0.11, 0.16), (1.5, 3.2), (0.7, 1.3), (0.09, 0.16)),
+    "crocodile": ((0.15, 0.3), (0.12, 0.2), (0.08, 0.2), (-0.1, 0.2), (0.11, 0.16), (1.5, 3.2), (0.7, 1.3), (0.09,
+    0.16)),
     "rat": ((0.15, 0.35), (0.22, 0.38), (0.0, 0.12), (0.0, 0.5), (0.16, 0.28), (0.7, 1.5), (0.6, 1.3), (0.02, 0.05)),
     "toy": ((0.2, 0.6), (0.25, 0.45), (0.0, 0.3), (0.3, 1.3), (0.25, 0.5), (0.1, 0.8), (0.05, 0.5), (0.03, 0.12)),
 }  # fmt: skip
 
 
 def tail(
-    m: Model, root: np.ndarray, length: float, radius: float, lift: float, curl: float, count: int, parent: str = "Hips", region: str = "tail"
+    m: Model,
+    root: np.ndarray,
+    length: float,
+    radius: float,
+    lift: float,
+    curl: float,
+    count: int,
+    parent: str = "Hips",
+    region: str = "tail",
 ) -> None:
     """A tail backwards from a place, with a bone for each of its pieces."""
     points = [np.asarray(root, float)]
@@ -37,7 +47,9 @@ def tail(
     names = [f"Tail{i + 1}" for i in range(count)]
     for i, name in enumerate(names):
         m.bone(name, names[i - 1] if i else parent, points[i])
-    ends = radius * (np.linspace(1, m.u(0.1, 1.0), count + 1) if radius < 0.07 else np.linspace(1, m.u(0.05, 0.35), count + 1))
+    ends = radius * (
+        np.linspace(1, m.u(0.1, 1.0), count + 1) if radius < 0.07 else np.linspace(1, m.u(0.05, 0.35), count + 1)
+    )
     m.limb(points, list(np.maximum(ends, 0.006)), Chain(names, points[:-1]), region, blend=0.5)
     if m.chance(0.15):
         m.lump(points[-1], ends[-1] * m.u(1.5, 3) + 0.02, names[-1], region)
@@ -62,7 +74,10 @@ def beast_head(m: Model, at: np.ndarray, size: float, snout: float, dip: float, 
         )
         if m.chance(0.3):
             m.limb(
-                [start - [0, 0.3 * size, 0], start - [0, 0.35 * size, 0] + unit(way - [0, 0.25, 0]) * (0.2 + snout) * size],
+                [
+                    start - [0, 0.3 * size, 0],
+                    start - [0, 0.35 * size, 0] + unit(way - [0, 0.25, 0]) * (0.2 + snout) * size,
+                ],
                 [size * 0.3, size * 0.2],
                 "Head",
                 region,
@@ -124,10 +139,14 @@ def wings(m: Model, root: np.ndarray, span: float, parent: str, kind: str | None
         m.bone(second, first, base + 0.5 * (tip - base))
         m.sheet(grid, Chain([first, second], [base, base + 0.5 * (tip - base)]), f"wing {side}", u(0.005, 0.02))
         if m.chance(0.5):
-            m.limb([lead[0], lead[6], lead[12]], [0.05 * span, 0.04 * span, 0.015 * span], [first, second], f"wing {side}")
+            m.limb(
+                [lead[0], lead[6], lead[12]], [0.05 * span, 0.04 * span, 0.015 * span], [first, second], f"wing {side}"
+            )
 
 
-def _four_legs(m: Model, kind: str, length: float, leg: float, radius: float, z_hip: float, z_arm: float, y: float) -> None:
+def _four_legs(
+    m: Model, kind: str, length: float, leg: float, radius: float, z_hip: float, z_arm: float, y: float
+) -> None:
     u = m.u
     column = kind in ("elephant", "pig", "toy", "crocodile") or m.chance(0.35)
     thick = radius * u(0.22, 0.42) * (1.6 if kind in ("elephant", "toy") else 1.0)
@@ -143,7 +162,9 @@ def _four_legs(m: Model, kind: str, length: float, leg: float, radius: float, z_
         m.bone(f"{side}Arm", f"{side}Shoulder", top)
         m.lump((s * 0.85 * wide, y, z_arm), radius * np.array([0.35, 0.6, 0.42]), f"{side}Shoulder", "trunk", blend=1.0)
         elbow = m.bone(
-            f"{side}ForeArm", f"{side}Arm", [top[0] + s * splay, heel + elbow_at * (top[1] - heel), z_arm - bend * 0.4 * leg + s * walk * 0.5]
+            f"{side}ForeArm",
+            f"{side}Arm",
+            [top[0] + s * splay, heel + elbow_at * (top[1] - heel), z_arm - bend * 0.4 * leg + s * walk * 0.5],
         )
         wrist = m.bone(f"{side}Hand", f"{side}ForeArm", [top[0] + s * splay, heel, z_arm + s * walk])
         m.limb([top, elbow], [thick * thigh * 0.9, thick], f"{side}Arm", f"front {side}", blend=0.6)
@@ -152,14 +173,20 @@ def _four_legs(m: Model, kind: str, length: float, leg: float, radius: float, z_
         hip = m.bone(f"{side}UpLeg", "Hips", (s * wide, y - 0.1 * radius, z_hip))
         x = hip[0] + s * splay
         if column:
-            knee = m.bone(f"{side}Leg", f"{side}UpLeg", (x, heel + 0.5 * (hip[1] - heel), z_hip + bend * 0.5 * leg - s * walk * 0.5))
+            knee = m.bone(
+                f"{side}Leg",
+                f"{side}UpLeg",
+                (x, heel + 0.5 * (hip[1] - heel), z_hip + bend * 0.5 * leg - s * walk * 0.5),
+            )
             ankle = m.bone(f"{side}Foot", f"{side}Leg", (x, heel, z_hip - bend * 0.3 * leg - s * walk))
             m.limb([hip, knee], [thick * thigh * 1.1, thick * 1.05], f"{side}UpLeg", f"hind {side}", blend=0.6)
             m.limb([knee, ankle], [thick * 1.05, thick * 0.85], f"{side}Leg", f"hind {side}")
             m.lump(ankle + [0, 0, 0.35 * paw], (paw, heel * 0.98, paw * 1.35), f"{side}Foot", f"hind {side}")
         else:
             knee = m.bone(f"{side}Leg", f"{side}UpLeg", (x, heel + knee_at * (hip[1] - heel), z_hip + bend * leg * 0.9))
-            hock = m.bone(f"{side}Foot", f"{side}Leg", (x, heel + hock_at * (hip[1] - heel), z_hip - bend * leg - s * walk))
+            hock = m.bone(
+                f"{side}Foot", f"{side}Leg", (x, heel + hock_at * (hip[1] - heel), z_hip - bend * leg - s * walk)
+            )
             toe = m.bone(f"{side}ToeBase", f"{side}Foot", (x, heel, z_hip - bend * 0.5 * leg - s * walk))
             m.limb([hip, knee], [thick * thigh * 1.2, thick * 1.25], f"{side}UpLeg", f"hind {side}", blend=0.6)
             m.limb([knee, hock], [thick * 1.2, thick * 0.75], f"{side}Leg", f"hind {side}")
@@ -176,7 +203,10 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
     y, back, front = leg + 0.55 * radius, -0.5, 0.5
     places = [np.array([0, y + 0.35 * radius, back + 0.1])]
     rise = u(-0.15, 0.15) * radius
-    places += [np.array([0, y + 0.3 * radius + rise * s, back + 0.1 + 0.9 * s]) for s in (u(0.22, 0.32), u(0.48, 0.58), u(0.76, 0.88))]
+    places += [
+        np.array([0, y + 0.3 * radius + rise * s, back + 0.1 + 0.9 * s])
+        for s in (u(0.22, 0.32), u(0.48, 0.58), u(0.76, 0.88))
+    ]
     names = ["Hips", "Spine", "Spine1", "Spine2"]
     for name, parent, at in zip(names, ["", *names], places, strict=False):
         m.bone(name, parent, at)
@@ -207,11 +237,20 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
     )
     centre = beast_head(m, top, head, snout, u(0.0, 0.9) if lift > 0.5 else u(-0.1, 0.4))
     if kind == "elephant":
-        points = [centre + [0, -0.3 * head, 0.8 * head], centre + [0, -1.2 * head, 1.4 * head], centre + [0, -u(2.0, 2.6) * head, u(1.2, 2.0) * head]]
+        points = [
+            centre + [0, -0.3 * head, 0.8 * head],
+            centre + [0, -1.2 * head, 1.4 * head],
+            centre + [0, -u(2.0, 2.6) * head, u(1.2, 2.0) * head],
+        ]
         m.limb(points, [0.4 * head, 0.3 * head, 0.18 * head], "Head", "nose")
         for side, s in SIDES:
             m.bone(f"{side}Ear", "Head", centre + [s * 0.8 * head, 0, -0.2 * head])
-            m.lump(centre + [s * 1.3 * head, 0, -0.3 * head], head * np.array([0.7, u(0.7, 1.2), 0.12]), f"{side}Ear", f"ear {side}")
+            m.lump(
+                centre + [s * 1.3 * head, 0, -0.3 * head],
+                head * np.array([0.7, u(0.7, 1.2), 0.12]),
+                f"{side}Ear",
+                f"ear {side}",
+            )
     elif kind != "crocodile":
         _animal_ears(m, centre, head)
     if m.chance(0.9):
@@ -223,10 +262,24 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
         elif kind in ("horse", "cow"):
             lift = u(-1.2, -0.1)
         count = 2 if tail_long < 0.25 else int(m.rng.integers(3, 6))
-        tail(m, np.array([0, y + 0.4 * rump, back + 0.15 * rump]), tail_long, min(tail_fat, rump * 0.8), lift, curl, count)
+        tail(
+            m,
+            np.array([0, y + 0.4 * rump, back + 0.15 * rump]),
+            tail_long,
+            min(tail_fat, rump * 0.8),
+            lift,
+            curl,
+            count,
+        )
     if kind not in ("horse", "giraffe") and m.chance(0.1):  # a shell, or a fleece
         if m.chance(0.5):
-            m.lump((0, y + 0.35 * radius, 0), (radius * u(1.0, 1.4), radius * u(0.8, 1.2), 0.55), trunk, "shell", loose=True)
+            m.lump(
+                (0, y + 0.35 * radius, 0),
+                (radius * u(1.0, 1.4), radius * u(0.8, 1.2), 0.55),
+                trunk,
+                "shell",
+                loose=True,
+            )
         else:
             for _ in range(14):
                 way = unit(m.rng.normal(size=3) * [1, 1, 1.6] + [0, 0.5, 0])
@@ -268,12 +321,25 @@ def frog(m: Model) -> None:
     names = ["Hips", "Spine", "Neck"]
     for name, parent, at in zip(names, ["", *names], places, strict=False):
         m.bone(name, parent, at)
-    m.limb([(0, y - 0.08, -0.3), (0, y, 0.1)], [wide * 0.75, wide], Chain(names, places), "trunk", stretch=(1, high / wide, 1), blend=1.5)
+    m.limb(
+        [(0, y - 0.08, -0.3), (0, y, 0.1)],
+        [wide * 0.75, wide],
+        Chain(names, places),
+        "trunk",
+        stretch=(1, high / wide, 1),
+        blend=1.5,
+    )
     head = m.bone("Head", "Neck", (0, y + 0.06, 0.3))
     radii = np.array([wide * u(0.85, 1.15), high * u(0.6, 0.9), u(0.2, 0.35)])
     m.lump(head + [0, 0.04, 0.12], radii, "Head", "head", blend=1.0)
     for _, s in SIDES:
-        m.lump(head + [s * 0.6 * radii[0], radii[1] * 0.95, 0.1], radii[1] * u(0.3, 0.5), "Head", f"eye {s}", loose=m.chance(0.5))
+        m.lump(
+            head + [s * 0.6 * radii[0], radii[1] * 0.95, 0.1],
+            radii[1] * u(0.3, 0.5),
+            "Head",
+            f"eye {s}",
+            loose=m.chance(0.5),
+        )
     r = high * u(0.18, 0.32)
     for side, s in SIDES:
         m.bone(f"{side}Shoulder", "Spine", (s * 0.6 * wide, y - 0.05, 0.15))
@@ -282,13 +348,27 @@ def frog(m: Model) -> None:
         c = m.bone(f"{side}Hand", f"{side}ForeArm", (s * (wide + 0.12), r * 0.8, u(0.2, 0.35)))
         m.limb([a, b, c], [r * 1.3, r, r * 0.8], [f"{side}Arm", f"{side}ForeArm"], f"front {side}")
         for turn in (-0.6, 0.0, 0.6):
-            m.limb([c, c + 0.13 * np.array([np.sin(turn + 0.3 * s), -0.02, np.cos(turn)])], [r * 0.6, r * 0.45], f"{side}Hand", f"front {side}")
+            m.limb(
+                [c, c + 0.13 * np.array([np.sin(turn + 0.3 * s), -0.02, np.cos(turn)])],
+                [r * 0.6, r * 0.45],
+                f"{side}Hand",
+                f"front {side}",
+            )
         hip = m.bone(f"{side}UpLeg", "Hips", (s * 0.5 * wide, y - 0.08, -0.38))
         knee = m.bone(f"{side}Leg", f"{side}UpLeg", (s * (wide + u(0.1, 0.3)), y * u(0.6, 1.0), u(-0.1, 0.1)))
         hock = m.bone(f"{side}Foot", f"{side}Leg", (s * (wide + u(0.0, 0.2)), r * 1.1, -0.45))
         toe = m.bone(f"{side}ToeBase", f"{side}Foot", (s * (wide + u(0.15, 0.35)), r * 0.6, u(-0.2, 0.0)))
-        m.limb([hip, knee, hock, toe], [r * 1.9, r * 1.3, r, r * 0.7], [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"], f"hind {side}", blend=0.6)
+        m.limb(
+            [hip, knee, hock, toe],
+            [r * 1.9, r * 1.3, r, r * 0.7],
+            [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"],
+            f"hind {side}",
+            blend=0.6,
+        )
         for turn in (-0.5, 0.1, 0.7):
             m.limb(
-                [toe, toe + 0.18 * np.array([np.sin(turn * s + 0.3 * s), -0.01, np.cos(turn)])], [r * 0.5, r * 0.4], f"{side}ToeBase", f"hind {side}"
+                [toe, toe + 0.18 * np.array([np.sin(turn * s + 0.3 * s), -0.01, np.cos(turn)])],
+                [r * 0.5, r * 0.4],
+                f"{side}ToeBase",
+                f"hind {side}",
             )

@@ -12,10 +12,17 @@ from bunraku.synthetic.families.shapes import unit
 __all__ = ["bird", "dinosaur", "mech"]
 
 
-def _claws(m: Model, at: np.ndarray, share: str, region: str, radius: float, count: int, reach: float, back: bool = False) -> None:
+def _claws(
+    m: Model, at: np.ndarray, share: str, region: str, radius: float, count: int, reach: float, back: bool = False
+) -> None:
     """Toes in a fan, and one backwards."""
     for turn in np.linspace(-0.6, 0.6, count):
-        m.limb([at, at + reach * np.array([np.sin(turn), 0, np.cos(turn)]) - [0, at[1] - 0.6 * radius, 0]], [radius, radius * 0.55], share, region)
+        m.limb(
+            [at, at + reach * np.array([np.sin(turn), 0, np.cos(turn)]) - [0, at[1] - 0.6 * radius, 0]],
+            [radius, radius * 0.55],
+            share,
+            region,
+        )
     if back:
         m.limb([at, at - [0, at[1] - 0.5 * radius, 0.6 * reach]], [radius * 0.8, radius * 0.4], share, region)
 
@@ -46,8 +53,21 @@ def dinosaur(m: Model) -> None:
     m.limb([chest, top], [radius * 0.65, head * 0.7], "Neck", "neck", blend=1.0)
     centre = beast_head(m, top, head, u(0.3, 1.6), u(-0.1, 0.4))
     if m.chance(0.2):
-        m.limb([centre + [0, 0.4 * head, 0], centre + [0, 1.0 * head, -u(0.6, 1.6) * head]], [0.3 * head, 0.12 * head], "Head", "crest")
-    tail(m, hips - way * 0.1, u(0.6, 1.4), radius * u(0.55, 0.85), u(-0.35, 0.15), u(-0.1, 0.5), int(m.rng.integers(4, 7)))
+        m.limb(
+            [centre + [0, 0.4 * head, 0], centre + [0, 1.0 * head, -u(0.6, 1.6) * head]],
+            [0.3 * head, 0.12 * head],
+            "Head",
+            "crest",
+        )
+    tail(
+        m,
+        hips - way * 0.1,
+        u(0.6, 1.4),
+        radius * u(0.55, 0.85),
+        u(-0.35, 0.15),
+        u(-0.1, 0.5),
+        int(m.rng.integers(4, 7)),
+    )
     thick, arm, claws = radius * u(0.3, 0.45), u(0.12, 0.4), m.chance(0.6)
     hock, three = u(0.15, 0.3) if m.chance(0.5) else 0.0, m.pick(3, 2)
     wide, step = radius * u(0.55, 0.9), u(-0.12, 0.12) * float(m.chance(0.4))
@@ -58,10 +78,16 @@ def dinosaur(m: Model) -> None:
         knee = m.bone(
             f"{side}Leg",
             f"{side}UpLeg",
-            (hip[0] + s * 0.02, foot_y + 0.52 * (hip[1] - foot_y), u(0.08, 0.14) if s > 0 else m.at("LeftLeg")[2] + step),
+            (
+                hip[0] + s * 0.02,
+                foot_y + 0.52 * (hip[1] - foot_y),
+                u(0.08, 0.14) if s > 0 else m.at("LeftLeg")[2] + step,
+            ),
         )
         if hock:
-            mid = m.bone(f"{side}Foot", f"{side}Leg", (hip[0] + s * 0.02, foot_y + hock * (hip[1] - foot_y), knee[2] - 0.22))
+            mid = m.bone(
+                f"{side}Foot", f"{side}Leg", (hip[0] + s * 0.02, foot_y + hock * (hip[1] - foot_y), knee[2] - 0.22)
+            )
             at = m.bone(f"{side}ToeBase", f"{side}Foot", (hip[0] + s * 0.02, foot_y, knee[2] - 0.08))
             m.limb(
                 [hip, knee, mid, at],
@@ -73,19 +99,30 @@ def dinosaur(m: Model) -> None:
             share = f"{side}ToeBase"
         else:
             at = m.bone(f"{side}Foot", f"{side}Leg", (hip[0] + s * 0.02, foot_y, knee[2] - u(0.08, 0.16)))
-            m.limb([hip, knee, at], [thick * 2.1, thick * 1.2, thick * 0.8], [f"{side}UpLeg", f"{side}Leg"], f"leg {side}", blend=0.7)
+            m.limb(
+                [hip, knee, at],
+                [thick * 2.1, thick * 1.2, thick * 0.8],
+                [f"{side}UpLeg", f"{side}Leg"],
+                f"leg {side}",
+                blend=0.7,
+            )
             share = f"{side}Foot"
         _claws(m, at, share, f"leg {side}", thick * 0.65, 3, thick * u(2.0, 3.2))
         m.bone(f"{side}Shoulder", "Spine2", chest + [s * 0.35 * radius, -0.2 * radius, -0.06])
         a = m.bone(f"{side}Arm", f"{side}Shoulder", chest + [s * radius * 0.75, -0.3 * radius, -0.04])
-        b = m.bone(f"{side}ForeArm", f"{side}Arm", a + arm * 0.5 * unit(np.array([s * 0.4, -1.0, -0.2 + 0.3 * arm_drop])))
+        b = m.bone(
+            f"{side}ForeArm", f"{side}Arm", a + arm * 0.5 * unit(np.array([s * 0.4, -1.0, -0.2 + 0.3 * arm_drop]))
+        )
         c = m.bone(f"{side}Hand", f"{side}ForeArm", b + arm * 0.5 * unit(np.array([0, -arm_drop, 0.8])))
         r = max(arm * u(0.12, 0.2), 0.02)
         m.limb([m.at(f"{side}Shoulder"), a], [r * 1.8, r * 1.6], f"{side}Shoulder", "trunk", blend=1.0)
         m.limb([a, b, c], [r * 1.5, r, r * 0.8], [f"{side}Arm", f"{side}ForeArm"], f"arm {side}")
         for i in range(three if claws else 1):
             m.limb(
-                [c, c + unit(np.array([(i - 0.5) * 0.6, -0.5, 0.8])) * arm * 0.22], [r * 0.8, r * 0.3 if claws else r], f"{side}Hand", f"arm {side}"
+                [c, c + unit(np.array([(i - 0.5) * 0.6, -0.5, 0.8])) * arm * 0.22],
+                [r * 0.8, r * 0.3 if claws else r],
+                f"{side}Hand",
+                f"arm {side}",
             )
     if m.chance(0.25):
         for z in np.linspace(0, 0.6, 6):
@@ -169,7 +206,14 @@ def bird(m: Model) -> None:
                 at = body + [s * round_ * 0.85, 0.15 * round_, 0.2 * round_]
                 m.bone(f"{side}Wing", "Spine", at)
                 wing_tip = at + unit(np.array([s * 0.15, -0.5, -1.0])) * round_ * u(0.9, 1.5)
-                m.limb([at, wing_tip], [round_ * 0.45, round_ * 0.15], f"{side}Wing", f"wing {side}", stretch=(0.35, 1, 1), loose=m.chance(0.3))
+                m.limb(
+                    [at, wing_tip],
+                    [round_ * 0.45, round_ * 0.15],
+                    f"{side}Wing",
+                    f"wing {side}",
+                    stretch=(0.35, 1, 1),
+                    loose=m.chance(0.3),
+                )
         else:
             wings(m, body + [0.7 * round_, 0.3 * round_, 0.2 * round_], u(0.5, 1.6), "Spine")
     r = u(0.015, 0.05)
@@ -223,7 +267,12 @@ def mech(m: Model) -> None:
             knee = m.bone(f"{side}Leg", f"{side}UpLeg", (x, leg * 0.68, back))
             hock = m.bone(f"{side}Foot", f"{side}Leg", (x, leg * 0.38, -back * 0.7))
             foot = m.bone(f"{side}ToeBase", f"{side}Foot", (x, r * 0.8, back * 0.2))
-            m.limb([hip, knee, hock, foot], [r * 1.4, r, r * 1.1, r * 0.7], [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"], f"leg {side}")
+            m.limb(
+                [hip, knee, hock, foot],
+                [r * 1.4, r, r * 1.1, r * 0.7],
+                [f"{side}UpLeg", f"{side}Leg", f"{side}Foot"],
+                f"leg {side}",
+            )
             share = f"{side}ToeBase"
         else:
             knee = m.bone(f"{side}Leg", f"{side}UpLeg", (x, leg * 0.5, -back))
@@ -241,10 +290,18 @@ def mech(m: Model) -> None:
             m.bone(f"{side}Shoulder", "Spine", (s * body[0] * 0.9, y + 0.3 * body[1], 0))
             a = m.bone(f"{side}Arm", f"{side}Shoulder", (s * (body[0] + 1.5 * r), y + 0.3 * body[1], 0))
             m.lump(a, r * 1.4, f"{side}Arm", f"arm {side}")
-            m.limb([a, a + [0, -0.2 * r, u(0.25, 0.6)]], [r * u(0.8, 1.3), r * u(0.6, 1.2)], f"{side}Arm", f"arm {side}")
+            m.limb(
+                [a, a + [0, -0.2 * r, u(0.25, 0.6)]], [r * u(0.8, 1.3), r * u(0.6, 1.2)], f"{side}Arm", f"arm {side}"
+            )
         elif arms == "arms":
             m.bone(f"{side}Shoulder", "Spine", (s * body[0] * 0.9, y + 0.5 * body[1], 0))
-            drop = u(0, 1.2) if s > 0 else float(np.arctan2(m.at("LeftArm")[1] - m.at("LeftForeArm")[1], m.at("LeftForeArm")[0] - m.at("LeftArm")[0]))
+            drop = (
+                u(0, 1.2)
+                if s > 0
+                else float(
+                    np.arctan2(m.at("LeftArm")[1] - m.at("LeftForeArm")[1], m.at("LeftForeArm")[0] - m.at("LeftArm")[0])
+                )
+            )
             way = np.array([s * np.cos(drop), -np.sin(drop), 0.1])
             a = m.bone(f"{side}Arm", f"{side}Shoulder", (s * (body[0] + r), y + 0.5 * body[1], 0))
             b = m.bone(f"{side}ForeArm", f"{side}Arm", a + way * 0.35)

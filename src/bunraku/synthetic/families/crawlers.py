@@ -12,9 +12,21 @@ __all__ = ["bee", "crab", "insect", "snake", "spider"]
 
 
 def _leg(
-    m: Model, side: str, s: float, word: str, root: np.ndarray, yaw: float, reach: float, rise: float, ground: float, radius: float, parent: str
+    m: Model,
+    side: str,
+    s: float,
+    word: str,
+    root: np.ndarray,
+    yaw: float,
+    reach: float,
+    rise: float,
+    ground: float,
+    radius: float,
+    parent: str,
 ) -> None:
-    """A leg of three segments: out and up, out and down, and to the ground; the word in its bones' names says which leg it is."""
+    """A leg of three segments: out and up, out and down, and to the ground; the word in its bones' names says which leg
+    it is.
+    """
     way = np.array([s * np.cos(yaw), 0, np.sin(yaw)])
     knee = root + way * reach * 0.38 + [0, rise, 0]
     mid = root + way * reach * 0.75 + [0, (ground - root[1]) * 0.45 + 0.3 * rise, 0]
@@ -22,10 +34,18 @@ def _leg(
     names = [f"{side}{word}{i}" for i in (1, 2, 3)]
     for name, above, at in zip(names, [parent, *names], (root, knee, mid), strict=False):
         m.bone(name, above, at)
-    m.limb([root, knee, mid, tip], [radius * 1.1, radius, radius * 0.8, radius * m.u(0.2, 0.7)], names, f"{word} {side}", blend=0.4)
+    m.limb(
+        [root, knee, mid, tip],
+        [radius * 1.1, radius, radius * 0.8, radius * m.u(0.2, 0.7)],
+        names,
+        f"{word} {side}",
+        blend=0.4,
+    )
 
 
-def _legs(m: Model, words: tuple[str, ...], y: float, z: tuple[float, float], wide: float, ground: float, parent: str = "Hips") -> None:
+def _legs(
+    m: Model, words: tuple[str, ...], y: float, z: tuple[float, float], wide: float, ground: float, parent: str = "Hips"
+) -> None:
     u = m.u
     reach, rise, radius, fan = u(0.6, 1.2) * (0.6 + wide), u(-0.02, 0.4), u(0.015, 0.06), u(0.3, 1.0)
     places = np.linspace(z[0], z[1], len(words))
@@ -39,7 +59,11 @@ def _antennae(m: Model, at: np.ndarray, size: float) -> None:
     for _, s in SIDES:
         way = unit(np.array([s * 0.4, m.u(0.4, 1.0), 0.6]))
         m.limb(
-            [at + size * np.array([s * 0.3, 0.6, 0.4]), at + size * 1.2 * way, at + size * (1.2 * way + m.u(0.4, 1.2) * unit(way * [1, 0.3, 1]))],
+            [
+                at + size * np.array([s * 0.3, 0.6, 0.4]),
+                at + size * 1.2 * way,
+                at + size * (1.2 * way + m.u(0.4, 1.2) * unit(way * [1, 0.3, 1])),
+            ],
             [0.08 * size, 0.06 * size, 0.05 * size],
             "Head",
             f"antenna {s}",
@@ -57,7 +81,13 @@ def _abdomen(m: Model, root: np.ndarray, length: float, radius: float, dip: floa
     for name, parent, at in zip(names, ["Hips", *names], points, strict=False):
         m.bone(name.replace("Abdomen", "Tail"), parent.replace("Abdomen", "Tail"), at)
     chain = Chain(["Tail1", "Tail2", "Tail3"], points[:3])
-    m.limb(points, [radius * m.u(0.3, 0.8), radius, radius * m.u(0.75, 1.0), radius * m.u(0.2, 0.6)], chain, "abdomen", blend=1.0)
+    m.limb(
+        points,
+        [radius * m.u(0.3, 0.8), radius, radius * m.u(0.75, 1.0), radius * m.u(0.2, 0.6)],
+        chain,
+        "abdomen",
+        blend=1.0,
+    )
     if sting:
         way = unit(points[3] - points[2])
         m.limb([points[3], points[3] + way * radius * 1.2], [radius * 0.25, 0.008], "Tail3", "abdomen")
@@ -115,11 +145,21 @@ def spider(m: Model) -> None:
         -2.6 if scorpion else u(-0.2, 0.4),
         scorpion,
     )
-    _legs(m, ("FrontLeg", "MidFrontLeg", "MidBackLeg", "BackLeg"), y - 0.2 * radius, (0.7 * radius, -0.7 * radius), radius, 0.0)
+    _legs(
+        m,
+        ("FrontLeg", "MidFrontLeg", "MidBackLeg", "BackLeg"),
+        y - 0.2 * radius,
+        (0.7 * radius, -0.7 * radius),
+        radius,
+        0.0,
+    )
     if m.chance(0.6):
         for _, s in SIDES:
             m.limb(
-                [centre + [s * 0.35 * head, -0.4 * head, 0.6 * head], centre + [s * 0.35 * head, -1.0 * head, 1.0 * head]],
+                [
+                    centre + [s * 0.35 * head, -0.4 * head, 0.6 * head],
+                    centre + [s * 0.35 * head, -1.0 * head, 1.0 * head],
+                ],
                 [0.25 * head, 0.05 * head],
                 "Head",
                 f"fang {s}",
@@ -189,7 +229,10 @@ def crab(m: Model) -> None:
         m.lump(c + [0, 0, 0.5 * claw], claw * np.array([0.6, 0.4, 0.7]), f"{side}Hand", f"arm {side}")
         for i in (-1, 1):
             m.limb(
-                [c + [i * 0.3 * claw, 0, 0.9 * claw], c + [i * 0.1 * claw, 0, 1.7 * claw]], [0.25 * claw, 0.08 * claw], f"{side}Hand", f"arm {side}"
+                [c + [i * 0.3 * claw, 0, 0.9 * claw], c + [i * 0.1 * claw, 0, 1.7 * claw]],
+                [0.25 * claw, 0.08 * claw],
+                f"{side}Hand",
+                f"arm {side}",
             )
     words = ("ALeg", "BLeg", "CLeg", "DLeg")[: int(m.rng.integers(2, 5))]
     reach, rise, thick = u(0.25, 0.6), u(0.0, 0.25), u(0.02, 0.06)
@@ -229,7 +272,13 @@ def snake(m: Model) -> None:
     m.lump(top + [0, 0.2 * size, 0.6 * size], size * np.array([u(0.8, 1.2), u(0.5, 0.9), 1.2]), "Head", "head")
     eyes(m, top + [0, 0.2 * size, 0.5 * size], np.full(3, size * 0.9), "Head")
     if m.chance(0.3):
-        m.limb([top + [0, 0, 1.5 * size], top + [0, 0, 2.5 * size]], [0.1 * size, 0.05 * size], "Head", "tongue", loose=True)
+        m.limb(
+            [top + [0, 0, 1.5 * size], top + [0, 0, 2.5 * size]],
+            [0.1 * size, 0.05 * size],
+            "Head",
+            "tongue",
+            loose=True,
+        )
     long, curve, count = u(0.4, 1.2), u(0.0, 0.2), int(m.rng.integers(3, 6))
     back = [points[0]]
     for i in range(count):

@@ -36,7 +36,12 @@ def build_body(m: Model, h: Human) -> None:
         if m.style.mode != "pieces" or m.chance(0.7):
             m.limb([collar, shoulder], [h.arm * 1.25, h.arm * 1.12], f"{side}Shoulder", "trunk", blend=1.0)
         m.limb([shoulder, elbow], [h.arm * 1.1, h.arm * slim], f"{side}Arm", f"arm {side}", blend=0.5)
-        m.limb([elbow, wrist], [h.arm * slim * (1.15 if swell > 1 else 1.0), h.arm * slim * 0.8 * swell], f"{side}ForeArm", f"arm {side}")
+        m.limb(
+            [elbow, wrist],
+            [h.arm * slim * (1.15 if swell > 1 else 1.0), h.arm * slim * 0.8 * swell],
+            f"{side}ForeArm",
+            f"arm {side}",
+        )
         if ball_joint:
             m.lump(elbow, h.arm * 1.15, f"{side}ForeArm", f"arm {side}")
             m.lump(shoulder, h.arm * 1.5, f"{side}Arm", f"arm {side}")
@@ -70,24 +75,69 @@ def _trunk(m: Model, h: Human) -> None:
 
     m.lump(hips, (h.pelvis, max(0.16 * h.trunk, 0.6 * h.thigh), max(h.pelvis * h.deep, 0.9 * h.thigh)), seat, "trunk")
     low, mid, high = base + 0.08 * h.trunk, base + 0.42 * h.trunk, base + u(0.7, 0.8) * h.trunk
-    m.limb([(0, low, 0), (0, mid, 0.4 * z)], [h.pelvis * 0.9, h.waist], seat, "trunk", stretch=shape * [1, 0.3, 1], blend=1.0)
-    m.limb([(0, mid, 0.4 * z), (0, high, z)], [h.waist, h.chest], h.torso, "trunk", stretch=shape * [1, 0.4, 1], blend=1.0)
-    m.limb([(0, high, z), (0, top - 0.08 * h.trunk, z)], [h.chest * 0.98, h.chest * 0.55], h.torso, "trunk", stretch=shape * [1, 0.5, 0.9], blend=1.0)
+    m.limb(
+        [(0, low, 0), (0, mid, 0.4 * z)],
+        [h.pelvis * 0.9, h.waist],
+        seat,
+        "trunk",
+        stretch=shape * [1, 0.3, 1],
+        blend=1.0,
+    )
+    m.limb(
+        [(0, mid, 0.4 * z), (0, high, z)], [h.waist, h.chest], h.torso, "trunk", stretch=shape * [1, 0.4, 1], blend=1.0
+    )
+    m.limb(
+        [(0, high, z), (0, top - 0.08 * h.trunk, z)],
+        [h.chest * 0.98, h.chest * 0.55],
+        h.torso,
+        "trunk",
+        stretch=shape * [1, 0.5, 0.9],
+        blend=1.0,
+    )
     if belly:
-        m.lump((0, base + u(0.25, 0.45) * h.trunk, h.waist * h.deep * belly), h.waist * np.array([0.95, 0.95, 0.9]), h.torso, "trunk", blend=1.0)
+        m.lump(
+            (0, base + u(0.25, 0.45) * h.trunk, h.waist * h.deep * belly),
+            h.waist * np.array([0.95, 0.95, 0.9]),
+            h.torso,
+            "trunk",
+            blend=1.0,
+        )
     if h.kind != "robot" and m.chance(0.35):
         bust = h.chest * u(0.32, 0.5)
         for _, s in SIDES:
             m.lump(
-                (s * h.chest * 0.45, base + 0.68 * h.trunk, z + h.chest * h.deep * 0.75), bust * np.array([1, 0.95, 0.9]), h.torso, "trunk", blend=0.8
+                (s * h.chest * 0.45, base + 0.68 * h.trunk, z + h.chest * h.deep * 0.75),
+                bust * np.array([1, 0.95, 0.9]),
+                h.torso,
+                "trunk",
+                blend=0.8,
             )
     neck, head = m.at("Neck"), m.at("Head")
     if h.neck > 0.008:
-        thick = min(u(0.2, 0.42) * h.head, 0.55 * h.chest) if h.kind != "realistic" else u(0.22, 0.32) * h.head * h.girth**0.4
-        m.limb([neck - [0, 0.03 * h.trunk, 0], head + [0, 0.06 * h.head, 0]], [thick * 1.1, thick * 0.9], "Neck", "trunk", blend=0.6)
+        thick = (
+            min(u(0.2, 0.42) * h.head, 0.55 * h.chest)
+            if h.kind != "realistic"
+            else u(0.22, 0.32) * h.head * h.girth**0.4
+        )
+        m.limb(
+            [neck - [0, 0.03 * h.trunk, 0], head + [0, 0.06 * h.head, 0]],
+            [thick * 1.1, thick * 0.9],
+            "Neck",
+            "trunk",
+            blend=0.6,
+        )
 
 
-def _foot(m: Model, h: Human, side: str, s: float, ankle: np.ndarray, radius: float, size: tuple[float, float, float], toes: bool) -> None:
+def _foot(
+    m: Model,
+    h: Human,
+    side: str,
+    s: float,
+    ankle: np.ndarray,
+    radius: float,
+    size: tuple[float, float, float],
+    toes: bool,
+) -> None:
     heel, wide, length = size
     high = max(h.heel * 0.55, 0.012)
     floor = ankle[1] - h.heel

@@ -14,7 +14,9 @@ from bunraku.synthetic.samples.surfaces import ring_mesh
 __all__ = ["build_clothes", "build_items"]
 
 
-def _leg_share(m: Model, waist: float, hem: float, strength: float, blur: float) -> Callable[[np.ndarray], dict[str, np.ndarray]]:
+def _leg_share(
+    m: Model, waist: float, hem: float, strength: float, blur: float
+) -> Callable[[np.ndarray], dict[str, np.ndarray]]:
     """Shares of cloth that hangs from the waist: the pelvis holds it, the legs move it more the lower it is."""
     knee = (m.at("LeftLeg")[1] + m.at("RightLeg")[1]) / 2
 
@@ -31,14 +33,18 @@ def _leg_share(m: Model, waist: float, hem: float, strength: float, blur: float)
     return share
 
 
-def _round(m: Model, h: Human, heights: np.ndarray, radii: np.ndarray, around: int, gap: float = 0.0, folds: float = 0.0) -> np.ndarray:
+def _round(
+    m: Model, h: Human, heights: np.ndarray, radii: np.ndarray, around: int, gap: float = 0.0, folds: float = 0.0
+) -> np.ndarray:
     """Rings about the trunk with an opening of angle `gap` at the front, shape (R, S, 3)."""
     angle = np.linspace(gap / 2, 2 * np.pi - gap / 2, around, endpoint=gap > 0)
     down = np.linspace(0, 1, len(heights))[:, None]
     wave = 1 + folds * down * np.cos(int(m.rng.integers(5, 12)) * angle)[None]
     deep = h.deep + (0.92 - h.deep) * np.minimum(1.5 * down, 1)
     wide = radii[:, None] * wave
-    return np.stack([wide * np.sin(angle), np.broadcast_to(heights[:, None], wide.shape), wide * deep * np.cos(angle)], axis=-1)
+    return np.stack(
+        [wide * np.sin(angle), np.broadcast_to(heights[:, None], wide.shape), wide * deep * np.cos(angle)], axis=-1
+    )
 
 
 def _skirt(m: Model, h: Human, long: bool) -> None:
@@ -52,7 +58,13 @@ def _skirt(m: Model, h: Human, long: bool) -> None:
     start = float(h.half_width(waist)) * 1.04 + 0.004
     radii = start + (max(flare, stance, h.hip + 1.1 * h.thigh) - start) * share ** u(0.4, 1.1)
     grid = _round(m, h, heights, radii, int(m.rng.integers(10, 40)), folds=u(0, 0.1) if m.chance(0.5) else 0.0)
-    m.sheet(grid, _leg_share(m, h.leg + 0.1 * h.trunk, hem, u(0.75, 1.0), u(0.015, 0.07)), "skirt", u(0.004, 0.015), wrap=True)
+    m.sheet(
+        grid,
+        _leg_share(m, h.leg + 0.1 * h.trunk, hem, u(0.75, 1.0), u(0.015, 0.07)),
+        "skirt",
+        u(0.004, 0.015),
+        wrap=True,
+    )
 
 
 def _coat(m: Model, h: Human) -> None:
@@ -85,13 +97,20 @@ def _cape(m: Model, h: Human) -> None:
     fold = u(0, 0.012) * np.cos(across * m.u(6, 14)) * down
     curl = u(0.0, 0.5) * h.chest * across**2
     z = m.at("Spine2")[2] - bulge + curl + fold
-    grid = np.stack([np.broadcast_to(wide * across, z.shape), np.broadcast_to(top + (hem - top) * down, z.shape), z], axis=-1)
+    grid = np.stack(
+        [np.broadcast_to(wide * across, z.shape), np.broadcast_to(top + (hem - top) * down, z.shape), z], axis=-1
+    )
     m.sheet(grid, "Spine2", "cape", u(0.004, 0.014))
 
 
 def _thick(m: Model, h: Human, name: str, first: float, last: float, radii: tuple[float, float], kind: str) -> None:
     """A tube around a part of each limb: sleeves, trouser legs, boots, bracers."""
-    ends = {"Arm": ("Arm", "ForeArm"), "ForeArm": ("ForeArm", "Hand"), "UpLeg": ("UpLeg", "Leg"), "Leg": ("Leg", "Foot")}[name]
+    ends = {
+        "Arm": ("Arm", "ForeArm"),
+        "ForeArm": ("ForeArm", "Hand"),
+        "UpLeg": ("UpLeg", "Leg"),
+        "Leg": ("Leg", "Foot"),
+    }[name]
     if name == "Leg":  # feet stay in sight
         radii = (min(radii[0], 0.3 * h.leg), min(radii[1], 1.1 * h.heel + 0.2 * h.thigh))
     elif name == "ForeArm":  # and hands
@@ -131,7 +150,9 @@ def build_clothes(m: Model, h: Human) -> None:
         size = h.arm * u(1.6, 2.8)
         for side, s in SIDES:
             at = m.at(f"{side}Arm") + [s * 0.2 * size, 0.35 * size, 0]
-            m.lump(at, (size, size * u(0.5, 0.9), size), m.pick(f"{side}Arm", f"{side}Shoulder"), f"pad {side}", loose=True)
+            m.lump(
+                at, (size, size * u(0.5, 0.9), size), m.pick(f"{side}Arm", f"{side}Shoulder"), f"pad {side}", loose=True
+            )
     if chance(0.15):
         half = np.array([h.chest * u(0.5, 1.0), h.trunk * u(0.22, 0.42), h.chest * u(0.25, 0.6)])
         at = np.array([0, h.leg + h.trunk * u(0.5, 0.75), m.at("Spine2")[2] - h.chest * h.deep - 0.8 * half[2]])
@@ -171,12 +192,16 @@ def build_clothes(m: Model, h: Human) -> None:
             )
     if chance(0.12):
         m.block(
-            (0, h.leg + 0.68 * h.trunk, m.at("Spine2")[2] + 0.15 * h.chest), (h.chest * 1.12, 0.22 * h.trunk, h.chest * h.deep), h.torso, "armour"
+            (0, h.leg + 0.68 * h.trunk, m.at("Spine2")[2] + 0.15 * h.chest),
+            (h.chest * 1.12, 0.22 * h.trunk, h.chest * h.deep),
+            h.torso,
+            "armour",
         )
     if chance(0.05):
         length, droop = u(0.3, 0.7) * h.leg, u(-0.6, 0.4)
         points = [
-            np.array([0, h.leg + 0.05 * h.trunk, -0.8 * h.pelvis * h.deep]) + length * s * unit(np.array([0, droop + 0.6 * s * s, -1.0]))
+            np.array([0, h.leg + 0.05 * h.trunk, -0.8 * h.pelvis * h.deep])
+            + length * s * unit(np.array([0, droop + 0.6 * s * s, -1.0]))
             for s in (0, 0.33, 0.67, 1.0)
         ]
         for i in range(3):
@@ -201,7 +226,9 @@ def _back_wings(m: Model, h: Human) -> None:
 
 
 def _sword(m: Model, at: np.ndarray, way: np.ndarray, length: float, thick: float, share: str) -> None:
-    turn = np.stack([unit(np.cross(way, [0.3, 0.2, 0.9])), way, np.cross(unit(np.cross(way, [0.3, 0.2, 0.9])), way)], axis=1)
+    turn = np.stack(
+        [unit(np.cross(way, [0.3, 0.2, 0.9])), way, np.cross(unit(np.cross(way, [0.3, 0.2, 0.9])), way)], axis=1
+    )
     m.block(at + way * length * 0.42, (thick, length * 0.5, thick * m.u(0.15, 0.6)), share, f"item {share}", turn)
     m.block(at + way * length * 0.02, (thick * m.u(1.5, 3.5), thick * 0.5, thick * 0.8), share, f"item {share}", turn)
 
@@ -222,13 +249,26 @@ def build_items(m: Model, h: Human) -> None:
         if what == "sword":
             _sword(m, grip, way, length, thick, share)
         elif what == "staff":
-            m.limb([grip - way * length * 0.6, grip + way * length], [thick * 0.6, thick * 0.6], share, f"item {side}", loose=True)
+            m.limb(
+                [grip - way * length * 0.6, grip + way * length],
+                [thick * 0.6, thick * 0.6],
+                share,
+                f"item {side}",
+                loose=True,
+            )
             m.lump(grip + way * length, np.full(3, thick * u(1.2, 3.0)), share, f"item {side}", loose=True)
         elif what == "shield":
             wide = u(0.1, 0.24)
             out = unit(np.array([s, 0, 0.4]))
             turn = np.stack([np.cross([0, 1.0, 0], out), [0, 1.0, 0], out], axis=1)
-            m.block(grip + out * 0.03, (wide, wide * u(0.9, 1.5), u(0.008, 0.03)), share, f"item {side}", turn, exponent=m.pick(2.0, 4.0, 10.0))
+            m.block(
+                grip + out * 0.03,
+                (wide, wide * u(0.9, 1.5), u(0.008, 0.03)),
+                share,
+                f"item {side}",
+                turn,
+                exponent=m.pick(2.0, 4.0, 10.0),
+            )
         elif what == "gun":
             m.block(
                 grip + way * 0.3 * length,
@@ -237,9 +277,21 @@ def build_items(m: Model, h: Human) -> None:
                 f"item {side}",
                 np.stack([unit(np.cross(way, along)), way, np.cross(unit(np.cross(way, along)), way)], 1),
             )
-            m.limb([grip, grip - along * 0.1 * length - np.array([0, 0.1 * length, 0])], [thick, thick], share, f"item {side}", loose=True)
+            m.limb(
+                [grip, grip - along * 0.1 * length - np.array([0, 0.1 * length, 0])],
+                [thick, thick],
+                share,
+                f"item {side}",
+                loose=True,
+            )
         else:
-            m.limb([grip - way * length * 0.3, grip + way * length * 0.7], [thick * 0.6, thick * 0.6], share, f"item {side}", loose=True)
+            m.limb(
+                [grip - way * length * 0.3, grip + way * length * 0.7],
+                [thick * 0.6, thick * 0.6],
+                share,
+                f"item {side}",
+                loose=True,
+            )
             m.block(grip + way * length * 0.7, np.array([1, 1, 1.8]) * thick * u(1.5, 3), share, f"item {side}")
     if m.chance(0.06):
         at = np.array([0, h.leg + 0.5 * h.trunk, m.at("Spine2")[2] - h.chest * h.deep - 0.03])

@@ -69,7 +69,9 @@ class Human:
     def half_width(self, height: float | np.ndarray) -> np.ndarray:
         """Half the width of the trunk at heights."""
         share = (np.asarray(height) - self.leg) / self.trunk
-        return np.interp(share, [-0.2, 0.05, 0.4, 0.8, 1.0], [self.pelvis, self.pelvis, self.waist, self.chest, 0.6 * self.chest])
+        return np.interp(
+            share, [-0.2, 0.05, 0.4, 0.8, 1.0], [self.pelvis, self.pelvis, self.waist, self.chest, 0.6 * self.chest]
+        )
 
 
 def draw_human(m: Model, kind: str) -> Human:
@@ -131,7 +133,14 @@ def pose_skeleton(m: Model, h: Human) -> None:
     m.bone("Head", "Neck", neck + [0, h.neck + u(0.0, 0.06) * h.head, slouch])
     pose = m.pick("T", "A", "down", "idle", "free", "sit", weights=(0.44, 0.22, 0.12, 0.13, 0.06, 0.03))
     h.seated = pose == "sit"
-    drop = {"T": u(-0.08, 0.12), "A": u(0.4, 1.0), "down": u(1.05, 1.4), "idle": u(0.7, 1.35), "free": 0.0, "sit": u(0.2, 1.3)}[pose]
+    drop = {
+        "T": u(-0.08, 0.12),
+        "A": u(0.4, 1.0),
+        "down": u(1.05, 1.4),
+        "idle": u(0.7, 1.35),
+        "free": 0.0,
+        "sit": u(0.2, 1.3),
+    }[pose]
     forward, bend = u(-0.1, 0.15), u(0.0, 0.12) if pose == "T" else u(0.0, 0.5)
     spread, stride = u(0.0, 0.12), u(-0.25, 0.25) if pose in ("idle", "free") and m.chance(0.6) else 0.0
     shoulder_y = h.top - h.trunk * u(0.06, 0.2)
@@ -162,7 +171,9 @@ def pose_skeleton(m: Model, h: Human) -> None:
         lower = unit(np.array([s * turn_out, -1.0, step - knee_bend]))
         ankle = knee + (knee[1] - heel) * lower / max(-lower[1], 0.5)
         if h.seated:
-            knee = m.bone(f"{side}Leg", f"{side}UpLeg", hip + thigh * unit(np.array([s * (0.15 + spread), lift_knee, 1.0])))
+            knee = m.bone(
+                f"{side}Leg", f"{side}UpLeg", hip + thigh * unit(np.array([s * (0.15 + spread), lift_knee, 1.0]))
+            )
             ankle = knee + (h.leg - heel - thigh) * unit(np.array([s * 0.05, -1.0, fold_knee]))
         m.bone(f"{side}Foot", f"{side}Leg", ankle)
 

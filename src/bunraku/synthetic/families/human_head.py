@@ -25,12 +25,16 @@ def build_head(m: Model, h: Human) -> None:
         size = half * np.array([u(0.62, 0.72), 1.0, u(0.76, 0.88)])
     else:
         size = half * np.array([u(0.72, 1.25), 1.0, u(0.7, 1.1)])
-    shape = m.pick("egg", "ball", "box", "beast", weights=(0.45, 0.3, 0.06, 0.19) if h.kind != "robot" else (0.1, 0.25, 0.55, 0.1))
+    shape = m.pick(
+        "egg", "ball", "box", "beast", weights=(0.45, 0.3, 0.06, 0.19) if h.kind != "robot" else (0.1, 0.25, 0.55, 0.1)
+    )
     if h.kind == "realistic":
         shape = "egg"
     if shape == "egg":
         m.lump(centre + [0, 0.15 * half, -0.08 * half], size * [1, 0.85, 1], "Head", "head")
-        m.lump(centre + [0, -0.4 * half, 0.12 * half], size * [u(0.6, 0.85), 0.6, u(0.7, 0.9)], "Head", "head", blend=1.2)
+        m.lump(
+            centre + [0, -0.4 * half, 0.12 * half], size * [u(0.6, 0.85), 0.6, u(0.7, 0.9)], "Head", "head", blend=1.2
+        )
     elif shape == "box":
         m.block(centre, size * 0.95, "Head", "head", exponent=m.pick(4.0, 8.0, 20.0))
     else:
@@ -45,15 +49,33 @@ def build_head(m: Model, h: Human) -> None:
             blend=0.8,
         )
     elif m.chance(0.6):
-        m.limb([centre + [0, 0, 0.85 * size[2]], centre + [0, -0.2 * half, size[2] * u(0.95, 1.25)]], [0.07 * half, 0.13 * half], "Head", "head")
+        m.limb(
+            [centre + [0, 0, 0.85 * size[2]], centre + [0, -0.2 * half, size[2] * u(0.95, 1.25)]],
+            [0.07 * half, 0.13 * half],
+            "Head",
+            "head",
+        )
     eyes(m, centre, size, "Head")
     if shape != "beast" and m.chance(0.5):
         for _, s in SIDES:
             m.lump(centre + [s * size[0] * 0.98, 0, 0], half * np.array([0.1, 0.22, 0.14]), "Head", "head")
     if shape == "beast" or m.chance(0.55 if h.kind == "chibi" else 0.3):
-        ears_and_horns(m, centre, size, "Head", ("cat", "long", "long", "long", "round", "horn", "antenna") if h.kind == "chibi" else EARS)
+        ears_and_horns(
+            m,
+            centre,
+            size,
+            "Head",
+            ("cat", "long", "long", "long", "round", "horn", "antenna") if h.kind == "chibi" else EARS,
+        )
     worn = str(
-        m.pick("hair", "hat", "helmet", "hood", "bald", weights=(0.5, 0.16, 0.1, 0.07, 0.17) if shape != "beast" else (0.1, 0.15, 0.1, 0.05, 0.6))
+        m.pick(
+            "hair",
+            "hat",
+            "helmet",
+            "hood",
+            "bald",
+            weights=(0.5, 0.16, 0.1, 0.07, 0.17) if shape != "beast" else (0.1, 0.15, 0.1, 0.05, 0.6),
+        )
     )
     if worn == "hair":
         _hair(m, h, centre, size)
@@ -77,7 +99,13 @@ def build_head(m: Model, h: Human) -> None:
         )
         if m.chance(0.5):
             wide = h.shoulder * 0.9
-            m.mesh(ring_mesh((0, h.top, m.at("Spine2")[2]), (wide * 0.6, wide * 0.55), (wide * 0.35, h.trunk * 0.12), 24, 8), "Spine2", "collar")
+            m.mesh(
+                ring_mesh(
+                    (0, h.top, m.at("Spine2")[2]), (wide * 0.6, wide * 0.55), (wide * 0.35, h.trunk * 0.12), 24, 8
+                ),
+                "Spine2",
+                "collar",
+            )
     if m.chance(0.14) and h.kind != "robot":
         long = half * u(0.3, 1.4)
         m.limb(
@@ -119,17 +147,33 @@ def eyes(m: Model, centre: np.ndarray, size: np.ndarray, share: str) -> None:
 def ears_and_horns(m: Model, centre: np.ndarray, size: np.ndarray, share: str, kinds: tuple[str, ...] = EARS) -> None:
     """Two of a kind on top of a head."""
     kind = m.pick(*kinds)
-    tall, tilt, out, fat, flat, tip = m.u(0.35, 0.9), m.u(-0.3, 0.3), m.u(0.35, 0.75), m.u(0.6, 1.7), m.u(0.4, 1.0), m.u(0.1, 0.25)
+    tall, tilt, out, fat, flat, tip = (
+        m.u(0.35, 0.9),
+        m.u(-0.3, 0.3),
+        m.u(0.35, 0.75),
+        m.u(0.6, 1.7),
+        m.u(0.4, 1.0),
+        m.u(0.1, 0.25),
+    )
     loose = m.chance(0.5)
     for _, s in SIDES:
         root = centre + size * [s * out, 0.7, -0.05]
         way = unit(np.array([s * m.u(0.2, 0.7) if s > 0 else -out, 1.0, tilt]))
         if kind == "cat":
-            m.limb([root, root + way * size[1] * tall], [0.36 * size[0], 0.05 * size[0]], share, f"ear {s}", stretch=(1, 1, 0.4), loose=m.chance(0.5))
+            m.limb(
+                [root, root + way * size[1] * tall],
+                [0.36 * size[0], 0.05 * size[0]],
+                share,
+                f"ear {s}",
+                stretch=(1, 1, 0.4),
+                loose=m.chance(0.5),
+            )
         elif kind == "long":
             m.limb(
                 [root, root + way * size[1] * tall, root + way * size[1] * 2.2 * tall],
-                np.array([0.16, 0.26, tip]) * fat * size[0],  # up to the girth of an arm, which it must not be taken for
+                np.array([0.16, 0.26, tip])
+                * fat
+                * size[0],  # up to the girth of an arm, which it must not be taken for
                 share,
                 f"ear {s}" if loose else "head",
                 stretch=(1, 1, flat),
@@ -147,7 +191,13 @@ def ears_and_horns(m: Model, centre: np.ndarray, size: np.ndarray, share: str, k
                 loose=True,
             )
         else:
-            m.limb([root, root + way * size[1] * tall * 1.2], [0.04 * size[0], 0.03 * size[0]], share, f"ear {s}", loose=True)
+            m.limb(
+                [root, root + way * size[1] * tall * 1.2],
+                [0.04 * size[0], 0.03 * size[0]],
+                share,
+                f"ear {s}",
+                loose=True,
+            )
             m.lump(root + way * size[1] * tall * 1.2, np.full(3, 0.1 * size[0]), share, f"ear {s}", loose=True)
 
 
@@ -156,7 +206,9 @@ def _hair(m: Model, h: Human, centre: np.ndarray, size: np.ndarray) -> None:
     loose = m.chance(0.75)
     cap = u(1.04, 1.22)
     m.lump(centre + [0, 0.22 * half, -0.16 * size[2]], size * cap * [1, 0.88, 0.98], "Head", "hair", loose=loose)
-    kind = m.pick("short", "bob", "long", "spikes", "tail", "twin", "bun", "afro", "fringe", weights=(3, 2, 3, 2, 2, 1, 1, 1, 2))
+    kind = m.pick(
+        "short", "bob", "long", "spikes", "tail", "twin", "bun", "afro", "fringe", weights=(3, 2, 3, 2, 2, 1, 1, 1, 2)
+    )
     if kind in ("bob", "long"):
         down = u(0.7, 1.1) if kind == "bob" else u(1.2, 3.4)
         low = centre[1] - half * down
@@ -171,7 +223,10 @@ def _hair(m: Model, h: Human, centre: np.ndarray, size: np.ndarray) -> None:
         if m.chance(0.6):
             for _, s in SIDES:
                 m.limb(
-                    [centre + [s * size[0] * 0.95, 0.2 * half, 0.1], [s * size[0] * u(0.8, 1.1), low + u(0, 0.4) * half, centre[2] + 0.2 * size[2]]],
+                    [
+                        centre + [s * size[0] * 0.95, 0.2 * half, 0.1],
+                        [s * size[0] * u(0.8, 1.1), low + u(0, 0.4) * half, centre[2] + 0.2 * size[2]],
+                    ],
                     [0.26 * half, 0.12 * half],
                     "Head",
                     "hair",
@@ -180,7 +235,13 @@ def _hair(m: Model, h: Human, centre: np.ndarray, size: np.ndarray) -> None:
     elif kind == "spikes":
         for _ in range(int(m.rng.integers(5, 13))):
             way = unit(np.array([u(-1, 1), u(0.1, 1), u(-1, 0.6)]))
-            m.limb([centre + way * size * 0.85, centre + way * size * u(1.25, 1.8)], [0.32 * half, 0.02 * half], "Head", "hair", loose=loose)
+            m.limb(
+                [centre + way * size * 0.85, centre + way * size * u(1.25, 1.8)],
+                [0.32 * half, 0.02 * half],
+                "Head",
+                "hair",
+                loose=loose,
+            )
     elif kind == "tail":
         root = centre + [0, u(0, 0.7) * half, -size[2] * 1.1]
         long = half * u(0.8, 3.5)
@@ -203,7 +264,9 @@ def _hair(m: Model, h: Human, centre: np.ndarray, size: np.ndarray) -> None:
                 loose=loose,
             )
     elif kind == "bun":
-        m.lump(centre + [0, u(0.3, 1.2) * half, -size[2] * u(0.5, 1.1)], half * u(0.25, 0.5), "Head", "bun", loose=loose)
+        m.lump(
+            centre + [0, u(0.3, 1.2) * half, -size[2] * u(0.5, 1.1)], half * u(0.25, 0.5), "Head", "bun", loose=loose
+        )
     elif kind == "afro":
         m.lump(centre + [0, 0.35 * half, -0.2 * size[2]], size * u(1.25, 1.7), "Head", "hair", loose=loose)
     elif kind == "fringe":
@@ -234,4 +297,8 @@ def _hat(m: Model, centre: np.ndarray, size: np.ndarray) -> None:
         m.lump(top, (radius * 1.02, half * 0.75, radius * 1.02), "Head", "hat", loose=True)
         m.block(top + [0, 0, radius * 1.2], (radius * 0.7, 0.05 * half, radius * 0.6), "Head", "brim", exponent=3.0)
     else:
-        m.mesh(cylinder_mesh(top, top + [0, half * u(0.5, 1.4), 0], (radius * u(0.75, 1.0), radius * u(0.7, 1.1)), 16, 2), "Head", "hat")
+        m.mesh(
+            cylinder_mesh(top, top + [0, half * u(0.5, 1.4), 0], (radius * u(0.75, 1.0), radius * u(0.7, 1.1)), 16, 2),
+            "Head",
+            "hat",
+        )

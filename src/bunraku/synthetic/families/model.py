@@ -50,7 +50,9 @@ class Chain:
             better = far < best
             best[better], place[better] = far[better], (starts[i] + along * lengths[i])[better]
         width = np.maximum(soft * self.blur, 1e-6)
-        passed = [np.ones(len(points))] + [1 / (1 + np.exp(-np.clip(2.5 * (place - s) / width, -40, 40))) for s in starts[1:]]
+        passed = [np.ones(len(points))] + [
+            1 / (1 + np.exp(-np.clip(2.5 * (place - s) / width, -40, 40))) for s in starts[1:]
+        ]
         passed.append(np.zeros(len(points)))
         out: dict[str, np.ndarray] = {}
         for name, now, after in zip(self.joints, passed[:-1], passed[1:], strict=True):
@@ -66,11 +68,13 @@ class Style:
     """How the parts of one character become a mesh.
 
     Args:
-        mode: "clay" melts the body into one skin, "regions" does so limb by limb, "pieces" leaves every part closed on its own.
+        mode: "clay" melts the body into one skin, "regions" does so limb by limb, "pieces" leaves every part closed on
+            its own.
         exponent: Roundness of pieces (`block_mesh`).
         cells: Cells across a piece.
         cap: How far pieces reach past their joints, over their radius.
-        soft: Half the width over which weights pass from joint to joint, over the size of the character; 0 for rigid parts.
+        soft: Half the width over which weights pass from joint to joint, over the size of the character; 0 for rigid
+            parts.
         melt: Factor on the widths over which lumps melt into each other.
         faces: Faces of the body after thinning; None for all.
         detail: Vertices of the body.
@@ -160,22 +164,34 @@ class Model:
         """Place of a bone [m], shape (3,)."""
         return self.bones[name][1]
 
-    def limb(self, points: Sequence[Vector], radii: Sequence[float], share: Share | Sequence[str], region: str, *, loose: bool = False,
+    def limb(self, points: Sequence[Vector], radii: Sequence[float], share: Share | Sequence[str], region: str, *,
+    loose: bool = False,
              stretch: Vector | None = None, turn: np.ndarray | None = None, blend: float = 0.35) -> None:  # fmt: skip
         """Bars from point to point; the shares are one for all or one for each bar."""
-        shares: list[Share] = [share] * (len(points) - 1) if isinstance(share, (str, Chain)) or callable(share) else list(share)
+        shares: list[Share] = (
+            [share] * (len(points) - 1) if isinstance(share, (str, Chain)) or callable(share) else list(share)
+        )
         for i, one in enumerate(shares):
             width = blend * self.style.melt * min(radii[i], radii[i + 1])
             lump = bar(points[i], points[i + 1], (radii[i], radii[i + 1]), stretch=stretch, turn=turn, blend=width)
             self.parts.append(_Part(lump, one, region, loose))
 
-    def lump(self, centre: Vector, radii: float | Vector, share: Share, region: str, *, loose: bool = False, turn: np.ndarray | None = None,
+    def lump(self, centre: Vector, radii: float | Vector, share: Share, region: str, *, loose: bool = False,
+    turn: np.ndarray | None = None,
              blend: float = 0.35) -> None:  # fmt: skip
         """An ellipsoid."""
         width = blend * self.style.melt * float(np.min(radii))
         self.parts.append(_Part(ball(centre, radii, turn=turn, blend=width), share, region, loose))
 
-    def block(self, centre: Vector, half: Vector, share: Share, region: str, turn: np.ndarray | None = None, exponent: float = 8.0) -> None:
+    def block(
+        self,
+        centre: Vector,
+        half: Vector,
+        share: Share,
+        region: str,
+        turn: np.ndarray | None = None,
+        exponent: float = 8.0,
+    ) -> None:
         """A loose box with rounded edges; `half` are half its edge lengths [m]."""
         self.mesh(block_mesh(ball(centre, half, turn=turn), exponent, max(self.style.cells, 3)), share, region)
 
@@ -237,7 +253,12 @@ class Model:
                     if lump.carve:
                         continue
                     short = 0.5 * style.gap * (lump.end - lump.start)
-                    mesh = block_mesh(replace(lump, start=lump.start + short, end=lump.end - short), style.exponent, style.cells, style.cap)
+                    mesh = block_mesh(
+                        replace(lump, start=lump.start + short, end=lump.end - short),
+                        style.exponent,
+                        style.cells,
+                        style.cap,
+                    )
                     near = parts if soft > 0 else [parts[own]]
                     out.append((mesh, self._weigh(mesh, near, soft, own if soft > 0 else None)))
                 continue
@@ -249,7 +270,9 @@ class Model:
         return out
 
     def _bend(self, size: float, middle: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """A smooth random warp of space, so that no two parts are perfect, and what is left and right differs a little."""
+        """A smooth random warp of space, so that no two parts are perfect, and what is left and right differs a
+        little.
+        """
         count, most = 4, float(self.rng.choice([0.0, 0.006, 0.012]))
         wave = self.rng.normal(size=(count, 3)) * 4 / size
         phase, shift = self.rng.uniform(0, 6.28, count), self.rng.normal(size=(count, 3)) * most * size

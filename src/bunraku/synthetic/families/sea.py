@@ -27,7 +27,9 @@ def _spine(m: Model, marks: tuple[float, ...], tails: int) -> Chain:
     return Chain(names, places)
 
 
-def _fin(m: Model, root: np.ndarray, along: np.ndarray, out: np.ndarray, share: str | Chain, region: str, notch: float = 0.0) -> None:
+def _fin(
+    m: Model, root: np.ndarray, along: np.ndarray, out: np.ndarray, share: str | Chain, region: str, notch: float = 0.0
+) -> None:
     """A flat fin on a line from `root` along `along`, reaching out."""
     t, v = np.linspace(0, 1, 7)[:, None, None], np.linspace(0, 1, 5)[None, :, None]
     high = (1 - m.u(0.3, 0.9) * t) * (1 - notch * np.sin(np.pi * t))
@@ -43,20 +45,38 @@ def fish(m: Model) -> None:
     if m.chance(0.1):
         high, wide = wide * 0.8, high
     nose, peak, root = u(0.02, 0.12), u(0.25, 0.45), u(0.68, 0.82)
-    marks = (0.1, u(0.28, 0.38), u(0.46, 0.54), u(0.57, 0.63), 0.1) if toy else (0.1, u(0.18, 0.25), u(0.33, 0.42), u(0.5, 0.58), 0.05)
+    marks = (
+        (0.1, u(0.28, 0.38), u(0.46, 0.54), u(0.57, 0.63), 0.1)
+        if toy
+        else (0.1, u(0.18, 0.25), u(0.33, 0.42), u(0.5, 0.58), 0.05)
+    )
     body = _spine(m, marks, int(m.rng.integers(3, 5)))
     stem = high * u(0.15, 0.35)
     z = [0.5 - nose - high * 0.4, 0.5 - peak, 0.5 - root, -0.42]
     radii = [high * u(0.4, 0.8), high, high * u(0.35, 0.6), stem]
     rise = u(-0.3, 0.3) * high
-    m.limb([(0, rise * 0.5, z[0]), (0, 0, z[1]), (0, 0, z[2]), (0, 0, z[3])], radii, body, "body", stretch=(wide / high, 1, 1), blend=1.2)
+    m.limb(
+        [(0, rise * 0.5, z[0]), (0, 0, z[1]), (0, 0, z[2]), (0, 0, z[3])],
+        radii,
+        body,
+        "body",
+        stretch=(wide / high, 1, 1),
+        blend=1.2,
+    )
     if m.chance(0.3):
         m.limb(
-            [(0, rise * 0.5, z[0]), (0, rise * 0.5, 0.5 + u(0.0, 0.2))], [radii[0] * 0.7, u(0.01, 0.05)], body, "body", stretch=(wide / high, 1, 1)
+            [(0, rise * 0.5, z[0]), (0, rise * 0.5, 0.5 + u(0.0, 0.2))],
+            [radii[0] * 0.7, u(0.01, 0.05)],
+            body,
+            "body",
+            stretch=(wide / high, 1, 1),
         )
     bulge = u(0.6, 1.4) if toy else 0.5
     if m.chance(0.85):
-        place, size = np.array([wide * radii[0] / high * 0.85, 0.2 * high, z[0] - u(0, 0.3) * high]), high * u(0.12, 0.34) * bulge
+        place, size = (
+            np.array([wide * radii[0] / high * 0.85, 0.2 * high, z[0] - u(0, 0.3) * high]),
+            high * u(0.12, 0.34) * bulge,
+        )
         for _, s in SIDES:
             m.lump(place * [s, 1, 1], size, body, f"eye {s}", loose=True)
     span, fork = high * u(0.5, 1.5), u(0.0, 0.7)
@@ -96,7 +116,13 @@ def fish(m: Model) -> None:
                 share = f"{side}Arm"
             _fin(m, at, np.array([0, -0.05 * high, -u(0.05, 0.16)]), way * long, share, f"fin {side}")
     if m.chance(0.06):
-        m.limb([(0, high * 0.9, 0.3), (0, high * 1.7, 0.45), (0, high * 1.4, 0.6)], [0.015, 0.012, 0.012], body, "lure", loose=True)
+        m.limb(
+            [(0, high * 0.9, 0.3), (0, high * 1.7, 0.45), (0, high * 1.4, 0.6)],
+            [0.015, 0.012, 0.012],
+            body,
+            "lure",
+            loose=True,
+        )
         m.lump((0, high * 1.4, 0.6), 0.05, body, "lure", loose=True)
 
 
@@ -106,9 +132,18 @@ def whale(m: Model) -> None:
     high, wide = u(0.09, 0.28), u(0.8, 1.3)
     body = _spine(m, (0.08, u(0.17, 0.24), u(0.33, 0.4), u(0.48, 0.56), 0.06), 3)
     radii = [high * u(0.5, 0.95), high, high * u(0.4, 0.7), high * 0.2]
-    m.limb([(0, 0, 0.48 - high), (0, 0, 0.15), (0, 0, -0.25), (0, u(0, 0.3) * high, -0.46)], radii, body, "body", stretch=(wide, 1, 1), blend=1.2)
+    m.limb(
+        [(0, 0, 0.48 - high), (0, 0, 0.15), (0, 0, -0.25), (0, u(0, 0.3) * high, -0.46)],
+        radii,
+        body,
+        "body",
+        stretch=(wide, 1, 1),
+        blend=1.2,
+    )
     if m.chance(0.4):
-        m.limb([(0, -0.2 * high, 0.45), (0, -0.3 * high, 0.5 + u(0.02, 0.12))], [high * 0.35, high * 0.2], "Head", "body")
+        m.limb(
+            [(0, -0.2 * high, 0.45), (0, -0.3 * high, 0.5 + u(0.02, 0.12))], [high * 0.35, high * 0.2], "Head", "body"
+        )
     for _, s in SIDES:
         m.lump((s * wide * radii[0] * 0.9, 0.1 * high, 0.48 - high), high * 0.12, "Head", f"eye {s}", loose=True)
     last, span, back = body.joints[-1], high * u(1.0, 2.0), u(0.05, 0.2)
@@ -130,7 +165,14 @@ def whale(m: Model) -> None:
             stretch=(1, 0.35, 1),
         )
     if m.chance(0.6):
-        _fin(m, np.array([0, 0.85 * high, 0.0]), np.array([0, -0.1 * high, -0.12]), np.array([0, high * u(0.4, 1.2), -0.05]), body, "dorsal")
+        _fin(
+            m,
+            np.array([0, 0.85 * high, 0.0]),
+            np.array([0, -0.1 * high, -0.12]),
+            np.array([0, high * u(0.4, 1.2), -0.05]),
+            body,
+            "dorsal",
+        )
 
 
 def ray(m: Model) -> None:
@@ -141,7 +183,14 @@ def ray(m: Model) -> None:
     m.bone("Spine", "Hips", (0, 0, 0.1))
     m.bone("Head", "Spine", (0, 0, 0.25))
     body = Chain(["Hips", "Spine", "Head"], [m.at("Hips"), m.at("Spine"), m.at("Head")])
-    m.limb([(0, 0, -0.25), (0, 0, 0.1), (0, 0, 0.35)], [thick * 0.7, thick * 1.6, thick], body, "body", stretch=(u(1.2, 2.5), 1, 1), blend=1.0)
+    m.limb(
+        [(0, 0, -0.25), (0, 0, 0.1), (0, 0, 0.35)],
+        [thick * 0.7, thick * 1.6, thick],
+        body,
+        "body",
+        stretch=(u(1.2, 2.5), 1, 1),
+        blend=1.0,
+    )
     eyes(m, np.array([0, 0.3 * thick, 0.28]), np.array([2.2, 1, 1]) * thick, "Head")
     front, back, sweep, droop = u(0.25, 0.4), u(-0.45, -0.25), u(-0.2, 0.15), u(-0.2, 0.25)
     power = u(0.8, 2.2)
@@ -156,7 +205,9 @@ def ray(m: Model) -> None:
         m.sheet(grid, Chain(["Spine", *names], [np.zeros(3), *points]), f"wing {side}", thick * u(0.5, 1))
     if m.chance(0.6):
         for _, s in SIDES:
-            m.limb([(s * thick * 2, 0, 0.33), (s * thick * 1.6, 0, 0.48)], [thick * 0.5, thick * 0.25], "Head", f"horn {s}")
+            m.limb(
+                [(s * thick * 2, 0, 0.33), (s * thick * 1.6, 0, 0.48)], [thick * 0.5, thick * 0.25], "Head", f"horn {s}"
+            )
     tail(m, np.array([0, 0, -0.28]), u(0.3, 1.0), thick * u(0.25, 0.5), u(-0.05, 0.1), u(-0.2, 0.4), 4)
 
 
@@ -193,4 +244,11 @@ def seahorse(m: Model) -> None:
         m.bone(name, joints[i - 1] if i else "Hips", points[i])
     m.limb(points, list(np.linspace(fat * 0.65, 0.02, count + 1)), joints, "tail", blend=0.5)
     if m.chance(0.7):
-        _fin(m, np.array([0, 0.7, -0.5 * fat]), np.array([0, -0.2, 0]), np.array([0, 0, -u(0.06, 0.16)]), "Spine1", "dorsal")
+        _fin(
+            m,
+            np.array([0, 0.7, -0.5 * fat]),
+            np.array([0, -0.2, 0]),
+            np.array([0, 0, -u(0.06, 0.16)]),
+            "Spine1",
+            "dorsal",
+        )

@@ -31,7 +31,9 @@ def _cube(around: int, rows: int) -> Mesh:
             grid = np.zeros((len(steps[0]), len(steps[1]), 3))
             grid[..., axis], grid[..., b], grid[..., c] = sign, steps[0][:, None], steps[1][None]
             index = start + np.arange(grid[..., 0].size).reshape(grid.shape[:2])
-            quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)[:, ::sign]
+            quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)[
+                :, ::sign
+            ]
             vertices.append(grid.reshape(-1, 3))
             faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
             start += index.size
@@ -65,15 +67,22 @@ def block_mesh(lump: Lump, exponent: float = 2.0, cells: int = 4, cap: float = 1
     bent = (turn * stretch) @ turn.T
     across = np.array([np.linalg.norm(bent @ frame[:, 0]), 1.0, np.linalg.norm(bent @ frame[:, 2])])
     first, last = (radius * cap * float(np.linalg.norm(bent @ along)) for radius in lump.radii)
-    points, faces = _cube(cells, max(cells, min(3 * cells, round(cells * (length + first + last) / (2.5 * max(lump.radii) * across.max())))))
+    points, faces = _cube(
+        cells,
+        max(cells, min(3 * cells, round(cells * (length + first + last) / (2.5 * max(lump.radii) * across.max())))),
+    )
     place = -first + 0.5 * (points[:, 1] + 1) * (length + first + last)
     share = np.clip(place / length, 0, 1)
     radius = lump.radii[0] + share * (lump.radii[1] - lump.radii[0])
-    past = np.where(place < 0, place / max(first, 1e-9), np.where(place > length, (place - length) / max(last, 1e-9), 0.0))
+    past = np.where(
+        place < 0, place / max(first, 1e-9), np.where(place > length, (place - length) / max(last, 1e-9), 0.0)
+    )
     unit = np.stack([points[:, 0], past, points[:, 2]], axis=1)
     unit /= np.maximum((np.abs(unit) ** exponent).sum(axis=1, keepdims=True) ** (1 / exponent), 1e-9)
     end = np.where(past < 0, first, last)
-    local = np.stack([unit[:, 0] * radius * across[0], share * length + unit[:, 1] * end, unit[:, 2] * radius * across[2]], axis=1)
+    local = np.stack(
+        [unit[:, 0] * radius * across[0], share * length + unit[:, 1] * end, unit[:, 2] * radius * across[2]], axis=1
+    )
     return lump.start + local @ frame.T, faces
 
 
@@ -85,7 +94,9 @@ def melted_mesh(lumps: Sequence[Lump], count: int) -> Mesh:
     for lump in solid:
         mean, length = float(np.mean(lump.radii)), float(np.linalg.norm(lump.end - lump.start))
         size = mean * (np.ones(3) if lump.stretch is None else lump.stretch)
-        area += 4.2 * float(np.prod(size) ** (1 / 3) * size.max()) * 3 + 6.3 * mean * float(np.median(size) / mean) * length
+        area += (
+            4.2 * float(np.prod(size) ** (1 / 3) * size.max()) * 3 + 6.3 * mean * float(np.median(size) / mean) * length
+        )
     thinnest = min(max(lump.radii) * (1.0 if lump.stretch is None else float(np.min(lump.stretch))) for lump in solid)
     spacing = float(np.sqrt(0.9 * area / count))
     spacing = min(spacing, max(0.8 * thinnest, 0.45 * spacing))
@@ -98,7 +109,9 @@ def thinned(mesh: Mesh, faces: int) -> Mesh:
 
     if len(mesh[1]) <= faces:
         return mesh
-    points, triangles = fast_simplification.simplify(mesh[0].astype(np.float32), mesh[1].astype(np.int32), 1 - faces / len(mesh[1]))
+    points, triangles = fast_simplification.simplify(
+        mesh[0].astype(np.float32), mesh[1].astype(np.int32), 1 - faces / len(mesh[1])
+    )
     return np.asarray(points, float), np.asarray(triangles, np.int64)
 
 
@@ -121,7 +134,11 @@ def sheet_mesh(grid: np.ndarray, thickness: float = 0.0, wrap: bool = False) -> 
         return points, faces
     corners = points[faces]
     normal = np.zeros_like(points)
-    np.add.at(normal, faces.ravel(), np.repeat(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), 3, axis=0))
+    np.add.at(
+        normal,
+        faces.ravel(),
+        np.repeat(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), 3, axis=0),
+    )
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     count = len(points)
     rim = [index[0], index[-1][::-1]] + ([] if wrap else [index[::-1, 0], index[:, -1]])

@@ -1,4 +1,6 @@
-"""Toys and monsters without a human shape: mascots on thin limbs, slimes, ghosts, mushrooms, skulls, and blobs that fly."""
+"""Toys and monsters without a human shape: mascots on thin limbs, slimes, ghosts, mushrooms, skulls, and blobs that
+fly.
+"""
 
 from __future__ import annotations
 
@@ -61,16 +63,34 @@ def mascot(m: Model) -> None:
             for _, s in SIDES:
                 m.lump(tip + [s * 0.1, 0.1, 0], (0.12, 0.05, 0.06), "HeadTop_End", f"leaf {s}", loose=True)
     if m.chance(0.2):
-        tail(m, np.array([0, low + 0.25 * half[1], -0.8 * depth]), u(0.2, 0.5), u(0.03, 0.09), u(-0.2, 0.8), u(-0.3, 1), 3)
+        tail(
+            m,
+            np.array([0, low + 0.25 * half[1], -0.8 * depth]),
+            u(0.2, 0.5),
+            u(0.03, 0.09),
+            u(-0.2, 0.8),
+            u(-0.3, 1),
+            3,
+        )
     arm, thick = u(0.15, 0.45), u(0.02, 0.07)
     drop, bend = u(-0.3, 1.2) if m.chance(0.6) else u(-0.1, 0.15), u(0, 0.7)
     foot, glove, stance = u(1.2, 2.4), u(1.0, 2.2), half[0] * u(0.25, 0.6)
     high, fingers = u(-0.15, 0.25) * half[1], m.chance(0.3)
-    side_at = half[0] * np.sqrt(max(1 - (high / half[1]) ** 2, 0)) * (0.95 if shape not in ("tall", "pear") else 0.8 * half[2] / half[0] + 0.1)
+    side_at = (
+        half[0]
+        * np.sqrt(max(1 - (high / half[1]) ** 2, 0))
+        * (0.95 if shape not in ("tall", "pear") else 0.8 * half[2] / half[0] + 0.1)
+    )
     for side, s in SIDES:
         way = np.array([s * np.cos(drop), -np.sin(drop), 0.1])
         m.bone(f"{side}Shoulder", "Spine2", (s * 0.6 * side_at, y + high, 0))
-        m.lump((s * 0.72 * side_at, y + high, 0), np.array([0.22 * side_at, 0.35 * half[1], 0.5 * depth]), f"{side}Shoulder", "body", blend=1.0)
+        m.lump(
+            (s * 0.72 * side_at, y + high, 0),
+            np.array([0.22 * side_at, 0.35 * half[1], 0.5 * depth]),
+            f"{side}Shoulder",
+            "body",
+            blend=1.0,
+        )
         a = m.bone(f"{side}Arm", f"{side}Shoulder", (s * side_at, y + high, 0))
         b = m.bone(f"{side}ForeArm", f"{side}Arm", a + way * 0.45 * arm)
         c = m.bone(f"{side}Hand", f"{side}ForeArm", b + unit(way + [0, 0, bend]) * 0.45 * arm)
@@ -78,7 +98,9 @@ def mascot(m: Model) -> None:
         m.lump(c + way * thick * glove * 0.7, thick * glove * np.array([1, 0.9, 1]), f"{side}Hand", f"arm {side}")
         if fingers:
             for i in range(3):
-                bone = m.bone(f"{side}HandIndex{i}" if i else f"{side}HandThumb1", f"{side}Hand", c + way * thick * glove)
+                bone = m.bone(
+                    f"{side}HandIndex{i}" if i else f"{side}HandThumb1", f"{side}Hand", c + way * thick * glove
+                )
                 m.limb(
                     [bone, bone + unit(way + [0, 0, i - 1]) * thick * glove * 1.4],
                     [thick * 0.6, thick * 0.45],
@@ -86,12 +108,28 @@ def mascot(m: Model) -> None:
                     f"arm {side}",
                 )
         hip = m.bone(f"{side}UpLeg", "Hips", (s * stance, leg + 0.05, 0))
-        m.lump((s * stance, low + 0.16 * half[1], 0), np.array([0.3 * half[0], 0.14 * half[1], 0.55 * depth]), f"{side}UpLeg", "body", blend=1.0)
+        m.lump(
+            (s * stance, low + 0.16 * half[1], 0),
+            np.array([0.3 * half[0], 0.14 * half[1], 0.55 * depth]),
+            f"{side}UpLeg",
+            "body",
+            blend=1.0,
+        )
         knee = m.bone(f"{side}Leg", f"{side}UpLeg", (s * stance, leg * 0.55, u(0, 0.03)))
         flat = thick * foot * 0.5
         ankle = m.bone(f"{side}Foot", f"{side}Leg", (s * stance, flat, 0))
-        m.limb([hip + [0, 0.05, 0], knee, ankle], [thick * 1.2, thick * 1.05, thick], [f"{side}UpLeg", f"{side}Leg"], f"leg {side}")
-        m.lump(ankle + [0, 0, 0.5 * thick * foot], (thick * foot * 0.8, flat * 0.98, thick * foot * 1.3), f"{side}Foot", f"leg {side}")
+        m.limb(
+            [hip + [0, 0.05, 0], knee, ankle],
+            [thick * 1.2, thick * 1.05, thick],
+            [f"{side}UpLeg", f"{side}Leg"],
+            f"leg {side}",
+        )
+        m.lump(
+            ankle + [0, 0, 0.5 * thick * foot],
+            (thick * foot * 0.8, flat * 0.98, thick * foot * 1.3),
+            f"{side}Foot",
+            f"leg {side}",
+        )
 
 
 def blob(m: Model) -> None:
@@ -134,7 +172,9 @@ def blob(m: Model) -> None:
     elif kind == "mushroom":
         m.limb([(0, half[0] * 0.5, 0), (0, half[1] * 1.1, 0)], [half[0], half[0] * u(0.5, 0.9)], body, "body")
         wide = half[0] * u(1.5, 3.0)
-        m.lump((0, half[1] * 1.35, 0), (wide, half[1] * u(0.4, 0.7), wide), "Head", "cap", loose=m.chance(0.5), blend=0.2)
+        m.lump(
+            (0, half[1] * 1.35, 0), (wide, half[1] * u(0.4, 0.7), wide), "Head", "cap", loose=m.chance(0.5), blend=0.2
+        )
     elif kind == "skull":
         m.lump((0, half[1] * 1.15, 0), half * [1, 0.85, 1.05], body, "body")
         m.lump((0, half[1] * 0.45, half[2] * 0.25), half * [0.6, 0.45, 0.7], body, "body", blend=0.8)
@@ -180,9 +220,16 @@ def flyer(m: Model) -> None:
         r, long = u(0.05, 0.12), u(0.2, 0.5)
         for side, s in SIDES:
             points = [middle + [s * (half[0] + long * t), u(-0.05, 0.0), 0] for t in (-0.1, 0.15, 0.55, 1.0)]
-            for name, parent, at in zip(("Shoulder", "Arm", "ForeArm", "Hand"), ("", "Shoulder", "Arm", "ForeArm"), points, strict=True):
+            for name, parent, at in zip(
+                ("Shoulder", "Arm", "ForeArm", "Hand"), ("", "Shoulder", "Arm", "ForeArm"), points, strict=True
+            ):
                 m.bone(f"{side}{name}", f"{side}{parent}" if parent else "Spine", at)
-            m.limb(points, [r * 1.4, r, r * 0.6, r * 0.9], [f"{side}{n}" for n in ("Shoulder", "Arm", "ForeArm")], f"arm {side}")
+            m.limb(
+                points,
+                [r * 1.4, r, r * 0.6, r * 0.9],
+                [f"{side}{n}" for n in ("Shoulder", "Arm", "ForeArm")],
+                f"arm {side}",
+            )
             m.lump(points[-1] + [s * r, 0, 0], r * np.array([1.4, 1.2, 1.6]), f"{side}Hand", f"arm {side}")
         return
     names = ["Hips", "Spine", "Neck", "Head"]

@@ -1,8 +1,9 @@
 """Sample characters made by code, so that demos and tests need no downloads.
 
-Each sample stands on y = 0, faces +Z and has its left side at +X; people are in T-pose. A sample has no source document, so
-writers store its positions, faces and `Character.colors` as the vertex colours COLOR_0 (sRGB bytes, to be made linear where the
-format asks for it) under one white material. Vertices are doubled along the seams between colours, as in most files from
+Each sample stands on y = 0, faces +Z and has its left side at +X; people are in T-pose. A sample has no source
+document, so writers store its positions, faces and `Character.colors` as the vertex colours COLOR_0 (sRGB bytes, to be
+made linear where the format asks for it) under one white material. Vertices are doubled along the seams between
+colours, as in most files from
 artists: welded, every part is closed.
 """
 
@@ -29,7 +30,8 @@ def sample_character(name: str, detail: float = 1.0, *, rigged: bool = False) ->
     Args:
         name: One of `sample_names`.
         detail: Factor on the number of vertices, 0.3 to 4; 1 gives 3,000 to 8,000.
-        rigged: Give it its skeleton and skin weights too (names such as Hips, Spine, LeftArm, Tail1); without it `rig` is None.
+        rigged: Give it its skeleton and skin weights too (names such as Hips, Spine, LeftArm, Tail1); without it `rig`
+            is None.
 
     Returns:
         The character: closed parts, wound outward, with vertex colours.

@@ -80,7 +80,9 @@ def clay(field: Field, count: int, bones: Bones, base: str, paints: Sequence[Pai
 
 
 def _weigh(vertices: np.ndarray, faces: np.ndarray, field: Field, bones: Bones, softness: float) -> np.ndarray:
-    """Skin weights: a joint counts by how near its lumps are, and only on its own lumps and those of its neighbours in the skeleton."""
+    """Skin weights: a joint counts by how near its lumps are, and only on its own lumps and those of its neighbours in
+    the skeleton.
+    """
     names = tuple(bones)
     distance = field.distances(vertices, names)
     owner = distance.argmin(axis=1)
@@ -125,7 +127,12 @@ def assemble(name: str, pieces: Sequence[Piece], bones: Bones, rigged: bool) -> 
     rig = None
     if rigged:
         names = tuple(bones)
-        dense = np.concatenate([np.stack([np.broadcast_to(piece.weights.get(n, 0.0), len(piece.vertices)) for n in names], 1) for piece in pieces])
+        dense = np.concatenate(
+            [
+                np.stack([np.broadcast_to(piece.weights.get(n, 0.0), len(piece.vertices)) for n in names], 1)
+                for piece in pieces
+            ]
+        )
         dense = np.where(dense < 0.01 * dense.max(axis=1, keepdims=True), 0, dense)
         transforms = np.tile(np.eye(4), (len(names), 1, 1))
         transforms[:, :3, 3] = np.array([bones[n][1] for n in names]) - [0, drop, 0]

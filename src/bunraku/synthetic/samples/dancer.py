@@ -27,7 +27,12 @@ def _body() -> Field:
     legs = mirrored(
         [
             *limb([(0.086, 0.80, 0), (0.10, 0.44, 0.01)], [0.078, 0.053], "LeftUpLeg", blend=0.02),
-            *limb([(0.10, 0.44, 0.01), (0.107, 0.30, -0.005), (0.112, 0.08, -0.015)], [0.053, 0.051, 0.036], "LeftLeg", blend=0.006),
+            *limb(
+                [(0.10, 0.44, 0.01), (0.107, 0.30, -0.005), (0.112, 0.08, -0.015)],
+                [0.053, 0.051, 0.036],
+                "LeftLeg",
+                blend=0.006,
+            ),
             bar((0.112, 0.04, -0.03), (0.124, 0.032, 0.08), (0.042, 0.042), "LeftFoot", blend=0.02),
             bar((0.124, 0.03, 0.08), (0.128, 0.026, 0.118), (0.042, 0.03), "LeftToeBase", blend=0.012),
         ]
@@ -44,7 +49,9 @@ def _body() -> Field:
 def _hair() -> Field:
     cap = [
         ball((0, 1.50, -0.018), (0.170, 0.168, 0.168), "Head"),
-        bar((-0.20, 1.395, 0.155), (0.20, 1.395, 0.155), 0.125, "Head", stretch=(1, 1.15, 1.15), blend=0.02, carve=True),
+        bar(
+            (-0.20, 1.395, 0.155), (0.20, 1.395, 0.155), 0.125, "Head", stretch=(1, 1.15, 1.15), blend=0.02, carve=True
+        ),
         ball((0, 1.42, -0.085), (0.128, 0.095, 0.085), "Head", blend=0.03),
         ball((0, 1.605, -0.15), (0.05, 0.05, 0.05), "Head", blend=0.03),
     ]
@@ -60,7 +67,13 @@ def _hair() -> Field:
 def _ponytail() -> Field:
     return Field(
         [
-            *limb([(0, 1.605, -0.19), (0, 1.575, -0.265), (0, 1.46, -0.305)], [0.032, 0.062, 0.078], "Ponytail1", inner=0.02, bends=3),
+            *limb(
+                [(0, 1.605, -0.19), (0, 1.575, -0.265), (0, 1.46, -0.305)],
+                [0.032, 0.062, 0.078],
+                "Ponytail1",
+                inner=0.02,
+                bends=3,
+            ),
             *limb([(0, 1.46, -0.305), (0, 1.28, -0.285)], [0.078, 0.07], "Ponytail2", blend=0.03),
             *limb(
                 [(0, 1.28, -0.285), (0, 1.12, -0.275), (0, 1.0, -0.335), (0, 0.985, -0.38)],
@@ -95,7 +108,9 @@ def _skirt(detail: float) -> list[Piece]:
     radius = 0.126 + 0.285 * share**0.85
     outer = sheet_mesh(np.stack([radius, 0.945 - 0.43 * share**1.12], axis=1), 0.007, 2 * int(31 * fine), fold)
     share = share[int(6 * fine) :]
-    under = sheet_mesh(np.stack([0.110 + 0.285 * share**0.85, 0.935 - 0.455 * share**1.12], axis=1), 0.006, 2 * int(26 * fine), fold)
+    under = sheet_mesh(
+        np.stack([0.110 + 0.285 * share**0.85, 0.935 - 0.455 * share**1.12], axis=1), 0.006, 2 * int(26 * fine), fold
+    )
     return [solid(outer, DRESS, weights(outer[0])), solid(under, TRIM, weights(under[0]))]
 
 

@@ -41,8 +41,12 @@ def button(field: Field, place: Sequence[float] | np.ndarray, radii: Sequence[fl
     return solid(ball_mesh(centre[0] + lift * normal[0], radii, level, turn), color, joint)
 
 
-def eye(field: Field, place: Sequence[float], size: tuple[float, float], color: str, joint: str, white: str | None = None) -> list[Piece]:
-    """An eye with a glint, and with its white where a colour for it is given; `size` is its half width and half height [m]."""
+def eye(
+    field: Field, place: Sequence[float], size: tuple[float, float], color: str, joint: str, white: str | None = None
+) -> list[Piece]:
+    """An eye with a glint, and with its white where a colour for it is given; `size` is its half width and half height
+    [m].
+    """
     width, height = size
     pieces, lift = [], 0.0
     if white is not None:
@@ -50,7 +54,17 @@ def eye(field: Field, place: Sequence[float], size: tuple[float, float], color: 
         lift = 0.45 * width
     pieces.append(button(field, place, (width, height, 0.55 * width), color, joint, lift=lift))
     glint = np.add(place, (0.13 * width, 0.38 * height, 0.0))
-    pieces.append(button(field, glint, (0.33 * width, 0.28 * height, 0.2 * width), "#ffffff", joint, lift=lift + 0.46 * width, level=1))
+    pieces.append(
+        button(
+            field,
+            glint,
+            (0.33 * width, 0.28 * height, 0.2 * width),
+            "#ffffff",
+            joint,
+            lift=lift + 0.46 * width,
+            level=1,
+        )
+    )
     return pieces
 
 

@@ -76,14 +76,23 @@ def bar(
     return Lump(np.asarray(start, float), np.asarray(end, float), both, joint, shape, turn, blend, carve)
 
 
-def ball(centre: Vector, radii: float | Vector, joint: str = "", *, turn: np.ndarray | None = None, blend: float = 0.02, carve: bool = False) -> Lump:
+def ball(
+    centre: Vector,
+    radii: float | Vector,
+    joint: str = "",
+    *,
+    turn: np.ndarray | None = None,
+    blend: float = 0.02,
+    carve: bool = False,
+) -> Lump:
     """An ellipsoid with these radii [m]."""
     if isinstance(radii, (int, float)):
         return bar(centre, centre, radii, joint, blend=blend, carve=carve)
     return bar(centre, centre, 1.0, joint, stretch=radii, turn=turn, blend=blend, carve=carve)
 
 
-def limb(points: Sequence[Vector], radii: Sequence[float], joints: Sequence[str] | str, *, blend: float = 0.02, inner: float = 0.006,
+def limb(points: Sequence[Vector], radii: Sequence[float], joints: Sequence[str] | str, *, blend: float = 0.02,
+inner: float = 0.006,
          stretch: Vector | None = None, bends: int = 1) -> list[Lump]:  # fmt: skip
     """Bars from point to point; the first melts into the body by `blend`, the others into each other by `inner` [m].
 
@@ -105,19 +114,30 @@ def limb(points: Sequence[Vector], radii: Sequence[float], joints: Sequence[str]
         between = 3 * t**2 - 2 * t**3
         row = knots[i] + t * (knots[i + 1] - knots[i])
         if bends > 1:
-            row = (1 - between) * knots[i] + between * knots[i + 1] + t * (1 - t) * ((1 - t) * slopes[i] - t * slopes[i + 1])
+            row = (
+                (1 - between) * knots[i]
+                + between * knots[i + 1]
+                + t * (1 - t) * ((1 - t) * slopes[i] - t * slopes[i + 1])
+            )
         for low, high in pairwise(row):
             out.append(bar(low[:3], high[:3], (low[3], high[3]), name, stretch=stretch, blend=inner if out else blend))
     return out
 
 
 def mirrored(lumps: Iterable[Lump]) -> list[Lump]:
-    """The lumps and their images across x = 0, each left one followed by its right one; joints named Left... become Right...."""
+    """The lumps and their images across x = 0, each left one followed by its right one; joints named Left... become
+    Right....
+    """
     flip = np.diag([-1.0, 1.0, 1.0])
     out = []
     for lump in lumps:
         turn = None if lump.turn is None else flip @ lump.turn
-        out += [lump, replace(lump, start=flip @ lump.start, end=flip @ lump.end, turn=turn, joint=lump.joint.replace("Left", "Right"))]
+        out += [
+            lump,
+            replace(
+                lump, start=flip @ lump.start, end=flip @ lump.end, turn=turn, joint=lump.joint.replace("Left", "Right")
+            ),
+        ]
     return out
 
 

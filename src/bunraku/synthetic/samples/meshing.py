@@ -12,14 +12,17 @@ __all__ = ["field_mesh", "marched", "mirror_mesh", "neighbour_average"]
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
 
 
-def field_mesh(field: Field, count: int, *, half: bool = False, crease: float = 0.03, steps: int = 6) -> tuple[np.ndarray, np.ndarray]:
+def field_mesh(
+    field: Field, count: int, *, half: bool = False, crease: float = 0.03, steps: int = 6
+) -> tuple[np.ndarray, np.ndarray]:
     """The zero surface of a field as a closed mesh of about `count` well-shaped triangles' vertices.
 
     Args:
         field: The shape.
         count: How many vertices to aim at.
         half: Build the half x >= 0 and mirror it, for an exactly symmetric mesh; the field must be symmetric.
-        crease: How much finer the mesh is where it bends: the edge length that a turn of the normal by one radian counts as [m].
+        crease: How much finer the mesh is where it bends: the edge length that a turn of the normal by one radian
+            counts as [m].
         steps: Rounds of relaxation.
 
     Returns:
@@ -31,14 +34,20 @@ def field_mesh(field: Field, count: int, *, half: bool = False, crease: float = 
     rough = marched(field, 0.03, half)
     corners = rough[0][rough[1]]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    thinnest = min(max(lump.radii) * (1 if lump.stretch is None else float(np.min(lump.stretch))) for lump in field.lumps if not lump.carve)
+    thinnest = min(
+        max(lump.radii) * (1 if lump.stretch is None else float(np.min(lump.stretch)))
+        for lump in field.lumps
+        if not lump.carve
+    )
     spacing = min(float(np.sqrt(1.5 * area / (3.5 * count * share))), max(0.7 * thinnest, 0.006))
     vertices, faces = marched(field, spacing, half)
     # thinning in position and normal together spends the triangles where the surface bends
     lifted = np.hstack([vertices, crease * _unit(field.gradient(vertices))])
     target = max(int(2 * count * share), 60)
     if len(faces) > target:
-        thinned, faces, _, _ = igl.decimate(np.asfortranarray(lifted), np.asfortranarray(faces.astype(np.int32)), target)
+        thinned, faces, _, _ = igl.decimate(
+            np.asfortranarray(lifted), np.asfortranarray(faces.astype(np.int32)), target
+        )
         vertices = np.ascontiguousarray(thinned[:, :3])
         faces = np.ascontiguousarray(faces, dtype=np.int64)
     if half:
@@ -67,7 +76,9 @@ def marched(field: Field, spacing: float, half: bool) -> tuple[np.ndarray, np.nd
     corners = np.ravel_multi_index((cells[:, None] + _CORNERS).reshape(-1, 3).T, samples.shape)
     used, cubes = np.unique(corners, return_inverse=True)
     places = np.stack(np.unravel_index(used, samples.shape), axis=1) * spacing + low
-    vertices, faces, _ = igl.marching_cubes(samples.reshape(-1)[used].astype(float), places, cubes.reshape(-1, 8).astype(np.int64), 0.0)
+    vertices, faces, _ = igl.marching_cubes(
+        samples.reshape(-1)[used].astype(float), places, cubes.reshape(-1, 8).astype(np.int64), 0.0
+    )
     return np.asarray(vertices), np.asarray(faces, np.int64)
 
 
@@ -94,7 +105,9 @@ def _border(count: int, faces: np.ndarray) -> np.ndarray:
 
 
 def _split_chords(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Put a vertex on each inner edge that joins two border vertices: the mirror image would have the same edge again."""
+    """Put a vertex on each inner edge that joins two border vertices: the mirror image would have the same edge
+    again.
+    """
     border = _border(len(vertices), faces)
     while True:
         ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)

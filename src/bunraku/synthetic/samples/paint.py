@@ -31,8 +31,17 @@ def rgb(color: str) -> tuple[int, int, int]:
     return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
 
 
-def slab(axis: int, low: float = -np.inf, high: float = np.inf, *, both_sides: bool = False, tilt: Sequence[float] = (0, 0, 0)) -> Region:
-    """Points between two values of a coordinate [m]; `both_sides` takes |coordinate|, `tilt` leans the planes by the others."""
+def slab(
+    axis: int,
+    low: float = -np.inf,
+    high: float = np.inf,
+    *,
+    both_sides: bool = False,
+    tilt: Sequence[float] = (0, 0, 0),
+) -> Region:
+    """Points between two values of a coordinate [m]; `both_sides` takes |coordinate|, `tilt` leans the planes by the
+    others.
+    """
     lean = np.asarray(tilt, float)
 
     def region(points: np.ndarray) -> np.ndarray:
@@ -69,7 +78,8 @@ def paint_mesh(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cut a mesh along the borders of its paints and colour it; later paints cover earlier ones.
 
-    Vertices on a border are doubled, one for each colour, like the seams of files from artists: the mesh is closed once welded.
+    Vertices on a border are doubled, one for each colour, like the seams of files from artists: the mesh is closed once
+    welded.
 
     Args:
         vertices: Positions [m], shape (V, 3).
@@ -95,7 +105,9 @@ def paint_mesh(
     return vertices[pairs // len(names)], faces.reshape(-1, 3), bytes_of[pairs % len(names)]
 
 
-def _cut(vertices: np.ndarray, faces: np.ndarray, region: Region, project: Project | None) -> tuple[np.ndarray, np.ndarray]:
+def _cut(
+    vertices: np.ndarray, faces: np.ndarray, region: Region, project: Project | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Insert the border of a region into the mesh as edges."""
     value = region(vertices)
     sign = np.sign(value)
@@ -118,7 +130,11 @@ def _cut(vertices: np.ndarray, faces: np.ndarray, region: Region, project: Proje
     for face in cut.tolist():
         signs = [int(sign[v]) for v in face]
         # turn the face until its lone vertex, or its vertex on the border, is first
-        first = signs.index(0) if 0 in signs else next(i for i in range(3) if signs[i] != signs[i - 1] and signs[i] != signs[i - 2])
+        first = (
+            signs.index(0)
+            if 0 in signs
+            else next(i for i in range(3) if signs[i] != signs[i - 1] and signs[i] != signs[i - 2])
+        )
         a, b, c = face[first], face[first - 2], face[first - 1]
         if 0 in signs:
             m = at(b, c)
@@ -126,7 +142,9 @@ def _cut(vertices: np.ndarray, faces: np.ndarray, region: Region, project: Proje
         else:
             m, n = at(a, b), at(c, a)
             out += [(a, m, n), (m, b, c), (m, c, n)]
-    return np.concatenate([vertices, new if project is None else project(new)]), np.concatenate([keep, np.array(out, np.int64).reshape(-1, 3)])
+    return np.concatenate([vertices, new if project is None else project(new)]), np.concatenate(
+        [keep, np.array(out, np.int64).reshape(-1, 3)]
+    )
 
 
 def _snap(vertices: np.ndarray, faces: np.ndarray, crossed: np.ndarray, region: Region, value: np.ndarray,
@@ -140,7 +158,9 @@ def _snap(vertices: np.ndarray, faces: np.ndarray, crossed: np.ndarray, region: 
     points = vertices[ring].copy()
     for _ in range(3):
         level = region(points)
-        slope = np.stack([(region(points + 1e-4 * axis) - region(points - 1e-4 * axis)) / 2e-4 for axis in np.eye(3)], axis=1)
+        slope = np.stack(
+            [(region(points + 1e-4 * axis) - region(points - 1e-4 * axis)) / 2e-4 for axis in np.eye(3)], axis=1
+        )
         points = points - (level / np.maximum((slope * slope).sum(axis=1), 1e-2))[:, None] * slope
         if project is not None:
             points = project(points)

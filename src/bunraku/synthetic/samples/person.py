@@ -12,7 +12,15 @@ from bunraku.synthetic.samples.paint import Paint, both, bump, slab
 
 __all__ = ["HUMAN_BONES", "arm_lumps", "build", "face_pieces", "head_lumps"]
 
-SKIN, SHIRT, STRIPE, TROUSERS, SHOES, SOLE, HAIR = "#f2b48c", "#1fa3a0", "#fff4dc", "#34457a", "#e4573d", "#fbf6ec", "#5a3422"
+SKIN, SHIRT, STRIPE, TROUSERS, SHOES, SOLE, HAIR = (
+    "#f2b48c",
+    "#1fa3a0",
+    "#fff4dc",
+    "#34457a",
+    "#e4573d",
+    "#fbf6ec",
+    "#5a3422",
+)
 
 HUMAN_BONES: Bones = mirror_bones(
     {
@@ -48,7 +56,11 @@ def arm_lumps(upper: float = 0.052, lower: float = 0.04, sleeve: float = 0.066) 
     """Both arms along X with mittens and thumbs; `sleeve` is the radius of a short sleeve, 0 for none."""
     left = [
         bar((0.10, 1.175, 0), (0.165, 1.18, 0), (0.085, 0.068), "LeftShoulder", blend=0.05),
-        *limb([(0.165, 1.18, 0), (0.385, 1.18, -0.005), (0.595, 1.18, 0)], [upper + 0.006, upper - 0.008, lower - 0.004], ["LeftArm", "LeftForeArm"]),
+        *limb(
+            [(0.165, 1.18, 0), (0.385, 1.18, -0.005), (0.595, 1.18, 0)],
+            [upper + 0.006, upper - 0.008, lower - 0.004],
+            ["LeftArm", "LeftForeArm"],
+        ),
         bar((0.625, 1.18, 0.0), (0.705, 1.178, 0.005), (0.05, 0.047), "LeftHand", stretch=(1, 0.62, 1), blend=0.03),
         bar((0.715, 1.178, 0.005), (0.745, 1.176, 0.006), (0.045, 0.038), "LeftHand", stretch=(1, 0.62, 1), blend=0.01),
         bar((0.632, 1.176, 0.035), (0.682, 1.17, 0.085), (0.024, 0.021), "LeftHand", blend=0.014),
@@ -70,11 +82,17 @@ def face_pieces(iris: str = "#2b1a14", brow: str = HAIR, blush: str = "#ee9a7c",
     left.append(stroke(head, arch, 0.0075 - 0.003 * across**2, brow, "Head"))
     if lashes:
         for lift in (0.0, 0.017):
-            line = np.array([[0.078, 1.488 + lift, 0.14], [0.088, 1.495 + 1.2 * lift, 0.13], [0.099, 1.505 + 1.4 * lift, 0.12]])
+            line = np.array(
+                [[0.078, 1.488 + lift, 0.14], [0.088, 1.495 + 1.2 * lift, 0.13], [0.099, 1.505 + 1.4 * lift, 0.12]]
+            )
             left.append(stroke(head, line, [0.005, 0.004, 0.002], iris, "Head"))
     across = np.linspace(-1, 1, 11)
     smile = np.stack([0.042 * across, 1.384 + 0.018 * across**2, np.full(11, 0.15)], axis=1)
-    return [*left, *(mirror_piece(piece) for piece in left), stroke(head, smile, 0.007 - 0.003 * across**2, "#8c3b32", "Head")]
+    return [
+        *left,
+        *(mirror_piece(piece) for piece in left),
+        stroke(head, smile, 0.007 - 0.003 * across**2, "#8c3b32", "Head"),
+    ]
 
 
 def _body() -> Field:

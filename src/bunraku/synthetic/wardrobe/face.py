@@ -53,7 +53,9 @@ def add_face(costume: Costume, figure: Figure, rng: np.random.Generator) -> None
     shape = float(u(2.0, 3.0))
     level = 0.01 * wide
 
-    def lay(points: np.ndarray, faces: np.ndarray, center: tuple[float, float], step: int, material: str, bulge: float = 0.0) -> None:
+    def lay(
+        points: np.ndarray, faces: np.ndarray, center: tuple[float, float], step: int, material: str, bulge: float = 0.0
+    ) -> None:
         places = points + center
         z = front.at(places)
         ahead = front.at(np.array([center]))[0]
@@ -65,7 +67,9 @@ def add_face(costume: Costume, figure: Figure, rng: np.random.Generator) -> None
         at = (side * apart, height)
         tilt = np.array([[1, slant * side], [0, 1]])
 
-        def oval(rings: int, around: int, half: tuple[float, float], square: float = shape, tilt: np.ndarray = tilt) -> tuple[np.ndarray, np.ndarray]:
+        def oval(
+            rings: int, around: int, half: tuple[float, float], square: float = shape, tilt: np.ndarray = tilt
+        ) -> tuple[np.ndarray, np.ndarray]:
             points, faces = patch(rings, around, half, squareness=square)
             return points @ tilt, faces
 

@@ -1,7 +1,8 @@
-"""The body that wardrobe characters are dressed on: a shape, its proportions, its rest pose, and what clothes measure on it.
+"""The body that wardrobe characters are dressed on: a shape, its proportions, its rest pose, and what clothes measure
+on it.
 
-Every vertex knows where it stood in a T-pose, in steps along the limbs (`reach`, `rise`), so that sleeves, hems and necklines of
-any body are cut at the same place whatever its shape and pose.
+Every vertex knows where it stood in a T-pose, in steps along the limbs (`reach`, `rise`), so that sleeves, hems and
+necklines of any body are cut at the same place whatever its shape and pose.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ class Skin:
         faces: Shape (F, 3).
         weights: Of the 22 joints, shape (V, 22).
         reach: Steps along the arms in the T-pose, shape (V,): 1 at the shoulder joint, 2 at the elbow, 3 at the wrist.
-        rise: Steps up the body in the T-pose, shape (V,): 0 at the ankle, 1 knee, 2 hip joint, 3 lower spine, 4 upper spine, 5 neck, 6 head joint.
+        rise: Steps up the body in the T-pose, shape (V,): 0 at the ankle, 1 knee, 2 hip joint, 3 lower spine, 4 upper
+            spine, 5 neck, 6 head joint.
         depth: Z in the T-pose over the body's height, shape (V,).
     """
 
@@ -86,7 +88,17 @@ class Skin:
             return np.concatenate([values, values[ends[:, 0]] * (1 - s) + values[ends[:, 1]] * s])
 
         faces = np.concatenate([self.faces[counts == 3], np.array(new, np.int64)])
-        whole = Skin(*(grown(self.points), grown(self.normals), faces, grown(self.weights), grown(self.reach), grown(self.rise), grown(self.depth)))
+        whole = Skin(
+            *(
+                grown(self.points),
+                grown(self.normals),
+                faces,
+                grown(self.weights),
+                grown(self.reach),
+                grown(self.rise),
+                grown(self.depth),
+            )
+        )
         return whole.kept(np.ones(len(faces), bool))
 
     def puffed(self, thickness: np.ndarray | float) -> Skin:
@@ -162,10 +174,14 @@ class Figure:
         top, back = float(points[:, 1].max()), float(points[:, 2].min())
         low = float(points[:, 1].min())
         upper = points[points[:, 1] > low + 0.5 * (top - low)]
-        half = np.array([np.percentile(np.abs(upper[:, 0]), 88), 0.36 * (top - low), 0.5 * (np.percentile(upper[:, 2], 97) - back)])
+        half = np.array(
+            [np.percentile(np.abs(upper[:, 0]), 88), 0.36 * (top - low), 0.5 * (np.percentile(upper[:, 2], 97) - back)]
+        )
         return np.array([0.0, top - half[1], back + half[2]]), half
 
-    def rim(self, height: float, angles: np.ndarray, *, center: np.ndarray, band: float, points: np.ndarray | None = None) -> np.ndarray:
+    def rim(
+        self, height: float, angles: np.ndarray, *, center: np.ndarray, band: float, points: np.ndarray | None = None
+    ) -> np.ndarray:
         """How far the body's convex outline at a height reaches, in directions about a vertical axis [m], shape (A,).
 
         Args:
@@ -183,9 +199,18 @@ class Figure:
         return np.asarray((near @ ways).max(axis=0))
 
     def profile(
-        self, height: float, angles: np.ndarray, *, center: np.ndarray, band: float, spread: float = 0.3, points: np.ndarray | None = None
+        self,
+        height: float,
+        angles: np.ndarray,
+        *,
+        center: np.ndarray,
+        band: float,
+        spread: float = 0.3,
+        points: np.ndarray | None = None,
     ) -> np.ndarray:
-        """How far the surface itself reaches in each direction, as `rim` but not convex: the farthest point in a sector."""
+        """How far the surface itself reaches in each direction, as `rim` but not convex: the farthest point in a
+        sector.
+        """
         cloud = self.trunk if points is None else points
         near = cloud[np.abs(cloud[:, 1] - height) < band][:, [0, 2]] - center
         if not len(near):

@@ -53,8 +53,12 @@ class Scalp:
         return np.asarray(self.center + ways * (self.radius(ways) + self.thick + lift)[..., None])
 
 
-def add_hair(costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, colors: tuple[str, str], fine: float) -> Scalp:
-    """Hair of a kind: "short", "bob", "ponytail", "twin tails", "long", with a fringe; returns the dome that it lies on."""
+def add_hair(
+    costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, colors: tuple[str, str], fine: float
+) -> Scalp:
+    """Hair of a kind: "short", "bob", "ponytail", "twin tails", "long", with a fringe; returns the dome that it lies
+    on.
+    """
     scalp = Scalp(figure, float(rng.uniform(0.08, 0.14)) * float(figure.skull[1][0]))
     bone = costume.place("頭")
     _cap(costume, scalp, bone, rng, kind, colors[0], fine)
@@ -75,7 +79,9 @@ def add_hair(costume: Costume, figure: Figure, rng: np.random.Generator, *, kind
     return scalp
 
 
-def _cap(costume: Costume, scalp: Scalp, bone: int, rng: np.random.Generator, kind: str, material: str, fine: float) -> None:
+def _cap(
+    costume: Costume, scalp: Scalp, bone: int, rng: np.random.Generator, kind: str, material: str, fine: float
+) -> None:
     """The dome itself, from the hairline in front over the ears to the nape."""
     columns, rows = max(round(28 * fine), 14), max(round(10 * fine), 6)
     turn = np.arange(columns) * 2 * np.pi / columns
@@ -99,7 +105,9 @@ def _cap(costume: Costume, scalp: Scalp, bone: int, rng: np.random.Generator, ki
     costume.add(np.concatenate([points.reshape(-1, 3), crown[None]]), np.concatenate([faces, top]), bone, 1, material)
 
 
-def _fringe(costume: Costume, figure: Figure, scalp: Scalp, bone: int, rng: np.random.Generator, material: str, fine: float) -> None:
+def _fringe(
+    costume: Costume, figure: Figure, scalp: Scalp, bone: int, rng: np.random.Generator, material: str, fine: float
+) -> None:
     """Locks over the forehead, parted somewhere; the middle ones may swing."""
     count = int(rng.integers(5, 9))
     part = float(rng.uniform(-0.5, 0.5))
@@ -110,7 +118,9 @@ def _fringe(costume: Costume, figure: Figure, scalp: Scalp, bone: int, rng: np.r
         low = end + 0.22 * abs(turn) + float(rng.uniform(-0.08, 0.08))
         t = np.linspace(0, 1, max(round(7 * fine), 5))
         fall = 0.35 + (low - 0.35) * t
-        path = scalp.at(turn + lean * t**2, fall, scalp.thick * (0.15 + 0.5 * np.sin(np.pi * t)) - 0.3 * scalp.thick * (t > 0.99))
+        path = scalp.at(
+            turn + lean * t**2, fall, scalp.thick * (0.15 + 0.5 * np.sin(np.pi * t)) - 0.3 * scalp.thick * (t > 0.99)
+        )
         wide = 1.5 * scalp.half[0] / count * np.array([1.0, 1.25, 1.2, 0.75, 0.08])
         width = np.interp(t, [0, 0.35, 0.6, 0.85, 1], wide)
         points, faces, _ = strand(path, path - scalp.center, width, 0.28 * width + 0.002, 6)
@@ -146,7 +156,9 @@ def _tail(
         band = 0.04 * figure.height
         body = (figure.rim if behind else figure.profile)(float(height), np.array([turn]), center=axis, band=band)[0]
         far = max(far, min(float(body), far + 0.1 * figure.height) + 1.15 * fat)
-        places.append(np.array([axis[0] + drop[0] * far, height, axis[1] + drop[2] * far - (0.0 if behind else 0.35 * size)]))
+        places.append(
+            np.array([axis[0] + drop[0] * far, height, axis[1] + drop[2] * far - (0.0 if behind else 0.35 * size)])
+        )
     links = int(np.clip(round((root[1] - end) / (0.085 * figure.height)), 3, 6))
     curve = curve_through(np.array(places), links + 1)
     hang = Hang(
@@ -166,7 +178,9 @@ def _tail(
     rows = max(round(3.2 * links * fine), links + 3)
     fine_curve = curve_through(np.array(places), rows)
     t = np.linspace(0, 1, rows)
-    widths = fat * np.interp(t, [0, 0.06, 0.25, 0.6, 0.9, 1], [0.35, 0.6, 1.0, float(u(0.7, 1.05)), float(u(0.25, 0.6)), 0.03])
+    widths = fat * np.interp(
+        t, [0, 0.06, 0.25, 0.6, 0.9, 1], [0.35, 0.6, 1.0, float(u(0.7, 1.05)), float(u(0.25, 0.6)), 0.03]
+    )
     points, faces, place = strand(fine_curve, drop, 1.15 * widths, 0.85 * widths, max(round(10 * fine), 6))
     costume.add(points, faces, *chains.weights(place / (rows - 1) * links), colors[0])
     tie = curve_through(np.array(places), 40)[1:5]
@@ -174,7 +188,9 @@ def _tail(
     costume.add(points, faces, costume.place("頭"), 1, colors[1])
 
 
-def _side_locks(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generator, material: str, fine: float) -> None:
+def _side_locks(
+    costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generator, material: str, fine: float
+) -> None:
     """A lock before each ear that hangs beside the face."""
     length = float(rng.uniform(1.3, 2.6)) * float(scalp.half[1])
     fat = float(rng.uniform(0.16, 0.24)) * float(scalp.half[0])
@@ -183,13 +199,26 @@ def _side_locks(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.G
         falls = np.array([0.75, 1.15, 1.5])
         top = scalp.at(turn, falls, 0.35 * scalp.thick)
         last = top[-1] + np.array([side * 0.12 * scalp.half[0], 0, 0.06 * scalp.half[2]])
-        drops = [last - [0, length * share, 0] + np.array([side * 0.05, 0, 0.12]) * share * scalp.half[0] for share in (0.4, 0.75, 1.0)]
+        drops = [
+            last - [0, length * share, 0] + np.array([side * 0.05, 0, 0.12]) * share * scalp.half[0]
+            for share in (0.4, 0.75, 1.0)
+        ]
         places = np.concatenate([top, np.array(drops)])
         links = 2
         hung = np.concatenate([top[-1:], np.array(drops)])
         out = np.array([np.sin(turn), 0, np.cos(turn)])
         hang = Hang(
-            mass=0.4, damping=(0.88, 0.975), out=40, inward=25, side=40, twist=0, spring=0.06, thick=0.7 * fat, box=False, group=HAIR, meets=_MEETS
+            mass=0.4,
+            damping=(0.88, 0.975),
+            out=40,
+            inward=25,
+            side=40,
+            twist=0,
+            spring=0.06,
+            thick=0.7 * fat,
+            box=False,
+            group=HAIR,
+            meets=_MEETS,
         )
         chain = curve_through(hung, links + 1)
         chains = add_chains(costume, [f"{mark}横髪"], chain[None], out[None], costume.place("頭"), hang, cross=False)
@@ -198,7 +227,10 @@ def _side_locks(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.G
         t = np.linspace(0, 1, rows)
         width = fat * np.interp(t, [0, 0.2, 0.6, 0.9, 1], [0.3, 0.9, 1.0, 0.55, 0.04])
         points, faces, place = strand(curve, out, width, 0.5 * width, max(round(7 * fine), 5))
-        begin = float(np.linalg.norm(np.diff(places[:3], axis=0), axis=1).sum() / max(np.linalg.norm(np.diff(places, axis=0), axis=1).sum(), 1e-9))
+        begin = float(
+            np.linalg.norm(np.diff(places[:3], axis=0), axis=1).sum()
+            / max(np.linalg.norm(np.diff(places, axis=0), axis=1).sum(), 1e-9)
+        )
         along = (place / (rows - 1) - begin) / (1 - begin) * links
         bones, shares = chains.weights(np.maximum(along, -0.5))
         costume.add(points, faces, bones, shares, material)
@@ -224,7 +256,11 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
         body = figure.profile(float(height), turns, center=axis, band=0.035 * figure.height)
         far = np.maximum(far, np.minimum(body, far + 0.06 * figure.height) + 0.016 * figure.height)
         far = np.convolve(np.pad(far, 2, mode="edge"), np.ones(5) / 5, mode="valid") * 0.5 + 0.5 * far
-        rings.append(np.stack([axis[0] + far * np.sin(turns), np.full(len(turns), height), axis[1] + far * np.cos(turns)], axis=1))
+        rings.append(
+            np.stack(
+                [axis[0] + far * np.sin(turns), np.full(len(turns), height), axis[1] + far * np.cos(turns)], axis=1
+            )
+        )
     grid = np.stack(rings)  # rows, columns
     links = int(np.clip(round((heights[0] - end) / (0.075 * figure.height)), 3, 7))
     pick = np.round(np.linspace(0, len(fine_turns) - 1, count)).astype(int)
@@ -232,10 +268,13 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
     middle = nodes.mean(axis=1)
     outward = unit((middle - [axis[0], 0, axis[1]]) * [1, 0, 1])
     hang = Hang(
-        mass=0.8, damping=(0.88, 0.975), out=45, inward=25, side=20, twist=0, spring=float(u(0.1, 0.3)), thick=0.012 * figure.height, box=False,
+        mass=0.8, damping=(0.88, 0.975), out=45, inward=25, side=20, twist=0, spring=float(u(0.1, 0.3)),
+        thick=0.012 * figure.height, box=False,
         group=HAIR, meets=_MEETS, give=0.15,
     )  # fmt: skip
-    chains = add_chains(costume, [f"後髪{number}" for number in range(count)], nodes, outward, costume.place("頭"), hang)
+    chains = add_chains(
+        costume, [f"後髪{number}" for number in range(count)], nodes, outward, costume.place("頭"), hang
+    )
     rows = max(round(3.5 * links * fine), 2 * links) + 1
     columns = len(fine_turns)
     smooth = np.stack([curve_through(grid[:, column], rows) for column in range(columns)], axis=1)
@@ -243,12 +282,17 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
     waves = np.cos(np.linspace(0, 2 * np.pi * count * 2, columns))[None]
     radial = unit((smooth - [axis[0], 0, axis[1]]) * [1, 0, 1])
     smooth = smooth + radial * (0.05 * scalp.half[0] * waves * np.minimum(2 * t, 1))[..., None]
-    smooth[..., 1] -= 0.35 * scalp.half[1] * (np.cos(np.linspace(0, 2 * np.pi * count, columns))[None] * 0.4 + 0.3) * t**3
+    smooth[..., 1] -= (
+        0.35 * scalp.half[1] * (np.cos(np.linspace(0, 2 * np.pi * count, columns))[None] * 0.4 + 0.3) * t**3
+    )
     inner = smooth - radial * 0.09 * scalp.half[0] * (1 - 0.8 * t[..., None])
     above = scalp.at(fine_turns[None] + np.zeros((3, 1)), np.array([0.75, 0.95, 1.15])[:, None], 0.35 * scalp.thick)
     outer = np.concatenate([above, smooth])
     along = np.concatenate([np.full(3, -0.5), t[:, 0] * links])
     across = np.linspace(0, count - 1, columns)
-    for points, places, faces in ((outer, along, sheet_faces(rows + 3, columns)), (inner, t[:, 0] * links, sheet_faces(rows, columns)[:, ::-1])):
+    for points, places, faces in (
+        (outer, along, sheet_faces(rows + 3, columns)),
+        (inner, t[:, 0] * links, sheet_faces(rows, columns)[:, ::-1]),
+    ):
         bones, shares = chains.weights(np.repeat(places, columns), np.tile(across, len(places)))
         costume.add(points.reshape(-1, 3), faces, bones, shares, material)

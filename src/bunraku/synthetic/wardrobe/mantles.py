@@ -52,7 +52,9 @@ def _sheet(
 
     nodes = grid(np.linspace(0, 1, links + 1), np.linspace(0, 1, count)).transpose(1, 0, 2)
     middle = 0.5 * (nodes[:, 0] + nodes[:, -1]) - [drape.center[0], 0, drape.center[1]]
-    chains = add_chains(costume, [f"{names}{number}" for number in range(count)], nodes, unit(middle * [1, 0, 1]), bone, hang)
+    chains = add_chains(
+        costume, [f"{names}{number}" for number in range(count)], nodes, unit(middle * [1, 0, 1]), bone, hang
+    )
     share, across = np.linspace(0, 1, rows), np.linspace(0, 1, columns)
     bones, shares = chains.weights(np.repeat(share * links, columns), np.tile(across * (count - 1), rows))
     outer, inner = grid(share, across, 0.0, wave), grid(share, across, -lining, wave)
@@ -64,12 +66,24 @@ def _sheet(
 
 
 def add_coat(
-    costume: Costume, figure: Figure, rng: np.random.Generator, *, waist: float, colors: tuple[str, str], thick: float, fine: float
+    costume: Costume,
+    figure: Figure,
+    rng: np.random.Generator,
+    *,
+    waist: float,
+    colors: tuple[str, str],
+    thick: float,
+    fine: float,
 ) -> np.ndarray:
-    """A long coat: a jacket with sleeves, its skirts open in front below the waist; returns its points but those of the sleeves."""
+    """A long coat: a jacket with sleeves, its skirts open in front below the waist; returns its points but those of the
+    sleeves.
+    """
     u, h = rng.uniform, figure.height
     skin = figure.skin
-    rise = float(np.interp(waist, [figure.at("left_hip")[1], figure.at("spine1")[1], figure.at("spine3")[1]], [2, 3, 4])) - 0.12
+    rise = (
+        float(np.interp(waist, [figure.at("left_hip")[1], figure.at("spine1")[1], figure.at("spine3")[1]], [2, 3, 4]))
+        - 0.12
+    )
     jacket = skin.above(skin.rise - rise)
     jacket = jacket.above(u(2.5, 2.95) - jacket.reach)
     jacket = jacket.above(collar_field(jacket, 5.15))
@@ -84,18 +98,23 @@ def add_coat(
     span = np.array([[gap, 2 * np.pi - gap], [wider, 2 * np.pi - wider]])
     links = int(np.clip(round((waist - hem) / (0.08 * h)), 3, 5))
     hang = Hang(
-        mass=1.2, damping=(0.88, 0.96), out=60, inward=20, side=20, twist=0, spring=float(u(0.3, 0.9)), thick=0.008 * h, box=True, group=COAT,
+        mass=1.2, damping=(0.88, 0.96), out=60, inward=20, side=20, twist=0, spring=float(u(0.3, 0.9)), thick=0.008 * h,
+        box=True, group=COAT,
         meets=SOLID["legs"], give=0.15,
     )  # fmt: skip
     points = _sheet(
-        costume, drape, span, "コート", costume.place("下半身"), hang, links=links, count=int(rng.integers(8, 11)), fine=fine, colors=colors,
+        costume, drape, span, "コート", costume.place("下半身"), hang, links=links, count=int(rng.integers(8, 11)),
+        fine=fine,
+        colors=colors,
         wave=float(u(0, 0.03)), lining=0.004 * h,
     )  # fmt: skip
     costume.words.append("long coat")
     return np.concatenate([points, jacket.puffed(swell).points[jacket.reach < 0.8]])
 
 
-def add_cape(costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str], fine: float) -> np.ndarray:
+def add_cape(
+    costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str], fine: float
+) -> np.ndarray:
     """A cape from the neck down the back; returns its points."""
     u, h = rng.uniform, figure.height
     neck, hip, ankle = figure.at("neck")[1], figure.at("left_hip")[1], figure.at("left_ankle")[1]
@@ -103,17 +122,29 @@ def add_cape(costume: Costume, figure: Figure, rng: np.random.Generator, *, colo
     hem = float(np.interp(u(0.1, 0.9), [0, 1], [hip, ankle + 0.05 * h]))
     center = figure.at("neck")[[0, 2]] + [0, 0.01 * h]
     drape = hanging_rings(
-        figure, top, hem, flare=float(u(0.02, 0.2)), bow=1.0, clear=0.022 * h, rings=24, center=center, convex=False, points=figure.torso
+        figure,
+        top,
+        hem,
+        flare=float(u(0.02, 0.2)),
+        bow=1.0,
+        clear=0.022 * h,
+        rings=24,
+        center=center,
+        convex=False,
+        points=figure.torso,
     )
     span = np.array([np.pi + np.array([-1, 1]) * u(1.7, 2.2), np.pi + np.array([-1, 1]) * u(0.95, 1.15)])
     links = int(np.clip(round((top - hem) / (0.085 * h)), 4, 7))
     hang = Hang(
-        mass=1.0, damping=(0.88, 0.96), out=60, inward=15, side=20, twist=0, spring=float(u(0.15, 0.5)), thick=0.008 * h, box=True, group=CAPE,
+        mass=1.0, damping=(0.88, 0.96), out=60, inward=15, side=20, twist=0, spring=float(u(0.15, 0.5)),
+        thick=0.008 * h, box=True, group=CAPE,
         meets=SOLID["legs"] | SOLID["trunk"], give=0.15,
     )  # fmt: skip
     chest = costume.place("上半身2")
     points = _sheet(
-        costume, drape, span, "マント", chest, hang, links=links, count=int(rng.integers(5, 8)), fine=fine, colors=colors, wave=float(u(0.0, 0.05)),
+        costume, drape, span, "マント", chest, hang, links=links, count=int(rng.integers(5, 8)), fine=fine,
+        colors=colors,
+        wave=float(u(0.0, 0.05)),
         lining=0.004 * h,
     )  # fmt: skip
     angles = np.linspace(0, 2 * np.pi, 28, endpoint=False)
@@ -122,14 +153,18 @@ def add_cape(costume: Costume, figure: Figure, rng: np.random.Generator, *, colo
     collar = drape.points(np.zeros(4), angles, 1.0, 0.0)
     flare = np.array([0.014, 0.018, 0.006, -0.006])[:, None, None] * h
     collar += flare * np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)[None]
-    collar[:, :, 1] += np.array([0.05, 0.048, 0.0, -0.022])[:, None] * h * float(min(u(0.5, 1.0), max(0.8 * chin / (0.05 * h), 0.2)))
+    collar[:, :, 1] += (
+        np.array([0.05, 0.048, 0.0, -0.022])[:, None] * h * float(min(u(0.5, 1.0), max(0.8 * chin / (0.05 * h), 0.2)))
+    )
     bones, shares = np.full(len(collar.reshape(-1, 3)), chest), np.ones(4 * 28)
     costume.add(collar.reshape(-1, 3), sheet_faces(4, 28, wrap=True), bones[:, None], shares[:, None], colors[0])
     costume.words.append("cape")
     return points
 
 
-def add_sleeves(costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str], fine: float) -> None:
+def add_sleeves(
+    costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str], fine: float
+) -> None:
     """Wide sleeves: pouches of cloth that hang from the forearms."""
     u, h = rng.uniform, figure.height
     drop, begin, wide = float(u(0.09, 0.26)) * h, float(u(-0.25, 0.2)), float(u(1.35, 1.8))
@@ -146,7 +181,9 @@ def add_sleeves(costume: Costume, figure: Figure, rng: np.random.Generator, *, c
         count, links = 3, 2
         length = float(np.linalg.norm(wrist - elbow))
 
-        def axis(share: np.ndarray, elbow: np.ndarray = elbow, wrist: np.ndarray = wrist, upper: np.ndarray = upper) -> np.ndarray:
+        def axis(
+            share: np.ndarray, elbow: np.ndarray = elbow, wrist: np.ndarray = wrist, upper: np.ndarray = upper
+        ) -> np.ndarray:
             """Places along the arm: 0 at the elbow, 1 at the wrist, below 0 on the upper arm."""
             share = np.asarray(share)[..., None]
             return np.asarray(np.where(share < 0, elbow + share * (elbow - upper), elbow + share * (wrist - elbow)))
@@ -156,11 +193,17 @@ def add_sleeves(costume: Costume, figure: Figure, rng: np.random.Generator, *, c
         steps = np.linspace(0, 1, links + 1)
         nodes = axis(at)[:, None] + down * (radius * 0.6 + deep[:, None] * steps[None])[..., None]
         hang = Hang(
-            mass=0.4, damping=(0.92, 0.99), out=55, inward=55, side=20, twist=0, spring=spring, thick=0.01 * h, box=False, group=SLEEVE,
+            mass=0.4, damping=(0.92, 0.99), out=55, inward=55, side=20, twist=0, spring=spring, thick=0.01 * h,
+            box=False, group=SLEEVE,
             meets=0,
         )  # fmt: skip
         chains = add_chains(
-            costume, [f"{mark}袖{number}" for number in range(count)], nodes, np.tile(normal, (count, 1)), costume.place(f"{mark}ひじ"), hang
+            costume,
+            [f"{mark}袖{number}" for number in range(count)],
+            nodes,
+            np.tile(normal, (count, 1)),
+            costume.place(f"{mark}ひじ"),
+            hang,
         )
         columns = max(round(12 * fine), 7)
         share = np.linspace(begin, 1.0 + 0.03 / max(length, 0.1), columns)
@@ -168,7 +211,9 @@ def add_sleeves(costume: Costume, figure: Figure, rng: np.random.Generator, *, c
         # Around a section: over the arm, down one side, up the other.
         turn = np.linspace(0, np.pi, 2 * over + 1)
         ring = [(np.cos(t), -np.sin(t), 0.0) for t in turn]
-        ring += [(-1 + s, 0.0, s) for s in np.linspace(0, 1, half + 1)[1:]] + [(1 - s, 0.0, s) for s in np.linspace(1, 0, half + 1)[1:-1]]
+        ring += [(-1 + s, 0.0, s) for s in np.linspace(0, 1, half + 1)[1:]] + [
+            (1 - s, 0.0, s) for s in np.linspace(1, 0, half + 1)[1:-1]
+        ]
         table = np.array(ring)  # along the normal, along down, and how far down the pouch
         fall = drop * np.interp(share, [begin, at[0], 1.0], [0.12, 0.55, 1.0])
         girth = radius * np.interp(share, [begin, 0.3, 1.0], [0.85, 1.0, 1.15])

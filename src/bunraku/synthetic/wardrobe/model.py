@@ -1,4 +1,6 @@
-"""A wardrobe character while it is made: parts with weights and materials, bones, rigid bodies and joints; at the end an MMD model."""
+"""A wardrobe character while it is made: parts with weights and materials, bones, rigid bodies and joints; at the end
+an MMD model.
+"""
 
 from __future__ import annotations
 
@@ -95,7 +97,14 @@ class Costume:
         """The first kinematic body of a bone, that apparel hangs on."""
         return next(index for index, body in enumerate(self.bodies) if body.bone == bone and not body.dynamic)
 
-    def add(self, points: np.ndarray, faces: np.ndarray, bones: np.ndarray | int, shares: np.ndarray | int, material: str | np.ndarray) -> None:
+    def add(
+        self,
+        points: np.ndarray,
+        faces: np.ndarray,
+        bones: np.ndarray | int,
+        shares: np.ndarray | int,
+        material: str | np.ndarray,
+    ) -> None:
         """Add a surface, less the vertices that it does not use.
 
         Args:
@@ -113,7 +122,16 @@ class Costume:
             material = np.broadcast_to(material, len(faces))
         used, corners = np.unique(faces, return_inverse=True)
         bones, shares = np.asarray(bones), np.asarray(shares, float)
-        self.parts.append(Part(np.asarray(points, float)[used], corners.reshape(-1, 3), bones[used], shares[used], material, not self.facets))
+        self.parts.append(
+            Part(
+                np.asarray(points, float)[used],
+                corners.reshape(-1, 3),
+                bones[used],
+                shares[used],
+                material,
+                not self.facets,
+            )
+        )
 
     def character(self) -> Character:
         """The character: what reading the file of this model gives."""
@@ -131,7 +149,9 @@ class Costume:
             else:
                 origin, faces = part.faces.reshape(-1), np.arange(part.faces.size).reshape(-1, 3)
                 normals = vertex_normals(part.points[origin], faces)
-            meshes.append((part.points[origin], normals, faces, *_quantized(part.bones[origin], part.shares[origin]), labels))
+            meshes.append(
+                (part.points[origin], normals, faces, *_quantized(part.bones[origin], part.shares[origin]), labels)
+            )
         starts = np.cumsum([0, *(len(mesh[0]) for mesh in meshes)])
         labels = np.concatenate([mesh[5] for mesh in meshes])
         names = list(dict.fromkeys(labels.tolist()))
@@ -147,7 +167,9 @@ class Costume:
         for name in names:
             color = self.colors[name]
             diffuse = np.array([*color, 1], np.float32).astype(float)
-            out.materials.append(MmdMaterial(name, diffuse, color * (1 - LIGHT), True, "", 3 * int((labels == name).sum())))
+            out.materials.append(
+                MmdMaterial(name, diffuse, color * (1 - LIGHT), True, "", 3 * int((labels == name).sum()))
+            )
         out.bones, out.tails, out.bodies, out.joints = self.bones, self.tails, self.bodies, self.joints
         return out
 

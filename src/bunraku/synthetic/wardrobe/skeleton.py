@@ -1,4 +1,6 @@
-"""MMD's standard skeleton on a figure: bones by their Japanese names, weights, inverse kinematics of the legs, and the body's colliders."""
+"""MMD's standard skeleton on a figure: bones by their Japanese names, weights, inverse kinematics of the legs, and the
+body's colliders.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ SOLID = {"trunk": 1 << TRUNK, "head": 1 << HEAD, "arms": 1 << ARMS, "legs": 1 <<
 _SIDES = (("left", "左"), ("right", "右"))
 _BONE_OF = {
     "pelvis": "下半身", "spine1": "上半身", "spine2": "上半身", "spine3": "上半身2", "neck": "首", "head": "頭",
-    "collar": "肩", "shoulder": "腕", "elbow": "ひじ", "wrist": "手首", "hip": "足", "knee": "ひざ", "ankle": "足首", "foot": "つま先",
+    "collar": "肩", "shoulder": "腕", "elbow": "ひじ", "wrist": "手首", "hip": "足", "knee": "ひざ", "ankle": "足首",
+    "foot": "つま先",
 }  # fmt: skip
 
 
@@ -30,7 +33,11 @@ def add_skeleton(costume: Costume, figure: Figure) -> None:
 def _bones(costume: Costume, figure: Figure) -> None:
     hips = figure.at("pelvis")
     waist = 0.5 * (figure.at("spine1") + hips)
-    heights = {"全ての親": np.zeros(3), "センター": np.array([0, 0.78 * hips[1], 0.0]), "グルーブ": np.array([0, 0.8 * hips[1], 0.0])}
+    heights = {
+        "全ての親": np.zeros(3),
+        "センター": np.array([0, 0.78 * hips[1], 0.0]),
+        "グルーブ": np.array([0, 0.8 * hips[1], 0.0]),
+    }
     above = -1
     for (name, position), english in zip(heights.items(), ("mother", "center", "groove"), strict=True):
         above = costume.bone(MmdBone(name, english, position, above, moves=True, tail=np.array([0, 0.05, 0.0])))
@@ -45,15 +52,23 @@ def _bones(costume: Costume, figure: Figure) -> None:
     neck = put("首", "neck", figure.at("neck"), chest, figure.at("head"))
     put("頭", "head", figure.at("head"), neck, figure.skull[0] + [0, figure.skull[1][1], 0])
     for side, mark in _SIDES:
-        at = {part: figure.at(f"{side}_{part}") for part in ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")}
+        at = {
+            part: figure.at(f"{side}_{part}")
+            for part in ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
+        }
         parent = chest
         ends = [at["shoulder"], at["elbow"], at["wrist"], at["wrist"] + 0.35 * (at["wrist"] - at["elbow"])]
-        for part, english, tail in zip(("collar", "shoulder", "elbow", "wrist"), ("shoulder", "arm", "elbow", "wrist"), ends, strict=True):
+        for part, english, tail in zip(
+            ("collar", "shoulder", "elbow", "wrist"), ("shoulder", "arm", "elbow", "wrist"), ends, strict=True
+        ):
             parent = put(mark + _BONE_OF[part], f"{english}_{side[0].upper()}", at[part], parent, tail)
         parent = lower
         toe = at["foot"] + [0, 0, 0.03]
         for part, english, tail in zip(
-            ("hip", "knee", "ankle", "foot"), ("leg", "knee", "ankle", "toe"), [at["knee"], at["ankle"], at["foot"], toe], strict=True
+            ("hip", "knee", "ankle", "foot"),
+            ("leg", "knee", "ankle", "toe"),
+            [at["knee"], at["ankle"], at["foot"], toe],
+            strict=True,
         ):
             parent = put(mark + _BONE_OF[part], f"{english}_{side[0].upper()}", at[part], parent, tail)
         _leg_ik(costume, mark, at)
@@ -66,10 +81,22 @@ def _leg_ik(costume: Costume, mark: str, at: dict[str, np.ndarray]) -> None:
     letter = "L" if mark == "左" else "R"
     links = MmdIkLink(knee, *bend), MmdIkLink(leg)
     root = costume.bone(
-        MmdBone(mark + "足ＩＫ", f"leg IK_{letter}", at["ankle"], 0, 1, moves=True, tail=np.array([0, 0, -0.08]), ik=MmdIk(ankle, 40, 2.0, links))
+        MmdBone(mark + "足ＩＫ", f"leg IK_{letter}", at["ankle"], 0, 1, moves=True, tail=np.array([0, 0, -0.08]),
+        ik=MmdIk(ankle, 40, 2.0, links))
     )  # fmt: skip
     goal = MmdIk(toe, 3, 4.0, (MmdIkLink(ankle),))
-    costume.bone(MmdBone(mark + "つま先ＩＫ", f"toe IK_{letter}", at["foot"], root, 1, moves=True, tail=np.array([0, -0.08, 0]), ik=goal))
+    costume.bone(
+        MmdBone(
+            mark + "つま先ＩＫ",
+            f"toe IK_{letter}",
+            at["foot"],
+            root,
+            1,
+            moves=True,
+            tail=np.array([0, -0.08, 0]),
+            ik=goal,
+        )
+    )
 
 
 def body_weights(costume: Costume, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,7 +131,14 @@ def _colliders(costume: Costume, figure: Figure) -> None:
     put("頭", "頭", center - slide, center + slide, 0.97 * round_, HEAD)
     chin = float(figure.head[:, 1].min())
     jaw = 0.62 * float(half[0])
-    put("頭2", "頭", center + [0, -0.4 * half[1], 0.3 * half[2]], np.array([0, chin + 1.1 * jaw, center[2] + 0.35 * half[2]]), jaw, HEAD)
+    put(
+        "頭2",
+        "頭",
+        center + [0, -0.4 * half[1], 0.3 * half[2]],
+        np.array([0, chin + 1.1 * jaw, center[2] + 0.35 * half[2]]),
+        jaw,
+        HEAD,
+    )
     put("首", "首", figure.at("neck"), figure.at("head"), _girth(figure, ["neck"], "neck", "head", 60), TRUNK)
     for side, mark in _SIDES:
         shoulder, elbow, wrist = (figure.at(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist"))
@@ -116,10 +150,31 @@ def _colliders(costume: Costume, figure: Figure) -> None:
             _girth(figure, [f"{side}_shoulder"], f"{side}_shoulder", f"{side}_elbow", 60),
             TRUNK,
         )
-        put(f"{mark}腕", f"{mark}腕", shoulder, elbow, _girth(figure, [f"{side}_shoulder"], f"{side}_shoulder", f"{side}_elbow", 55), ARMS)
-        put(f"{mark}ひじ", f"{mark}ひじ", elbow, wrist, _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 55), ARMS)
+        put(
+            f"{mark}腕",
+            f"{mark}腕",
+            shoulder,
+            elbow,
+            _girth(figure, [f"{side}_shoulder"], f"{side}_shoulder", f"{side}_elbow", 55),
+            ARMS,
+        )
+        put(
+            f"{mark}ひじ",
+            f"{mark}ひじ",
+            elbow,
+            wrist,
+            _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 55),
+            ARMS,
+        )
         hand = figure.skin.points[figure.skin.weights[:, J[f"{side}_wrist"]] > 0.6].mean(axis=0)
-        put(f"{mark}手首", f"{mark}手首", wrist, hand, 0.9 * _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 40), ARMS)
+        put(
+            f"{mark}手首",
+            f"{mark}手首",
+            wrist,
+            hand,
+            0.9 * _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 40),
+            ARMS,
+        )
         hip, knee, ankle = (figure.at(f"{side}_{part}") for part in ("hip", "knee", "ankle"))
         thigh = _girth(figure, [f"{side}_hip"], f"{side}_hip", f"{side}_knee", 50)
         put(f"{mark}足", f"{mark}足", hip + 0.12 * (knee - hip), knee, thigh, LEGS)
@@ -128,7 +183,14 @@ def _colliders(costume: Costume, figure: Figure) -> None:
         shin = _girth(figure, [f"{side}_knee"], f"{side}_knee", f"{side}_ankle", 60)
         put(f"{mark}ひざ", f"{mark}ひざ", knee, ankle, shin, LEGS)
         foot = figure.at(f"{side}_foot")
-        put(f"{mark}足首", f"{mark}足首", ankle + [0, -0.3 * ankle[1], 0], foot + [0, 0.15 * ankle[1], 0], max(0.4 * ankle[1], 0.015), LEGS)
+        put(
+            f"{mark}足首",
+            f"{mark}足首",
+            ankle + [0, -0.3 * ankle[1], 0],
+            foot + [0, 0.15 * ankle[1], 0],
+            max(0.4 * ankle[1], 0.015),
+            LEGS,
+        )
 
 
 def _girth(figure: Figure, joints: list[str], start: str, end: str, share: float) -> float:
@@ -152,7 +214,11 @@ def _trunk(figure: Figure, put) -> None:  # type: ignore[no-untyped-def]
         figure.at("neck")[1],
     )
     skin = figure.skin
-    limbs = [J[f"{side}_{part}"] for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")]
+    limbs = [
+        J[f"{side}_{part}"]
+        for side in ("left", "right")
+        for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
+    ]
     points = skin.points[skin.weights[:, limbs].sum(axis=1) < 0.5]
     step = (neck - hip) / 5.2
     for number in range(5):

@@ -33,7 +33,9 @@ class Drape:
     angles: np.ndarray
     center: np.ndarray
 
-    def points(self, rows: np.ndarray, angles: np.ndarray, swell: np.ndarray | float = 1.0, lift: float = 0.0) -> np.ndarray:
+    def points(
+        self, rows: np.ndarray, angles: np.ndarray, swell: np.ndarray | float = 1.0, lift: float = 0.0
+    ) -> np.ndarray:
         """Points of the drape, shape (len(rows), len(angles), 3).
 
         Args:
@@ -52,13 +54,19 @@ class Drape:
         around = np.stack([np.interp(turn, own[order], row[order], period=2 * np.pi) for row in radii]) * swell + lift
         heights = np.interp(at, np.arange(len(self.heights)), self.heights)[:, None]
         return np.stack(
-            [self.center[0] + around * np.sin(angles), np.broadcast_to(heights, around.shape), self.center[1] + around * np.cos(angles)], axis=-1
+            [
+                self.center[0] + around * np.sin(angles),
+                np.broadcast_to(heights, around.shape),
+                self.center[1] + around * np.cos(angles),
+            ],
+            axis=-1,
         )
 
 
 def hanging_rings(
     figure: Figure, top: float, hem: float, *, flare: float, bow: float, clear: float,
-    rings: int = 14, around: int = 48, center: np.ndarray | None = None,    convex: bool = True, points: np.ndarray | None = None,
+    rings: int = 14, around: int = 48, center: np.ndarray | None = None,    convex: bool = True,
+    points: np.ndarray | None = None,
 ) -> Drape:  # fmt: skip
     """Rings about the body from one height down to another that never narrow, and widen by the flare.
 
@@ -71,7 +79,8 @@ def hanging_rings(
         rings: How many.
         around: Directions.
         center: X and Z of the axis; None is the middle of the hips.
-        convex: Whether the cloth is drawn straight over hollows, as it is where it goes all around; at its top it lies on the body.
+        convex: Whether the cloth is drawn straight over hollows, as it is where it goes all around; at its top it lies
+            on the body.
         points: What it keeps clear of, instead of head, trunk and legs.
     """
     axis = figure.at("pelvis")[[0, 2]] if center is None else center
@@ -79,11 +88,15 @@ def hanging_rings(
     heights = np.linspace(top, hem, rings)
     band = max(0.7 * (top - hem) / rings, 0.02 * figure.height)
     if convex:
-        body = np.stack([figure.rim(float(height), angles, center=axis, band=band, points=points) for height in heights])
+        body = np.stack(
+            [figure.rim(float(height), angles, center=axis, band=band, points=points) for height in heights]
+        )
         first = figure.profile(top, angles, center=axis, band=0.02 * figure.height, spread=0.2, points=points)
         body[0] = np.minimum(np.where(first > 0, first, body[0]) + 0.004 * figure.height, body[0])
     else:
-        body = np.stack([figure.profile(float(height), angles, center=axis, band=band, points=points) for height in heights])
+        body = np.stack(
+            [figure.profile(float(height), angles, center=axis, band=band, points=points) for height in heights]
+        )
     held = np.maximum.accumulate(np.maximum(body, 0.02), axis=0)
     share = np.linspace(0, 1, rings)[:, None]
     spread = held[:1] + flare * (top - hem) * share**bow
@@ -91,7 +104,8 @@ def hanging_rings(
 
 
 def add_skirt(
-    costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, top: float, colors: tuple[str, str], fine: float,
+    costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, top: float, colors: tuple[str, str],
+    fine: float,
     what: str = "skirt",
 ) -> np.ndarray:  # fmt: skip
     """A skirt of a kind: "short", "long", "pleated" or "layered".
@@ -122,11 +136,14 @@ def add_skirt(
     nodes = drape.points(np.linspace(0, 1, links + 1), turns).transpose(1, 0, 2)
     outward = np.stack([np.sin(turns), np.zeros(count), np.cos(turns)], axis=1)
     hang = Hang(
-        mass=1.0, damping=(0.85, 0.95), out=70, inward=25, side=25, twist=0, spring=float(u(0.1, 0.4)), thick=0.007 * h, box=True,
+        mass=1.0, damping=(0.85, 0.95), out=70, inward=25, side=25, twist=0, spring=float(u(0.1, 0.4)), thick=0.007 * h,
+        box=True,
         group=SKIRT, meets=SOLID["legs"], give=0.2,
     )  # fmt: skip
     waist = costume.place("下半身")
-    chains = add_chains(costume, [f"スカート{number}" for number in range(count)], nodes, outward, waist, hang, closed=True)
+    chains = add_chains(
+        costume, [f"スカート{number}" for number in range(count)], nodes, outward, waist, hang, closed=True
+    )
     folds = int(rng.integers(2, 4)) * count if kind == "pleated" else int(rng.integers(1, 3)) * count
     deep = float(u(0.045, 0.08)) if kind == "pleated" else float(rng.choice([0.0, u(0.01, 0.05)]))
     layers = int(rng.integers(2, 4)) if kind == "layered" else 1
@@ -145,7 +162,13 @@ def add_skirt(
         faces = sheet_faces(rows, columns, wrap=True)
         bones, shares = chains.weights(along, across)
         border = layer == 0 and rng.random() < 0.5 and faces.max(axis=1) >= (rows - max(2, rows // 8)) * columns
-        costume.add(points.reshape(-1, 3), faces, bones, shares, np.where(border, colors[1], material) if layer == 0 else material)
+        costume.add(
+            points.reshape(-1, 3),
+            faces,
+            bones,
+            shares,
+            np.where(border, colors[1], material) if layer == 0 else material,
+        )
         if layer == 0:
             outer = points.reshape(-1, 3)
     if what == "skirt":

@@ -1,4 +1,6 @@
-"""Surfaces that clothes and hair are made of: sheets between rows of points, strands along curves, domes over a head."""
+"""Surfaces that clothes and hair are made of: sheets between rows of points, strands along curves, domes over a
+head.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,9 @@ def strand(
     out = np.cross(side, along)
     angle = np.arange(sides) * 2 * np.pi / sides
     wide, deep = np.broadcast_to(width, count)[:, None, None], np.broadcast_to(thick, count)[:, None, None]
-    rings = curve[:, None] + wide * np.cos(angle)[:, None] * side[:, None] + deep * np.sin(angle)[:, None] * out[:, None]
+    rings = (
+        curve[:, None] + wide * np.cos(angle)[:, None] * side[:, None] + deep * np.sin(angle)[:, None] * out[:, None]
+    )
     points = np.concatenate([rings.reshape(-1, 3), curve[:1], curve[-1:]])
     first, last, ring = count * sides, count * sides + 1, np.arange(sides)
     cap = np.stack([np.full(sides, first), ring, np.roll(ring, -1)], axis=1)
@@ -75,7 +79,9 @@ def _outwards(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return faces if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else faces[:, ::-1]
 
 
-def patch(rings: int, around: int, half: tuple[float, float], *, squareness: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
+def patch(
+    rings: int, around: int, half: tuple[float, float], *, squareness: float = 2.0
+) -> tuple[np.ndarray, np.ndarray]:
     """A disc in the plane with its faces, as eyes are made of: points (V, 2), the middle first, and faces (F, 3).
 
     Args:

@@ -1,8 +1,9 @@
 """Pseudo-labels of the adaptation: the ARAP objective of Eq. 10 of TapMo, minimised over delta.
 
-An edge (i, j) of the mesh goes, in the root's frame, from `base_ij` to `base_ij + sum_k (s_ik - s_jk) t_k`, and t is linear in
-delta, so the objective is a sum of squares of 87 unknowns a frame, each frame on its own. Eq. 10 holds every step near the one
-before by `||delta' - delta||^2`; with the squares linearised that is a Gauss-Newton step with exactly this damping.
+An edge (i, j) of the mesh goes, in the root's frame, from `base_ij` to `base_ij + sum_k (s_ik - s_jk) t_k`, and t is
+linear in delta, so the objective is a sum of squares of 87 unknowns a frame, each frame on its own. Eq. 10 holds every
+step near the one before by `||delta' - delta||^2`; with the squares linearised that is a Gauss-Newton step with exactly
+this damping.
 """
 
 from __future__ import annotations
@@ -61,7 +62,9 @@ def edge_system(fitted: Fitted, bank: CharacterBank, picked: Tensor | None = Non
     row = fitted.row
     h, played, extent = bank.handles[row], bank.roles[row], bank.extent[row]
     some = torch.arange(bank.edge_points.shape[1], device=row.device) if picked is None else picked
-    points, index, weights = (values[row[:, None], some] for values in (bank.edge_points, bank.edge_index, bank.edge_weights))
+    points, index, weights = (
+        values[row[:, None], some] for values in (bank.edge_points, bank.edge_index, bank.edge_weights)
+    )
     batch, edges, handles = len(row), len(some), h.shape[1]
     ends = points.reshape(batch, 2 * edges, 3)
     dense = ends.new_zeros(batch, 2 * edges, handles)
@@ -85,17 +88,24 @@ def edge_system(fitted: Fitted, bank: CharacterBank, picked: Tensor | None = Non
 
 @torch.no_grad()
 def arap_labels(
-    system: EdgeSystem, start: Tensor, strength: float | Tensor = 3.0, steps: int = 3, longest: float = LONGEST, calm: float = 0.0
+    system: EdgeSystem,
+    start: Tensor,
+    strength: float | Tensor = 3.0,
+    steps: int = 3,
+    longest: float = LONGEST,
+    calm: float = 0.0,
 ) -> Tensor:
     """The adaptation that keeps edges at their lengths [TapMo 10], shape (B, N, K, 3).
 
     Args:
         system: Edges and motions.
         start: delta-hat, what the network says now, shape (B, N, K, 3).
-        strength: nu_v: how much the squared changes, in units of the extent, count beside the squared step [m^2]; one for all, or one for each row.
+        strength: nu_v: how much the squared changes, in units of the extent, count beside the squared step [m^2]; one
+            for all, or one for each row.
         steps: Gauss-Newton steps, each held near the one before.
         longest: Delta is cut to this length [m], so that it repairs the mesh and does not change what the motion says.
-        calm: Weight of the squared length of delta, so that it stays short where edges do not ask for it; 0 in the paper.
+        calm: Weight of the squared length of delta, so that it stays short where edges do not ask for it; 0 in the
+            paper.
     """
     delta = start.clone()
     count = system.spread.shape[2]

@@ -1,7 +1,7 @@
 """What the adaptation's linear layer sees, for many motions on many characters, kept on disk.
 
-All else is frozen while that layer is fine-tuned (Eq. 11 of TapMo), so its inputs are computed once: training clips are noised as
-little as a sampler's last step leaves them, the step at which the adaptation is read.
+All else is frozen while that layer is fine-tuned (Eq. 11 of TapMo), so its inputs are computed once: training clips are
+noised as little as a sampler's last step leaves them, the step at which the adaptation is read.
 """
 
 from __future__ import annotations
@@ -101,7 +101,9 @@ def collect_pairs(
         text, yes = encoder.encode(sentences).to(device), torch.ones(size, dtype=torch.bool, device=device)
         row = torch.tensor(chosen)
         condition = model.condition(text.tokens, text.mask, text.pooled, bank.features[row].to(device), yes, yes)
-        hidden = model.hidden(add_noise(clean, noise, step, curve), step, torch.full((size,), frames, device=device), condition)
+        hidden = model.hidden(
+            add_noise(clean, noise, step, curve), step, torch.full((size,), frames, device=device), condition
+        )
         motion = model.motion_out(hidden).reshape(size, -1, model.config.features)[:, :frames]
         seen = torch.cat([hidden, condition[0][:, :1].expand(-1, hidden.shape[1], -1)], dim=-1)
         part = {"seen": seen.half().cpu(), "motion": motion.half().cpu(), "row": row}

@@ -1,11 +1,12 @@
 """Fine-tuning of the adaptation on ARAP pseudo-labels (Eq. 10 and 11 of TapMo).
 
-Only the linear layer `adaptation_out` learns. At each step the network's adaptation of some motions on some characters is improved
-by the ARAP objective (Eq. 10, `arap_labels`), and the layer is drawn towards the improved one (Eq. 11). The layer is trained in
-whitened coordinates of what it sees, the mesh token's main directions only, and folded back when it is saved.
+Only the linear layer `adaptation_out` learns. At each step the network's adaptation of some motions on some characters
+is improved by the ARAP objective (Eq. 10, `arap_labels`), and the layer is drawn towards the improved one (Eq. 11). The
+layer is trained in whitened coordinates of what it sees, the mesh token's main directions only, and folded back when it
+is saved.
 
-A run folder holds `pairs` (the layer's inputs), `state.safetensors` (to go on from), `diffusion.safetensors` (the denoiser with the
-new layer), `log.csv` and `events`.
+A run folder holds `pairs` (the layer's inputs), `state.safetensors` (to go on from), `diffusion.safetensors` (the
+denoiser with the new layer), `log.csv` and `events`.
 """
 
 from __future__ import annotations
@@ -99,7 +100,14 @@ class AdaptationConfig:
 class _Run:
     """Head, optimiser and data of one run."""
 
-    def __init__(self, config: AdaptationConfig, model: Denoiser, bank: CharacterBank, pairs: AdaptationPairs, held: AdaptationPairs):
+    def __init__(
+        self,
+        config: AdaptationConfig,
+        model: Denoiser,
+        bank: CharacterBank,
+        pairs: AdaptationPairs,
+        held: AdaptationPairs,
+    ):
         self.config, self.model, self.pairs, self.held = config, model, pairs, held
         self.device = model.mean.device
         self.bank = bank.to(self.device)
@@ -110,7 +118,9 @@ class _Run:
             weight = torch.cat([weight, weight.new_zeros(len(weight), inputs - weight.shape[1])], 1)
         white, centre = whitening(pairs.seen.flatten(0, 1)[:, :inputs].float(), width, config.mesh_size)
         self.inputs = inputs
-        self.head = AdaptationHead(weight, layer.bias.detach().float(), white, centre, model.config.handles).to(self.device)
+        self.head = AdaptationHead(weight, layer.bias.detach().float(), white, centre, model.config.handles).to(
+            self.device
+        )
         self.optimizer = torch.optim.AdamW(self.head.parameters(), lr=config.learning_rate, weight_decay=config.decay)
         self.step, self.seconds = 0, 0.0
         self.usual = self._usual()
@@ -120,9 +130,18 @@ class _Run:
         """Mean ARAP-Loss of some pairs without any adaptation."""
         random = np.random.default_rng(1)
         some = np.arange(0, len(self.pairs.row), max(1, len(self.pairs.row) // 64))
-        return max(float(np.mean([self.systems(self.pairs, some[i : i + 8], random)[0].loss().mean() for i in range(0, len(some), 8)])), 1e-6)
+        return max(
+            float(
+                np.mean(
+                    [self.systems(self.pairs, some[i : i + 8], random)[0].loss().mean() for i in range(0, len(some), 8)]
+                )
+            ),
+            1e-6,
+        )
 
-    def systems(self, pairs: AdaptationPairs, which: np.ndarray, random: np.random.Generator) -> tuple[EdgeSystem, Callable[[], Tensor]]:
+    def systems(
+        self, pairs: AdaptationPairs, which: np.ndarray, random: np.random.Generator
+    ) -> tuple[EdgeSystem, Callable[[], Tensor]]:
         """Edges of some pairs in one frame of each token, and what gives the adaptation there, shape (B, T, K, 3)."""
         index = torch.from_numpy(which)
         seen, row = pairs.seen[index].to(self.device).float()[..., : self.inputs], pairs.row[index].to(self.device)
@@ -130,8 +149,12 @@ class _Run:
         patch, tokens = self.head.patch, seen.shape[1]
         phase = torch.from_numpy(random.integers(0, patch, (len(which), tokens))).to(self.device)
         each = torch.arange(len(which), device=self.device)[:, None]
-        features = features[each, (torch.arange(tokens, device=self.device) * patch + phase).clamp(max=features.shape[1] - 1)]
-        picked = torch.from_numpy(random.choice(self.bank.edge_points.shape[1], self.config.edges, replace=False)).to(self.device)
+        features = features[
+            each, (torch.arange(tokens, device=self.device) * patch + phase).clamp(max=features.shape[1] - 1)
+        ]
+        picked = torch.from_numpy(random.choice(self.bank.edge_points.shape[1], self.config.edges, replace=False)).to(
+            self.device
+        )
         system = edge_system(fit_locals(*local_motion(features), self.bank, row), self.bank, picked)
 
         def adaptation() -> Tensor:
@@ -151,7 +174,9 @@ class _Run:
         delta = adaptation()
         with torch.no_grad():  # a character that distorts a lot by nature does not outweigh all others
             own = system.loss().mean(1)
-        label = arap_labels(system, delta.detach(), config.strength / (own + 0.5 * self.usual), config.label_steps, calm=config.calm)
+        label = arap_labels(
+            system, delta.detach(), config.strength / (own + 0.5 * self.usual), config.label_steps, calm=config.calm
+        )
         loss = label_distance(delta, label)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.head.parameters(), 100.0)
@@ -162,7 +187,9 @@ class _Run:
 
     @torch.no_grad()
     def validate(self, pairs: AdaptationPairs, count: int = 96) -> tuple[float, float, float]:
-        """ARAP-Loss with the adaptation over without, of the means and as the mean of each pair's own; and delta's mean length [m]."""
+        """ARAP-Loss with the adaptation over without, of the means and as the mean of each pair's own; and delta's mean
+        length [m].
+        """
         with_it, without, ratios, length = 0.0, 0.0, [], []
         random = np.random.default_rng(9)
         for start in range(0, min(count, len(pairs.row)), 8):
@@ -178,10 +205,15 @@ class _Run:
         state = {"head": self.head.state_dict()}
         optimizers = {"adamw": self.optimizer.state_dict()}
         settings = {"run": plain_settings(asdict(self.config))}
-        save_training_state(folder / "state.safetensors", TrainingState(self.step, state, optimizers, settings, {"seconds": self.seconds}))
+        save_training_state(
+            folder / "state.safetensors",
+            TrainingState(self.step, state, optimizers, settings, {"seconds": self.seconds}),
+        )
         weight, bias = self.head.folded()
         tensors = {**self.model.state_dict(), "adaptation_out.weight": weight, "adaptation_out.bias": bias}
-        built = build_denoiser(replace(self.model.config, adaptation_mesh=self.config.mesh, adaptation_frame=self.config.frame))
+        built = build_denoiser(
+            replace(self.model.config, adaptation_mesh=self.config.mesh, adaptation_frame=self.config.frame)
+        )
         built.load_state_dict(tensors)
         save_denoiser(folder / "diffusion.safetensors", built, {**self.model.notes, "adaptation_steps": self.step})
 
@@ -196,7 +228,9 @@ class _Run:
             self.head.load_state_dict(state.models["head"])
             self.optimizer.load_state_dict(state.optimizers["adamw"])
         except Exception as error:
-            problem = "this run was started with another denoiser, bank or layer; give the same ones, or another run folder"
+            problem = (
+                "this run was started with another denoiser, bank or layer; give the same ones, or another run folder"
+            )
             raise OptionError(f"{path}: {problem}") from error
         self.step, self.seconds = state.step, float(state.values["seconds"])
 
@@ -222,7 +256,10 @@ def train_adaptation(
     """
     if config.frame not in FRAMES:
         raise OptionError(f"the frame '{config.frame}' is unknown; choose one of: {', '.join(FRAMES)}")
-    if min(config.pairs, config.frames, config.steps, config.batch, config.edges, config.label_steps, config.threads) < 1:
+    if (
+        min(config.pairs, config.frames, config.steps, config.batch, config.edges, config.label_steps, config.threads)
+        < 1
+    ):
         raise OptionError("pairs, frames, steps, batch, edges, label steps and threads must be positive")
     torch.set_num_threads(config.threads)
     device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
@@ -231,7 +268,10 @@ def train_adaptation(
         raise OptionError(f"{config.diffusion}: only the decoder has an adaptation to fine-tune")
     bank = load_character_bank(config.cache)
     if bank.features.shape[1] != model.config.mesh_features:
-        raise OptionError(f"{config.cache}: its f_phi has {bank.features.shape[1]} numbers, but the denoiser takes {model.config.mesh_features}")
+        raise OptionError(
+            f"{config.cache}: its f_phi has {bank.features.shape[1]} numbers, but the denoiser takes "
+            f"{model.config.mesh_features}"
+        )
     if model.config.adaptation_frame != config.frame or (model.config.adaptation_mesh and not config.mesh):
         nn.init.zeros_(model.adaptation_out.weight)  # what the layer said so far has another meaning
         nn.init.zeros_(model.adaptation_out.bias)
@@ -242,11 +282,16 @@ def train_adaptation(
         encoder = text_encoder(name, config.text_folder if name.startswith("clip") else None)
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     clips = load_clips(config.data, (lambda done, total: report("clips", done / total)) if report else None)
-    inputs = repr((frames, config.seed, _stamp(config.diffusion), _stamp(config.cache), _stamp(config.data / "index.json")))
+    inputs = repr(
+        (frames, config.seed, _stamp(config.diffusion), _stamp(config.cache), _stamp(config.data / "index.json"))
+    )
     digest = hashlib.sha256(inputs.encode())
     pairs: list[AdaptationPairs] = []
     for split, count in (("train", config.pairs), ("test", max(config.pairs // 10, min(config.pairs, 96)))):
-        rows, drawn = bank.rows(split), ClipSet(clips, statistics, split, model.config.frames, computed=0.0, borrowed=0.0)
+        rows, drawn = (
+            bank.rows(split),
+            ClipSet(clips, statistics, split, model.config.frames, computed=0.0, borrowed=0.0),
+        )
         if not len(rows) or not drawn.clips:
             pairs.append(pairs[0]) if pairs else None
             continue
@@ -279,7 +324,9 @@ def _stamp(path: Path) -> tuple[int, int]:
     return path.stat().st_size, path.stat().st_mtime_ns
 
 
-def _loop(run: _Run, tell: Callable[[dict[str, float]], None] | None, report: Callable[[str, float], None] | None) -> None:
+def _loop(
+    run: _Run, tell: Callable[[dict[str, float]], None] | None, report: Callable[[str, float], None] | None
+) -> None:
     config, stop = run.config, Stop()
     saved = last = time.monotonic()
     losses: list[float] = []
@@ -293,7 +340,8 @@ def _loop(run: _Run, tell: Callable[[dict[str, float]], None] | None, report: Ca
             if run.step % config.validate_every == 0 or run.step == config.steps:
                 seen, unseen = run.validate(run.pairs), run.validate(run.held)
                 row = {
-                    "step": run.step, "seconds": run.seconds, "label_distance": float(np.mean(losses)), "seen": seen[0], "seen_each": seen[1],
+                    "step": run.step, "seconds": run.seconds, "label_distance": float(np.mean(losses)), "seen": seen[0],
+                    "seen_each": seen[1],
                     "unseen": unseen[0], "unseen_each": unseen[1], "delta": seen[2],
                 }  # fmt: skip
                 append_row(config.out / "log.csv", row)

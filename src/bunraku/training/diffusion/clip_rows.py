@@ -1,7 +1,7 @@
 """Training rows: clips loaded, drawn, mirrored and joined, each with a sentence and a mesh.
 
-Every batch is a pure function of the seed and its number, so a run that was killed goes on with the very batches it would
-have seen.
+Every batch is a pure function of the seed and its number, so a run that was killed goes on with the very batches it
+would have seen.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ _BLEND = 8
 
 
 class Row(NamedTuple):
-    """A motion (N, D) in network units, its sentence, and the character in the mesh bank that it is of; None for any humanoid."""
+    """A motion (N, D) in network units, its sentence, and the character in the mesh bank that it is of; None for any
+    humanoid.
+    """
 
     values: np.ndarray
     sentence: str
@@ -62,11 +64,16 @@ class MotionBatch:
 def _features(path: Path) -> np.ndarray:
     motion = load_clip(path)
     if abs(motion.fps - 20) > 0.01:
-        raise FormatError(path, f"the clip has {motion.fps:g} frames a second, not 20; build the data again with 'bunraku data motions'")
+        raise FormatError(
+            path,
+            f"the clip has {motion.fps:g} frames a second, not 20; build the data again with 'bunraku data motions'",
+        )
     return encode(motion)
 
 
-def load_clips(folder: str | Path, progress: Any = None, splits: Collection[str] | None = None) -> dict[str, dict[str, Any]]:
+def load_clips(
+    folder: str | Path, progress: Any = None, splits: Collection[str] | None = None
+) -> dict[str, dict[str, Any]]:
     """Features and index entries of clips: {name: {"features": (N, D), "texts", "split", "weight", ...}}.
 
     A clip with captions by time becomes one entry a stretch, "name@first frame", without those that are faulty.
@@ -97,13 +104,20 @@ def load_clips(folder: str | Path, progress: Any = None, splits: Collection[str]
 
 
 def _stretches(name: str, entry: dict[str, Any], features: np.ndarray) -> dict[str, dict[str, Any]]:
-    """What is captioned by time, as entries of their own; those that follow each other without a gap say so in "next"."""
+    """What is captioned by time, as entries of their own; those that follow each other without a gap say so in
+    "next".
+    """
     sound = [part for part in entry["stretches"] if "fault" not in part and part["stop"] - part["start"] >= MIN_FRAMES]
     found: dict[str, dict[str, Any]] = {}
     common = {key: value for key, value in entry.items() if key not in ("stretches", "texts")}
     for part, after in zip_longest(sound, sound[1:]):
         start, stop = int(part["start"]), int(part["stop"])
-        own: dict[str, Any] = {"texts": part["texts"], "watched": True, "features": features[start:stop], "frames": stop - start}
+        own: dict[str, Any] = {
+            "texts": part["texts"],
+            "watched": True,
+            "features": features[start:stop],
+            "frames": stop - start,
+        }
         if len(sound) == 1:
             own["labels"] = entry.get("texts") or []
         if after is not None and after["start"] == stop:
@@ -120,12 +134,15 @@ class ClipSet:
         statistics: Units of the network.
         split: "train", "val" or "test".
         frames: Longest crop.
-        creatures: Share of draws that are creatures' clips, where there are any; within them every action of every species
+        creatures: Share of draws that are creatures' clips, where there are any; within them every action of every
+            species
             counts the same, unless the index weighs it less.
         computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
-        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that creature
+        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
+            creature
             shows, so that a person's words move a creature too.
-        events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and told by them.
+        events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and told by
+            them.
     """
 
     def __init__(
@@ -149,7 +166,11 @@ class ClipSet:
         self.joins = Joins(self.clips, statistics) if self._named else None
         self._of_character: dict[str | None, np.ndarray] = {}
         for character in {clip.character for clip in self.clips if clip.species} | {None}:
-            members = [index for index, clip in enumerate(self.clips) if (clip.character if clip.species else None) == character]
+            members = [
+                index
+                for index, clip in enumerate(self.clips)
+                if (clip.character if clip.species else None) == character
+            ]
             self._of_character[character] = np.array(members, int)
         actions: dict[str, set[str]] = {}
         cast: dict[str, set[str]] = {}
@@ -162,7 +183,9 @@ class ClipSet:
         self._cast = {species: sorted(characters) for species, characters in cast.items()}
 
     def _probability(self, creatures: float) -> np.ndarray:
-        """People by what is done in them where clips were watched, else by labels: square roots of a group's seconds (at most two minutes count)."""
+        """People by what is done in them where clips were watched, else by labels: square roots of a group's seconds
+        (at most two minutes count).
+        """
         groups: dict[str, list[int]] = {}
         for index, clip in enumerate(self.clips):
             groups.setdefault(clip.label, []).append(index)
@@ -185,12 +208,17 @@ class ClipSet:
         return weights / weights.sum()
 
     def _by_action(self, seen: np.ndarray) -> np.ndarray:
-        """Weights of these clips: each action counts by the root of its clips, at least `FEWEST_CLIPS`, and shares that out among them."""
+        """Weights of these clips: each action counts by the root of its clips, at least `FEWEST_CLIPS`, and shares that
+        out among them.
+        """
         groups: dict[str, float] = {}
         for index in np.flatnonzero(seen):
             for action in self.clips[index].actions:
                 groups[action] = groups.get(action, 0.0) + self.clips[index].weight
-        worth = {action: float(np.sqrt(np.clip(count, FEWEST_CLIPS, MOST_CLIPS))) / max(count, 1.0) for action, count in groups.items()}
+        worth = {
+            action: float(np.sqrt(np.clip(count, FEWEST_CLIPS, MOST_CLIPS))) / max(count, 1.0)
+            for action, count in groups.items()
+        }
         clips = [self.clips[index] for index in np.flatnonzero(seen)]
         return np.array([clip.weight * np.mean([worth[action] for action in clip.actions]) for clip in clips])
 
@@ -213,7 +241,14 @@ class ClipSet:
         # the statistics are mirror-symmetric, so mirroring commutes with them
         return Row(mirror(row.values), mirror_words(row.sentence), row.mesh) if mirrored else row
 
-    def _worded(self, clip: TrainingClip, values: np.ndarray, sentence: str, labels: list[tuple[str, ...]], random: np.random.Generator) -> Row:
+    def _worded(
+        self,
+        clip: TrainingClip,
+        values: np.ndarray,
+        sentence: str,
+        labels: list[tuple[str, ...]],
+        random: np.random.Generator,
+    ) -> Row:
         """A row of joined clips, sometimes with what can be computed of it for a sentence."""
         if random.random() < self.computed:
             found = self._true_in(clip, values, None)
@@ -224,11 +259,19 @@ class ClipSet:
         """One clip, whole where it is done once, or cut where it goes on, made longer by what its sentence allows."""
         after = self._named.get(clip.follows or "")
         if after is not None and len(clip.values) + len(after.values) <= 1.1 * self.frames and random.random() < 0.35:
-            texts = [(one, other) for one, other in zip(clip.texts, after.texts, strict=False) if goes_on(one) and goes_on(other)]
+            texts = [
+                (one, other)
+                for one, other in zip(clip.texts, after.texts, strict=False)
+                if goes_on(one) and goes_on(other)
+            ]
             if texts:
                 values = np.concatenate([clip.values, after.values])
                 start = int(random.integers(0, max(len(values) - self.frames, 0) + 1))
-                return Row(values[start : start + self.frames], joined_sentence(texts[int(random.integers(len(texts)))]), clip.character)
+                return Row(
+                    values[start : start + self.frames],
+                    joined_sentence(texts[int(random.integers(len(texts)))]),
+                    clip.character,
+                )
         target = int(random.integers(40, self.frames + 1)) if random.random() < 0.6 else self.frames
         values, start = clip.values, 0
         if len(values) < target and random.random() < 0.7:
@@ -238,8 +281,12 @@ class ClipSet:
         whole = values is clip.values
         values = values[start : start + least]
         variants = clip.sentences()
-        own = random.random() < (0.5 if clip.watched else 0.3 if clip.species else 0.0)  # as written, by those who know the clip
-        sentence = clip.texts[int(random.integers(len(clip.texts)))] if own else variants[int(random.integers(len(variants)))]
+        own = random.random() < (
+            0.5 if clip.watched else 0.3 if clip.species else 0.0
+        )  # as written, by those who know the clip
+        sentence = (
+            clip.texts[int(random.integers(len(clip.texts)))] if own else variants[int(random.integers(len(variants)))]
+        )
         mesh = clip.character
         if clip.species is None and random.random() < self.borrowed:
             mesh, sentence = self._borrow(clip, sentence, random)
@@ -256,8 +303,14 @@ class ClipSet:
         return clip.lengthened(target, self._still, random)
 
     def _event(self, clip: TrainingClip, random: np.random.Generator) -> Row | None:
-        """Something that is plain to see in the clip's numbers (a turn, a jump, a kick, a raised hand), cut out and told by them alone."""
-        found = [phrase for phrase in self._all_phrases(clip) if phrase.kind not in ("go", "still") and phrase.stop - phrase.start < self.frames - 8]
+        """Something that is plain to see in the clip's numbers (a turn, a jump, a kick, a raised hand), cut out and
+        told by them alone.
+        """
+        found = [
+            phrase
+            for phrase in self._all_phrases(clip)
+            if phrase.kind not in ("go", "still") and phrase.stop - phrase.start < self.frames - 8
+        ]
         if not found:
             return None
         phrase = found[int(random.integers(len(found)))]
@@ -279,7 +332,9 @@ class ClipSet:
         return self._phrases[clip.name]
 
     def _true_in(self, clip: TrainingClip, values: np.ndarray, start: int | None) -> list[Phrase]:
-        """What can be said of a row: from the clip's own phrases where it is a plain crop of it, else from the row itself."""
+        """What can be said of a row: from the clip's own phrases where it is a plain crop of it, else from the row
+        itself.
+        """
         if start is None:
             return inside(describe(decode(self.statistics.restore(values)), clip.species is None), 0, len(values))
         return inside(self._all_phrases(clip), start, start + len(values))
@@ -292,9 +347,13 @@ class ClipSet:
             return None, sentence
         species = able[int(random.integers(len(able)))]
         characters = self._cast[species]
-        return characters[int(random.integers(len(characters)))], borrowed_sentence(clip.phrases, clip.sentences(), species, random)
+        return characters[int(random.integers(len(characters)))], borrowed_sentence(
+            clip.phrases, clip.sentences(), species, random
+        )
 
-    def _compose(self, clip: TrainingClip, random: np.random.Generator) -> tuple[np.ndarray, str, list[tuple[str, ...]]] | None:
+    def _compose(
+        self, clip: TrainingClip, random: np.random.Generator
+    ) -> tuple[np.ndarray, str, list[tuple[str, ...]]] | None:
         """The clip, then one or two others that go well with its end: "a person walks forward and then waves".
 
         People follow people, and a creature's clips those of the same character.
@@ -323,7 +382,11 @@ class ClipSet:
                 if other.label in labels or not other.phrases or len(other.values) < 12 or len(values) - last < 12:
                     continue
                 rest = span[place] if place + 1 < count else self.frames
-                if other.watched and other.loop is None and len(other.values) > self.frames - len(values) + len(values) // 4:
+                if (
+                    other.watched
+                    and other.loop is None
+                    and len(other.values) > self.frames - len(values) + len(values) // 4
+                ):
                     continue
                 head = other.lengthened(span[place], self._still, random)
                 head = head if other.watched and other.loop is None else head[:rest]
@@ -343,7 +406,9 @@ class ClipSet:
         return values[: self.frames], sentence, told
 
     def batch(self, seed: int, number: int, size: int, compose: float = 0.0, bucket: int = 4) -> MotionBatch:
-        """Batch `number` of the endless series of a seed. `bucket` neighbours share their draws, sorted by length, to pad little."""
+        """Batch `number` of the endless series of a seed. `bucket` neighbours share their draws, sorted by length, to
+        pad little.
+        """
         key = (seed, number // bucket, size, compose, bucket)
         if self._bucket is None or self._bucket[0] != key:
             random = np.random.default_rng([seed, number // bucket, 7])
@@ -364,7 +429,9 @@ class ClipSet:
         return pad(rows)
 
     def sentences(self) -> list[str]:
-        """All sentences that labels give, sorted, to encode before training; computed, joined and borrowed ones are without end."""
+        """All sentences that labels give, sorted, to encode before training; computed, joined and borrowed ones are
+        without end.
+        """
         found = {sentence for clip in self.clips for mirrored in (False, True) for sentence in clip.sentences(mirrored)}
         own = {text for clip in self.clips if clip.species for text in clip.texts}
         return sorted(found | own | set(map(mirror_words, own)))

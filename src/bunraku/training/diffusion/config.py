@@ -31,12 +31,15 @@ class TrainingConfig:
         compose: Share of rows that join two clips, "a person walks and then waves".
         creatures: Share of rows that are creatures' clips, where the data have any.
         computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
-        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that creature shows.
-        events: Share of people's rows that are something plain to see in the numbers, such as a turn, cut out of a clip and told by them.
+        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
+            creature shows.
+        events: Share of people's rows that are something plain to see in the numbers, such as a turn, cut out of a clip
+            and told by them.
         ema: Decay of the averaged weights.
         mesh_bank: NPZ with `features` (C, 448), f_phi of many characters; None trains with the null mesh only.
         cross: Share of the people's motions that are given to any character of the banks, creatures too.
-        character_bank: NPZ that `bunraku data character-bank` wrote, for the spring and the adversarial loss; None trains without them.
+        character_bank: NPZ that `bunraku data character-bank` wrote, for the spring and the adversarial loss; None
+            trains without them.
         characters: Rows a step that those losses look at.
         character_frames: Frames of each that they look at.
         spring_weight: nu_h of Eq. 9.

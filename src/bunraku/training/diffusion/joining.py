@@ -15,20 +15,29 @@ _BLEND = 6
 _SUBJECTS = ("a person", "someone", "the character", "a human", "the person", "a man", "a woman", "he", "she")
 # {1t} is the first clause in the third person, {2g} the second as a gerund, {1p} plain; {s} the subject
 _TWO = (
-    "{s} {1t} and then {2t}", "{s} {1t}, then {2t}", "{s} {1t} and {2t}", "{s} {1t}, and then {2t}", "first {s} {1t}, then {2t}",
-    "{1p}, then {2p}", "{1p} and then {2p}", "first {1p}, then {2p}", "{1t}, then {2t}", "{s} {1t}, and after that {2t}",
-    "{s} {1t} before {2g}", "{s} {1t}, followed by {2g}", "after {1g}, {s} {2t}", "{s} {2t} after {1g}", "{s} is {1g}, then {2g}",
+    "{s} {1t} and then {2t}", "{s} {1t}, then {2t}", "{s} {1t} and {2t}", "{s} {1t}, and then {2t}",
+    "first {s} {1t}, then {2t}",
+    "{1p}, then {2p}", "{1p} and then {2p}", "first {1p}, then {2p}", "{1t}, then {2t}",
+    "{s} {1t}, and after that {2t}",
+    "{s} {1t} before {2g}", "{s} {1t}, followed by {2g}", "after {1g}, {s} {2t}", "{s} {2t} after {1g}",
+    "{s} is {1g}, then {2g}",
     "{s} starts by {1g} and then {2t}", "{s} {1t}, afterwards {2t}", "{s} {1t} and finally {2t}",
 )  # fmt: skip
 _THREE = (
-    "{s} {1t}, {2t} and then {3t}", "{s} {1t}, then {2t}, then {3t}", "{s} {1t}, then {2t} and {3t}", "first {s} {1t}, then {2t} and finally {3t}",
-    "{1p}, then {2p}, then {3p}", "{1t}, {2t}, then {3t}", "{s} {1t} and then {2t} before {3g}", "after {1g}, {s} {2t} and then {3t}",
+    "{s} {1t}, {2t} and then {3t}", "{s} {1t}, then {2t}, then {3t}", "{s} {1t}, then {2t} and {3t}",
+    "first {s} {1t}, then {2t} and finally {3t}",
+    "{1p}, then {2p}, then {3p}", "{1t}, {2t}, then {3t}", "{s} {1t} and then {2t} before {3g}",
+    "after {1g}, {s} {2t} and then {3t}",
     "{s} starts by {1g}, then {2t}, and finally {3t}",
 )  # fmt: skip
 
 
 def join_point(
-    tail: np.ndarray, head: np.ndarray, weights: np.ndarray, blend: int = _BLEND, most: tuple[int | None, int | None] = (None, None)
+    tail: np.ndarray,
+    head: np.ndarray,
+    weights: np.ndarray,
+    blend: int = _BLEND,
+    most: tuple[int | None, int | None] = (None, None),
 ) -> tuple[int, int, float]:
     """Where to leave one motion and enter another so that pose and velocity agree best.
 
@@ -37,7 +46,8 @@ def join_point(
         head: Motion to enter in its first quarter, shape (M, D).
         weights: Share of each feature, shape (D,).
         blend: Frames that both must still have after that.
-        most: Frames at the most, beside the blend, that are lost of the tail's end and of the head's beginning; None for a quarter.
+        most: Frames at the most, beside the blend, that are lost of the tail's end and of the head's beginning; None
+            for a quarter.
 
     Returns:
         Frame i of the tail, frame j of the head, and the mean squared difference there.
@@ -71,7 +81,11 @@ def link(phrases: Sequence[str], random: np.random.Generator, subjects: Sequence
     frames: tuple[str, ...] = _TWO if len(phrases) == 2 else _THREE
     stative = [str(place + 1) for place, phrase in enumerate(phrases) if is_stative(phrase)]
     frames = tuple(frame for frame in frames if not any(f"{{{place}g}}" in frame for place in stative))
-    words = {f"{place + 1}{form[0]}": conjugate(phrase, form) for place, phrase in enumerate(phrases) for form in ("plain", "third", "gerund")}
+    words = {
+        f"{place + 1}{form[0]}": conjugate(phrase, form)
+        for place, phrase in enumerate(phrases)
+        for form in ("plain", "third", "gerund")
+    }
     sentence = frames[int(random.integers(len(frames)))].replace("{s}", subjects[int(random.integers(len(subjects)))])
     for key, text in words.items():
         sentence = sentence.replace(f"{{{key}}}", text)

@@ -1,7 +1,7 @@
 """What training rows are joined to: people who stand and wait, and people who walk on.
 
-A motion that is done once gets longer only by what goes before and after it: somebody stands, turns left, and stands. Playing it again would be
-another motion than its sentence tells.
+A motion that is done once gets longer only by what goes before and after it: somebody stands, turns left, and stands.
+Playing it again would be another motion than its sentence tells.
 """
 
 from __future__ import annotations
@@ -37,7 +37,11 @@ class Joins:
         self._share = feature_weights()
         people = [clip for clip in clips if clip.species is None]
         self.standing = [part for clip in people for part in _standing(clip.values, statistics)]
-        self.walking = [clip for clip in people if clip.loop is not None and clip.actions in (("walk",), ("run",)) and len(clip.values) >= FEWEST]
+        self.walking = [
+            clip
+            for clip in people
+            if clip.loop is not None and clip.actions in (("walk",), ("run",)) and len(clip.values) >= FEWEST
+        ]
 
     def around(self, clip: TrainingClip, values: np.ndarray, target: int, random: np.random.Generator) -> np.ndarray:
         """The motion with standing before and after it, or walking on after it, as far as poses agree.
@@ -109,6 +113,8 @@ def _standing(values: np.ndarray, statistics: FeatureStatistics) -> list[np.ndar
         return []
     features = statistics.restore(values)
     change = (np.diff(values[:, 4:], axis=0, prepend=values[:1, 4:]) ** 2).mean(1)
-    calm = (change < 0.004) & (np.abs(features[:, :3]).max(1) < 0.25) & (features[:, 3] > -0.1) & (features[:, 8] > 0.95)
+    calm = (
+        (change < 0.004) & (np.abs(features[:, :3]).max(1) < 0.25) & (features[:, 3] > -0.1) & (features[:, 8] > 0.95)
+    )
     edges = np.flatnonzero(np.diff(np.concatenate([[0], calm.astype(np.int8), [0]])))
     return [values[start:stop] for start, stop in zip(edges[::2], edges[1::2], strict=True) if stop - start >= FEWEST]

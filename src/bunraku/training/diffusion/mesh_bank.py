@@ -32,11 +32,14 @@ class MeshBank:
     def __len__(self) -> int:
         return len(self.features)
 
-    def draw(self, meshes: Sequence[str | None] | None, size: int, random: np.random.Generator, cross: float = 0.0) -> tuple[Tensor, np.ndarray]:
+    def draw(
+        self, meshes: Sequence[str | None] | None, size: int, random: np.random.Generator, cross: float = 0.0
+    ) -> tuple[Tensor, np.ndarray]:
         """A feature for each row of a batch.
 
         Args:
-            meshes: Character that a row's motion belongs to, None for any humanoid; None in place of all for a batch without creatures.
+            meshes: Character that a row's motion belongs to, None for any humanoid; None in place of all for a batch
+                without creatures.
             size: Rows B.
             random: Draws them.
             cross: Share of the humanoids' rows that take any character at all.
@@ -48,7 +51,9 @@ class MeshBank:
         for index, name in enumerate(meshes or [None] * size):
             pick, any_body = random.random(), random.random() < cross
             if name is None:
-                chosen[index] = int(pick * len(self.features)) if any_body else self.humanoid[int(pick * len(self.humanoid))]
+                chosen[index] = (
+                    int(pick * len(self.features)) if any_body else self.humanoid[int(pick * len(self.humanoid))]
+                )
                 continue
             rows = self.rows.get(name.partition("~")[0])
             if rows is None:
@@ -73,18 +78,29 @@ def load_mesh_bank(path: Path, size: int) -> MeshBank:
             found = {name: file[name] for name in ("features", "names", "split", "humanoid") if name in file.files}
             bank = np.asarray(found["features"], np.float32)
     except Exception as error:
-        raise FormatError(path, f"the mesh features cannot be read ({error}); write them with 'bunraku train handles'") from error
+        raise FormatError(
+            path, f"the mesh features cannot be read ({error}); write them with 'bunraku train handles'"
+        ) from error
     if bank.ndim != 2 or bank.shape[1] != size or not len(bank) or not np.isfinite(bank).all():
-        raise FormatError(path, f"the mesh features must be finite numbers of shape (characters, {size}), not {bank.shape}")
+        raise FormatError(
+            path, f"the mesh features must be finite numbers of shape (characters, {size}), not {bank.shape}"
+        )
     if any(value.shape[:1] != bank.shape[:1] for value in found.values()):
-        raise FormatError(path, "the names, splits and features are not as many; write the mesh features again with 'bunraku train handles'")
+        raise FormatError(
+            path,
+            "the names, splits and features are not as many; write the features again with 'bunraku train handles'",
+        )
     kept = np.flatnonzero(found["split"] == "train") if "split" in found else np.arange(len(bank))
     if not len(kept):
-        raise FormatError(path, "no row of the mesh features is of the split 'train'; write them again with 'bunraku train handles'")
+        raise FormatError(
+            path, "no row of the mesh features is of the split 'train'; write them again with 'bunraku train handles'"
+        )
     rows: dict[str, list[int]] = {}
     for row, name in enumerate(found["names"][kept] if "names" in found else []):
         rows.setdefault(str(name).partition("~")[0], []).append(row)
     upright = np.flatnonzero(found["humanoid"][kept].astype(bool)) if "humanoid" in found else np.arange(len(kept))
     return MeshBank(
-        torch.from_numpy(bank[kept]), {name: np.array(own) for name, own in rows.items()}, upright if len(upright) else np.arange(len(kept))
+        torch.from_numpy(bank[kept]),
+        {name: np.array(own) for name, own in rows.items()},
+        upright if len(upright) else np.arange(len(kept)),
     )

@@ -1,6 +1,8 @@
-"""Mesh-specific motion learning (section 3.2 of TapMo): spring and adversarial loss of the adaptation on random characters.
+"""Mesh-specific motion learning (section 3.2 of TapMo): spring and adversarial loss of the adaptation on random
+characters.
 
-At each step some rows of the batch are given to random characters of a bank. Their motions are fitted to these characters with the
+At each step some rows of the batch are given to random characters of a bank. Their motions are fitted to these
+characters with the
 predicted adaptation, and only the adaptation is judged: rotations and everything else are those of the data (Eq. 9).
 """
 
@@ -61,7 +63,9 @@ def local_motion(features: Tensor) -> tuple[Tensor, Tensor]:
     local = features[..., ROOT_SIZE:].unflatten(-1, (HANDLE_COUNT - 1, 9)).float()
     rotations = matrix_from_6d(local[..., 3:])
     still = torch.eye(3, device=features.device).expand(*rotations.shape[:2], 1, 3, 3)
-    return torch.cat([still, rotations], dim=2), torch.cat([torch.zeros_like(local[:, :, :1, :3]), local[..., :3]], dim=2)
+    return torch.cat([still, rotations], dim=2), torch.cat(
+        [torch.zeros_like(local[:, :, :1, :3]), local[..., :3]], dim=2
+    )
 
 
 class MeshLearning:
@@ -76,7 +80,15 @@ class MeshLearning:
         learning_rate: Of the discriminator.
     """
 
-    def __init__(self, bank: CharacterBank, device: torch.device, characters: int, frames: int, sigma: float, learning_rate: float = 1e-4):
+    def __init__(
+        self,
+        bank: CharacterBank,
+        device: torch.device,
+        characters: int,
+        frames: int,
+        sigma: float,
+        learning_rate: float = 1e-4,
+    ):
         self.bank = bank.to(device)
         self.characters, self.frames, self.sigma = characters, frames, sigma
         self.discriminator = MeshMotionDiscriminator().to(device)
@@ -86,8 +98,11 @@ class MeshLearning:
         self._rows = {None: bank.rows("train"), True: bank.rows("train", True)}
         self._rows = {kind: rows[armed[rows]] for kind, rows in self._rows.items()}
 
-    def draw(self, random: np.random.Generator, lengths: np.ndarray, meshes: list[str | None] | None, cross: float) -> MeshDraw | None:
-        """Rows of a batch, among those that no character of their own belongs to, and their characters; None where there are none.
+    def draw(
+        self, random: np.random.Generator, lengths: np.ndarray, meshes: list[str | None] | None, cross: float
+    ) -> MeshDraw | None:
+        """Rows of a batch, among those that no character of their own belongs to, and their characters; None where
+        there are none.
 
         Args:
             random: Draws them.
@@ -109,7 +124,9 @@ class MeshLearning:
         tensors = [torch.from_numpy(value).to(device) for value in (rows, chosen, starts, picked)]
         return MeshDraw(tensors[0], tensors[1], tensors[2], frames, tensors[3])
 
-    def losses(self, draw: MeshDraw, clean: Tensor, delta: Tensor, learns: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def losses(
+        self, draw: MeshDraw, clean: Tensor, delta: Tensor, learns: bool
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Spring and adversarial loss of the adaptation, and what the discriminator is to learn from.
 
         Args:
@@ -139,7 +156,8 @@ class MeshLearning:
         return spring, adversarial, skeleton_driven(fitted, bank, draw.picked), fake.detach()
 
     def learn(self, real: Tensor, fake: Tensor, learns: bool) -> tuple[Tensor, float]:
-        """Gradients of the discriminator on real and fake arms, where it has its turn; its loss and the mean score of the fakes.
+        """Gradients of the discriminator on real and fake arms, where it has its turn; its loss and the mean score of
+        the fakes.
 
         The caller steps the optimiser (`step`), so that several processes can average the gradients first.
         """

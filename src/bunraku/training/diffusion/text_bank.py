@@ -26,7 +26,11 @@ class TextBank:
     """
 
     def __init__(
-        self, encoder: TextEncoder, sentences: Sequence[str], cache: str | Path | None = None, progress: Callable[[int, int], None] | None = None
+        self,
+        encoder: TextEncoder,
+        sentences: Sequence[str],
+        cache: str | Path | None = None,
+        progress: Callable[[int, int], None] | None = None,
     ):
         self._encoder = encoder
         sentences = sorted(set(sentences))
@@ -36,7 +40,11 @@ class TextBank:
             try:
                 state, config = load_checkpoint(cache, "text-bank")
                 if config.get("digest") == digest:
-                    self._tokens, self._offsets, self._pooled = state["tokens"].half(), state["offsets"], state["pooled"]
+                    self._tokens, self._offsets, self._pooled = (
+                        state["tokens"].half(),
+                        state["offsets"],
+                        state["pooled"],
+                    )
                     return
             except WeightsError:
                 pass  # a broken cache is made again
@@ -49,7 +57,12 @@ class TextBank:
             if progress is not None:
                 progress(min(start + 256, len(sentences)), len(sentences))
         self._tokens = torch.cat(tokens) if tokens else torch.zeros(0, encoder.token_size, dtype=torch.float16)
-        self._offsets = torch.cat([torch.zeros(1, dtype=torch.long), torch.cat(lengths).cumsum(0) if lengths else torch.zeros(0, dtype=torch.long)])
+        self._offsets = torch.cat(
+            [
+                torch.zeros(1, dtype=torch.long),
+                torch.cat(lengths).cumsum(0) if lengths else torch.zeros(0, dtype=torch.long),
+            ]
+        )
         self._pooled = torch.cat(pooled) if pooled else torch.zeros(0, encoder.pooled_size)
         if cache is not None:
             state = {"tokens": self._tokens, "offsets": self._offsets, "pooled": self._pooled}

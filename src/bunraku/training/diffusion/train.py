@@ -1,8 +1,8 @@
 """Training of the denoiser (Eq. 6 to 9 of TapMo).
 
-A run folder holds `state.safetensors` (all that is needed to go on), `diffusion.safetensors` (the averaged weights, ready to
-use), `log.csv`, `events` (TensorBoard) and the encoded captions. The same command goes on where a run stopped. Under `accelerate
-launch` several processes train together: each draws batches of its own, and the first one writes.
+A run folder holds `state.safetensors` (all that is needed to go on), `diffusion.safetensors` (the averaged weights,
+ready to use), `log.csv`, `events` (TensorBoard) and the encoded captions. The same command goes on where a run stopped.
+Under `accelerate launch` several processes train together: each draws batches of its own, and the first one writes.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ def _statistics(path: Path) -> FeatureStatistics | None:
     return FeatureStatistics(model["mean"].numpy(), model["std"].numpy())
 
 
-def _prefetch(clips: ClipSet, bank: TextBank, config: TrainingConfig, processes: Processes, first: int, stop: threading.Event) -> queue.Queue[Any]:
+def _prefetch(
+    clips: ClipSet, bank: TextBank, config: TrainingConfig, processes: Processes, first: int, stop: threading.Event
+) -> queue.Queue[Any]:
     """Batches from step `first` on, made ahead by a thread. Of P processes, number i takes batch P * step + i."""
     ready: queue.Queue[Any] = queue.Queue(maxsize=3)
 
@@ -72,7 +74,9 @@ def _sentences(clips: list[ClipSet]) -> list[str]:
     return sorted({sentence for part in clips for sentence in part.sentences()})
 
 
-def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = None, encoder: TextEncoder | None = None) -> Path:
+def train_diffusion(
+    config: TrainingConfig, network: DenoiserConfig | None = None, encoder: TextEncoder | None = None
+) -> Path:
     """Train, or go on training, and return the path of the averaged weights.
 
     Args:
@@ -109,7 +113,12 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
         statistics = measured or FeatureStatistics.measure([entry["features"] for entry in training])
         notes = {"creatures": True} if any(entry.get("species") for entry in training) else {}
         frames = (network or PRESETS[config.preset]).frames
-        mixture = {"creatures": config.creatures, "computed": config.computed, "borrowed": config.borrowed, "events": config.events}
+        mixture = {
+            "creatures": config.creatures,
+            "computed": config.computed,
+            "borrowed": config.borrowed,
+            "events": config.events,
+        }
         train, val = (ClipSet(clips, statistics, split, frames, **mixture) for split in ("train", "val"))
         del clips, training
         if encoder is None:
@@ -123,13 +132,19 @@ def train_diffusion(config: TrainingConfig, network: DenoiserConfig | None = Non
                 lambda done, total: bar.update(task, completed=done, total=total),
             )
     if network is None:
-        sizes: dict[str, Any] = {"text_encoder": encoder.name, "text_size": encoder.token_size, "pooled_size": encoder.pooled_size}
+        sizes: dict[str, Any] = {
+            "text_encoder": encoder.name,
+            "text_size": encoder.token_size,
+            "pooled_size": encoder.pooled_size,
+        }
         network = replace(PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh)
     meshes = None if config.mesh_bank is None else load_mesh_bank(config.mesh_bank, network.mesh_features)
     characters = None if config.character_bank is None else load_character_bank(config.character_bank)
     if characters is not None and characters.features.shape[1] != network.mesh_features:
         sizes_differ = f"its f_phi has {characters.features.shape[1]} numbers, not {network.mesh_features}"
-        raise OptionError(f"{config.character_bank}: {sizes_differ}; write the bank again with 'bunraku data character-bank'")
+        raise OptionError(
+            f"{config.character_bank}: {sizes_differ}; write the bank again with 'bunraku data character-bank'"
+        )
     trainer = Trainer(config, network, statistics, meshes, characters, processes, notes)
     state = config.out / "state.safetensors"
     if state.is_file():
@@ -165,7 +180,9 @@ def _validation(trainer: Trainer, clips: ClipSet, bank: TextBank) -> list[Exampl
     return examples
 
 
-def _loop(trainer: Trainer, network: DenoiserConfig, clips: ClipSet, bank: TextBank, examples: list[Example], console: Any) -> None:
+def _loop(
+    trainer: Trainer, network: DenoiserConfig, clips: ClipSet, bank: TextBank, examples: list[Example], console: Any
+) -> None:
     config, main, stop, ended = trainer.config, trainer.processes.main, Stop(), threading.Event()
     log = config.out / "log.csv"
     if main and not log.is_file():
@@ -192,7 +209,9 @@ def _loop(trainer: Trainer, network: DenoiserConfig, clips: ClipSet, bank: TextB
                 due = trainer.step % config.validate_every == 0
                 if main and (due or trainer.step == first + 20):
                     row = {name: float(np.mean(values)) for name, values in told.items()}
-                    row["validation"], row["validation_wrong_text"] = trainer.validate(examples) if due else (math.nan, math.nan)
+                    row["validation"], row["validation_wrong_text"] = (
+                        trainer.validate(examples) if due else (math.nan, math.nan)
+                    )
                     _tell(trainer, row, (trainer.step - first) / (now - begun), events, console)
                     told = {}
                 if main and now - saved > 60 * config.save_every:
@@ -202,23 +221,38 @@ def _loop(trainer: Trainer, network: DenoiserConfig, clips: ClipSet, bank: TextB
             ended.set()
         if main:
             trainer.save(config.out, network)
-    console.print(f"saved {config.out} at step {trainer.step}" + ("; the same command goes on" if trainer.progress() < 1 else ""))
+    console.print(
+        f"saved {config.out} at step {trainer.step}" + ("; the same command goes on" if trainer.progress() < 1 else "")
+    )
 
 
 _COLUMNS = (
-    "step", "seconds", "rate", "motion", "velocity", "contact", "validation", "validation_wrong_text", "steps_per_second", "spring", "adversarial",
+    "step", "seconds", "rate", "motion", "velocity", "contact", "validation", "validation_wrong_text",
+    "steps_per_second", "spring", "adversarial",
     "discriminator", "score",
 )  # fmt: skip
 
 
 def _tell(trainer: Trainer, row: dict[str, float], speed: float, events: EventLog, console: Any) -> None:
     """One row of figures to the log, to TensorBoard and to the terminal."""
-    row = {"step": trainer.step, "seconds": round(trainer.seconds), "rate": trainer.learning_rate(), **row, "steps_per_second": speed}
+    row = {
+        "step": trainer.step,
+        "seconds": round(trainer.seconds),
+        "rate": trainer.learning_rate(),
+        **row,
+        "steps_per_second": speed,
+    }
     log = trainer.config.out / "log.csv"
     append_row(log, row, logged_columns(log))
     events.write(trainer.step, {name: value for name, value in row.items() if name not in ("step", "seconds")})
-    extra = "  ".join(f"{name} {row[name]:.4f}" for name in ("contact", "spring", "adversarial", "discriminator", "score") if name in row)
+    extra = "  ".join(
+        f"{name} {row[name]:.4f}"
+        for name in ("contact", "spring", "adversarial", "discriminator", "score")
+        if name in row
+    )
     console.print(
-        f"step {trainer.step:6d}  {trainer.seconds / 60:6.1f} min  loss {row['motion']:.4f} velocity {row['velocity']:.4f}  "
-        f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  {extra}{'  ' if extra else ''}{speed:.2f} steps/s"
+        f"step {trainer.step:6d}  {trainer.seconds / 60:6.1f} min  loss {row['motion']:.4f} velocity "
+        f"{row['velocity']:.4f}  "
+        f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  "
+        f"{extra}{'  ' if extra else ''}{speed:.2f} steps/s"
     )

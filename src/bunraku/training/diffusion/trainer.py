@@ -73,7 +73,9 @@ class Trainer:
         self.config = config
         self.processes = processes or Processes()
         self.notes = notes or {}
-        self.device = self.processes.device or torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        self.device = self.processes.device or torch.device(
+            config.device or ("cuda" if torch.cuda.is_available() else "cpu")
+        )
         torch.manual_seed(config.seed)
         self.model = build_denoiser(network).to(self.device)
         self.model.mean.copy_(torch.from_numpy(statistics.mean))
@@ -89,7 +91,9 @@ class Trainer:
         self.mesh_bank = mesh_bank
         self.learning: MeshLearning | None = None
         if character_bank is not None:
-            self.learning = MeshLearning(character_bank, self.device, config.characters, config.character_frames, config.sigma)
+            self.learning = MeshLearning(
+                character_bank, self.device, config.characters, config.character_frames, config.sigma
+            )
         self.step = 0
         self.seconds = 0.0
         self.asked = False  # this process was asked to stop
@@ -118,8 +122,10 @@ class Trainer:
             mesh[rows] = bank.features[draw.characters].cpu()
             drop_mesh[rows] = False
         return Example(
-            clean.to(self.device), noise.to(self.device), step.to(self.device), torch.from_numpy(batch.lengths).to(self.device),
-            text.to(self.device), None if mesh is None else mesh.to(self.device), ~drop_text.to(self.device), ~drop_mesh.to(self.device),
+            clean.to(self.device), noise.to(self.device), step.to(self.device),
+            torch.from_numpy(batch.lengths).to(self.device),
+            text.to(self.device), None if mesh is None else mesh.to(self.device), ~drop_text.to(self.device),
+            ~drop_mesh.to(self.device),
             torch.tensor([mesh is None for mesh in batch.meshes], device=self.device), draw,
         )  # fmt: skip
 
@@ -128,7 +134,9 @@ class Trainer:
         noisy = add_noise(example.clean, example.noise, example.step, self.curve)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
             text = example.text
-            condition = model.condition(text.tokens, text.mask, text.pooled, example.mesh, example.keep_text, example.keep_mesh)
+            condition = model.condition(
+                text.tokens, text.mask, text.pooled, example.mesh, example.keep_text, example.keep_mesh
+            )
             predicted, adaptation = model(noisy, example.step, example.lengths, condition)
         return predicted, adaptation
 
@@ -152,12 +160,16 @@ class Trainer:
         return learning_rate(config.learning_rate, self.step, config.warmup, into)
 
     def update(self, example: Example) -> dict[str, float]:
-        """One optimiser step of L_m + nu_h L_h + nu_a L_a [TapMo 9] on the batch of this process; the losses by name, means over all processes."""
+        """One optimiser step of L_m + nu_h L_h + nu_a L_a [TapMo 9] on the batch of this process; the losses by name,
+        means over all processes.
+        """
         config, learning = self.config, self.learning
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
         predicted, adaptation = self.predict(self.model, example)
-        motion, velocity = (part.mean() for part in motion_losses(predicted, example.clean, example.lengths, self.weights))
+        motion, velocity = (
+            part.mean() for part in motion_losses(predicted, example.clean, example.lengths, self.weights)
+        )
         total = motion + config.velocity_weight * velocity
         told = {"motion": motion, "velocity": velocity}
         if config.contact_weight > 0:
@@ -204,7 +216,9 @@ class Trainer:
 
     @torch.no_grad()
     def validate(self, examples: list[Example]) -> tuple[float, float]:
-        """Mean motion loss of the averaged model on fixed noise, with the right sentences and with those of other rows."""
+        """Mean motion loss of the averaged model on fixed noise, with the right sentences and with those of other
+        rows.
+        """
         right, wrong, rows = 0.0, 0.0, 0
         for example in examples:
             right += float(self.losses(self.average, example)[0].sum())
@@ -224,10 +238,23 @@ class Trainer:
             optimizers["discriminator"] = self.learning.optimizer.state_dict()
             values["score"] = self.learning.score
         settings = {"network": asdict(config), "run": {key: str(value) for key, value in asdict(self.config).items()}}
-        save_training_state(folder / "state.safetensors", TrainingState(self.step, models, optimizers, settings, values))
-        notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "batch": self.config.batch * self.processes.count}
-        known = max(0 if self.mesh_bank is None else len(self.mesh_bank), 0 if self.learning is None else len(self.learning.bank))
-        save_denoiser(folder / "diffusion.safetensors", self.average, notes | {"preset": self.config.preset, "characters": known} | self.notes)
+        save_training_state(
+            folder / "state.safetensors", TrainingState(self.step, models, optimizers, settings, values)
+        )
+        notes = {
+            "steps": self.step,
+            "minutes": round(self.seconds / 60, 1),
+            "batch": self.config.batch * self.processes.count,
+        }
+        known = max(
+            0 if self.mesh_bank is None else len(self.mesh_bank),
+            0 if self.learning is None else len(self.learning.bank),
+        )
+        save_denoiser(
+            folder / "diffusion.safetensors",
+            self.average,
+            notes | {"preset": self.config.preset, "characters": known} | self.notes,
+        )
 
     def restore(self, path: Path, network: DenoiserConfig) -> None:
         """Go on from a saved state; one of before the discriminator gets a fresh one.
@@ -238,7 +265,10 @@ class Trainer:
         state = load_training_state(path)
         saved = {**asdict(DenoiserConfig()), **state.config.get("network", {})}  # an older state lacks newer fields
         if saved != asdict(network):
-            raise OptionError(f"{path}: this run was started with another network; give the same preset and encoder, or another run folder")
+            raise OptionError(
+                f"{path}: this run was started with another network; give the same preset and encoder, or another run "
+                "folder"
+            )
         self.model.load_state_dict(state.models["model"])
         self.average.load_state_dict(state.models["average"])
         self.optimizer.load_state_dict(state.optimizers["adamw"])

@@ -41,7 +41,8 @@ class TrainingClip:
         watched: The captions were written from watching just this; the fullest is first, the tersest last.
         labels: Labels of the archive for a watched clip, used where they say the same.
         weight: The index's own weight.
-        loop: Frames (i, j) such that playing on from j after i is smooth and what the captions say stays true; None where there are none.
+        loop: Frames (i, j) such that playing on from j after i is smooth and what the captions say stays true; None
+            where there are none.
         rests: The clip ends at rest, so its last pose can be held.
         follows: Name of the stretch that goes on where this one ends.
         species: What creature it is of; None for people.
@@ -68,7 +69,11 @@ class TrainingClip:
         if self.watched:
             return " and ".join(self.actions)
         group = caption_group(self.texts[0])
-        return f"{self.species or 'person'}: {self.action}" if self.action and not (self.species is None and group.phrases) else group.name
+        return (
+            f"{self.species or 'person'}: {self.action}"
+            if self.action and not (self.species is None and group.phrases)
+            else group.name
+        )
 
     @property
     def actions(self) -> tuple[str, ...]:
@@ -77,7 +82,9 @@ class TrainingClip:
 
     @property
     def phrases(self) -> tuple[str, ...]:
-        """What it shows without a subject, verbs in braces, to be joined with others; none where no caption has that form."""
+        """What it shows without a subject, verbs in braces, to be joined with others; none where no caption has that
+        form.
+        """
         return stretch_phrases(self.texts) if self.watched else clauses(self.texts[0], self.species, self.action)
 
     def sentences(self, mirrored: bool = False) -> tuple[str, ...]:
@@ -85,7 +92,11 @@ class TrainingClip:
         if self.watched:
             return stretch_variants(self.texts, agreeing(self.texts, self.labels), mirrored)
         labels = ("",) if self.species else self.texts
-        return tuple(dict.fromkeys(sentence for text in labels for sentence in all_variants(text, self.species, self.action, mirrored)))
+        return tuple(
+            dict.fromkeys(
+                sentence for text in labels for sentence in all_variants(text, self.species, self.action, mirrored)
+            )
+        )
 
     @classmethod
     def prepare(cls, name: str, entry: dict[str, Any], statistics: FeatureStatistics, frames: int) -> TrainingClip:
@@ -106,16 +117,32 @@ class TrainingClip:
             if may_loop(texts, species, action):
                 i, j, distance = join_point(values, values, feature_weights())
                 turn = abs(float(entry["features"][j:i, 0].sum())) / 20
-                if distance < (0.8 if len(values) < 60 else 0.3) and i - j >= 6 and (turn < MOST_TURN or _TURNS & set(main_actions(texts))):
+                if (
+                    distance < (0.8 if len(values) < 60 else 0.3)
+                    and i - j >= 6
+                    and (turn < MOST_TURN or _TURNS & set(main_actions(texts)))
+                ):
                     loop = (i, j)
             speed = np.abs(entry["features"][-4:, :3]).max()
             change = float((np.diff(values[-4:], axis=0)[:, 4:] ** 2).mean())
             rests = bool(speed < 0.5 and change < 0.02)
         labels = tuple(entry.get("labels") or ())
-        return cls(name, values, texts, watched, labels, float(entry.get("weight", 1.0)), loop, rests, entry.get("next"), *creature)
+        return cls(
+            name,
+            values,
+            texts,
+            watched,
+            labels,
+            float(entry.get("weight", 1.0)),
+            loop,
+            rests,
+            entry.get("next"),
+            *creature,
+        )
 
     def lengthened(self, target: int, still: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        """The clip played again from its loop point, or with its last pose held, until it has `target` frames or can have no more.
+        """The clip played again from its loop point, or with its last pose held, until it has `target` frames or can
+        have no more.
 
         Args:
             target: Frames wanted.

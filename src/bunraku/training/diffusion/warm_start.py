@@ -23,8 +23,10 @@ _FREE = {"adaptation_mesh", "adaptation_frame"}
 def rescaled(model: Denoiser, mean: torch.Tensor, std: torch.Tensor) -> dict[str, torch.Tensor]:
     """Weights that say of motions in other units what a denoiser says of them in its own.
 
-    Network units are `(value - mean) / std`. The first and the last layer are linear in them, so the change of units goes into these
-    two layers without loss: the same clean motion gives the same prediction. Noise, which has the same size in any units, does not.
+    Network units are `(value - mean) / std`. The first and the last layer are linear in them, so the change of units
+    goes into these
+    two layers without loss: the same clean motion gives the same prediction. Noise, which has the same size in any
+    units, does not.
 
     Args:
         model: The denoiser.
@@ -47,7 +49,8 @@ def rescaled(model: Denoiser, mean: torch.Tensor, std: torch.Tensor) -> dict[str
 
 
 def start_from(path: str | Path, model: Denoiser) -> None:
-    """Give a new denoiser the weights of a checkpoint, in the units of its own statistics; its adaptation's layer stays as it is.
+    """Give a new denoiser the weights of a checkpoint, in the units of its own statistics; its adaptation's layer stays
+    as it is.
 
     Args:
         path: A checkpoint of kind "diffusion".
@@ -61,7 +64,10 @@ def start_from(path: str | Path, model: Denoiser) -> None:
     names = [field.name for field in fields(DenoiserConfig) if field.name not in _FREE]
     other = [name for name in names if getattr(old.config, name) != getattr(model.config, name)]
     if other:
-        raise OptionError(f"{path}: a run cannot start from this network, whose {', '.join(other)} differ; give the preset that it was trained with")
+        raise OptionError(
+            f"{path}: a run cannot start from this network, whose {', '.join(other)} differ; give the preset that it "
+            "was trained with"
+        )
     state = rescaled(old, model.mean.cpu(), model.std.cpu())
     kept = {name: value for name, value in state.items() if not name.startswith(_HEAD)}
     model.load_state_dict(kept, strict=False)

@@ -1,7 +1,7 @@
 """Other tessellations, holes and loose parts for training examples.
 
-Everything here moves or merges whole rows of an example, so that its weights, labels and poses stay exactly true: a vertex that
-slides towards its neighbour takes the same share of the neighbour's weights and of its posed places.
+Everything here moves or merges whole rows of an example, so that its weights, labels and poses stay exactly true: a
+vertex that slides towards its neighbour takes the same share of the neighbour's weights and of its posed places.
 """
 
 from __future__ import annotations
@@ -81,7 +81,9 @@ def coarser(mesh: TrainingMesh, rng: np.random.Generator, share: float) -> Train
     frames = len(mesh.posed)
     flat = np.ascontiguousarray(mesh.posed.transpose(1, 0, 2)).reshape(count, -1)
     posed = np.asarray(mean @ flat, np.float32).reshape(len(kept), frames, 3).transpose(1, 0, 2)
-    return replace(mesh, **rows, areas=areas, edges=_relabelled(mesh.edges, label, len(kept)), posed=np.ascontiguousarray(posed))
+    return replace(
+        mesh, **rows, areas=areas, edges=_relabelled(mesh.edges, label, len(kept)), posed=np.ascontiguousarray(posed)
+    )
 
 
 def _relabelled(edges: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
@@ -106,7 +108,8 @@ def pierced(mesh: TrainingMesh, rng: np.random.Generator, radius: float, holes: 
 
 
 def split(mesh: TrainingMesh, rng: np.random.Generator) -> TrainingMesh:
-    """Edges between parts are cut, all but a few that stand for the bridges which network meshes have between loose parts.
+    """Edges between parts are cut, all but a few that stand for the bridges which network meshes have between loose
+    parts.
 
     The parts are those of the rig, or what a random plane parts.
     """

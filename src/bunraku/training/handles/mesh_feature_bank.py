@@ -17,7 +17,9 @@ from bunraku.handles.predictor import HandlePredictor
 
 __all__ = ["has_human_shape", "write_mesh_bank"]
 
-_LIMBS = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "hip", "knee")]
+_LIMBS = [
+    HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "hip", "knee")
+]
 LEAST = 2e-3  # share of the surface under which a part counts as absent
 UPRIGHT = 0.7  # least share of the way from the pelvis to the head that leads up
 
@@ -50,7 +52,8 @@ def write_mesh_bank(
     Args:
         model: The trained predictor.
         characters: All of them; what follows a "~" in a name says which variant of a character it is.
-        path: An NPZ; it gets `features` (C, 448), `names` (C,), `split` (C,), "train" or "test", and `humanoid` (C,), see `has_human_shape`.
+        path: An NPZ; it gets `features` (C, 448), `names` (C,), `split` (C,), "train" or "test", and `humanoid` (C,),
+            see `has_human_shape`.
         variants: Changed forms of each character beside its own; those held out have none.
         seed: Of the changes.
         held_out: Names of the characters that no training may see: their rows are "test", for evaluation only.
@@ -63,7 +66,9 @@ def write_mesh_bank(
     for number, character in enumerate(characters):
         rng = np.random.default_rng([seed, number])
         held, upright = character.name.partition("~")[0] in held_out, has_human_shape(character)
-        meshes = [plain_mesh(character, rng, config)] + [augment(character, rng, config) for _ in range(0 if held else variants)]
+        meshes = [plain_mesh(character, rng, config)] + [
+            augment(character, rng, config) for _ in range(0 if held else variants)
+        ]
         for mesh in meshes:
             graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors).to(device)
             features.append(model(graph).features.float().cpu().numpy())
@@ -74,5 +79,11 @@ def write_mesh_bank(
             progress(number + 1)
     path = Path(path)
     with atomic_write(path) as file:
-        np.savez(file, features=np.stack(features).astype(np.float32), names=np.array(names), split=np.array(split), humanoid=np.array(humanoid))
+        np.savez(
+            file,
+            features=np.stack(features).astype(np.float32),
+            names=np.array(names),
+            split=np.array(split),
+            humanoid=np.array(humanoid),
+        )
     return path

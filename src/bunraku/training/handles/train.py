@@ -1,4 +1,6 @@
-"""Training of the Mesh Handle Predictor (Eq. 5 of TapMo): resumable, with validation on characters that it never sees."""
+"""Training of the Mesh Handle Predictor (Eq. 5 of TapMo): resumable, with validation on characters that it never
+sees.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,13 @@ import numpy as np
 import torch
 
 from bunraku.body.layout import HANDLE_MIRROR
-from bunraku.datasets.characters.training_character import AugmentConfig, TrainingCharacter, TrainingMesh, augment, plain_mesh
+from bunraku.datasets.characters.training_character import (
+    AugmentConfig,
+    TrainingCharacter,
+    TrainingMesh,
+    augment,
+    plain_mesh,
+)
 from bunraku.errors import OptionError
 from bunraku.handles.graph import MeshGraph, mesh_graph
 from bunraku.handles.predictor import HandlePredictor, PredictorConfig, grow_predictor, save_predictor
@@ -33,7 +41,8 @@ class HandleTrainConfig:
     Args:
         cache: Folder of cached characters (`bunraku.datasets.characters.build.build_characters`).
         out: Folder of the run: `state.safetensors` to go on from, `handles.safetensors` the result, `log.csv`.
-        minutes: Stop after this much training time, over all sittings; the learning rate falls to nothing by then. 0 for no
+        minutes: Stop after this much training time, over all sittings; the learning rate falls to nothing by then. 0
+            for no
             limit.
         epochs: Stop after so many epochs; with no limit of minutes the learning rate follows these.
         threads: CPU threads; 0 leaves torch's choice.
@@ -46,7 +55,8 @@ class HandleTrainConfig:
         reference_share: Share of the examples that are the reference body.
         validate_every: Epochs between validations.
         seed: Of everything random.
-        start: Checkpoint of kind "handles" to start a new run from, for example the shipped one, to go on with it on other
+        start: Checkpoint of kind "handles" to start a new run from, for example the shipped one, to go on with it on
+            other
             characters; a deeper network begins as the one in the checkpoint.
     """
 
@@ -71,7 +81,9 @@ class HandleTrainConfig:
     damage: DamageConfig = field(default_factory=DamageConfig)
 
 
-def _graph(mesh: TrainingMesh, config: PredictorConfig, device: str, rng: np.random.Generator | None = None) -> MeshGraph:
+def _graph(
+    mesh: TrainingMesh, config: PredictorConfig, device: str, rng: np.random.Generator | None = None
+) -> MeshGraph:
     return mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, config.anchors, rng).to(device)
 
 
@@ -108,7 +120,9 @@ class HandleTrainer:
         self.step, self.epoch, self.seconds = 0, 0, 0.0
         self.swap = torch.tensor(HANDLE_MIRROR)
         folders = [c.name.rpartition("/")[0] for c in self.characters]
-        share = np.array([folders.count(f) ** -0.5 for f in folders])  # thirty fish that are alike do not outweigh the rest
+        share = np.array(
+            [folders.count(f) ** -0.5 for f in folders]
+        )  # thirty fish that are alike do not outweigh the rest
         self.chances = share / share.sum()
 
     def progress(self) -> float:
@@ -119,7 +133,9 @@ class HandleTrainer:
         return min(max(parts), 1.0)
 
     def example_loss(self, mesh: TrainingMesh) -> tuple[torch.Tensor, dict[str, float]]:
-        """L_s + nu_p L_p + nu_r L_r [TapMo 5] with the further losses, for one mesh; and each loss before its weight."""
+        """L_s + nu_p L_p + nu_r L_r [TapMo 5] with the further losses, for one mesh; and each loss before its
+        weight.
+        """
         config, device = self.config.loss, self.config.device
         graph = _graph(mesh, self.config.predictor, device, self.rng)
         with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
@@ -128,18 +144,26 @@ class HandleTrainer:
         positions = graph.inputs[:, :3]
         parts = {
             "semantic": losses.semantic_loss(logits, torch.from_numpy(mesh.target).to(device), graph.areas),
-            "root": config.root_unit * losses.root_loss(positions, weights, torch.from_numpy(mesh.root).to(device), graph.areas),
+            "root": config.root_unit
+            * losses.root_loss(positions, weights, torch.from_numpy(mesh.root).to(device), graph.areas),
             "smoothness": losses.smoothness_loss(weights, torch.from_numpy(mesh.edges).to(device)),
             "sparsity": losses.sparsity_loss(weights),
         }
         i, j, gamma = losses.skinning_pairs(
-            torch.from_numpy(mesh.weights), config.skinning_pairs, self.generator, torch.from_numpy(np.ascontiguousarray(mesh.handles))
+            torch.from_numpy(mesh.weights),
+            config.skinning_pairs,
+            self.generator,
+            torch.from_numpy(np.ascontiguousarray(mesh.handles)),
         )
         parts["skinning"] = losses.skinning_loss(logits, i.to(device), j.to(device), gamma.to(device), config.apart)
         if len(mesh.posed):
-            parts["pose"] = config.pose_unit * losses.pose_loss(positions, torch.from_numpy(mesh.posed).to(device), weights)
+            parts["pose"] = config.pose_unit * losses.pose_loss(
+                positions, torch.from_numpy(mesh.posed).to(device), weights
+            )
         if self.rng.random() < config.mirror_rate:
-            again = _graph(mesh, self.config.predictor, device, self.rng).mirrored()  # other anchors, so they must not matter either
+            again = _graph(
+                mesh, self.config.predictor, device, self.rng
+            ).mirrored()  # other anchors, so they must not matter either
             with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
                 mirrored = self.model(again).logits.float()
             parts["mirror"] = losses.mirror_loss(logits, mirrored, self.swap.to(device))
@@ -153,7 +177,9 @@ class HandleTrainer:
         counts = dict.fromkeys(sums, 0)
         before = self.seconds
         for _ in range(math.ceil(len(self.characters) / self.config.batch)):
-            ease = min(1.0, (self.step + 1) / self.config.warmup) * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * self.progress())))
+            ease = min(1.0, (self.step + 1) / self.config.warmup) * (
+                0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * self.progress()))
+            )
             for group in self.optimizer.param_groups:
                 group["lr"] = self.config.rate * ease
             for _ in range(self.config.batch):
@@ -210,7 +236,9 @@ class HandleTrainer:
 
 
 @torch.no_grad()
-def validate_handles(model: HandlePredictor, characters: Sequence[TrainingCharacter], varied: bool = False, seed: int = 0) -> dict[str, float]:
+def validate_handles(
+    model: HandlePredictor, characters: Sequence[TrainingCharacter], varied: bool = False, seed: int = 0
+) -> dict[str, float]:
     """How good the predictor is on characters with known handles.
 
     Args:
@@ -220,10 +248,10 @@ def validate_handles(model: HandlePredictor, characters: Sequence[TrainingCharac
         seed: Of the poses.
 
     Returns:
-        accuracy: Share of the labelled surface whose largest weight is the right handle's. purity: of the surface that one
-        joint moves (weight over 0.9), the share on the main handle of that joint's part. root: distance of handle 0 from the
-        root joint, over the height. pose: mean distance between posed vertices and those that the handles rebuild, over the
-        height. outside: share of the weights outside the four largest.
+        accuracy: Share of the labelled surface whose largest weight is the right handle's. purity: of the surface that
+        one joint moves (weight over 0.9), the share on the main handle of that joint's part. root: distance of handle 0
+        from the root joint, over the height. pose: mean distance between posed vertices and those that the handles
+        rebuild, over the height. outside: share of the weights outside the four largest.
     """
     model.eval()
     device = next(model.parameters()).device
@@ -243,7 +271,10 @@ def validate_handles(model: HandlePredictor, characters: Sequence[TrainingCharac
             purity.append(float(shares.amax(1).sum() / shares.sum()))
         outside.append(float(losses.sparsity_loss(weights)))
         if (character.handles == 0).any():
-            root.append(float(losses.root_loss(positions, weights, torch.from_numpy(mesh.root).to(device), graph.areas).sqrt()) / mesh.height)
+            root.append(
+                float(losses.root_loss(positions, weights, torch.from_numpy(mesh.root).to(device), graph.areas).sqrt())
+                / mesh.height
+            )
         posed = torch.from_numpy(mesh.posed).to(device)
         moved = losses.drive_local(positions, weights, *losses.register_torch(positions, posed, weights))
         pose.append(float((moved - posed).norm(dim=-1).mean()) / mesh.height)
@@ -252,7 +283,8 @@ def validate_handles(model: HandlePredictor, characters: Sequence[TrainingCharac
 
 
 def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
-    """Train the predictor, or go on where the run in `config.out` stopped; at the end write `mesh_features.npz` for the diffusion.
+    """Train the predictor, or go on where the run in `config.out` stopped; at the end write `mesh_features.npz` for the
+    diffusion.
 
     Args:
         config: Settings.
@@ -264,7 +296,10 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
     Raises:
         BunrakuError: No cache, the folder cannot be written, or the checkpoint to start from does not fit.
     """
-    from bunraku.datasets.characters.build import load_characters, reference_characters  # the data is built on this package's types
+    from bunraku.datasets.characters.build import (
+        load_characters,
+        reference_characters,
+    )  # the data is built on this package's types
 
     if config.threads > 0:
         torch.set_num_threads(config.threads)
@@ -280,8 +315,13 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
         last = trainer.progress() >= 1
         if last or trainer.epoch % config.validate_every == 0 or trainer.epoch == 1:
             if held_out:
-                plain, varied = validate_handles(trainer.average, held_out), validate_handles(trainer.average, held_out, varied=True)
-                result = {f"held_{n}": value for n, value in plain.items()} | {f"varied_{n}": value for n, value in varied.items()}
+                plain, varied = (
+                    validate_handles(trainer.average, held_out),
+                    validate_handles(trainer.average, held_out, varied=True),
+                )
+                result = {f"held_{n}": value for n, value in plain.items()} | {
+                    f"varied_{n}": value for n, value in varied.items()
+                }
             row |= result
             checkpoint = trainer.save(result)
         rate = trainer.optimizer.param_groups[0]["lr"]
@@ -295,5 +335,7 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
     return checkpoint
 
 
-_COLUMNS = ("epoch", "step", "seconds", "rate", "total", "semantic", "skinning", "pose", "root", "sparsity", "smoothness", "mirror",
-            "held_accuracy", "held_purity", "held_root", "held_pose", "varied_accuracy", "varied_purity", "varied_root", "varied_pose")  # fmt: skip
+_COLUMNS = ("epoch", "step", "seconds", "rate", "total", "semantic", "skinning", "pose", "root", "sparsity",
+"smoothness", "mirror",
+            "held_accuracy", "held_purity", "held_root", "held_pose", "varied_accuracy", "varied_purity", "varied_root",
+            "varied_pose")  # fmt: skip

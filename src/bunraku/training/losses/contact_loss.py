@@ -1,4 +1,6 @@
-"""The contact loss: a foot that stands in the true motion stands in the predicted one, at the same height and without sliding."""
+"""The contact loss: a foot that stands in the true motion stands in the predicted one, at the same height and without
+sliding.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +43,8 @@ def foot_points(features: Tensor, fps: float = 20.0) -> tuple[Tensor, Tensor]:
         fps: Frames a second [1/s].
 
     Returns:
-        Positions in the heading's frame, over the ground [m], shape (B, N, 4, 3), and velocities in it [m/s], shape (B, N - 1, 4, 3), from each frame
-        to the next.
+        Positions in the heading's frame, over the ground [m], shape (B, N, 4, 3), and velocities in it [m/s], shape (B,
+        N - 1, 4, 3), from each frame to the next.
     """
     rows, rest, root = _rest()
     rest, root = rest.to(features.device), root.to(features.device)
@@ -58,7 +60,12 @@ def foot_points(features: Tensor, fps: float = 20.0) -> tuple[Tensor, Tensor]:
     x, z = before[..., 0], before[..., 2]
     turned = torch.stack([cosine * x + sine * z, before[..., 1], -sine * x + cosine * z], dim=-1)
     velocity = (points[:, 1:] - turned) * fps
-    velocity = velocity + torch.stack([features[:, 1:, 1], torch.zeros_like(features[:, 1:, 1]), features[:, 1:, 2]], dim=-1)[..., None, :]
+    velocity = (
+        velocity
+        + torch.stack([features[:, 1:, 1], torch.zeros_like(features[:, 1:, 1]), features[:, 1:, 2]], dim=-1)[
+            ..., None, :
+        ]
+    )
     return points, velocity
 
 
@@ -75,7 +82,12 @@ def contact_loss(predicted: Tensor, clean: Tensor, lengths: Tensor, of_body: Ten
     with torch.no_grad():
         points, velocity = foot_points(clean.float())
         real = torch.arange(1, clean.shape[1], device=clean.device) < lengths[:, None]
-        stands = (points[:, 1:, :, 1] < rest + NEAR) & (velocity.norm(dim=-1) < SLOW) & real[..., None] & of_body[:, None, None]
+        stands = (
+            (points[:, 1:, :, 1] < rest + NEAR)
+            & (velocity.norm(dim=-1) < SLOW)
+            & real[..., None]
+            & of_body[:, None, None]
+        )
     found, speed = foot_points(predicted.float())
     slides = (speed / UNIT).square().sum(-1)
     lifted = ((found[:, 1:, :, 1] - points[:, 1:, :, 1]) / HEIGHT_UNIT).square()

@@ -1,7 +1,8 @@
 """The losses of the Mesh Handle Predictor: the paper's three (Eq. 4, 13, 14) and four that give handles their meaning.
 
-All take the prediction for one mesh in normalised units (largest extent 1). The paper's losses make handles follow the rig's
-parts but leave open which handle takes which part; the semantic loss ties handle 18 to the left forearm of every character.
+All take the prediction for one mesh in normalised units (largest extent 1). The paper's losses make handles follow the
+rig's parts but leave open which handle takes which part; the semantic loss ties handle 18 to the left forearm of every
+character.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class LossConfig:
 
     Args:
         root: nu_r of Eq. 5.
-        root_unit: Eq. 4 is a squared distance in units of the character's extent, so small that nu_r alone leaves it without
+        root_unit: Eq. 4 is a squared distance in units of the character's extent, so small that nu_r alone leaves it
+            without
             effect; this factor brings it to the size of the others.
         pose: nu_p of Eq. 5.
         pose_unit: Eq. 14 sums over vertices; `pose_loss` is a mean, and this factor stands for the sum's size.
@@ -44,7 +46,8 @@ class LossConfig:
         sparsity: Weight of the share outside the four largest weights.
         mirror: Weight of left-right consistency, which is also consistency between two sets of anchors.
         mirror_rate: Share of the meshes on which it is computed.
-        smoothness: Weight of the differences along edges; 0 because the ablation of `docs/benchmarks.md` shows no gain from it.
+        smoothness: Weight of the differences along edges; 0 because the ablation of `docs/benchmarks.md` shows no gain
+            from it.
     """
 
     root: float = 0.1
@@ -61,14 +64,17 @@ class LossConfig:
     smoothness: float = 0.0
 
 
-def root_loss(positions: torch.Tensor, weights: torch.Tensor, root: torch.Tensor, areas: torch.Tensor | None = None) -> torch.Tensor:
+def root_loss(
+    positions: torch.Tensor, weights: torch.Tensor, root: torch.Tensor, areas: torch.Tensor | None = None
+) -> torch.Tensor:
     """Root Loss L_r [TapMo 4]: squared distance between the first handle and the root joint.
 
     Args:
         positions: Vertices, shape (V, 3).
         weights: Predicted weights, shape (V, K).
         root: Position of the rig's root joint b_1, shape (3,).
-        areas: Surface of each vertex, shape (V,), so that tessellation does not matter; all alike when not given, as in the
+        areas: Surface of each vertex, shape (V,), so that tessellation does not matter; all alike when not given, as in
+            the
             paper.
     """
     share = weights[:, 0] if areas is None else weights[:, 0] * areas
@@ -85,12 +91,13 @@ def skinning_pairs(
         true: The rig's weights, shape (V, J).
         count: Pairs to draw.
         generator: Source of randomness.
-        groups: A group for each joint, shape (J,); pairs from two joints of one group, -1 excepted, are left out, because
+        groups: A group for each joint, shape (J,); pairs from two joints of one group, -1 excepted, are left out,
+            because
             bone names say that they share a handle.
 
     Returns:
-        Vertices i and j, and gamma (+1 same joint, -1 not), each of up to `count`; half of the draws pair vertices of one
-        joint, since blind draws hardly ever do.
+        Vertices i and j, and gamma (+1 same joint, -1 not), each of up to `count`; half of the draws pair vertices of
+        one joint, since blind draws hardly ever do.
     """
     most, joint = true.max(1)
     sure = torch.nonzero(most > 0.9)[:, 0]
@@ -115,11 +122,13 @@ def skinning_pairs(
     return i[keep], j[keep], gamma[keep]
 
 
-def skinning_loss(logits: torch.Tensor, i: torch.Tensor, j: torch.Tensor, gamma: torch.Tensor, apart: float = 3.0) -> torch.Tensor:
+def skinning_loss(
+    logits: torch.Tensor, i: torch.Tensor, j: torch.Tensor, gamma: torch.Tensor, apart: float = 3.0
+) -> torch.Tensor:
     """Skinning Loss L_s [TapMo 13]: vertices of one rig part agree on their handles, vertices of two parts do not.
 
-    The divergence of the -1 pairs has no upper bound, so that minimising Eq. 13 as written runs away; here a pair that is
-    `apart` nats or more from agreement adds nothing more: `-min(KL, apart)`.
+    The divergence of the -1 pairs has no upper bound, so that minimising Eq. 13 as written runs away; here a pair that
+    is `apart` nats or more from agreement adds nothing more: `-min(KL, apart)`.
 
     Args:
         logits: Predicted weights before the softmax, shape (V, K).
@@ -134,7 +143,11 @@ def skinning_loss(logits: torch.Tensor, i: torch.Tensor, j: torch.Tensor, gamma:
 
 
 def drive_local(
-    positions: torch.Tensor, weights: torch.Tensor, rotations: torch.Tensor, translations: torch.Tensor, handles: torch.Tensor
+    positions: torch.Tensor,
+    weights: torch.Tensor,
+    rotations: torch.Tensor,
+    translations: torch.Tensor,
+    handles: torch.Tensor,
 ) -> torch.Tensor:
     """Eq. 3 without the global items, `sum_k s_k (R_k (v - h_k) + h_k + t_k)`, with the identity for handle 0.
 
@@ -174,12 +187,15 @@ def pose_loss(positions: torch.Tensor, posed: torch.Tensor, weights: torch.Tenso
     return (drive_local(positions, weights, rotations, translations, handles) - posed).square().sum(-1).mean()
 
 
-def semantic_loss(logits: torch.Tensor, target: torch.Tensor, areas: torch.Tensor, balance: float = 0.5) -> torch.Tensor:
+def semantic_loss(
+    logits: torch.Tensor, target: torch.Tensor, areas: torch.Tensor, balance: float = 0.5
+) -> torch.Tensor:
     """Cross-entropy between predicted weights and the handles that the bone names or the reference body give.
 
     Args:
         logits: Predicted weights before the softmax, shape (V, K).
-        target: Share of each handle, shape (V, K); a row may sum to less than 1 where bones without a label have a part, and
+        target: Share of each handle, shape (V, K); a row may sum to less than 1 where bones without a label have a
+            part, and
             then counts for less.
         areas: Surface of each vertex, shape (V,).
         balance: 0 counts every patch of surface alike, 1 every handle alike.

@@ -11,7 +11,9 @@ from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 
 __all__ = ["LIMB_SPRINGS", "spring_loss", "springs_present"]
 
-LIMB_SPRINGS: tuple[tuple[int, int], ...] = tuple(spring for side in SIDES for family in FAMILIES for spring in pairwise(limb_handles(side, family)))
+LIMB_SPRINGS: tuple[tuple[int, int], ...] = tuple(
+    spring for side in SIDES for family in FAMILIES for spring in pairwise(limb_handles(side, family))
+)
 """A of Eq. 7: which handles of the limbs are adjacent."""
 
 

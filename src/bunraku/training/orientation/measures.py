@@ -33,7 +33,11 @@ OTHERS = [n for n, (up, _) in enumerate(ORIENTATIONS) if up != "+y"]
 
 
 def varied_tokens(
-    character: TrainingCharacter, rng: np.random.Generator, anchors: int = 128, tilt: float = 0.26, config: AugmentConfig | None = None
+    character: TrainingCharacter,
+    rng: np.random.Generator,
+    anchors: int = 128,
+    tilt: float = 0.26,
+    config: AugmentConfig | None = None,
 ) -> np.ndarray:
     """Tokens of a random variant of an upright character that is still nearly upright, shape (M, 10).
 
@@ -80,7 +84,14 @@ def validate_orientation(
         tokens = [shape_tokens(c.vertices, c.normals, c.areas, model.config.anchors)] + [
             varied_tokens(c, rng, model.config.anchors) for _ in range(variants)
         ]
-        rows.append(np.stack([model.probabilities(torch.from_numpy(some).to(model.rotations.device)).log().cpu().numpy() for some in tokens]))
+        rows.append(
+            np.stack(
+                [
+                    model.probabilities(torch.from_numpy(some).to(model.rotations.device)).log().cpu().numpy()
+                    for some in tokens
+                ]
+            )
+        )
     return np.stack(rows)
 
 
@@ -88,8 +99,8 @@ def orientation_results(logs: np.ndarray) -> dict[str, float]:
     """Accuracy of log-probabilities of shape (N, 24), all of characters that are upright.
 
     Returns:
-        up: Share whose up axis is right (6 ways). front: share whose front is right given the right up (4 ways). both: share
-        whose orientation is right (24 ways). loss: mean cross-entropy.
+        up: Share whose up axis is right (6 ways). front: share whose front is right given the right up (4 ways). both:
+        share whose orientation is right (24 ways). loss: mean cross-entropy.
     """
     ups = np.array([up for up, _ in ORIENTATIONS])
     chances = np.exp(logs)
@@ -104,7 +115,9 @@ def orientation_results(logs: np.ndarray) -> dict[str, float]:
     }
 
 
-def turn_rates(logs: np.ndarray, sure: float, prior: np.ndarray | None = None, axes: tuple[str, str] = ("+y", "+z")) -> tuple[float, float]:
+def turn_rates(
+    logs: np.ndarray, sure: float, prior: np.ndarray | None = None, axes: tuple[str, str] = ("+y", "+z")
+) -> tuple[float, float]:
     """What `orientation.settle` makes of characters, from log-probabilities (N, 24) of what they are upright.
 
     Args:
@@ -127,11 +140,15 @@ def turn_rates(logs: np.ndarray, sure: float, prior: np.ndarray | None = None, a
 
 
 def fitted_temperature(logs: np.ndarray) -> float:
-    """The temperature, 0.5 to 5, at which log-probabilities (N, 24) of upright characters have the least cross-entropy."""
+    """The temperature, 0.5 to 5, at which log-probabilities (N, 24) of upright characters have the least
+    cross-entropy.
+    """
     choices = np.exp(np.linspace(np.log(0.5), np.log(5), 60))
 
     def loss(temperature: float) -> float:
         scaled = logs / temperature
-        return float(np.mean(np.log(np.exp(scaled - scaled.max(1, keepdims=True)).sum(1)) + scaled.max(1) - scaled[:, UPRIGHT]))
+        return float(
+            np.mean(np.log(np.exp(scaled - scaled.max(1, keepdims=True)).sum(1)) + scaled.max(1) - scaled[:, UPRIGHT])
+        )
 
     return float(min(choices, key=loss))

@@ -37,7 +37,8 @@ class OrientationTrainConfig:
     Args:
         cache: Folder of cached characters (`bunraku data characters`).
         out: Folder of the run: `state.safetensors` to go on from, `orientation.safetensors` the result, `log.csv`.
-        minutes: Stop after this much training time on one core, over all sittings; the learning rate falls to nothing by then.
+        minutes: Stop after this much training time on one core, over all sittings; the learning rate falls to nothing
+            by then.
         steps: Stop after so many steps, where `minutes` is 0.
         threads: CPU threads; 0 leaves torch's choice.
         device: Where to train.
@@ -107,11 +108,17 @@ class OrientationTrainer:
 
     def progress(self) -> float:
         """How far the run is through its limits, 0 to 1."""
-        done = self.seconds / (60 * self.config.minutes) if self.config.minutes > 0 else self.step / max(self.config.steps, 1)
+        done = (
+            self.seconds / (60 * self.config.minutes)
+            if self.config.minutes > 0
+            else self.step / max(self.config.steps, 1)
+        )
         return min(done, 1.0)
 
     def loss(self, tokens: torch.Tensor, others: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Cross-entropy of the upright orientation against the three other fronts and a sample of the rest; and the scores."""
+        """Cross-entropy of the upright orientation against the three other fronts and a sample of the rest; and the
+        scores.
+        """
         chosen = [*FRONTS, *others]
         scores = self.model.scores(tokens, self.model.rotations[chosen])
         offset = torch.zeros(len(chosen), device=scores.device)
@@ -151,7 +158,10 @@ class OrientationTrainer:
         out, settings = Path(self.config.out), plain_settings(asdict(self.config))
         models = {"model": self.model.state_dict(), "average": self.average.state_dict()}
         values = {"seconds": self.seconds, "rng": self.rng.bit_generator.state}
-        save_training_state(out / "state.safetensors", TrainingState(self.step, models, {"adam": self.optimizer.state_dict()}, settings, values))
+        save_training_state(
+            out / "state.safetensors",
+            TrainingState(self.step, models, {"adam": self.optimizer.state_dict()}, settings, values),
+        )
         shipped = OrientationPredictor(replace(self.average.config, temperature=temperature))
         shipped.load_state_dict(self.average.state_dict())
         note = {"training": settings, "seconds": self.seconds, "steps": self.step, "results": results}
@@ -180,12 +190,17 @@ def train_orientation(config: OrientationTrainConfig, report: Callable[[dict[str
     Raises:
         BunrakuError: No cache, or the folder cannot be written.
     """
-    from bunraku.datasets.characters.build import load_characters, reference_characters  # the data is built on this package's types
+    from bunraku.datasets.characters.build import (
+        load_characters,
+        reference_characters,
+    )  # the data is built on this package's types
 
     if config.threads > 0:
         torch.set_num_threads(config.threads)
     characters, held_out = load_characters(config.cache)
-    trainer = OrientationTrainer(config, characters, held_out, reference_characters() if config.reference_share > 0 else ())
+    trainer = OrientationTrainer(
+        config, characters, held_out, reference_characters() if config.reference_share > 0 else ()
+    )
     trainer.resume()
     out = Path(config.out)
     out.mkdir(parents=True, exist_ok=True)
@@ -200,7 +215,10 @@ def train_orientation(config: OrientationTrainConfig, report: Callable[[dict[str
             logs = validate_orientation(trainer.average, held_out)
             temperature = fitted_temperature(logs.reshape(-1, len(ORIENTATIONS)))
             results = {f"held_{name}": value for name, value in orientation_results(logs[:, 0]).items()}
-            results |= {f"varied_{name}": value for name, value in orientation_results(logs[:, 1:].reshape(-1, len(ORIENTATIONS))).items()}
+            results |= {
+                f"varied_{name}": value
+                for name, value in orientation_results(logs[:, 1:].reshape(-1, len(ORIENTATIONS))).items()
+            }
         checkpoint = trainer.save(results, temperature)
         row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results, "temperature": temperature}
         append_row(out / "log.csv", row)

@@ -15,12 +15,23 @@ from bunraku.core.character import Character, Handles
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import axis_angle_from_matrix
 
-__all__ = ["Joints", "attached", "capped", "downwards", "estimated_reference_joints", "find_joints", "reference_joints", "refined_joints"]
+__all__ = [
+    "Joints",
+    "attach_joints",
+    "capped",
+    "downwards",
+    "estimated_reference_joints",
+    "find_joints",
+    "reference_joints",
+    "refined_joints",
+]
 
 PRESENT = 2e-3  # share of the surface under which a handle counts as absent and follows its parent
 LOOSE, LOOSE_ON_PEOPLE = 0.5, 0.05  # how far parts may leave their joints [m of the reference body]
 GROUP = 4000  # vertices of a part looked at to find where it meets another
-HIP_BY_THIGH = 0.75  # how far a bent hip follows the thigh instead of the overlap of weights; by archive humanoids made to sit
+HIP_BY_THIGH = (
+    0.75  # how far a bent hip follows the thigh instead of the overlap of weights; by archive humanoids made to sit
+)
 CLOSE = 0.1  # how fast closeness fades, as a share of a part's size
 
 
@@ -42,8 +53,8 @@ class Joints:
 def find_joints(character: Character, handles: Handles) -> Joints:
     """Joints between neighbouring handles, where both weights are large.
 
-    The joint of k and p is the mean of the vertices weighted by area times s_k times s_p. Where the weights do not overlap
-    (loose parts), it is half way between the two nearest groups of vertices.
+    The joint of k and p is the mean of the vertices weighted by area times s_k times s_p. Where the weights do not
+    overlap (loose parts), it is half way between the two nearest groups of vertices.
     """
     areas = vertex_areas(character.vertices, character.faces)
     mass = handles.weights * areas[:, None]
@@ -65,12 +76,15 @@ def find_joints(character: Character, handles: Handles) -> Joints:
         if total > 1e-4 * float(mass[:, handle].sum()):
             positions[handle] = overlap @ vertices / total
         else:
-            positions[handle] = _between(vertices, mass[:, handle], mass[:, parent]) if mass[:, parent].any() else positions[parent]
+            positions[handle] = (
+                _between(vertices, mass[:, handle], mass[:, parent]) if mass[:, parent].any() else positions[parent]
+            )
     return Joints(positions, parents, present)
 
 
 def _between(vertices: np.ndarray, mass: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Where two groups of vertices are closest to each other, shape (3,): the mean over both of what is nearest to the other.
+    """Where two groups of vertices are closest to each other, shape (3,): the mean over both of what is nearest to the
+    other.
 
     Which vertices those are hardly depends on how a hinge is bent.
     """
@@ -87,11 +101,12 @@ def _between(vertices: np.ndarray, mass: np.ndarray, other: np.ndarray) -> np.nd
 
 
 def refined_joints(character: Character, handles: Handles, joints: Joints, turns: np.ndarray) -> Joints:
-    """Joints as they are where the rest pose has been bent: estimates of `find_joints` rid of what the bend and the estimate add.
+    """Joints as they are where the rest pose has been bent: estimates of `find_joints` rid of what the bend and the
+    estimate add.
 
-    Where the weights of two handles overlap, skinning has taken a vertex p of the unbent surface to `j + M (p - j')`, where
-    M = (1 - s) R_p^T + s R_k^T blends what undoes the turns of both. Bent back, the overlap's centre lies from the joint where
-    it lies on the reference body, whose true joints are known, in each part's own scale; that fixes j.
+    Where the weights of two handles overlap, skinning has taken a vertex p of the unbent surface to `j + M (p - j')`,
+    where M = (1 - s) R_p^T + s R_k^T blends what undoes the turns of both. Bent back, the overlap's centre lies from
+    the joint where it lies on the reference body, whose true joints are known, in each part's own scale; that fixes j.
 
     Args:
         character: In its rest pose.
@@ -124,10 +139,11 @@ def refined_joints(character: Character, handles: Handles, joints: Joints, turns
 
 
 def _bent_hips(positions: np.ndarray, present: np.ndarray, h: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """Joint positions with hips that are bent put most of the way to where the thigh, from its knee to its middle, says that they are, shape (K, 3).
+    """Joint positions with hips that are bent put most of the way to where the thigh, from its knee to its middle, says
+    that they are, shape (K, 3).
 
-    The estimate by overlap is off by some per cent of the height where clothes or wide hips make the overlap large, which shows as
-    shorter legs once a bent hip is straightened.
+    The estimate by overlap is off by some per cent of the height where clothes or wide hips make the overlap large,
+    which shows as shorter legs once a bent hip is straightened.
     """
     out, body = positions.copy(), reference_body()
     centres = body.handles.positions
@@ -142,10 +158,16 @@ def _bent_hips(positions: np.ndarray, present: np.ndarray, h: np.ndarray, turns:
 
 
 def _unbent(
-    character: Character, handles: Handles, areas: np.ndarray, pair: tuple[int, int], turns: np.ndarray, joint: np.ndarray
+    character: Character,
+    handles: Handles,
+    areas: np.ndarray,
+    pair: tuple[int, int],
+    turns: np.ndarray,
+    joint: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """The vertices of which a handle and its parent both hold a share, shape (n,), what bends each of them back, shape (n, 3, 3), and the mass of
-    each in the overlap, by the area that it has when bent back, shape (n,). None where there is no overlap.
+    """The vertices of which a handle and its parent both hold a share, shape (n,), what bends each of them back, shape
+    (n, 3, 3), and the mass of each in the overlap, by the area that it has when bent back, shape (n,). None where there
+    is no overlap.
     """
     handle, parent = pair
     own, above = handles.weights[:, handle].astype(np.float64), handles.weights[:, parent].astype(np.float64)
@@ -166,7 +188,7 @@ def _unbent(
     return where, unbend[kept], both[where] * vertex_areas(flat, faces)[where]
 
 
-def attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
+def attach_joints(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
     """Local rotations and translations in which every joint holds; absent handles move with their parents."""
     rotations = rotations.copy()
     translations = np.zeros((*rotations.shape[:2], 3))
@@ -182,7 +204,8 @@ def attached(rotations: np.ndarray, handles: Handles, joints: Joints) -> tuple[n
 
 
 def capped(residual: np.ndarray, native: bool) -> np.ndarray:
-    """What local translations hold beyond stiff joints, cut to what parts may leave them by, in the reference's metres (..., 3).
+    """What local translations hold beyond stiff joints, cut to what parts may leave them by, in the reference's metres
+    (..., 3).
 
     On people, 5 cm and more are errors of the generator, not motion; soft bodies and loose parts (`native`) go farther.
     """
@@ -209,6 +232,8 @@ def reference_joints() -> Joints:
 
 @lru_cache(maxsize=1)
 def estimated_reference_joints() -> Joints:
-    """The reference body's joints as `find_joints` sees them, to compare with those of other characters [m], shape (30, 3)."""
+    """The reference body's joints as `find_joints` sees them, to compare with those of other characters [m], shape (30,
+    3).
+    """
     body = reference_body()
     return find_joints(body.character(), body.handles)

@@ -1,8 +1,9 @@
 """Edges keep their lengths: the ARAP objective of Eq. 10 of TapMo, solved for the very character and motion.
 
-The learned adaptation has seen many characters but not this one. Here its last step is made once more, on the mesh itself: an edge (i, j)
-goes, in the root's frame, from `base_ij` to `base_ij + sum_k (s_ik - s_jk) t_k`, which is linear in the local translations t, so the squared
-changes of length, with the squared move of the handles beside them, make a small least-squares problem of each frame on its own.
+The learned adaptation has seen many characters but not this one. Here its last step is made once more, on the mesh
+itself: an edge (i, j) goes, in the root's frame, from `base_ij` to `base_ij + sum_k (s_ik - s_jk) t_k`, which is linear
+in the local translations t, so the squared changes of length, with the squared move of the handles beside them, make a
+small least-squares problem of each frame on its own.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.skinning import handle_offsets
 from bunraku.geometry.resampling import Resampling
 
-__all__ = ["edges_kept"]
+__all__ = ["keep_edges"]
 
 LOOKED_AT = 20_000
 EDGES = 600
@@ -24,7 +25,9 @@ EDGES = 600
 STRENGTH = 0.2
 """How much the squared changes of length count beside the squared move of the handles [m^2 of the reference body]."""
 CALM = 0.15
-"""ARAP-Loss that a character may have before the strength is taken back, so that one that distorts a lot by nature is not pulled about."""
+"""ARAP-Loss that a character may have before the strength is taken back, so that one that distorts a lot by nature is
+not pulled about.
+"""
 LONGEST = 0.04
 """No handle is moved farther [m of the reference body]."""
 STEPS = 2
@@ -33,8 +36,11 @@ STRIDE = 2
 CHUNK = 32
 
 
-def edges_kept(rotations: np.ndarray, translations: np.ndarray, character: Character, handles: Handles, scale: float) -> np.ndarray:
-    """What to add to local translations so that the mesh is stretched less, shape (N, K, 3) [m]; the root's share is zero.
+def keep_edges(
+    rotations: np.ndarray, translations: np.ndarray, character: Character, handles: Handles, scale: float
+) -> np.ndarray:
+    """What to add to local translations so that the mesh is stretched less, shape (N, K, 3) [m]; the root's share is
+    zero.
 
     Args:
         rotations: Local rotations of the handles, shape (N, K, 3, 3).
@@ -48,8 +54,12 @@ def edges_kept(rotations: np.ndarray, translations: np.ndarray, character: Chara
         return np.zeros(translations.shape)
     frames = np.append(np.arange(0, len(translations) - 1, STRIDE), len(translations) - 1)
     parts = [frames[start : start + CHUNK] for start in range(0, len(frames), CHUNK)]
-    with _libraries().limit(limits=1, user_api="blas"):  # small products: where a core is busy, threads would wait for each other
-        moved = np.concatenate([system.solved(rotations[part], translations[part], handles.positions, scale) for part in parts])
+    with _libraries().limit(
+        limits=1, user_api="blas"
+    ):  # small products: where a core is busy, threads would wait for each other
+        moved = np.concatenate(
+            [system.solved(rotations[part], translations[part], handles.positions, scale) for part in parts]
+        )
     at = np.interp(np.arange(len(translations)), frames, np.arange(len(frames)))
     low = at.astype(int)
     high = np.minimum(low + 1, len(frames) - 1)
@@ -83,9 +93,13 @@ class _System:
         if not len(edges):
             return None
         size = float(np.ptp(character.vertices[character.surface], axis=0).max())
-        return cls(character.vertices[edges].astype(float), handles.weights[edges].astype(float), total / len(edges), size)
+        return cls(
+            character.vertices[edges].astype(float), handles.weights[edges].astype(float), total / len(edges), size
+        )
 
-    def solved(self, rotations: np.ndarray, translations: np.ndarray, positions: np.ndarray, scale: float) -> np.ndarray:
+    def solved(
+        self, rotations: np.ndarray, translations: np.ndarray, positions: np.ndarray, scale: float
+    ) -> np.ndarray:
         """Gauss-Newton steps from no move at all, each frame on its own."""
         frames, handles = translations.shape[:2]
         offset = handle_offsets(positions, translations, rotations)
@@ -116,7 +130,8 @@ class _System:
 def _some_edges(character: Character) -> tuple[np.ndarray, int]:
     """At most LOOKED_AT edges, and how many there are; edges at the same place count once.
 
-    They are drawn by a hash of the place of their middle, so neither seams nor the order of vertices and faces make a difference.
+    They are drawn by a hash of the place of their middle, so neither seams nor the order of vertices and faces make a
+    difference.
     """
     edges = character.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges = edges[edges[:, 0] != edges[:, 1]]
@@ -124,7 +139,9 @@ def _some_edges(character: Character) -> tuple[np.ndarray, int]:
     fine = 2**13 / float(np.ptp(used, axis=0).max())  # coarse enough that rounding of coordinates hardly ever matters
     middle = (character.vertices[edges[:, 0]] + character.vertices[edges[:, 1]]) / 2 - used.min(axis=0)
     middle = np.floor(middle * fine + 0.37).astype(np.int64).astype(np.uint64)
-    place = (middle * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(axis=1, dtype=np.uint64)
+    place = (middle * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(
+        axis=1, dtype=np.uint64
+    )
     place ^= place >> np.uint64(29)  # as in the finishing steps of splitmix64
     place *= np.uint64(0xBF58476D1CE4E5B9)
     place ^= place >> np.uint64(32)

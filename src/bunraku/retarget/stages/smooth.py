@@ -1,9 +1,9 @@
 """Jitter taken out of generated motion: the stage `smooth` of fitting.
 
-A generator leaves a floor of noise near the highest frequency that its frames can hold; on a body that stands still it is seen as
-shimmer. Each signal is split by a zero-phase low-pass filter, and the fast part is kept only as far as its local power exceeds the
-clip's own noise floor (a Wiener filter in time). Where a motion is fast, as in a punch, the fast part is far over the floor and
-stays; a captured clip whose floor is low stays as it is.
+A generator leaves a floor of noise near the highest frequency that its frames can hold; on a body that stands still it
+is seen as shimmer. Each signal is split by a zero-phase low-pass filter, and the fast part is kept only as far as its
+local power exceeds the clip's own noise floor (a Wiener filter in time). Where a motion is fast, as in a punch, the
+fast part is far over the floor and stays; a captured clip whose floor is low stays as it is.
 """
 
 from __future__ import annotations
@@ -16,13 +16,18 @@ from scipy.ndimage import convolve1d, gaussian_filter1d
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d
 
-__all__ = ["smoothed"]
+__all__ = ["smooth"]
 
-KERNEL = np.array([-1, 4, 10, 4, -1]) / 16  # maximally flat: keeps cubic motion as it is, and nothing at half the frame rate
+KERNEL = (
+    np.array([-1, 4, 10, 4, -1]) / 16
+)  # maximally flat: keeps cubic motion as it is, and nothing at half the frame rate
 LOCAL = 0.1  # over how long power is measured [s]
 FLOOR = 0.25  # the floor is exceeded by the power of all frames but this share
 MARGIN = 4.0  # power under so many times the floor is noise
-MOST_TURN, MOST_SHIFT = 0.003, 0.0006  # a floor is no higher than this, in an entry of a rotation and [m]; captured clips have more detail than that
+MOST_TURN, MOST_SHIFT = (
+    0.003,
+    0.0006,
+)  # a floor is no higher than this, in an entry of a rotation and [m]; captured clips have more detail than that
 LEAST = 5  # frames: shorter clips have no floor to be measured
 
 
@@ -36,7 +41,7 @@ def _cored(signal: np.ndarray, most: float, fps: float) -> np.ndarray:
     return np.asarray(slow + gain[..., None] * fast)
 
 
-def smoothed(motion: HandleMotion) -> HandleMotion:
+def smooth(motion: HandleMotion) -> HandleMotion:
     """The motion of the reference body without its jitter; fast moves keep their speed.
 
     Args:

@@ -1,12 +1,14 @@
 """Feet that stand do not slide: the stage `feet` of fitting.
 
 1. Contacts: where the sole of each leg is low and slow, with hysteresis, in units of the leg's length.
-2. The root's path is bent so that what stands does not slide in the mean: most of a generated motion's sliding is a path that
+2. The root's path is bent so that what stands does not slide in the mean: most of a generated motion's sliding is a
+path that
    disagrees with its steps. Between contacts the correction fades, so jumps keep their speed.
-3. What is left is taken out by bending the legs: an offset of each foot that holds it in place while it stands and is smooth between.
+3. What is left is taken out by bending the legs: an offset of each foot that holds it in place while it stands and is
+smooth between.
 
-Both corrections are the solution of a sparse least-squares problem over all frames: velocities of standing feet are cancelled, and
-the correction's own acceleration and size are small.
+Both corrections are the solution of a sparse least-squares problem over all frames: velocities of standing feet are
+cancelled, and the correction's own acceleration and size are small.
 """
 
 from __future__ import annotations
@@ -20,18 +22,24 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
 from bunraku.retarget.legs import Leg, foot_points, move_feet
-from bunraku.retarget.stages.joints import Joints
+from bunraku.retarget.stages.attach import Joints
 
-__all__ = ["Contacts", "add_bending", "find_contacts", "foot_motion", "locked"]
+__all__ = ["Contacts", "add_bending", "find_contacts", "foot_motion", "lock_feet"]
 
 LOW, HIGH = 0.05, 0.08  # height of a foot that comes to stand, and of one that no longer does, over the leg's length
 SLOW, FAST = 0.5, 1.0  # likewise its speed along the ground, in leg lengths a second
 ROLL = 0.012  # points of a sole so much higher than its lowest, over the leg's length, count half for where it is
 SHORT = 3  # pairs of frames: shorter contacts are none, and shorter gaps between them are closed
-APART = 0.25  # a foot that is so much faster than the slowest that stands, in leg lengths a second, counts half for the path
+# a foot that is so much faster than the slowest that stands, in leg lengths a second, counts half for the path
+APART = 0.25
 HURRY = 2.0  # likewise one that is so fast itself
-ROUNDS = 6  # the path's correction and the contacts, which need one another, are found in turns; contacts from the middle on
-SITS, KNEELS = 0.25, 0.35  # who has a hip, or a knee, lower than this share of the leg from there on does not stand on it
+ROUNDS = (
+    6  # the path's correction and the contacts, which need one another, are found in turns; contacts from the middle on
+)
+SITS, KNEELS = (
+    0.25,
+    0.35,
+)  # who has a hip, or a knee, lower than this share of the leg from there on does not stand on it
 MOST = 0.15  # how far a foot is moved at the most, over the leg's length; what slides farther means to
 FREE, ROOT_SMOOTH = 0.05, 2.0  # the path's correction: its size and its change from step to step, over a foot's slide
 HOLD, PULL = 100.0, 0.05  # a foot's offset: its slide, and its size while it does not stand, over its acceleration
@@ -53,7 +61,8 @@ class Contacts:
 
 
 def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarray, np.ndarray]:
-    """Steps (N - 1, 2) and heights (N - 1,) of a sole whose points are known (N, m, 3): of its lowest part, so rolling is no step.
+    """Steps (N - 1, 2) and heights (N - 1,) of a sole whose points are known (N, m, 3): of its lowest part, so rolling
+    is no step.
 
     Args:
         points: Where they are [m].
@@ -68,10 +77,14 @@ def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarr
     return steps, lowest - floor
 
 
-def find_contacts(motion: HandleMotion, character: Character, handles: Handles, legs: list[Leg], floor: float) -> tuple[Contacts, np.ndarray]:
-    """The contacts of a motion, and the root's steps that are missing for standing feet to stay where they are in the mean.
+def find_contacts(
+    motion: HandleMotion, character: Character, handles: Handles, legs: list[Leg], floor: float
+) -> tuple[Contacts, np.ndarray]:
+    """The contacts of a motion, and the root's steps that are missing for standing feet to stay where they are in the
+    mean.
 
-    A foot on which nobody can stand, because its knee or hip is near the ground as in crawling, kneeling and sitting, has no contacts.
+    A foot on which nobody can stand, because its knee or hip is near the ground as in crawling, kneeling and sitting,
+    has no contacts.
 
     Args:
         motion: Of the character.
@@ -81,7 +94,8 @@ def find_contacts(motion: HandleMotion, character: Character, handles: Handles, 
         floor: Height of the ground [m].
 
     Returns:
-        Contacts with steps that are still without the correction, and the correction along x and z of each step [m], shape (N - 1, 2).
+        Contacts with steps that are still without the correction, and the correction along x and z of each step [m],
+        shape (N - 1, 2).
     """
     world = motion.transforms(handles.positions)
     steps, heights, raised = [], [], []
@@ -116,7 +130,9 @@ def find_contacts(motion: HandleMotion, character: Character, handles: Handles, 
 
 
 def _held(enters: np.ndarray, stays: np.ndarray) -> np.ndarray:
-    """Where a foot stands, shape (n,), bool: from where it enters until it no longer stays, forwards and backwards in time."""
+    """Where a foot stands, shape (n,), bool: from where it enters until it no longer stays, forwards and backwards in
+    time.
+    """
     label = np.cumsum(np.diff(stays.astype(int), prepend=0) == 1) * stays
     held = np.isin(label, np.unique(label[enters & stays])) & stays
     for value in (False, True):
@@ -145,7 +161,9 @@ def _root_steps(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
 
 
 def add_bending(band: np.ndarray) -> None:
-    """Add the squared second differences of a curve to a banded matrix (3, N), in place; in upper form, its diagonal in row 2."""
+    """Add the squared second differences of a curve to a banded matrix (3, N), in place; in upper form, its diagonal in
+    row 2.
+    """
     count = band.shape[1]
     for offset, weight in zip((0, 1, 2), (1.0, -2.0, 1.0), strict=True):
         band[2, offset : count - 2 + offset] += weight * weight
@@ -178,7 +196,7 @@ def _offsets(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
     return np.asarray(solveh_banded(band, right))
 
 
-def locked(
+def lock_feet(
     motion: HandleMotion, character: Character, handles: Handles, joints: Joints, legs: list[Leg], floor: float
 ) -> tuple[HandleMotion, Contacts | None]:
     """The motion with standing feet held in place, and its contacts; None of who has no legs.
