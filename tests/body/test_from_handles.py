@@ -8,8 +8,8 @@ from bunraku.body.from_handles import joint_errors, skeleton_from_handles
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.errors import MotionError
+from bunraku.retarget.from_mesh import handle_motion_of_body
 
 
 def degrees(a, b):

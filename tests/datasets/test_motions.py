@@ -10,10 +10,11 @@ from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
 from bunraku.core.skinning import skin
-from bunraku.datasets.motions.build import MotionArchive, build_motions, handle_motion_of_body, split_of
+from bunraku.datasets.motions.build import MotionArchive, build_motions, split_of
 from bunraku.datasets.motions.clips import load_clip
 from bunraku.datasets.motions.feet import level_feet, standing_foot_pitch, subject_of, subject_pitches
 from bunraku.errors import FormatError
+from bunraku.retarget.from_mesh import handle_motion_of_body
 
 
 def bend(frames, seed=0):

@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
-from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.formats.vrm.vrma import VRM_BONES
 from bunraku.io import load_character
 from bunraku.io.registry import read_motion
+from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku.skeletons.to_smpl import to_smpl
 
 

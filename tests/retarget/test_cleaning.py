@@ -11,10 +11,10 @@ from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.decimate import decimated
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku.retarget.legs import find_arms, find_legs, foot_points, move_feet
 from bunraku.retarget.stages.attach import find_joints, reference_joints
 from bunraku.retarget.stages.feet import find_contacts, lock_feet

@@ -9,10 +9,10 @@ from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import SkeletalMotion
-from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.errors import CharacterError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku.retarget.reference import motion_to_reference
 from bunraku.retarget.stages.attach import find_joints
 

@@ -9,13 +9,13 @@ from bunraku.body.reference import handle_positions, leg_length, reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.errors import MotionError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.handles.from_rig import rig_handles
 from bunraku.io import load_motion
 from bunraku.io.humanoid import humanoid_motion
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku.synthetic.samples import sample_character
 
 

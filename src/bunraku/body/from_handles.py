@@ -1,5 +1,5 @@
 """Handle motions of the reference body as motions of SMPL's 22 joints: the way back of
-`datasets.motions.handle_motion_of_body`.
+`retarget.from_mesh.handle_motion_of_body`.
 
 A handle's rotation is the rigid motion that fits all the skin that it weighs, and near joints that skin is shared: the
 handle of a collar, most of whose skin is the chest's or the arm's too, turns twelve degrees less or more than the

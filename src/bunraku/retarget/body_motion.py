@@ -1,6 +1,6 @@
 """Motion of SMPL's 22 joints as handle motion of the reference body, joint by joint.
 
-`datasets.motions.handle_motion_of_body` registers the skinned mesh, which is what networks are trained on; there,
+`retarget.from_mesh.handle_motion_of_body` registers the skinned mesh, which is what networks are trained on; there,
 rotations blur where weights do. Here handles take the rotations of their joints as they are, so limbs point where the
 source's point.
 """

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
-from bunraku.body.reference import ReferenceBody, handle_positions, reference_body
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.datasets.motions.clips import load_clip, load_lowest, write_clip, write_index
 from bunraku.datasets.motions.feet import level_feet, standing_foot_pitch, subject_pitches
@@ -28,14 +27,12 @@ from bunraku.datasets.motions.floors import floor_height, posture_fault
 from bunraku.datasets.motions.hinges import unrolled
 from bunraku.datasets.motions.watched import FEWEST, Stretch, load_watched
 from bunraku.errors import FormatError
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import matrix_from_quaternion
-from bunraku.retarget.from_mesh import handle_motion_of_mesh
+from bunraku.retarget.from_mesh import registered_body
 
-__all__ = ["MotionArchive", "build_motions", "handle_motion_of_body", "split_of"]
+__all__ = ["MotionArchive", "build_motions", "split_of"]
 
 QUATERNION_STEP = 8192.0  # the archive stores first differences of round(8192 q)
-CHUNK = 400  # frames posed at once: bounds memory at about 30 MB a worker
 
 
 @dataclass(frozen=True)
@@ -100,38 +97,18 @@ class MotionArchive:
         )
 
 
-def handle_motion_of_body(motion: SkeletalMotion, body: ReferenceBody | None = None) -> HandleMotion:
-    """Skeletal motion of SMPL's joints as handle motion of the reference body.
+def grounded_motion(motion: SkeletalMotion) -> tuple[HandleMotion, np.ndarray]:
+    """A captured motion as handle motion of the reference body, set on the ground by what touches it.
 
-    The body is set on the ground by what touches it (`floors.floor_height`).
+    Hands do not count: what reaches for the floor reaches through it, as people's arms are not this body's.
+
+    Returns:
+        The motion, and the body's lowest point over the ground in each frame [m], shape (N,).
     """
-    return grounded_motion(motion, body)[0]
-
-
-def grounded_motion(motion: SkeletalMotion, body: ReferenceBody | None = None) -> tuple[HandleMotion, np.ndarray]:
-    """As `handle_motion_of_body`, with the body's lowest point over the ground in each frame [m], shape (N,)."""
-    body = body or reference_body()
-    areas = vertex_areas(body.vertices, body.faces)
-    positions = handle_positions(body.vertices, body.handle_weights, areas)
-    arms = [
-        HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist", "fingers")
-    ]
-    stands = (
-        body.handle_weights[:, arms].sum(axis=1) < 0.5
-    )  # what reaches for the floor reaches through it: people's arms are not this body's
-    parts, lowest, carrying = [], [], []
-    for start in range(0, len(motion), CHUNK):
-        cut = slice(start, start + CHUNK)
-        posed = body.pose(
-            SkeletalMotion(motion.skeleton, motion.rotations[cut], motion.root_translation[cut], motion.fps)
-        )
-        lowest.append(posed[..., 1].min(axis=1))
-        carrying.append(posed[:, stands, 1].min(axis=1))
-        parts.append(handle_motion_of_mesh(body.vertices, posed, body.handle_weights, positions, areas, motion.fps))
-    whole, bottom = HandleMotion.joined(parts), np.concatenate(lowest)
-    floor = floor_height(np.concatenate(carrying), motion.fps)
+    whole, lowest, carrying = registered_body(motion)
+    floor = floor_height(carrying, motion.fps)
     drop = np.outer(floor, [0, 1, 0]).astype(np.float32)
-    return replace(whole, root_translation=whole.root_translation - drop), (bottom - floor).astype(np.float32)
+    return replace(whole, root_translation=whole.root_translation - drop), (lowest - floor).astype(np.float32)
 
 
 def split_of(name: str) -> str:

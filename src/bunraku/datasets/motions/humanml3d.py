@@ -20,10 +20,11 @@ from pathlib import Path
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.core.motion import SkeletalMotion
 from bunraku.core.resample import cut_motion, resample_motion
-from bunraku.datasets.motions.build import handle_motion_of_body, split_of
+from bunraku.datasets.motions.build import split_of
 from bunraku.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.formats.arrays.humanml3d import HUMANML3D_FPS, TimedCaption, read_texts
+from bunraku.retarget.from_mesh import handle_motion_of_body
 
 __all__ = ["Take", "add_takes", "amass_takes", "humanml3d_takes", "licensed_takes"]
 

@@ -17,12 +17,12 @@ from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.datasets.motions.build import handle_motion_of_body
 from bunraku.evaluation.handles.rest_poses import posed_limbs
 from bunraku.evaluation.handles.subjects import Subject
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.from_mesh import handle_motion_of_body
 
 __all__ = ["TRANSFER_POSES", "code_made_motions", "rest_pose_transfer", "true_handles"]
 
