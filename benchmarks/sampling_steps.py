@@ -12,8 +12,7 @@ solver with 1,000 steps. Columns:
 - jerk: mean third difference of the handles' world positions [m/s^3], over the reference's
 - spread: standard deviation of the features over frames, over the reference's; below 1, motion is lost
 - FID: of the motions against the reference's, and against those of the ancestral sampler where `--ancestral` is given,
-  by the
-  extractor of `bunraku evaluate motion`, where its weights are there and there are at least 64 motions
+  by the extractor of `bunraku evaluate motion`, where its weights are there and there are at least 64 motions
 - seconds: CPU seconds for a clip in a batch, and of a clip alone
 """
 

@@ -2,9 +2,8 @@
 outputs/stages.json]`.
 
 Every prompt is generated once with the shipped weights and fitted to the reference body and, where the folder of the
-character archive is
-given, to seven of its characters: with all stages, with each of `smooth`, `feet` and `floor` left out, and with none of
-them. Then the seconds that fitting takes for 10 s of motion, with and without the three stages.
+character archive is given, to seven of its characters: with all stages, with each of `smooth`, `feet` and `floor` left
+out, and with none of them. Then the seconds that fitting takes for 10 s of motion, with and without the three stages.
 """
 
 from __future__ import annotations

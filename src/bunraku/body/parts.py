@@ -43,8 +43,7 @@ def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
 
     Args:
         keep: Parts (`PARTS`) or single handles (`HANDLE_NAMES`), as a list or parted by commas; case, hyphens and
-            underscores do not
-            matter.
+            underscores do not matter.
 
     Raises:
         OptionError: A word names nothing, or all words together name everything.

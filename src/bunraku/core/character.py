@@ -152,8 +152,7 @@ class Handles:
         weights: Skinning weights s, shape (V, K), rows sum to 1.
         features: The mesh deformation feature f_phi, shape (448,), when the predictor made the handles.
         roles: The handle whose part each handle plays, shape (K,), where spare handles move further limbs: the second
-            left knee of
-            a spider plays that of the left knee. None where each plays its own.
+            left knee of a spider plays that of the left knee. None where each plays its own.
 
     Raises:
         CharacterError: Shapes disagree, a value is not finite, rows do not sum to 1, or a role is that of no handle or

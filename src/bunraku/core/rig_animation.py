@@ -31,8 +31,7 @@ class RigAnimation:
         character: The character, with its rig.
         rotations: Turn of each bone in its parent's frame, shape (N, J, 3, 3).
         translations: How far each bone's head leaves its rest place, in its parent's frame [m], shape (N, J, 3); zero
-            where bones keep
-            their lengths. For a bone without a parent it is in the world.
+            where bones keep their lengths. For a bone without a parent it is in the world.
         fps: Frames a second [1/s].
         reference: The motion of the reference body that this was fitted from, where it is known.
 

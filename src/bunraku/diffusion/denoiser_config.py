@@ -33,8 +33,7 @@ class DenoiserConfig:
         architecture: "decoder" for `Denoiser`, "encoder" for the one that the paper calls "TapMo (MDM)".
         adaptation_mesh: Whether the adaptation's linear layer sees the mesh token beside the hidden state.
         adaptation_frame: What that layer says: "root", offsets in the root's frame as in the paper; or "joints", how
-            far the joint between each
-            handle and its parent should be moved, which gives `joint_offsets`.
+            far the joint between each handle and its parent should be moved, which gives `joint_offsets`.
     """
 
     width: int = 256

@@ -142,8 +142,7 @@ class FeatureStatistics:
     Args:
         mean: Shape (271,).
         std: Shape (271,), one value for each group of a kind (the three coordinates of a translation, the six numbers
-            of a
-            rotation), with a floor of 3 cm and 0.12, so that a handle that hardly moves is not blown up.
+            of a rotation), with a floor of 3 cm and 0.12, so that a handle that hardly moves is not blown up.
     """
 
     mean: np.ndarray

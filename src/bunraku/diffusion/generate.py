@@ -37,8 +37,7 @@ class Sampling:
         steps: Sampling steps, 1 to 1,000; None takes 20.
         guidance: Classifier-free guidance scale, 0 to 20; None takes 2.5.
         mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
-            generate for
-            no mesh in particular.
+            generate for no mesh in particular.
         progress: Called with a stage's name and the share done.
         checkpoint: Weights in place of the shipped ones.
 

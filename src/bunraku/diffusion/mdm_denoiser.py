@@ -2,11 +2,10 @@
 token.
 
 As in MDM (Tevet et al. 2022) the sentence's one vector and the diffusion step are summed into a single token, here with
-the
-mesh feature, which stands before the motion tokens and is all that tells them what to do: no cross-attention, no tokens
-of words, no adaptive norm. Positions are sinusoidal. Width, layers, frames a token, heads and both outputs are those of
-`Denoiser`; the feed-forward blocks are wider by twice the width, which takes the place of cross-attention, so that both
-networks have about the same number of parameters.
+the mesh feature, which stands before the motion tokens and is all that tells them what to do: no cross-attention, no
+tokens of words, no adaptive norm. Positions are sinusoidal. Width, layers, frames a token, heads and both outputs are
+those of `Denoiser`; the feed-forward blocks are wider by twice the width, which takes the place of cross-attention, so
+that both networks have about the same number of parameters.
 """
 
 from __future__ import annotations

@@ -22,8 +22,7 @@ def arrive(root: Tensor, fps: float, turn: float | None, travel: tuple[float, fl
         fps: Frames a second [1/s].
         turn: Turn of all frames together [rad]; None for the nearest whole number of turns.
         travel: Way (x, z) of all frames together [m], seen from the heading before the first; None keeps the way unless
-            it is so
-            short that it is meant to be none.
+            it is so short that it is meant to be none.
 
     Returns:
         Shape (N, 3).

@@ -1,9 +1,8 @@
 """The clean graph of a mesh as it comes: welded, in canonical order, with its loose parts joined.
 
 Files bring seams, STL soup, duplicate and degenerate faces, stray vertices and dozens of loose parts. `clean_mesh`
-gives the
-surface that they all mean, in an order that depends on the shape alone: not on the order of vertices and faces in the
-file, and not on seams being open or closed. Scale and offset cancel, up to rounding.
+gives the surface that they all mean, in an order that depends on the shape alone: not on the order of vertices and
+faces in the file, and not on seams being open or closed. Scale and offset cancel, up to rounding.
 """
 
 from __future__ import annotations

@@ -1,12 +1,10 @@
 """The mesh that the networks see: about the same resolution for every character, whatever its file holds.
 
 Long edges are split, then the vertices are merged by the cells of a fixed grid, where only vertices that are connected
-inside
-a cell merge: fingers, legs and the two sides of a sheet stay apart, and every loose part keeps at least one vertex.
-Positions and normals are area-weighted means over the merged surface. Unlike edge collapses, whose order decides their
-result, this
-depends on the shape nearly alone: another tessellation, a rounded coordinate or an opened seam changes a mean a little
-and never starts an avalanche.
+inside a cell merge: fingers, legs and the two sides of a sheet stay apart, and every loose part keeps at least one
+vertex. Positions and normals are area-weighted means over the merged surface. Unlike edge collapses, whose order
+decides their result, this depends on the shape nearly alone: another tessellation, a rounded coordinate or an opened
+seam changes a mean a little and never starts an avalanche.
 """
 
 from __future__ import annotations
@@ -46,8 +44,7 @@ class NetworkMesh:
     Args:
         vertices: Positions, the original's bounding box centred on 0 and its largest extent 1, shape (M, 3), float32.
         normals: Area-weighted mean normals of the surface that each vertex stands for, shape (M, 3), float32. Length 1
-            where
-            that is flat; shorter where it bends; near 0 where it closes on itself, as a thin finger does.
+            where that is flat; shorter where it bends; near 0 where it closes on itself, as a thin finger does.
         areas: Surface that each vertex stands for, shape (M,), float32; sums to the area of the normalised mesh.
         faces: Vertex indices, shape (F, 3), int64.
         edges: Undirected edges, bridges between loose parts included, each once, smaller vertex first, shape (E, 2),

@@ -56,8 +56,7 @@ class _Split:
         stands: Which limbs stand on the ground.
         side: 0 for left, 1 for right.
         before: Further limbs of that side in families before this one. What the predictor calls the first leg of a
-            crab, or its
-            last arm, is the same limb and should get the same handles.
+            crab, or its last arm, is the same limb and should get the same handles.
     """
 
     columns: list[int]

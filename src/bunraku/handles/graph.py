@@ -28,8 +28,7 @@ class MeshGraph:
         inputs: Position and normal of each vertex, shape (V, 6).
         areas: Share of the surface that each vertex stands for, shape (V,), sums to 1.
         ranks: The n-th neighbours of the vertices that have so many, vertices in order of falling degree; every vertex
-            is
-            its own first neighbour. Shapes (V,), (V_1,), (V_2,) ...
+            is its own first neighbour. Shapes (V,), (V_1,), (V_2,) ...
         place: Where each vertex is in that order, shape (V,).
         spread: Weights from anchors to vertices, rows sum to 1, shape (V, M).
         gather: Weights from vertices to anchors, rows sum to 1, shape (M, V).

@@ -75,9 +75,8 @@ def find_limbs(
 
     Candidates are the connected pieces of the region that the handles hold, or, where those hang together at the body,
     of what the lower parts hold. One counts as a limb of its own if it is about as large as the largest, goes out side
-    by side with the others
-    and apart from them, and meets the body by itself: weapons, shields and boots meet it through the limb that bears
-    them. What does all that but reaches less far, as the fangs of a spider, is a stub.
+    by side with the others and apart from them, and meets the body by itself: weapons, shields and boots meet it
+    through the limb that bears them. What does all that but reaches less far, as the fangs of a spider, is a stub.
 
     Args:
         mesh: The network mesh.

@@ -158,8 +158,7 @@ def settle(character: Character, up: str = "auto", front: str = "auto", *, sure:
         up: The axis that is up in it, such as "+z", or "auto" to guess.
         front: The axis that it faces, or "auto" to guess.
         sure: Least confidence to believe a guess; below, what is not said is taken as `default_orientation` says. A
-            guess of the
-            up axis may be believed alone.
+            guess of the up axis may be believed alone.
 
     Raises:
         OptionError: An axis is none of the six, or the two are not at a right angle.

@@ -2,8 +2,8 @@
 
 It scores one orientation: how upright and forward does this mesh stand? The same network sees the mesh in all 24
 right-angle rotations, and a softmax over the scores compares them. Whatever the file's axes, the 24 pictures are the
-same ones, so turning a
-mesh by one of the 24 permutes the scores and changes nothing else: no orientation can be favoured by accident.
+same ones, so turning a mesh by one of the 24 permutes the scores and changes nothing else: no orientation can be
+favoured by accident.
 """
 
 from __future__ import annotations

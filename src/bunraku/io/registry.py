@@ -128,17 +128,15 @@ def load_character(
     """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY, STL, or the rig text of RigNet.
 
     The vertices of GLB, glTF, VRM and FBX are in world space, those of FBX turned from the frame and unit that the file
-    states.
-    OBJ, PLY and STL name neither and are taken as they are: +Y up, +Z forward, metres.
+    states. OBJ, PLY and STL name neither and are taken as they are: +Y up, +Z forward, metres.
 
     Args:
         path: The file; its first bytes decide the format where they can, its suffix otherwise.
         rest: The rest pose of a file with a skin: "bind", the pose that its meshes were skinned in (T or A for most),
-            or "default", that
-            of its nodes, which may be the middle of a clip. Files whose bind pose makes no sense take the default.
+            or "default", that of its nodes, which may be the middle of a clip. Files whose bind pose makes no sense
+            take the default.
         up: The axis that is up in the character as it would be read without this, such as "+z"; it is turned to stand
-            along +Y.
-            `bunraku.upright` finds out by itself.
+            along +Y. `bunraku.upright` finds out by itself.
         front: The axis that it faces; "-y" with "+z" up, "+z" otherwise, when only `up` is given.
 
     Raises:
@@ -235,8 +233,8 @@ def save_animation(animation: Animation, path: str | Path, **options: Any) -> Pa
         animation: The animation.
         path: The file. `walk.obj` becomes a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on.
         **options: `fps`, frames a second of the output [1/s], for all but .npz and .vmd; `up` ("+y" or "+z") and `unit`
-            ("m", "cm", ...) for
-            USD, .obj, .ply and .bvh; and what the writers of single formats have besides (docs/formats.md).
+            ("m", "cm", ...) for USD, .obj, .ply and .bvh; and what the writers of single formats have besides
+            (docs/formats.md).
 
     Returns:
         The file or folder that was written.

@@ -210,8 +210,7 @@ def creature_variants(species: str, action: str, mirrored: bool = False) -> tupl
     Args:
         species: What it is: "horse", "shiba inu".
         action: What it does in one or two canonical words: "walk", "hit reaction". Words that the file does not know
-            are
-            taken for a verb.
+            are taken for a verb.
         mirrored: For the mirror image of the clip.
     """
     species = normalise_label(species)

@@ -1,8 +1,7 @@
 """Training on several processes at once, each with its own device and its own batches, by `accelerate launch`.
 
 One process is the rule and needs nothing; several need the package accelerate, which sets them up. All hold the same
-weights and
-take the same steps: their gradients are averaged by one exchange of one flat array.
+weights and take the same steps: their gradients are averaged by one exchange of one flat array.
 """
 
 from __future__ import annotations

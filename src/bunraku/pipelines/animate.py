@@ -118,12 +118,10 @@ def generate(
 
     Args:
         prompt: What the character does, in English; several sentences in a row with their seconds ("walks:4; jumps:2;
-            waves:3");
-            or a list of such prompts, which are made in one batch.
+            waves:3"); or a list of such prompts, which are made in one batch.
         seconds: Length [s], 0.5 to 120; what prompts without seconds of their own share.
         seed: The same seed and version give the same motion. One number gives each prompt of a list noise of its own,
-            the first
-            as when it is alone; a list has one for each.
+            the first as when it is alone; a list has one for each.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         mesh_feature: f_phi of the character, shape (448,); None generates for no mesh in particular.
@@ -181,8 +179,7 @@ def animate(
         guidance: Classifier-free guidance scale; None takes the default.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `rig`).
         apparel: "rigid" moves hair and clothes with the body; "simulate" moves the bones of the character's own rig,
-            and hair and clothes
-            by the rigid bodies or springs of its MMD or VRM file.
+            and hair and clothes by the rigid bodies or springs of its MMD or VRM file.
         loop: Make a loop: the last pose is the first again, at another place where the motion travels.
         in_place: Take the way over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
@@ -194,8 +191,7 @@ def animate(
 
     Raises:
         OptionError: The prompt is empty or too long, the length is out of range, a loop is to follow another clip, or
-            simulated apparel is
-            to be looped, to follow a clip, or to be moved by handles.
+            simulated apparel is to be looped, to follow a clip, or to be moved by handles.
         CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """

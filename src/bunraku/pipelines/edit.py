@@ -37,8 +37,7 @@ def edit(
         clip: An animation, or a motion of the reference body at 20 frames a second.
         prompt: What is done instead, in English.
         keep: What stays as it is: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or
-            single
-            handles such as left_wrist; a list, or one text with commas.
+            single handles such as left_wrist; a list, or one text with commas.
         span: Seconds from and to which is generated; all of the clip by default.
         seed: The same seed and version give the same motion.
         steps: Sampling steps; None takes the default.

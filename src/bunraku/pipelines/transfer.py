@@ -85,11 +85,9 @@ def transfer(
     Args:
         character: Any mesh, +Y up and facing +Z.
         motion: Motion of any skeleton; handle motion of the reference body; an animated character; a moving mesh; or a
-            file of one of these.
-            A `Source` brings its own `fps`, `names` and `clip`.
+            file of one of these. A `Source` brings its own `fps`, `names` and `clip`.
         onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a
-            humanoid that has one
-            and handles otherwise.
+            humanoid that has one and handles otherwise.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
         apparel: "rigid" moves hair and clothes with the body, "simulate" by the rigid bodies or springs of an MMD or
             VRM file.

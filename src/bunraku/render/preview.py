@@ -42,8 +42,7 @@ def save_preview(
         animation: What to show.
         path: The file to write.
         size: Width and height of a picture in pixels; None is 640 x 480, and 240 x 280 for each picture of a sheet. MP4
-            needs
-            even numbers and gets the next lower ones.
+            needs even numbers and gets the next lower ones.
         fps: Pictures a second [1/s]; None is the motion's own.
         background: "studio", "white", "dark", a colour such as "#dfe4e9", or three numbers 0 to 255.
         color: The character's own colours, or those of its handles.

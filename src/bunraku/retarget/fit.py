@@ -11,11 +11,10 @@ switched off, clean its motion and turn it into one of another character. They r
   meet. It takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than
   the reference's.
 - `shape`: handles move a little where that keeps the mesh's edges at their lengths (`retarget/stages/shape.py`); off
-  unless asked for, as
-  everything that makes a motion for a character does, and nothing that takes one back from it and on.
+  unless asked for, as everything that makes a motion for a character does, and nothing that takes one back from it and
+  on.
 - `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of
-  the reference body, and
-  a reference body that drifts off the ground for longer than a jump lasts is set back on it.
+  the reference body, and a reference body that drifts off the ground for longer than a jump lasts is set back on it.
 - `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/stages/feet.py`).
 - `hands`: hands that touch the body stay near it (`retarget/stages/hands.py`); off unless asked for, as motion transfer
   does.
@@ -89,8 +88,7 @@ def fit_motion(
             bird stays in the air.
         character: The character, facing +Z.
         handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose
-            parts they play,
-            about their own joints.
+            parts they play, about their own joints.
         stages: Which stages run; all but `hands` and `shape` when None.
         rest: What a rig tells of the rest pose: its turns into the reference body's, shape (K, 3, 3), and its joints.
             None measures them.

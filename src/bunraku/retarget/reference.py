@@ -73,8 +73,7 @@ class WayBack:
         Args:
             motion: Of the character's handles.
             native: It stays one of this very body. Otherwise it becomes a person's: parts stay closer to their joints,
-                there is no tail,
-                and the reference body stands on y = 0.
+                there is no tail, and the reference body stands on y = 0.
         """
         known = reference_joints()
         parents, present = reference_parts(self.handles, self.joints)

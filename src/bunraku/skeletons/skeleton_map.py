@@ -2,8 +2,8 @@
 nothing.
 
 Arms, legs, neck and head have names in every convention; spines have from one bone to five with names that contradict
-each other,
-so the trunk is read off the hierarchy: its first bone is `spine1`, the one that the arms hang on is `spine3`.
+each other, so the trunk is read off the hierarchy: its first bone is `spine1`, the one that the arms hang on is
+`spine3`.
 """
 
 from __future__ import annotations

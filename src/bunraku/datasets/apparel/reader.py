@@ -36,8 +36,7 @@ class ApparelCharacter:
         apparel: Vertices that are apparel, shape (V,), bool.
         loose: Vertices with offsets, shape (M,).
         bone_parents: The rig itself, which a network does not see: parents (B,), places [m] (B, 3), which bones physics
-            move (B,), and the
-            bones (V, I) and shares (V, I) of each vertex.
+            move (B,), and the bones (V, I) and shares (V, I) of each vertex.
     """
 
     name: str

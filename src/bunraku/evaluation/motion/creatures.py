@@ -2,10 +2,9 @@
 training sees.
 
 A motion is described part by part (root, spine, head, arms, legs, tail, wings), so that a fish without legs and a horse
-without wings
-are told by the same numbers: how far a part moves, how fast, how suddenly, how far it is in the end from where it
-began, and how lively it still is then; and by the spectrum of the whole body. A multinomial logistic regression tells
-the classes apart; it is convex, so the same clips give the same classifier.
+without wings are told by the same numbers: how far a part moves, how fast, how suddenly, how far it is in the end from
+where it began, and how lively it still is then; and by the spectrum of the whole body. A multinomial logistic
+regression tells the classes apart; it is convex, so the same clips give the same classifier.
 """
 
 from __future__ import annotations
@@ -262,8 +261,7 @@ def creature_accuracy(
 
     Args:
         generate: Called with a sentence, f_phi of the character (448,) or None, a length [s] and a seed; gives a motion
-            of the
-            reference body.
+            of the reference body.
         data: What `bunraku data motions --creatures` wrote.
         features: f_phi of each character by its name (the mesh bank).
         seconds: Length of each clip [s].
@@ -272,8 +270,7 @@ def creature_accuracy(
 
     Returns:
         `accuracy`, `balanced`, `by_class` and `confusion` of the generated clips; `real`: the same of the real held-out
-        clips;
-        `clips`: how many were generated; `wrong`: (sentence, character, told as) of each failure.
+        clips; `clips`: how many were generated; `wrong`: (sentence, character, told as) of each failure.
 
     Raises:
         FormatError: The data hold no clips of creatures.

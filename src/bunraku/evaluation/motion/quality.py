@@ -54,8 +54,7 @@ class Gauge:
         feet: Vertices of each foot, arrays of indices; none of who has no legs.
         legs: Length of each leg [m].
         stands: Vertices that must not sink, shape (n,): all of the surface but, of who stands on legs, what may hang
-            lower than the feet
-            such as a weapon in a hand (`standing`).
+            lower than the feet such as a weapon in a hand (`standing`).
         present: Handles that the character has, shape (K,), bool.
         floor: Height of the ground [m].
     """

@@ -1,8 +1,8 @@
 """Soles of MMD models that a VMD moves by leg IK: how far they are from where the IK targets put them.
 
 The leg's target is where the ankle shall be, the toes' target is where the toes shall point from there. A target can be
-farther from the
-hip than the leg is long, because a VMD made for one model is played on another: such frames are counted by themselves.
+farther from the hip than the leg is long, because a VMD made for one model is played on another: such frames are
+counted by themselves.
 """
 
 from __future__ import annotations

@@ -21,8 +21,7 @@ class Materials:
     """The materials that the meshes of a file use, each once.
 
     A texture is taken from the file itself, from its folder, or from the `.fbm` or `textures` folder beside it; one
-    that lies
-    elsewhere or cannot be read leaves its material without it: the mesh is still good.
+    that lies elsewhere or cannot be read leaves its material without it: the mesh is still good.
 
     Args:
         scene: The file.

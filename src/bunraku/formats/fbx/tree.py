@@ -1,8 +1,7 @@
 """The node tree of an FBX file: binary FBX 7.1 to 7.7 here, text in `fbx_text`.
 
 A node has a name, values and children. Arrays stay packed until they are asked for, so what nobody reads costs nothing,
-and all
-that are unpacked share one allowance: a file of some kilobytes cannot ask for gigabytes.
+and all that are unpacked share one allowance: a file of some kilobytes cannot ask for gigabytes.
 """
 
 from __future__ import annotations

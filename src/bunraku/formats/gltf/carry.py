@@ -119,8 +119,7 @@ class MeshCarrier:
         Args:
             part: The mesh where a node places it.
             rest: Positions that replace the raw ones [m], shape (V, 3) over its groups; its normals, tangents and morph
-                targets are
-                bent as its skin bends them. None keeps everything as it is.
+                targets are bent as its skin bends them. None keeps everything as it is.
         """
         old = self.document.items("meshes")[part.mesh]
         mesh: dict[str, Any] = {key: copy.deepcopy(old[key]) for key in ("name", "extras") if key in old}

@@ -33,8 +33,7 @@ class Source:
         skins: Its joints in that pose.
         parts: Its meshes where nodes and skins place them.
         index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats
-            have
-            fewer vertices than their document where a seam splits one in two.
+            have fewer vertices than their document where a seam splits one in two.
         suffix: The format of the file.
         model: What else the file holds that glTF has no place for, such as the `MmdModel` of a PMX file.
     """
@@ -58,8 +57,7 @@ def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
         path: The file.
         data: Its bytes.
         rest: "bind" rests in the pose that the skins were bound in (see `gltf_bind`), "default" in that of the file's
-            nodes, which
-            may be the middle of a clip.
+            nodes, which may be the middle of a clip.
 
     Raises:
         FormatError: The file is broken, or needs what is not read.

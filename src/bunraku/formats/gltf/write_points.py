@@ -47,8 +47,8 @@ def write_point_animation(
         name: The clip's name; the file's by default.
         tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
         shapes: "mixed" takes the fewest shapes that all frames are mixed of; "keys" the shapes of some frames, of which
-            two at most show
-            at any time, for players that cannot mix many. Those files are larger, by far where cloth moves fast.
+            two at most show at any time, for players that cannot mix many. Those files are larger, by far where cloth
+            moves fast.
 
     Returns:
         The file that was written.

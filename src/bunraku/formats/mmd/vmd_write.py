@@ -34,8 +34,7 @@ class MmdClip:
 
     Args:
         bones: By their names: how far each is moved from its rest place, in its parent's axes [m], shape (N, 3), and
-            how it is turned
-            from its rest pose, shape (N, 3, 3).
+            how it is turned from its rest pose, shape (N, 3, 3).
         model: Name of the model.
         ik_off: Bones whose inverse kinematics are off.
     """

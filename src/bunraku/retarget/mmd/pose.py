@@ -62,8 +62,7 @@ def pose_mmd(
     Args:
         model: The model.
         tracks: By bones' names: how far each is moved from its rest place [m] (N, 3), and how it is turned (N, 3, 3),
-            in its parent's
-            axes. Bones without a track rest; names that the model lacks are passed over.
+            in its parent's axes. Bones without a track rest; names that the model lacks are passed over.
         ik: By names of bones with inverse kinematics: whether they are on, shape (N,), bool; on where nothing is said.
         frames: N, where there are no tracks to tell.
         fps: Frames a second [1/s].

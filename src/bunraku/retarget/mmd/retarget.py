@@ -116,8 +116,7 @@ def mmd_clip(animation: RigAnimation) -> MmdClip:
     """An animation of an MMD character's rig as keys of its bones, resampled to 30 frames a second.
 
     What a bone takes over of another ("grant") is taken off its keys again, since MMD adds it. Bones that stand still
-    on their parents
-    have no keys: those of them that take over follow in MMD as the model's maker meant them to.
+    on their parents have no keys: those of them that take over follow in MMD as the model's maker meant them to.
 
     Args:
         animation: Of a character that was read from a PMX or PMD file.

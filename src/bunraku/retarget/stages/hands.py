@@ -2,8 +2,8 @@
 
 Proportions differ, so a hand that lay on the hip ends beside it, or inside it. Where a hand of the reference body is
 near its head, chest, hips, a thigh or the other hand, the character's hand is brought to the same place of the same
-part, by bending the arm. A place
-is told in the box of a part: within it in shares of the box, outside of it as a gap in the character's scale.
+part, by bending the arm. A place is told in the box of a part: within it in shares of the box, outside of it as a gap
+in the character's scale.
 """
 
 from __future__ import annotations

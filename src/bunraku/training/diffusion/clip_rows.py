@@ -135,12 +135,10 @@ class ClipSet:
         split: "train", "val" or "test".
         frames: Longest crop.
         creatures: Share of draws that are creatures' clips, where there are any; within them every action of every
-            species
-            counts the same, unless the index weighs it less.
+            species counts the same, unless the index weighs it less.
         computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
         borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
-            creature
-            shows, so that a person's words move a creature too.
+            creature shows, so that a person's words move a creature too.
         events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and told by
             them.
     """

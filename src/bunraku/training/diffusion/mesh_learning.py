@@ -2,8 +2,8 @@
 characters.
 
 At each step some rows of the batch are given to random characters of a bank. Their motions are fitted to these
-characters with the
-predicted adaptation, and only the adaptation is judged: rotations and everything else are those of the data (Eq. 9).
+characters with the predicted adaptation, and only the adaptation is judged: rotations and everything else are those of
+the data (Eq. 9).
 """
 
 from __future__ import annotations

@@ -24,9 +24,8 @@ def rescaled(model: Denoiser, mean: torch.Tensor, std: torch.Tensor) -> dict[str
     """Weights that say of motions in other units what a denoiser says of them in its own.
 
     Network units are `(value - mean) / std`. The first and the last layer are linear in them, so the change of units
-    goes into these
-    two layers without loss: the same clean motion gives the same prediction. Noise, which has the same size in any
-    units, does not.
+    goes into these two layers without loss: the same clean motion gives the same prediction. Noise, which has the same
+    size in any units, does not.
 
     Args:
         model: The denoiser.

@@ -42,8 +42,7 @@ class HandleTrainConfig:
         cache: Folder of cached characters (`bunraku.datasets.characters.build.build_characters`).
         out: Folder of the run: `state.safetensors` to go on from, `handles.safetensors` the result, `log.csv`.
         minutes: Stop after this much training time, over all sittings; the learning rate falls to nothing by then. 0
-            for no
-            limit.
+            for no limit.
         epochs: Stop after so many epochs; with no limit of minutes the learning rate follows these.
         threads: CPU threads; 0 leaves torch's choice.
         device: Where to train.
@@ -56,8 +55,7 @@ class HandleTrainConfig:
         validate_every: Epochs between validations.
         seed: Of everything random.
         start: Checkpoint of kind "handles" to start a new run from, for example the shipped one, to go on with it on
-            other
-            characters; a deeper network begins as the one in the checkpoint.
+            other characters; a deeper network begins as the one in the checkpoint.
     """
 
     cache: Path = Path("runs/data/characters")

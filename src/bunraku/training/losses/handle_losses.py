@@ -35,8 +35,7 @@ class LossConfig:
     Args:
         root: nu_r of Eq. 5.
         root_unit: Eq. 4 is a squared distance in units of the character's extent, so small that nu_r alone leaves it
-            without
-            effect; this factor brings it to the size of the others.
+            without effect; this factor brings it to the size of the others.
         pose: nu_p of Eq. 5.
         pose_unit: Eq. 14 sums over vertices; `pose_loss` is a mean, and this factor stands for the sum's size.
         skinning: Weight of Eq. 13, 1 in the paper, where it is the main signal; here the semantic loss is.
@@ -74,8 +73,7 @@ def root_loss(
         weights: Predicted weights, shape (V, K).
         root: Position of the rig's root joint b_1, shape (3,).
         areas: Surface of each vertex, shape (V,), so that tessellation does not matter; all alike when not given, as in
-            the
-            paper.
+            the paper.
     """
     share = weights[:, 0] if areas is None else weights[:, 0] * areas
     handle = (share[:, None] * positions).sum(0) / share.sum().clamp_min(1e-9)
@@ -92,8 +90,7 @@ def skinning_pairs(
         count: Pairs to draw.
         generator: Source of randomness.
         groups: A group for each joint, shape (J,); pairs from two joints of one group, -1 excepted, are left out,
-            because
-            bone names say that they share a handle.
+            because bone names say that they share a handle.
 
     Returns:
         Vertices i and j, and gamma (+1 same joint, -1 not), each of up to `count`; half of the draws pair vertices of
@@ -195,8 +192,7 @@ def semantic_loss(
     Args:
         logits: Predicted weights before the softmax, shape (V, K).
         target: Share of each handle, shape (V, K); a row may sum to less than 1 where bones without a label have a
-            part, and
-            then counts for less.
+            part, and then counts for less.
         areas: Surface of each vertex, shape (V,).
         balance: 0 counts every patch of surface alike, 1 every handle alike.
     """
