@@ -56,7 +56,7 @@ def test_a_player_sees_the_same_vertices(textured, tmp_path, kind):
 
 
 def test_a_rig_of_another_source_gets_a_plain_skin(textured, tmp_path):
-    character = replace(textured, source=None)
+    character = replace(textured, source=None, avatar=None)
     animation = swinging(character)
     again = load_character(animation.save(tmp_path / "out.glb"))
     assert again.rig.names == character.rig.names and np.array_equal(again.rig.parents, character.rig.parents)

@@ -10,8 +10,8 @@ from mmd_bytes import Body, Bone, Joint, plank, pmd, pmx
 from scipy.spatial.transform import Rotation
 
 from bunraku.apparel.mask import apparel_mask, moved_joints
+from bunraku.core.mmd_model import mmd_model
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.formats.mmd.model import mmd_model
 from bunraku.io import load_character
 
 MODELS = Path("/work/data/apparel/mmd")

@@ -7,9 +7,9 @@ import pytest
 
 from bunraku import load_character
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
 from bunraku.errors import FormatError
 from bunraku.formats.mmd.build import MmdFile, mmd_character
-from bunraku.formats.mmd.model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
 from bunraku.formats.mmd.pmx import read_pmx_file
 from bunraku.formats.mmd.pmx_write import pmx_bytes, save_pmx, write_pmx
 from bunraku.synthetic.samples import sample_character

@@ -8,8 +8,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from bunraku.core.mmd_model import MMD_METRE
 from bunraku.errors import FormatError
-from bunraku.formats.mmd.vmd import MMD_METRE, load_vmd
+from bunraku.formats.mmd.vmd import load_vmd
 
 MOTIONS = Path("/work/data/apparel/mmd/motion")
 LINEAR = ((20, 20, 107, 107),) * 4

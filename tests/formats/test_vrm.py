@@ -7,8 +7,8 @@ import pytest
 from gltf_files import Maker
 
 from bunraku.apparel.mask import apparel_mask, moved_joints
+from bunraku.core.vrm_model import vrm_model
 from bunraku.errors import FormatError
-from bunraku.formats.vrm.read import vrm_model
 from bunraku.io import load_character
 
 REAL = Path("/work/data/apparel/vrm/Godette_vrm_v4.vrm")

@@ -3,7 +3,7 @@
 import numpy as np
 from bodies import body, joint
 
-from bunraku.formats.mmd.model import MmdBody
+from bunraku.core.mmd_model import MmdBody
 from bunraku.physics.collision import MOST_CLASSES, collision_bits
 from bunraku.physics.forest import apparel_forest
 

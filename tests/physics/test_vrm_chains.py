@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from bodies import BARE, character, still
 
-from bunraku.formats.vrm.model import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
+from bunraku.core.vrm_model import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
 from bunraku.physics import simulate
 from bunraku.physics.vrm_chains import VRM_RATE, vrm_rig
 

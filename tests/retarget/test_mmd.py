@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bunraku.body.layout import JOINT_NAMES
+from bunraku.core.mmd_model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
 from bunraku.core.motion import SkeletalMotion
 from bunraku.errors import FormatError, MotionError, OptionError
-from bunraku.formats.mmd.model import MmdAppend, MmdBone, MmdIk, MmdIkLink, mmd_model
 from bunraku.formats.mmd.vmd import VmdMotion, VmdTrack, load_vmd, read_vmd
 from bunraku.formats.mmd.vmd_write import pack_vmd
 from bunraku.io import load_character

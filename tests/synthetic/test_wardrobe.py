@@ -12,9 +12,9 @@ from bunraku import load_character
 from bunraku.apparel.mask import apparel_mask
 from bunraku.cli.app import main
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import MmdBody, mmd_model
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
-from bunraku.formats.mmd.model import MmdBody, mmd_model
 from bunraku.formats.mmd.pmx_write import write_pmx
 from bunraku.physics.simulate import simulate
 from bunraku.skeletons.mmd_names import mmd_skeleton_map

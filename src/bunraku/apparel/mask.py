@@ -8,9 +8,8 @@ import numpy as np
 
 from bunraku.apparel.artist_mask import artist_mask
 from bunraku.core.character import Character
-from bunraku.formats.mmd.model import MmdModel, mmd_model
-from bunraku.formats.vrm.model import VrmModel
-from bunraku.formats.vrm.read import vrm_model
+from bunraku.core.mmd_model import MmdModel, mmd_model
+from bunraku.core.vrm_model import VrmModel, vrm_model
 
 __all__ = ["APPAREL_SHARE", "apparel_mask", "moved_joints"]
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.core.mmd_model import MmdModel
+from bunraku.core.vrm_model import VrmModel
 from bunraku.errors import CharacterError
 
 __all__ = ["Character", "Handles", "Rig", "top_influences"]
@@ -83,6 +85,8 @@ class Character:
         colors: Colour of each vertex for previews, sRGB, shape (V, 3), uint8.
         source: The document that the mesh came from, owned by `bunraku.io`; it lets a writer give the user's
             materials, textures, UVs and vertex order back untouched.
+        avatar: What an MMD or VRM file holds beside its mesh: bones with their dependencies, rigid bodies, springs,
+            the bones of the person.
 
     Raises:
         CharacterError: No vertices, no faces, a coordinate that is not finite, an index outside the vertices, or no
@@ -95,6 +99,7 @@ class Character:
     rig: Rig | None = None
     colors: np.ndarray | None = None
     source: Any = field(default=None, repr=False, compare=False)
+    avatar: MmdModel | VrmModel | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", _frozen(self.vertices, np.float32, (None, 3), "vertices"))

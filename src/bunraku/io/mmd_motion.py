@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from bunraku.core.animation import Animation
+from bunraku.core.mmd_model import mmd_model
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError, MotionError, OptionError
-from bunraku.formats.mmd.model import mmd_model
 from bunraku.formats.mmd.vmd import VMD_FPS
 from bunraku.formats.mmd.vmd_write import write_vmd
 from bunraku.io.humanoid import humanoid_motion

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.formats.mmd.model import MmdBody, MmdJoint
+from bunraku.core.mmd_model import MmdBody, MmdJoint
 
 __all__ = ["ApparelRig"]
 

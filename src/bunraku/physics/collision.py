@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bunraku.formats.mmd.model import MmdBody
+from bunraku.core.mmd_model import MmdBody
 
 __all__ = ["MOST_CLASSES", "collision_bits"]
 

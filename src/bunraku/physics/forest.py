@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bunraku.formats.mmd.model import MmdBody, MmdJoint
+from bunraku.core.mmd_model import MmdBody, MmdJoint
 
 __all__ = ["Forest", "Link", "Loop", "apparel_forest", "free_axes", "locked_axes"]
 

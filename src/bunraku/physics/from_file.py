@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from bunraku.core.character import Character
-from bunraku.formats.mmd.model import mmd_model
-from bunraku.formats.vrm.read import vrm_model
+from bunraku.core.mmd_model import mmd_model
+from bunraku.core.vrm_model import vrm_model
 from bunraku.physics.apparel_rig import ApparelRig
 
 __all__ = ["apparel_rig"]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.formats.mmd.vmd import MMD_METRE
+from bunraku.core.mmd_model import MMD_METRE
 from bunraku.physics.forest import STIFF, TIGHT, Link
 
 __all__ = ["Freedom", "freedoms"]

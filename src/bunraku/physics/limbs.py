@@ -11,7 +11,7 @@ import numpy as np
 
 from bunraku.apparel.mask import APPAREL_SHARE, moved_joints
 from bunraku.core.character import Character
-from bunraku.formats.mmd.model import MmdBody
+from bunraku.core.mmd_model import MmdBody
 
 __all__ = ["body_limbs"]
 

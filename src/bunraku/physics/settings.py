@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bunraku.core.mmd_model import MMD_METRE
 from bunraku.errors import OptionError
-from bunraku.formats.mmd.vmd import MMD_METRE
 
 __all__ = ["PhysicsSettings"]
 

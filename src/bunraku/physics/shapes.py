@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.formats.mmd.model import MmdBody
+from bunraku.core.mmd_model import MmdBody
 
 __all__ = ["add_rods", "add_shape", "inertia", "loss_rate"]
 

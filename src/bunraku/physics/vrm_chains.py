@@ -13,9 +13,8 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.formats.mmd.model import MmdBody, MmdJoint
-from bunraku.formats.mmd.vmd import MMD_METRE
-from bunraku.formats.vrm.model import VrmCollider, VrmModel, VrmSpring
+from bunraku.core.mmd_model import MMD_METRE, MmdBody, MmdJoint
+from bunraku.core.vrm_model import VrmCollider, VrmModel, VrmSpring
 from bunraku.physics.apparel_rig import ApparelRig
 
 __all__ = ["VRM_RATE", "vrm_rig"]

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.core.mmd_model import MmdBody
 from bunraku.errors import CharacterError
-from bunraku.formats.mmd.model import MmdBody
 from bunraku.physics.apparel_rig import ApparelRig
 from bunraku.physics.collision import MOST_CLASSES, collision_bits
 from bunraku.physics.forest import STIFF, Forest, Link, Loop, apparel_forest, free_axes, locked_axes

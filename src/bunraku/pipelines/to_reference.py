@@ -99,7 +99,7 @@ def _of_rig(character: Character, turns: np.ndarray, places: np.ndarray, fps: fl
     if axes is not None and axes != ("+y", "+z"):
         turn = upright_rotation(*axes)
         character, turns, places = (
-            turned(replace(character, source=None), *axes),
+            turned(replace(character, source=None, avatar=None), *axes),
             turn @ turns @ turn.T,
             places @ turn.T,
         )

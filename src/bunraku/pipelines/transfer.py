@@ -196,7 +196,7 @@ def played_by_mmd(character: Character, path: str | Path, fps: float) -> RigAnim
     """
     if Path(path).suffix.lower() != ".vmd":
         return None
-    from bunraku.formats.mmd.model import mmd_model
+    from bunraku.core.mmd_model import mmd_model
     from bunraku.formats.mmd.vmd import load_vmd
     from bunraku.retarget.mmd.play import mmd_animation
 

@@ -15,9 +15,9 @@ from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.rig_animation import bone_order
+from bunraku.core.vrm_model import vrm_model
 from bunraku.errors import CharacterError
 from bunraku.formats.gltf.read import Source
-from bunraku.formats.vrm.read import vrm_model
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import rotation_between
 from bunraku.handles.from_rig import rig_handles, settle_joints

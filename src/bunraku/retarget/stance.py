@@ -65,7 +65,7 @@ def stance_of(character: Character, handles: Handles, joints: Joints, turns: np.
     motion = HandleMotion(translations, rotations, *still)
     vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]
     positions = handle_positions(vertices, handles.weights, vertex_areas(vertices, character.faces))
-    return replace(character, vertices=vertices, rig=None, source=None), Handles(
+    return replace(character, vertices=vertices, rig=None, source=None, avatar=None), Handles(
         positions, handles.weights, roles=handles.roles
     )
 

@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import mmd_model
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.formats.mmd.model import mmd_model
 from bunraku.retarget.body_motion import stiff
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.mmd.pose import pose_mmd

@@ -153,7 +153,7 @@ def transfer_pair(pair: Pair, settings: Settings) -> str:
 def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
     """A character standing upright, and its handles where its rig is not moved."""
     from bunraku.cli.orientation import stand_up
-    from bunraku.formats.mmd.model import mmd_model
+    from bunraku.core.mmd_model import mmd_model
     from bunraku.io import load_character
     from bunraku.pipelines.animate import rig
     from bunraku.retarget.rig_parts import is_humanoid_rig

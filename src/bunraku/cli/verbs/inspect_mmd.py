@@ -16,7 +16,7 @@ def mmd_facts(character: Character) -> dict[str, Any]:
     import numpy as np
 
     from bunraku.apparel.mask import apparel_mask
-    from bunraku.formats.mmd.model import mmd_model
+    from bunraku.core.mmd_model import mmd_model
 
     model = mmd_model(character)
     if model is None:
@@ -70,7 +70,7 @@ def vmd_facts(path: Path) -> dict[str, Any]:
 def vrm_facts(character: Character) -> dict[str, Any]:
     """The person's bones, springs and colliders of a VRM avatar; nothing of any other character."""
     from bunraku.apparel.mask import apparel_mask
-    from bunraku.formats.vrm.read import vrm_model
+    from bunraku.core.vrm_model import vrm_model
 
     model = vrm_model(character)
     if model is None:

@@ -19,9 +19,9 @@ import numpy as np
 from bunraku.apparel.mask import moved_joints
 from bunraku.body.layout import HANDLE_PARENTS, JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import mmd_model
 from bunraku.core.rig_animation import RigAnimation, bone_order
 from bunraku.errors import CharacterError
-from bunraku.formats.mmd.model import mmd_model
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.skeletons.bone_names import NO_HANDLE
 

@@ -101,7 +101,7 @@ def subject(character: Character, name: str, path: Path | None = None) -> Subjec
     mass = (weights * areas[:, None]).sum(axis=0)
     handles = known_handles(name, rig.names, joints, handle_of_joints(rig.names, rig.parents, joints, mass))
     weights = np.where(total > 1e-6, weights / np.maximum(total, 1e-6), 1 / weights.shape[1]).astype(np.float32)
-    turned = replace(character, vertices=vertices, rig=None, source=None)
+    turned = replace(character, vertices=vertices, rig=None, source=None, avatar=None)
     truth = TrainingCharacter(
         name=name, vertices=vertices, normals=np.zeros((0, 3), np.float32), areas=areas, edges=np.zeros((0, 2),
         np.int64), weights=weights,

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import MmdIkLink, MmdModel
 from bunraku.errors import BunrakuError
-from bunraku.formats.mmd.model import MmdIkLink, MmdModel
 from bunraku.formats.mmd.vmd import VmdMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 
@@ -37,7 +37,7 @@ def measure_soles(folder: str | Path | None, failed: dict[str, str]) -> dict[str
         ankle from the place nearest to its target that the leg can reach [m]; `soles_target`, the largest from the
         target itself [m]. None without files.
     """
-    from bunraku.formats.mmd.model import mmd_model
+    from bunraku.core.mmd_model import mmd_model
     from bunraku.formats.mmd.vmd import load_vmd
     from bunraku.io import load_character
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from bunraku.formats.gltf.colors import vertex_colors
 from bunraku.formats.gltf.document import Document, open_document
 from bunraku.formats.gltf.mesh import MeshPart, check_size, read_part
 from bunraku.formats.gltf.nodes import NodeTree, SkinJoints, posed_skins, read_nodes, read_skins
+from bunraku.formats.vrm.read import read_vrm
 
 __all__ = ["Source", "character_from_document", "read_gltf"]
 
@@ -35,7 +35,6 @@ class Source:
         index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats
             have fewer vertices than their document where a seam splits one in two.
         suffix: The format of the file.
-        model: What else the file holds that glTF has no place for, such as the `MmdModel` of a PMX file.
     """
 
     document: Document
@@ -44,7 +43,6 @@ class Source:
     parts: tuple[MeshPart, ...]
     index: np.ndarray
     suffix: str = ".glb"
-    model: Any = None
 
 
 def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
@@ -110,7 +108,7 @@ def character_from_document(
         if rig is not None:
             rig = Rig(rig.names, rig.parents, rig.transforms, rig.indices[first], rig.weights[first])
     source = Source(document, tree, skins, parts, index, suffix)
-    return Character(name, vertices, triangles, rig, colors, source)
+    return Character(name, vertices, triangles, rig, colors, source, read_vrm(document))
 
 
 def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[MeshPart, ...]) -> Rig:

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import MmdBody, MmdBone, MmdIkLink, MmdJoint, MmdModel, MmdMorph, MmdSdef, mmd_points
 from bunraku.errors import FormatError
 from bunraku.formats.gltf.read import character_from_document
 from bunraku.formats.mmd.document import MmdMaterial, model_document
-from bunraku.formats.mmd.model import MmdBody, MmdBone, MmdIkLink, MmdJoint, MmdModel, MmdMorph, MmdSdef, mmd_points
 from bunraku.formats.mmd.physics import check_physics
 
 __all__ = ["MAX_BODIES", "MAX_BONES", "MAX_JOINTS", "MmdFile", "MmdMaterial", "mmd_character"]
@@ -73,7 +73,7 @@ class MmdFile:
 
 
 def mmd_character(path: Path, file: MmdFile) -> Character:
-    """The character that a file holds, its model at `mmd_model(character)`.
+    """The character that a file holds, its model as its `avatar`.
 
     Args:
         path: The file; textures are looked for in its folder and below, nowhere else.
@@ -97,7 +97,7 @@ def mmd_character(path: Path, file: MmdFile) -> Character:
     )  # fmt: skip
     for warning in model.warnings:
         _log.warning("%s: %s", path, warning)
-    return replace(character, source=replace(character.source, model=model))
+    return replace(character, avatar=model)
 
 
 def _check_mesh(path: Path, file: MmdFile) -> None:

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.formats.mmd.model import BODY_SHAPES, MmdBody, MmdJoint, mmd_angles, mmd_points, mmd_turn
+from bunraku.core.mmd_model import BODY_SHAPES, MMD_METRE, MmdBody, MmdJoint, mmd_angles, mmd_points, mmd_turn
 from bunraku.formats.mmd.reader import MmdReader
-from bunraku.formats.mmd.vmd import MMD_METRE
 
 __all__ = ["check_physics", "read_body", "read_joint"]
 

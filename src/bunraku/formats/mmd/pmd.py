@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import MmdAppend, MmdBone, MmdIk, MmdIkLink, MmdMorph, mmd_angles, mmd_points
 from bunraku.formats.mmd.build import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, MmdMaterial, mmd_character
-from bunraku.formats.mmd.model import MmdAppend, MmdBone, MmdIk, MmdIkLink, MmdMorph, mmd_angles, mmd_points
 from bunraku.formats.mmd.physics import read_body, read_joint
 from bunraku.formats.mmd.reader import MmdReader
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.formats.mmd.build import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, MmdMaterial, mmd_character
-from bunraku.formats.mmd.model import (
+from bunraku.core.mmd_model import (
+    MMD_METRE,
     MmdAppend,
     MmdBone,
     MmdIk,
@@ -21,9 +21,9 @@ from bunraku.formats.mmd.model import (
     mmd_angles,
     mmd_points,
 )
+from bunraku.formats.mmd.build import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, MmdMaterial, mmd_character
 from bunraku.formats.mmd.physics import read_body, read_joint
 from bunraku.formats.mmd.reader import MmdReader
-from bunraku.formats.mmd.vmd import MMD_METRE
 
 __all__ = ["read_pmx"]
 

@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import BODY_SHAPES, MMD_METRE, MmdBody, MmdBone, MmdJoint, mmd_angles, mmd_model
 from bunraku.errors import FormatError
 from bunraku.formats.files import atomic_write
 from bunraku.formats.gltf.colors import srgb_from_linear
 from bunraku.formats.mmd.build import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, MmdMaterial
 from bunraku.formats.mmd.document import LIGHT
-from bunraku.formats.mmd.model import BODY_SHAPES, MmdBody, MmdBone, MmdJoint, mmd_angles, mmd_model
-from bunraku.formats.mmd.vmd import MMD_METRE
 
 __all__ = ["pmx_bytes", "save_pmx", "write_pmx"]
 

@@ -14,15 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.core.mmd_model import MMD_METRE
 from bunraku.errors import FormatError
 from bunraku.formats.files import read_bounded
 from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_slerp
 
-__all__ = ["MMD_METRE", "VMD_FPS", "VmdMotion", "VmdTrack", "load_vmd", "read_vmd"]
+__all__ = ["VMD_FPS", "VmdMotion", "VmdTrack", "load_vmd", "read_vmd"]
 
 VMD_FPS = 30.0
-MMD_METRE = 0.08
-"""Length of MMD's unit [m]: models are about 20 of them tall."""
 
 LONGEST = 4 * 3600 * 30  # frames
 _BONE = np.dtype(

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.core.mmd_model import MMD_METRE
 from bunraku.errors import FormatError
 from bunraku.formats.files import atomic_write
-from bunraku.formats.mmd.vmd import MMD_METRE
 from bunraku.geometry.rotations import quaternion_from_matrix
 
 __all__ = ["MmdClip", "pack_vmd", "write_vmd"]

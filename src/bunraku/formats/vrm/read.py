@@ -15,25 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.core.character import Character
+from bunraku.core.vrm_model import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
 from bunraku.formats.gltf.document import Document
 from bunraku.formats.gltf.nodes import NodeTree, read_nodes
-from bunraku.formats.vrm.model import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
 
-__all__ = ["read_vrm", "vrm_model"]
+__all__ = ["read_vrm"]
 
 MOST = 10_000  # joints of springs, and colliders: more are no avatar's
 _log = logging.getLogger(__name__)
-
-
-def vrm_model(character: Character) -> VrmModel | None:
-    """What the VRM file of a character holds beside its meshes, None where it comes from no VRM file.
-
-    Raises:
-        FormatError: The nodes of the file are broken.
-    """
-    document = getattr(character.source, "document", None)
-    return read_vrm(document) if isinstance(document, Document) else None
 
 
 def read_vrm(document: Document) -> VrmModel | None:

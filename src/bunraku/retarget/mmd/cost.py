@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku.core.mmd_model import MmdModel
 from bunraku.core.rig_animation import bone_order
 from bunraku.errors import MotionError
-from bunraku.formats.mmd.model import MmdModel
 
 __all__ = ["check_work", "pose_work"]
 

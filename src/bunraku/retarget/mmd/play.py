@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import MmdModel, mmd_model
 from bunraku.core.motion import SkeletalMotion, Skeleton, line_up, local_rotations
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import MotionError
-from bunraku.formats.mmd.model import MmdModel, mmd_model
 from bunraku.formats.mmd.vmd import VMD_FPS, VmdMotion
 from bunraku.retarget.mmd.pose import MmdPoses, pose_mmd
 from bunraku.skeletons.joint_map import SkeletonMap

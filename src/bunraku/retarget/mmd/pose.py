@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.formats.mmd.model import MmdIk, MmdIkLink, MmdModel
+from bunraku.core.mmd_model import MmdIk, MmdIkLink, MmdModel
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.retarget.mmd.cost import check_work
 

@@ -13,11 +13,11 @@ import numpy as np
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import leg_length, reference_body
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import MmdModel
 from bunraku.core.motion import SkeletalMotion, line_up
 from bunraku.core.resample import resample_motion
 from bunraku.core.rig_animation import RigAnimation, bone_order
 from bunraku.errors import MotionError
-from bunraku.formats.mmd.model import MmdModel
 from bunraku.formats.mmd.vmd import VMD_FPS
 from bunraku.formats.mmd.vmd_write import MmdClip
 from bunraku.geometry.resampling import Resampling

@@ -14,9 +14,9 @@ import numpy as np
 
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
+from bunraku.core.mmd_model import MMD_METRE, MmdBone, MmdIk, MmdIkLink, MmdModel, MmdSdef, mmd_angles
 from bunraku.core.motion import SkeletalMotion
-from bunraku.formats.mmd.model import MmdBone, MmdIk, MmdIkLink, MmdModel, MmdSdef, mmd_angles
-from bunraku.formats.mmd.vmd import MMD_METRE, VMD_FPS, VmdMotion, load_vmd
+from bunraku.formats.mmd.vmd import VMD_FPS, VmdMotion, load_vmd
 from bunraku.retarget.mmd.play import mmd_poses_to_smpl, play_vmd
 
 __all__ = ["standard_model", "vmd_motion"]

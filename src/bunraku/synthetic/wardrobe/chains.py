@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.formats.mmd.model import MmdBody, MmdBone, MmdJoint
+from bunraku.core.mmd_model import MmdBody, MmdBone, MmdJoint
 from bunraku.synthetic.wardrobe.model import Costume, bone_frame
 from bunraku.synthetic.wardrobe.surfaces import unit
 

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku.core.mmd_model import MMD_METRE, MmdBody, MmdBone, MmdJoint
 from bunraku.formats.mmd.build import MmdFile, MmdMaterial, mmd_character
 from bunraku.formats.mmd.document import LIGHT
-from bunraku.formats.mmd.model import MmdBody, MmdBone, MmdJoint
 from bunraku.formats.mmd.pmx import read_pmx_file
 from bunraku.formats.mmd.pmx_write import pmx_bytes
-from bunraku.formats.mmd.vmd import MMD_METRE
 from bunraku.geometry.normals import vertex_normals
 
 __all__ = ["Costume", "Part", "bone_frame"]

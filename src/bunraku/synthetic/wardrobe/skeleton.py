@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.formats.mmd.model import MmdBody, MmdBone, MmdIk, MmdIkLink
+from bunraku.core.mmd_model import MmdBody, MmdBone, MmdIk, MmdIkLink
 from bunraku.synthetic.wardrobe.figure import Figure, J
 from bunraku.synthetic.wardrobe.model import Costume, bone_frame
 

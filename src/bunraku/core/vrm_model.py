@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-__all__ = ["VrmCollider", "VrmModel", "VrmSpring", "VrmSpringJoint"]
+__all__ = ["VrmCollider", "VrmModel", "VrmSpring", "VrmSpringJoint", "vrm_model"]
 
 
 @dataclass(frozen=True)
@@ -91,3 +92,8 @@ class VrmModel:
     colliders: tuple[VrmCollider, ...]
     groups: tuple[tuple[int, ...], ...]
     warnings: tuple[str, ...] = ()
+
+
+def vrm_model(character: Any) -> VrmModel | None:
+    """What the VRM file of a character holds beside its meshes, None where it comes from no VRM file."""
+    return character.avatar if isinstance(character.avatar, VrmModel) else None

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.formats.mmd.vmd import MMD_METRE
-
 __all__ = [
+    "MMD_METRE",
     "MmdAppend",
     "MmdBody",
     "MmdBone",
@@ -31,6 +30,8 @@ __all__ = [
     "mmd_turn",
 ]
 
+MMD_METRE = 0.08
+"""What one unit of MMD is taken for [m]."""
 BODY_SHAPES = ("sphere", "box", "capsule")
 BODY_MODES = ("follows its bone", "dynamic", "dynamic, held at its bone")
 _MIRROR = np.array([1.0, 1, -1])
@@ -283,8 +284,7 @@ class MmdModel:
 
 def mmd_model(character: Any) -> MmdModel | None:
     """The model that a character was read from, None where it comes from no PMX or PMD file."""
-    found = getattr(character.source, "model", None)
-    return found if isinstance(found, MmdModel) else None
+    return character.avatar if isinstance(character.avatar, MmdModel) else None
 
 
 def mmd_points(values: Any) -> np.ndarray:
