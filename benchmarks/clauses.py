@@ -34,7 +34,7 @@ def main() -> None:
 
     from bunraku.diffusion.features import encode
     from bunraku.diffusion.generate import generate_motions, load_generator
-    from bunraku.evaluation.motion.extractor import embed_motions, embed_sentences, load_extractor
+    from bunraku.diffusion.matching import embed_motions, embed_sentences, load_extractor
     from bunraku.language.clauses import timed_clauses
     from bunraku.nn.checkpoints import shipped_checkpoint
 

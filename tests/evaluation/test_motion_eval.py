@@ -14,11 +14,11 @@ from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import encode
+from bunraku.diffusion.matching import Extractor, ExtractorConfig, save_extractor
 from bunraku.errors import OptionError
 from bunraku.evaluation.handles.fid import body_handles, handle_fid, handle_samples
 from bunraku.evaluation.motion import samples as motion_samples
 from bunraku.evaluation.motion.blocks import BARS
-from bunraku.evaluation.motion.extractor import Extractor, ExtractorConfig, save_extractor
 from bunraku.evaluation.motion.samples import Request, SamplerSettings, make_motions
 from bunraku.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
 from bunraku.evaluation.motion.windows import Window

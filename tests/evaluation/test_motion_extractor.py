@@ -6,8 +6,7 @@ import torch
 from swings import PARTS, WordEncoder, swing
 
 from bunraku.datasets.motions.clips import write_clip, write_index
-from bunraku.errors import OptionError, WeightsError
-from bunraku.evaluation.motion.extractor import (
+from bunraku.diffusion.matching import (
     RADIUS,
     Extractor,
     ExtractorConfig,
@@ -16,6 +15,7 @@ from bunraku.evaluation.motion.extractor import (
     load_extractor,
     save_extractor,
 )
+from bunraku.errors import OptionError, WeightsError
 from bunraku.evaluation.motion.train_extractor import ExtractorTrainConfig, train_extractor
 
 TINY = ExtractorConfig(

@@ -52,6 +52,7 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "extractor",
         "train the feature extractor that generated motion is measured with",
     ),
+    ("train", "ranker"): ("train", "ranker", "train the ranker that chooses among candidates"),
     ("train", "adaptation"): ("train", "adaptation", "fine-tune the adaptation of motions to meshes"),
     ("evaluate", "handles"): ("evaluate.handles", "EvaluateHandles", "measure the handles on rigged characters"),
     ("evaluate", "motion"): ("evaluate.motion", "EvaluateMotion", "measure generated motion on held-out clips"),

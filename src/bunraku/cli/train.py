@@ -8,7 +8,7 @@ from typing import Any
 
 from bunraku.cli.progress import stages
 
-__all__ = ["adaptation", "diffusion", "extractor", "handles", "orientation"]
+__all__ = ["adaptation", "diffusion", "extractor", "handles", "orientation", "ranker"]
 
 
 def handles() -> tuple[type, Callable[[Any], None]]:
@@ -103,3 +103,23 @@ def extractor() -> tuple[type, Callable[[Any], None]]:
         print(f"wrote {path}")
 
     return ExtractorTrainConfig, run
+
+
+def ranker() -> tuple[type, Callable[[Any], None]]:
+    """Train the ranker, which chooses among the candidates that `bunraku animate` makes.
+
+    The same command goes on where a run stopped. A processor takes half an hour.
+
+    Example: bunraku train ranker --data data/motions --out runs/ranker
+    """
+    from bunraku.training.ranker.train import RankerTrainConfig, train_ranker
+
+    def run(config: RankerTrainConfig) -> None:
+        def log(row: dict[str, float]) -> None:
+            print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
+
+        with stages() as report:
+            path = train_ranker(config, log, progress=report)
+        print(f"wrote {path}")
+
+    return RankerTrainConfig, run

@@ -27,6 +27,8 @@ __all__ = ["GUIDANCE", "STEPS", "Sampling", "adapt", "generate_motion", "generat
 
 STEPS = 20
 GUIDANCE = 2.5
+_APART = 1_000_003
+"""Between the noise of a motion's candidates, so that none is that of another motion of the batch."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class Sampling:
             generate for no mesh in particular.
         progress: Called with a stage's name and the share done.
         checkpoint: Weights in place of the shipped ones.
+        candidates: How many motions are drawn for each that is given back: the one that the ranker likes best
+            (`diffusion.ranking`), 1 to 16. The first has the noise that it has alone.
 
     Raises:
         OptionError: A setting is outside what can be done.
@@ -50,8 +54,11 @@ class Sampling:
     mesh_feature: object | None = None
     progress: Callable[[str, float], None] | None = None
     checkpoint: str | Path | None = None
+    candidates: int = 1
 
     def __post_init__(self) -> None:
+        if not 1 <= self.candidates <= 16:
+            raise OptionError(f"a motion is the best of 1 to 16 candidates, not of {self.candidates}")
         if self.steps is not None and not 1 <= self.steps <= 1000:
             raise OptionError(f"sampling takes 1 to 1,000 steps, not {self.steps}")
         if self.guidance is not None and not (math.isfinite(self.guidance) and 0 <= self.guidance <= 20):
@@ -134,23 +141,25 @@ def generate_motions(
     if how.progress:
         how.progress("generate", 0.0)
     model, encoder = load_generator(how.checkpoint)
+    noise = drawn_noise(seeds, len(scripts))
+    if how.candidates > 1:
+        scripts = [script for script in scripts for _ in range(how.candidates)]
+        noise = [(seed, row + _APART * place) for seed, row in noise for place in range(how.candidates)]
     lengths = [frames_of([seconds for _, seconds in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
-    heard = [[body_part_prompts(prompt) for prompt, _ in script] for script in scripts]
-    twins = [twin for index, some in enumerate(heard) if (twin := PartTrack.of(index, some))]
-    told = [voice[0].sentence for some in heard for voice in some] + [
-        sentence for twin in twins for sentence in twin.sentences
-    ]
-    text = encoder.encode(told)
+    prompts = [[body_part_prompts(prompt) for prompt, _ in script] for script in scripts]
+    tracks = [track for index, some in enumerate(prompts) if (track := PartTrack.of(index, some))]
+    sentences = [parts[0].sentence for some in prompts for parts in some]
+    text = encoder.encode(sentences + [sentence for track in tracks for sentence in track.sentences])
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
-    noise = drawn_noise(seeds, len(scripts))
-    plans, noise = plans + [plans[twin.motion] for twin in twins], noise + [noise[twin.motion] for twin in twins]
+    plans += [plans[track.motion] for track in tracks]
+    noise += [noise[track.motion] for track in tracks]
     sizes = [plan.frames for plan in plans]
 
     def refine(values: Tensor) -> Tensor:
         parts = list(values.split(sizes))
-        for place, twin in enumerate(twins, len(scripts)):
-            parts[place] = twin.follow(parts[twin.motion], parts[place])
+        for place, track in enumerate(tracks, len(scripts)):
+            parts[place] = track.follow(parts[track.motion], parts[place])
         return torch.cat([closed(part, model) for part in parts] if loop else parts)
 
     with fitting_threads(model):
@@ -159,14 +168,26 @@ def generate_motions(
             text,
             plans,
             seeds=noise,
-            refine=refine if loop or twins else None,
+            refine=refine if loop or tracks else None,
             **how.options(model, len(text.mask)),
         )
-    for twin, own in zip(twins, found[len(scripts) :], strict=True):
-        found[twin.motion] = replace(own, adaptation=twin.adapt(found[twin.motion].adaptation, own.adaptation))
+    for track, own in zip(tracks, found[len(scripts) :], strict=True):
+        found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
+    rows = list(range(len(scripts)))
+    if how.candidates > 1:
+        from bunraku.diffusion.ranking import best_of, load_ranker, script_scores
+
+        drawn = [statistics.restore(found[row].values.cpu().numpy()[: sum(lengths[row])]) for row in rows]
+        parts = [
+            [(prompt, length) for (prompt, _), length in zip(script, own, strict=True)]
+            for script, own in zip(scripts, lengths, strict=True)
+        ]
+        with fitting_threads(model):
+            rows = best_of(script_scores(load_ranker(), encoder, drawn, parts), how.candidates)
     motions = []
-    for part, length in zip(found[: len(scripts)], lengths, strict=True):
-        frames = np.arange(sum(length) + loop) % len(part.values)
+    for row in rows:
+        part = found[row]
+        frames = np.arange(sum(lengths[row]) + loop) % len(part.values)
         features = statistics.restore(part.values.cpu().numpy()[frames])
         made = replace(decode(features, model.config.fps), native=how.native(model))
         motions.append(adapt(made, part.adaptation.cpu().numpy()[frames]))

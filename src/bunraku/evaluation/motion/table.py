@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.diffusion.matching import Extractor, embed_motions, embed_sentences, load_extractor
 from bunraku.errors import OptionError
-from bunraku.evaluation.motion.extractor import Extractor, embed_motions, embed_sentences, load_extractor
 from bunraku.evaluation.motion.metrics import diversity, fid, interval, multimodal_distance, multimodality, r_precision
 from bunraku.evaluation.motion.samples import Request, SamplerSettings, checkpoint_digest, make_motions
 from bunraku.evaluation.motion.train_extractor import people

@@ -22,8 +22,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from bunraku.diffusion.features import FeatureStatistics
-from bunraku.errors import OptionError
-from bunraku.evaluation.motion.extractor import (
+from bunraku.diffusion.matching import (
     RADIUS,
     Extractor,
     ExtractorConfig,
@@ -31,6 +30,7 @@ from bunraku.evaluation.motion.extractor import (
     embed_sentences,
     save_extractor,
 )
+from bunraku.errors import OptionError
 from bunraku.evaluation.motion.metrics import r_precision
 from bunraku.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
 from bunraku.language.captions import caption_variants

@@ -1,5 +1,5 @@
-"""The feature extractor of the motion table: motions and sentences in one space (Guo et al. 2022, section A.2 of
-TapMo).
+"""Motions and sentences in one space (Guo et al. 2022, section A.2 of TapMo): the feature extractor of the motion
+table, and, with other weights, the ranker that chooses among candidates. A judge never chooses.
 
 A motion encoder and a text encoder give vectors of the same size, trained so that a motion lies near its own sentence
 and far from others. The frames are folded four to a token, a small transformer mixes them, their mean is the motion's
@@ -33,6 +33,7 @@ from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 
 __all__ = [
     "RADIUS",
+    "RANKER",
     "Extractor",
     "ExtractorConfig",
     "embed_motions",
@@ -41,7 +42,8 @@ __all__ = [
     "save_extractor",
 ]
 
-KIND = "extractor"
+KIND, RANKER = "extractor", "ranker"
+"""Kinds of checkpoints: who judges, and who chooses."""
 RADIUS = 10.0
 FARTHEST = 8.0  # standard deviations, as in training of the denoiser
 
@@ -223,18 +225,18 @@ def embed_sentences(extractor: Extractor, encoder: TextEncoder, sentences: Seque
     return found
 
 
-def save_extractor(path: str | Path, model: Extractor, notes: dict[str, Any] | None = None) -> Path:
-    """Write an extractor in half precision with its config."""
-    return save_checkpoint(path, model.state_dict(), asdict(model.config) | {"notes": notes or {}}, KIND, half=True)
+def save_extractor(path: str | Path, model: Extractor, notes: dict[str, Any] | None = None, kind: str = KIND) -> Path:
+    """Write an extractor, or a ranker, in half precision with its config."""
+    return save_checkpoint(path, model.state_dict(), asdict(model.config) | {"notes": notes or {}}, kind, half=True)
 
 
-def load_extractor(path: str | Path, device: str | torch.device = "cpu") -> Extractor:
-    """Read an extractor, ready for use.
+def load_extractor(path: str | Path, device: str | torch.device = "cpu", kind: str = KIND) -> Extractor:
+    """Read an extractor, or a ranker, ready for use.
 
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its config and weights disagree.
     """
-    state, config = load_checkpoint(path, KIND)
+    state, config = load_checkpoint(path, kind)
     notes = config.pop("notes", None)
     try:
         model = Extractor(ExtractorConfig(**config))

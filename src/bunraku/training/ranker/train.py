@@ -1,0 +1,288 @@
+"""Training of the ranker, which chooses among the candidates that `animate` makes.
+
+It is the network of `diffusion.matching`, trained on the rows that the denoiser trains on, apart from the judge of the
+tables. A motion finds its sentence among the batch's and the same with left and right exchanged; a sentence finds its
+motion among the batch's and spoilt ones: mirrored, played backwards, too small, trembling, done twice. Those are what
+generators do wrong.
+
+A run folder holds `state.safetensors`, `ranker.safetensors` (the averaged weights) and `log.csv`. The same command goes
+on where a run stopped.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from bunraku.diffusion.features import FeatureStatistics, mirror
+from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, ExtractorConfig, save_extractor
+from bunraku.errors import OptionError
+from bunraku.language.actions import actions_of
+from bunraku.language.captions import mirror_words
+from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.nn.checkpoints import TrainingState, save_training_state
+from bunraku.nn.runs import append_row, careful_step, follow_weights, learning_rate, plain_settings, resumed
+from bunraku.training.diffusion.clip_rows import ClipSet, MotionBatch, load_clips
+from bunraku.training.diffusion.text_bank import TextBank
+
+__all__ = ["RankerTrainConfig", "RankerTrainer", "spoilt", "train_ranker"]
+
+_SHORT = 7
+"""Words up to which sentences that say the same actions mean the same."""
+
+
+@dataclass(frozen=True)
+class RankerTrainConfig:
+    """Settings of a training run.
+
+    Args:
+        data: Folder that `bunraku data motions` wrote.
+        out: Folder of the run; the same folder goes on with the same run.
+        minutes: Stop after this much processor time, over all sittings; the learning rate falls to nothing by then.
+        threads: CPU threads.
+        device: Where to train.
+        batch: Pairs a step.
+        rate: Peak learning rate of AdamW.
+        warmup: Steps until the peak.
+        weight_decay: Of AdamW.
+        ema: Decay of the running mean of the weights, which is what is validated and saved.
+        bf16: Compute in bfloat16 where torch says it is safe.
+        validate_every: Steps between validations and saved states.
+        seed: Of everything random.
+    """
+
+    data: Path = Path("runs/data/motions")
+    out: Path = Path("runs/ranker")
+    minutes: float = 25.0
+    threads: int = 1
+    device: str = "cpu"
+    batch: int = 80
+    rate: float = 6e-4
+    warmup: int = 100
+    weight_decay: float = 0.05
+    ema: float = 0.998
+    bf16: bool = True
+    validate_every: int = 200
+    seed: int = 0
+    network: ExtractorConfig = field(default_factory=ExtractorConfig)
+
+
+def spoilt(values: np.ndarray, random: np.random.Generator, sided: bool) -> np.ndarray:
+    """A motion as generators get it wrong.
+
+    Args:
+        values: Normalised features, shape (N, D).
+        random: Chooses how.
+        sided: Whether its mirror image would be wrong too.
+
+    Returns:
+        Shape (M, D), with M at most N.
+    """
+    way = int(random.integers(0 if sided else 1, 5))
+    if way == 0:
+        return mirror(values)
+    if way == 1:  # backwards, its velocities too
+        out = values[::-1].copy()
+        out[:, :3] *= -1
+        return out
+    if way == 2:  # too small
+        middle = values.mean(axis=0)
+        return np.asarray(middle + (values - middle) * random.uniform(0.25, 0.6), np.float32)
+    if way == 3:  # trembling: noise of which only the fast part is left
+        noise = random.normal(0, 1, values.shape).astype(np.float32)
+        noise -= 0.5 * (np.roll(noise, 1, axis=0) + np.roll(noise, -1, axis=0))
+        noise[:, :4] = 0
+        return values + np.float32(random.uniform(0.08, 0.25)) * noise
+    half = values[:: 2 if len(values) >= 24 else 1]  # twice as fast, and again
+    return np.concatenate([half, half])[: len(values)]
+
+
+class RankerTrainer:
+    """One training run in memory.
+
+    Args:
+        config: Settings.
+        rows: Training rows; their statistics are the network's units.
+        bank: Their sentences, encoded.
+    """
+
+    def __init__(self, config: RankerTrainConfig, rows: ClipSet, bank: TextBank):
+        self.config, self.rows, self.bank = config, rows, bank
+        torch.manual_seed(config.seed)
+        self.model = Extractor(config.network).to(config.device)
+        self.model.mean.copy_(torch.from_numpy(rows.statistics.mean))
+        self.model.std.copy_(torch.from_numpy(rows.statistics.std))
+        self.average = Extractor(config.network).to(config.device).eval()
+        self.average.load_state_dict(self.model.state_dict())
+        self.optimizer = torch.optim.AdamW(
+            self.model.parameters(), lr=config.rate, betas=(0.9, 0.98), weight_decay=config.weight_decay
+        )
+        self.step, self.seconds = 0, 0.0
+
+    def progress(self) -> float:
+        """How far the run is through its minutes, 0 to 1."""
+        return min(self.seconds / (60 * self.config.minutes), 1.0)
+
+    def losses(self, model: Extractor, batch: MotionBatch, random: np.random.Generator) -> tuple[Tensor, float, float]:
+        """The loss of a batch, the share of motions that find their sentence first, and of sentences that find their
+        motion first.
+        """
+        size, device = len(batch.lengths), self.config.device
+        turned = [mirror_words(sentence) for sentence in batch.sentences]
+        sided = np.array([a != b for a, b in zip(batch.sentences, turned, strict=True)])
+        wrong = [
+            spoilt(batch.values[row, :length], random, bool(sided[row])) for row, length in enumerate(batch.lengths)
+        ]
+        values = np.zeros((2 * size, *batch.values.shape[1:]), np.float32)
+        values[:size] = batch.values
+        for row, other in enumerate(wrong, size):
+            values[row, : len(other)] = other
+        lengths = torch.from_numpy(np.concatenate([batch.lengths, [len(other) for other in wrong]]))
+        features = torch.from_numpy(values) * model.std.cpu() + model.mean.cpu()
+        with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=self.config.bf16):
+            motion = model.motion(features.to(device), lengths.to(device))
+            text = model.text(self.bank([*batch.sentences, *turned]).to(device))
+        scale = model.log_scale.exp().clamp(max=50) / RADIUS**2
+        same = torch.from_numpy(alike(batch.sentences)).to(device)
+        target = torch.arange(size, device=device)
+        right, spoils = motion[:size], motion[size:]
+        between = (scale * (right @ text[:size].T)).masked_fill(same, -1e4)
+        mirrored = scale * (right * text[size:]).sum(1)
+        mirrored = mirrored.masked_fill(~torch.from_numpy(sided).to(device), -1e4)
+        found = torch.cat([between, mirrored[:, None]], dim=1)
+        told = torch.cat([between.T, scale * (text[:size] * spoils).sum(1)[:, None]], dim=1)
+        loss = 0.5 * (F.cross_entropy(found, target) + F.cross_entropy(told, target))
+        won = [float((logits.argmax(1) == target).float().mean()) for logits in (found, told)]
+        return loss, won[0], won[1]
+
+    def train_step(self) -> dict[str, float]:
+        """One step of the optimiser."""
+        start, config = time.process_time(), self.config
+        self.model.train()
+        rate = learning_rate(config.rate, self.step, config.warmup, self.progress(), least=0.01)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        batch = self.rows.batch(config.seed, self.step, config.batch)
+        loss, found, told = self.losses(self.model, batch, np.random.default_rng([config.seed, self.step, 5]))
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        careful_step(self.model, self.optimizer)
+        self.step += 1
+        follow_weights(self.average, self.model, min(config.ema, self.step / (self.step + 10)))
+        self.seconds += time.process_time() - start
+        return {"loss": float(loss.detach()), "motion_to_text": found, "text_to_motion": told, "rate": rate}
+
+    @torch.no_grad()
+    def validate(self, rows: ClipSet) -> dict[str, float]:
+        """Losses on fixed rows of clips that no training sees."""
+        found = []
+        for number in range(4):
+            batch = rows.batch(991, number, min(self.config.batch, 64))
+            found.append(self.losses(self.average, batch, np.random.default_rng(number)))
+        names = ("validation", "validation_motion_to_text", "validation_text_to_motion")
+        return {name: float(np.mean([float(one[place]) for one in found])) for place, name in enumerate(names)}
+
+    def save(self, results: dict[str, float]) -> Path:
+        """Write the training state and the checkpoint; a kill leaves the last ones."""
+        out, settings = Path(self.config.out), plain_settings(asdict(self.config))
+        models = {"model": self.model.state_dict(), "average": self.average.state_dict()}
+        state = TrainingState(
+            self.step, models, {"adam": self.optimizer.state_dict()}, settings, {"seconds": self.seconds}
+        )
+        save_training_state(out / "state.safetensors", state)
+        notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "clips": len(self.rows.clips), **results}
+        return save_extractor(out / "ranker.safetensors", self.average, notes, RANKER)
+
+    def restore(self) -> bool:
+        """Go on from the run folder's state where there is one.
+
+        Raises:
+            OptionError: The run was started with another network.
+        """
+        try:
+            state = resumed(Path(self.config.out), self.model, self.average, self.optimizer)
+        except (RuntimeError, ValueError) as error:
+            advice = "give the same settings, or another folder"
+            raise OptionError(f"{self.config.out}: this run was started with another network; {advice}") from error
+        if state is None:
+            return False
+        self.step, self.seconds = state.step, float(state.values["seconds"])
+        return True
+
+
+def alike(sentences: Sequence[str]) -> np.ndarray:
+    """Pairs of different rows whose sentences mean the same, shape (B, B), bool: they are not wrong for each other."""
+    meanings = []
+    for sentence in sentences:
+        sides = tuple(side for side in ("left", "right") if side in sentence)
+        short = len(sentence.split()) <= _SHORT
+        meanings.append((actions_of(sentence), sides) if short and actions_of(sentence) else (sentence, ()))
+    out = np.array([[a == b for b in meanings] for a in meanings])
+    np.fill_diagonal(out, False)
+    return out
+
+
+def train_ranker(
+    config: RankerTrainConfig,
+    log: Callable[[dict[str, float]], None] | None = None,
+    encoder: TextEncoder | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Path:
+    """Train, or go on training, and return the path of the averaged weights.
+
+    Args:
+        config: The run.
+        log: Called with a row of the log at each validation.
+        encoder: In place of the built-in text encoder.
+        progress: Called with a stage's name and the share done.
+
+    Raises:
+        OptionError: A setting is out of range, or the run folder belongs to another network.
+        FormatError: The data are missing or damaged.
+    """
+    if config.batch < 2 or config.threads < 1 or config.minutes <= 0 or config.validate_every < 1:
+        raise OptionError("batch must be 2 or more, threads and validate-every 1 or more, minutes more than 0")
+    torch.set_num_threads(config.threads)
+    progress = progress or (lambda stage, done: None)
+    config.out.mkdir(parents=True, exist_ok=True)
+    clips = load_clips(config.data, splits={"train", "val"})
+    clips = {name: entry for name, entry in clips.items() if not entry.get("species")}
+    training = [entry["features"] for entry in clips.values() if entry.get("split", "train") == "train"]
+    statistics = FeatureStatistics.measure(training)
+    train, held = (ClipSet(clips, statistics, split, borrowed=0.0, creatures=0.0) for split in ("train", "val"))
+    encoder = encoder or text_encoder()
+    network = replace(
+        config.network, text_encoder=encoder.name, text_size=encoder.token_size, pooled_size=encoder.pooled_size
+    )
+    config = replace(config, network=network)
+    sentences = sorted({*train.sentences(), *held.sentences()})
+    bank = TextBank(
+        encoder, sentences, config.out / "captions.safetensors", lambda done, all: progress("captions", done / all)
+    )
+    trainer = RankerTrainer(config, train, bank)
+    trainer.restore()
+    torch.set_flush_denormal(True)
+    rows: list[dict[str, float]] = []
+    path = trainer.save({}) if not trainer.step else config.out / "ranker.safetensors"
+    try:
+        while trainer.progress() < 1:
+            rows.append(trainer.train_step())
+            if trainer.step % config.validate_every == 0 or trainer.progress() >= 1:
+                means = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+                results = trainer.validate(held) if len(held.clips) > 1 else {}
+                line = {"step": trainer.step, "minutes": trainer.seconds / 60, **means, **results}
+                append_row(config.out / "log.csv", line)
+                path, rows = trainer.save(results), []
+                if log is not None:
+                    log(line)
+            progress("training", trainer.progress())
+    finally:
+        torch.set_flush_denormal(False)
+    return path

@@ -1,0 +1,37 @@
+import numpy as np
+import pytest
+import torch
+
+from bunraku.diffusion.matching import RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences
+from bunraku.diffusion.ranking import best_of, script_scores
+
+
+@pytest.fixture
+def ranker():
+    torch.manual_seed(3)
+    sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "embedding": 8, "text_size": 8, "pooled_size": 8}
+    return Extractor(ExtractorConfig(**sizes, text_encoder="words")).eval().requires_grad_(False)
+
+
+def test_a_score_is_the_mean_cosine_over_the_parts_by_their_frames(ranker, encoder, features):
+    wave, kick = features("left_elbow", frames=40), features("right_knee", frames=20)
+    whole = np.concatenate([wave, kick])
+    script = [("waves", 40), ("kicks", 20)]
+    text = embed_sentences(ranker, encoder, ["waves", "kicks"])
+    vectors = embed_motions(ranker, [wave, kick])
+    cosines = [float(vectors[0] @ text["waves"]) / RADIUS**2, float(vectors[1] @ text["kicks"]) / RADIUS**2]
+    (score,) = script_scores(ranker, encoder, [whole], [script])
+    assert score == pytest.approx((40 * cosines[0] + 20 * cosines[1]) / 60, abs=1e-6)
+    both = script_scores(ranker, encoder, [wave, whole], [[("waves", 40)], script])
+    assert both == pytest.approx([cosines[0], score], abs=1e-5)  # whatever stands beside it
+
+
+def test_long_parts_are_looked_at_in_pieces_and_what_is_too_short_counts_nothing(ranker, encoder, features):
+    long = features("left_elbow", frames=400)
+    assert np.isfinite(script_scores(ranker, encoder, [long], [[("waves", 400)]])).all()
+    assert script_scores(ranker, encoder, [long[:4]], [[("waves", 4)]]) == pytest.approx([0.0])
+
+
+def test_the_best_of_each_row_is_taken():
+    assert best_of(np.array([0.1, 0.3, 0.2, 0.9, 0.0, 0.5]), 3) == [1, 3]
+    assert best_of(np.array([0.4, 0.2]), 1) == [0, 1]

@@ -1,0 +1,51 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bunraku.diffusion.features import mirror
+from bunraku.diffusion.matching import RANKER, ExtractorConfig, load_extractor
+from bunraku.errors import OptionError, WeightsError
+from bunraku.training.ranker.train import RankerTrainConfig, alike, spoilt, train_ranker
+
+TINY = ExtractorConfig(width=16, layers=1, heads=2, feedforward=16, embedding=8, dropout=0.0)
+
+
+def test_sentences_of_one_meaning_are_not_wrong_for_each_other():
+    found = alike(["walk", "a person walks", "kick left", "kick right", "kick with the left leg"])
+    assert found[0, 1] and found[2, 4] and not found[2, 3] and not found[0, 2] and not found.diagonal().any()
+
+
+def test_spoilt_motions_are_mirrored_small_backwards_trembling_or_twice(features):
+    values, random = features("left_elbow", frames=80), np.random.default_rng(0)
+    seen = set()
+    for _ in range(60):
+        wrong = spoilt(values, random, True)
+        assert wrong.shape[0] <= 80 and np.isfinite(wrong).all() and not np.array_equal(wrong, values)
+        backwards = values[::-1].copy()
+        backwards[:, :3] *= -1
+        if np.array_equal(wrong, mirror(values)):
+            seen.add("mirrored")
+        elif np.array_equal(wrong, backwards):
+            seen.add("backwards")
+        elif wrong.std() < 0.7 * values.std() or np.ptp(wrong, axis=0).max() < 0.7 * np.ptp(values, axis=0).max():
+            seen.add("small")
+    assert {"mirrored", "backwards", "small"} <= seen
+    assert not any(np.array_equal(spoilt(values, random, False), mirror(values)) for _ in range(60))
+
+
+def test_it_learns_and_goes_on_where_it_stopped(swings, encoder, tmp_path):
+    config = RankerTrainConfig(
+        data=swings, out=tmp_path / "run", minutes=0.03, batch=8, warmup=5, bf16=False, validate_every=5, network=TINY
+    )
+    rows = []
+    path = train_ranker(config, rows.append, encoder)
+    steps = rows[-1]["step"]
+    assert steps >= 5 and all(np.isfinite(list(row.values())).all() for row in rows)
+    assert load_extractor(path, kind=RANKER).notes["steps"] == steps
+    with pytest.raises(WeightsError):
+        load_extractor(path)  # a ranker does not judge
+    train_ranker(replace(config, minutes=0.05), rows.append, encoder)
+    assert rows[-1]["step"] > steps
+    with pytest.raises(OptionError, match="another network"):
+        train_ranker(replace(config, minutes=0.06, network=replace(TINY, width=24)), None, encoder)
