@@ -32,7 +32,6 @@ def test_the_ratio_is_that_of_the_means():
     seen = (ArapRow("a", False, 1.0, 1.5, 2.0, 5.0, 0.01), ArapRow("b", False, 3.0, 3.0, 3.0, 5.0, 0.03))
     table = ArapTable((*seen, ArapRow("c", True, 9.0, 9.5, 10.0, 12.0, 0.02)))
     assert table.ratio(unseen=False) == 4 / 5 and table.ratio(unseen=True) == 0.9
-    assert table.ratio_each(unseen=False) == 0.75
     assert math.isclose(table.means(unseen=False)["delta"], 0.02) and math.isnan(ArapTable(()).ratio(unseen=True))
 
 

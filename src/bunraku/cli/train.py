@@ -23,12 +23,12 @@ def handles() -> tuple[type, Callable[[Any], None]]:
     def run(config: HandleTrainConfig) -> None:
         with stages() as report:
 
-            def tell(row: dict[str, float]) -> None:
+            def log(row: dict[str, float]) -> None:
                 print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
                 spent = row["seconds"] / (60 * config.minutes) if config.minutes > 0 else 0.0
                 report("training", min(max(spent, row["epoch"] / config.epochs), 1.0))
 
-            path = train_handles(config, tell)
+            path = train_handles(config, log)
         print(f"wrote {path}")
 
     return HandleTrainConfig, run
@@ -43,10 +43,10 @@ def orientation() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku.training.orientation.train import OrientationTrainConfig, train_orientation
 
-    def tell(row: dict[str, float]) -> None:
+    def log(row: dict[str, float]) -> None:
         print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
 
-    return OrientationTrainConfig, lambda config: print(f"wrote {train_orientation(config, tell)}")
+    return OrientationTrainConfig, lambda config: print(f"wrote {train_orientation(config, log)}")
 
 
 def diffusion() -> tuple[type, Callable[[Any], None]]:
@@ -75,10 +75,10 @@ def adaptation() -> tuple[type, Callable[[Any], None]]:
     def run(config: AdaptationConfig) -> None:
         with stages() as report:
 
-            def tell(row: dict[str, float]) -> None:
+            def log(row: dict[str, float]) -> None:
                 print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
 
-            path = train_adaptation(config, tell, report)
+            path = train_adaptation(config, log, report)
         print(f"wrote {path}")
 
     return AdaptationConfig, run
@@ -96,10 +96,10 @@ def extractor() -> tuple[type, Callable[[Any], None]]:
     def run(config: ExtractorTrainConfig) -> None:
         with stages() as report:
 
-            def tell(row: dict[str, float]) -> None:
+            def log(row: dict[str, float]) -> None:
                 print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
 
-            path = train_extractor(config, tell, report=report)
+            path = train_extractor(config, log, report=report)
         print(f"wrote {path}")
 
     return ExtractorTrainConfig, run

@@ -7,7 +7,7 @@ other there (see `sample_windows`). A loop is the same on a circle.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.sampler import Sample, Window, row_noise, sample_windows
 from bunraku.language.encoders import TextBatch
 
-__all__ = ["Plan", "drawn_noise", "plan_windows", "sample_long", "sample_plans"]
+__all__ = ["Plan", "drawn_noise", "plan_windows", "sample_plans"]
 
 OVERLAP = 28  # frames that two windows share
 SHORTEST = 40  # frames; training saw hardly anything shorter
@@ -138,32 +138,3 @@ def drawn_noise(seeds: int | Sequence[int] | Sequence[tuple[int, int]], count: i
     if isinstance(seeds, int):
         return [(seeds, index) for index in range(count)]
     return [(seed, 0) if isinstance(seed, int) else seed for seed in seeds]
-
-
-def sample_long(
-    model: Denoiser,
-    text: TextBatch,
-    frames: int,
-    *,
-    seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
-    **options: Any,
-) -> Sample:
-    """Like `sample`, for any number of frames: long motions in windows, very short ones cut from the start of longer
-    ones.
-
-    Every window is given the whole sentence, so a sentence about one event is done once a window.
-
-    Args:
-        model: The denoiser.
-        text: B encoded sentences.
-        frames: Length of the motions.
-        seed: Of the starting noise.
-        progress: Called with (done, total) steps.
-        options: Others of `sample_windows`.
-    """
-    plan = plan_windows([frames], model.config.frames)
-    found = sample_plans(model, text, [plan] * len(text.mask), seeds=seed, progress=progress, **options)
-    return Sample(
-        torch.stack([part.values[:frames] for part in found]), torch.stack([part.adaptation[:frames] for part in found])
-    )

@@ -20,7 +20,7 @@ from typing import Any
 from bunraku.language.grammar import conjugate, fill, is_stative, sentence_forms
 
 __all__ = [
-    "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants", "creature_actions",
+    "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants",
     "creature_clauses", "creature_names",
     "creature_variants", "known_clauses", "known_verbs", "mirror_words", "normalise_label", "person_phrases",
 ]  # fmt: skip
@@ -149,11 +149,6 @@ def _clauses(phrases: tuple[str, ...], mirrored: bool, form: str) -> tuple[str, 
 def caption(label: str, seed: int, mirrored: bool = False) -> str:
     """One sentence for a label, the same for the same seed."""
     return random.Random(seed).choice(caption_variants(label, mirrored))
-
-
-def creature_actions() -> tuple[str, ...]:
-    """The canonical actions of creatures that have words: "walk", "gallop", "attack", "death", ..."""
-    return tuple(_table("creature_captions.json")["actions"])
 
 
 def _creature_phrases(species: str, action: str) -> tuple[str, ...]:

@@ -58,9 +58,9 @@ def simulated(animation: RigAnimation, progress: Progress | None = None) -> RigA
     Raises:
         CharacterError: There is no physics in its file.
     """
-    tell = progress or (lambda stage, done: None)
-    tell("apparel", 0.0)
-    found = simulate(animation, progress=lambda done: tell("apparel", done))
+    progress = progress or (lambda stage, done: None)
+    progress("apparel", 0.0)
+    found = simulate(animation, progress=lambda done: progress("apparel", done))
     for problem in found.report.problems():
         _log.warning("%s: %s", animation.character.name, problem)
     return found.animation

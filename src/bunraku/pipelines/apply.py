@@ -90,12 +90,12 @@ def apply_simulated(
     from bunraku.physics.animated import simulated
     from bunraku.retarget.to_rig import fit_rig
 
-    tell = progress or (lambda stage, done: None)
-    tell("fit", 0.0)
+    progress = progress or (lambda stage, done: None)
+    progress("fit", 0.0)
     if in_place:  # feet that are held would carry the character away
         motion, stages = in_place_motion(motion), replace(stages or Stages(), feet=False)
     moved = fit_rig(resample(motion, fps), character, stages)
-    tell("fit", 1.0)
+    progress("fit", 1.0)
     return simulated(moved, progress)
 
 

@@ -120,15 +120,15 @@ def transfer(
             raise OptionError("apparel is simulated on the bones of a character's rig; leave out onto='handles'")
         check_apparel(character)  # before the work
     source = motion if isinstance(motion, Source) else Source(motion, fps, names, clip)
-    tell = progress or (lambda stage, done: None)
-    tell("read", 0.0)
+    progress = progress or (lambda stage, done: None)
+    progress("read", 0.0)
     result: Animation | RigAnimation | None = None
     if onto != "handles" and not isinstance(handles, Handles):
         result = None if source.path is None else played_by_mmd(character, source.path, source.fps)
         result = result or same_skeleton(character, source.motion)
     if result is None:
         reference = source.reference
-        tell("read", 1.0)
+        progress("read", 1.0)
         result = apply_transfer(character, reference, onto=onto, handles=handles, stages=stages, progress=progress)
     return with_apparel(result, apparel, progress)
 
@@ -147,7 +147,7 @@ def apply_transfer(
     from bunraku.retarget.to_rig import fit_rig
     from bunraku.retarget.treadmill import is_treadmill
 
-    tell = progress or (lambda stage, done: None)
+    progress = progress or (lambda stage, done: None)
     stages = stages or TRANSFER_STAGES
     if stages.feet and is_treadmill(reference):
         stages = replace(stages, feet=False)  # feet that are held would carry the character away
@@ -160,7 +160,7 @@ def apply_transfer(
             parts = parts if parts.humanoid else None
         except CharacterError:
             parts = None
-    tell("fit", 0.0)
+    progress("fit", 0.0)
     reference = replace(reference, native=False)  # generated for another body, or for none
     if parts is not None:
         result: Animation | RigAnimation = fit_rig(reference, parts, stages)
@@ -170,7 +170,7 @@ def apply_transfer(
 
             handles = rig(character, handles=handles, progress=progress)
         result = Animation(character, handles, fit_motion(reference, character, handles, stages), reference)
-    tell("fit", 1.0)
+    progress("fit", 1.0)
     return result
 
 

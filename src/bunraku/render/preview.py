@@ -61,7 +61,7 @@ def save_preview(
     """
     target = check_target(path)
     parse_background(background)
-    tell = progress or (lambda done, total: None)
+    progress = progress or (lambda done, total: None)
     if target.suffix.lower() == ".png":
         if not 1 <= frames <= 400 or (columns is not None and columns < 1):
             raise OptionError(
@@ -70,7 +70,7 @@ def save_preview(
         last = (len(animation.motion) - 1) / animation.motion.fps
         times = np.unique(np.round(np.linspace(0, last, frames) * animation.motion.fps) / animation.motion.fps)
         pictures = render_animation(animation, size=size or CELL, times=times, background=background, color=color)
-        images = list(_counted(pictures, len(times), tell))
+        images = list(_counted(pictures, len(times), progress))
         paper = tuple(int(channel) for channel in np.round(255 * parse_background(background)[0]))
         sheet = assemble(
             images,
@@ -88,7 +88,7 @@ def save_preview(
     if target.suffix.lower() == ".mp4":
         width, height = width // 2 * 2, height // 2 * 2
     pictures = render_animation(animation, size=(width, height), fps=rate, background=background, color=color)
-    return write_moving(_counted(pictures, len(moments(animation, rate)), tell), target, rate)
+    return write_moving(_counted(pictures, len(moments(animation, rate)), progress), target, rate)
 
 
 def save_still(
@@ -116,7 +116,7 @@ def save_still(
     return write_png(np.concatenate(images, axis=1), target)
 
 
-def _counted(pictures: Iterable[np.ndarray], total: int, tell: Progress) -> Iterator[np.ndarray]:
+def _counted(pictures: Iterable[np.ndarray], total: int, progress: Progress) -> Iterator[np.ndarray]:
     for done, picture in enumerate(pictures, 1):
         yield picture
-        tell(done, total)
+        progress(done, total)

@@ -79,7 +79,7 @@ def build_apparel(
         (folder / "shards").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(folder, f"the folder cannot be made ({error.strerror}); choose another") from error
-    tell = progress or (lambda state: None)
+    progress = progress or (lambda state: None)
     state = BuildState(len(plan), sum(shard.seconds for shard in plan) / 60)
     todo = [shard for shard in plan if shard_fingerprint(_path(folder, shard)) != shard.fingerprint()]
     waiting = {shard.name for shard in todo}
@@ -87,7 +87,7 @@ def build_apparel(
         if shard.name not in waiting:
             _note(state, shard, _path(folder, shard))
     _write_index(folder, plan)
-    tell(state)
+    progress(state)
     started, before = time.monotonic(), state.built_minutes
     total = sum(shard.seconds for shard in todo) / 60
     tried = 0.0
@@ -100,7 +100,7 @@ def build_apparel(
             _note(state, shard, _path(folder, shard))
         state.seconds_left = (time.monotonic() - started) * (total - tried) / max(tried, 1e-9)
         _write_index(folder, plan)
-        tell(state)
+        progress(state)
     assert state.built_minutes >= before
     return state
 

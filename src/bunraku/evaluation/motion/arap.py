@@ -107,13 +107,6 @@ class ArapTable:
             else float("nan")
         )
 
-    def ratio_each(self, unseen: bool) -> float:
-        """Mean of each character's own ratio, which no character that distorts a lot by nature outweighs; NaN without
-        any.
-        """
-        rows = [row for row in self.rows if row.unseen == unseen and row.plain > 0]
-        return float(np.mean([row.adapted / row.plain for row in rows])) if rows else float("nan")
-
     def means(self, unseen: bool) -> dict[str, float]:
         """Mean of each figure over the characters that are (un)seen."""
         rows = [row for row in self.rows if row.unseen == unseen]

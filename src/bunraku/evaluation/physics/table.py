@@ -77,7 +77,7 @@ def evaluate_physics(
     from bunraku.io import load_character
     from bunraku.synthetic.wardrobe import wardrobe_character
 
-    tell = progress or (lambda stage, done: None)
+    progress = progress or (lambda stage, done: None)
     sources: list[tuple[str, Callable[[], Character]]] = []
     for path in map(Path, files):
         sources.append((path.name, partial(load_character, path)))
@@ -87,12 +87,12 @@ def evaluate_physics(
     rows: list[dict[str, Any]] = []
     failed: dict[str, str] = {}
     for name, load in sources:
-        tell(name, 0.0)
+        progress(name, 0.0)
         try:
-            rows.append({"name": name} | measure_physics(load(), motions, seconds, quick, partial(tell, name)))
+            rows.append({"name": name} | measure_physics(load(), motions, seconds, quick, partial(progress, name)))
         except BunrakuError as error:
             failed[name] = str(error)
-        tell(name, 1.0)
+        progress(name, 1.0)
     if not rows:
         raise CharacterError(f"no character could be measured: {next(iter(failed.values()), 'none was named')}")
     out: dict[str, Any] = {
@@ -139,18 +139,18 @@ def measure_physics(
     """
     from bunraku.apparel.mask import apparel_mask
 
-    tell = progress or (lambda done: None)
+    progress = progress or (lambda done: None)
     rig, mask = apparel_rig(character), apparel_mask(character)
     if rig is None or mask is None or not mask.any():
         raise CharacterError(f"{character.name}: its file says nothing of apparel that physics move")
     body = UnifiedBody.of(character)
     names, parts = _parts(body, motions, seconds)
-    tell(0.1)
+    progress(0.1)
     animation, bounds = joined(parts)
     used = time.process_time()
     simulation = simulate(animation, rig)
     used = time.process_time() - used
-    tell(0.6)
+    progress(0.6)
     result = simulation.animation
     chains = apparel_chains(character, rig)
     stretch = (
@@ -176,7 +176,7 @@ def measure_physics(
         return row
     frames = np.arange(0, len(result), STRIDE)
     deep, inside = _penetration(body, mask, result, frames)
-    tell(0.9)
+    progress(0.9)
     for name, (start, stop) in zip(names, bounds, strict=True):
         part = deep[(frames >= start) & (frames < stop)].mean(axis=0)
         row["motions"][name] |= {"penetration": float(part[0]), "penetration_nearest_joint": float(part[1])}

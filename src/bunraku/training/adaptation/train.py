@@ -237,16 +237,16 @@ class _Run:
 
 def train_adaptation(
     config: AdaptationConfig,
-    tell: Callable[[dict[str, float]], None] | None = None,
-    report: Callable[[str, float], None] | None = None,
+    log: Callable[[dict[str, float]], None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
     encoder: TextEncoder | None = None,
 ) -> Path:
     """Fine-tune, or go on fine-tuning, and return the path of the denoiser with its new layer.
 
     Args:
         config: The run.
-        tell: Called with each row of the log.
-        report: Called with a stage's name and the share done.
+        log: Called with each row of the log.
+        progress: Called with a stage's name and the share done.
         encoder: In place of the denoiser's own text encoder.
 
     Raises:
@@ -281,7 +281,7 @@ def train_adaptation(
         name = model.config.text_encoder
         encoder = text_encoder(name, config.text_folder if name.startswith("clip") else None)
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
-    clips = load_clips(config.data, (lambda done, total: report("clips", done / total)) if report else None)
+    clips = load_clips(config.data, (lambda done, total: progress("clips", done / total)) if progress else None)
     inputs = repr(
         (frames, config.seed, _stamp(config.diffusion), _stamp(config.cache), _stamp(config.data / "index.json"))
     )
@@ -307,7 +307,7 @@ def train_adaptation(
                 frames,
                 digest.hexdigest(),
                 config.seed,
-                (lambda done, total: report("motions on characters", done / total)) if report else None,
+                (lambda done, total: progress("motions on characters", done / total)) if progress else None,
             )
         )
     if not pairs:
@@ -316,7 +316,7 @@ def train_adaptation(
     state = config.out / "state.safetensors"
     if state.is_file():
         run.restore(state)
-    _loop(run, tell, report)
+    _loop(run, log, progress)
     return config.out / "diffusion.safetensors"
 
 
@@ -325,7 +325,7 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 
 def _loop(
-    run: _Run, tell: Callable[[dict[str, float]], None] | None, report: Callable[[str, float], None] | None
+    run: _Run, log: Callable[[dict[str, float]], None] | None, progress: Callable[[str, float], None] | None
 ) -> None:
     config, stop = run.config, Stop()
     saved = last = time.monotonic()
@@ -335,8 +335,8 @@ def _loop(
             losses.append(run.update())
             now = time.monotonic()
             run.seconds, last = run.seconds + now - last, now
-            if report is not None:
-                report("adaptation", run.step / config.steps)
+            if progress is not None:
+                progress("adaptation", run.step / config.steps)
             if run.step % config.validate_every == 0 or run.step == config.steps:
                 seen, unseen = run.validate(run.pairs), run.validate(run.held)
                 row = {
@@ -347,8 +347,8 @@ def _loop(
                 append_row(config.out / "log.csv", row)
                 events.write(run.step, {name: value for name, value in row.items() if name not in ("step", "seconds")})
                 losses = []
-                if tell is not None:
-                    tell(row)
+                if log is not None:
+                    log(row)
             if now - saved > 60 * config.save_every:
                 run.save(config.out)
                 saved = time.monotonic()
