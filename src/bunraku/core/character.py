@@ -11,6 +11,7 @@ import numpy as np
 from bunraku.core.mmd_model import MmdModel
 from bunraku.core.vrm_model import VrmModel
 from bunraku.errors import CharacterError
+from bunraku.geometry.areas import vertex_areas
 
 __all__ = ["Character", "Handles", "Rig", "top_influences"]
 
@@ -140,6 +141,13 @@ class Character:
         used[self.faces] = True
         used.flags.writeable = False
         return used
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """Surface area that each vertex stands for [m^2], shape (V,)."""
+        found = vertex_areas(self.vertices, self.faces)
+        found.flags.writeable = False
+        return found
 
     @property
     def height(self) -> float:

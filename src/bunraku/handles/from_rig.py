@@ -8,7 +8,6 @@ from bunraku.body.layout import HANDLE_COUNT
 from bunraku.body.reference import handle_positions
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
-from bunraku.geometry.areas import vertex_areas
 from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints
 
 __all__ = ["rig_handles", "settle_joints"]
@@ -49,7 +48,7 @@ def rig_handles(character: Character, least: int = 2) -> Handles:
             f"{character.name}: there is no rig in this file to take the handles from; let them be predicted"
         )
     dense = rig.dense_weights()
-    areas = vertex_areas(character.vertices, character.faces)
+    areas = character.areas
     mass = (dense * areas[:, None]).sum(axis=0)
     known = handle_of_joints(rig.names, rig.parents, rig.positions, mass)
     if len(np.unique(known[known != NO_HANDLE])) < least:

@@ -110,13 +110,12 @@ def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
     """Of a moving mesh: its handles are predicted, registered (section A.2 of TapMo) and taken to the reference
     body.
     """
-    from bunraku.geometry.areas import vertex_areas
     from bunraku.pipelines.animate import rig
     from bunraku.retarget.from_mesh import handle_motion_of_mesh
     from bunraku.retarget.reference import motion_to_reference
 
     handles = rig(rest)
-    areas = vertex_areas(rest.vertices, rest.faces)
+    areas = rest.areas
     parts = [
         handle_motion_of_mesh(
             rest.vertices, np.asarray(vertices[start : start + _CHUNK]), handles.weights, handles.positions, areas, fps

@@ -18,7 +18,6 @@ from bunraku.core.rig_animation import bone_order
 from bunraku.core.vrm_model import vrm_model
 from bunraku.errors import CharacterError
 from bunraku.formats.gltf.read import Source
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import rotation_between
 from bunraku.handles.from_rig import rig_handles, settle_joints
 from bunraku.retarget.stages.attach import PRESENT, Joints, reference_joints
@@ -84,7 +83,7 @@ class RigParts:
             raise CharacterError(
                 f"{character.name}: there is no rig in this file to put a motion on; put it on its handles instead"
             )
-        areas = vertex_areas(character.vertices, character.faces)
+        areas = character.areas
         mass = np.bincount(rig.indices.ravel(), (rig.weights * areas[:, None]).ravel(), minlength=len(rig.names))
         parts = _avatar_parts(character)
         if parts is None:

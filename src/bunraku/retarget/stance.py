@@ -78,7 +78,7 @@ def flat_feet(character: Character, handles: Handles, turns: np.ndarray) -> np.n
     ground already.
     """
     out = turns.copy()
-    areas = vertex_areas(character.vertices, character.faces)
+    areas = character.areas
     for side in ("left", "right"):
         foot = [HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot")]
         shin = turns[HANDLE_NAMES.index(f"{side}_knee")]

@@ -228,7 +228,7 @@ def _arms(
     if rig is None:
         return row
     dense = np.maximum(rig.dense_weights(), 0)
-    mass = (dense * vertex_areas(character.vertices, character.faces)[:, None]).sum(axis=0)
+    mass = (dense * character.areas[:, None]).sum(axis=0)
     known = known_handles(name, rig.names, rig.positions, handle_of_joints(rig.names, rig.parents, rig.positions, mass))
     by_handle = handles.weights[:, np.isin(handles.played, _ARMS)].sum(axis=1)
     by_rig = dense[:, np.isin(known, _ARMS)].sum(axis=1)

@@ -28,7 +28,6 @@ from bunraku.datasets.characters.known_rigs import facing_turn
 from bunraku.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 from bunraku.datasets.motions.strides import forward_speed, played_on, with_travel
 from bunraku.errors import BunrakuError, CharacterError
-from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.from_mesh import handle_motion_of_mesh
 from bunraku.retarget.reference import WayBack
 
@@ -197,7 +196,7 @@ def creature_body(path: Path, name: str) -> CreatureBody:
         character,
         handles,
         turn,
-        vertex_areas(character.vertices, character.faces),
+        character.areas,
         WayBack.of(character, handles),
     )
 

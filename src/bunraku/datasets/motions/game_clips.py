@@ -22,7 +22,6 @@ from bunraku.datasets.archive import present_files
 from bunraku.datasets.motions.build import split_of
 from bunraku.datasets.motions.clips import load_index, write_clip, write_index
 from bunraku.errors import BunrakuError
-from bunraku.geometry.areas import vertex_areas
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.from_mesh import handle_motion_of_mesh
 from bunraku.retarget.reference import motion_to_reference
@@ -38,7 +37,7 @@ def reference_clip(animation: Animation) -> HandleMotion:
     """
     character = animation.character
     handles = rig_handles(character, least=8)
-    areas = vertex_areas(character.vertices, character.faces)
+    areas = character.areas
     motion = handle_motion_of_mesh(
         character.vertices, animation.vertices(), handles.weights, handles.positions, areas, animation.motion.fps
     )

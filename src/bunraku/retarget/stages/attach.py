@@ -56,7 +56,7 @@ def find_joints(character: Character, handles: Handles) -> Joints:
     The joint of k and p is the mean of the vertices weighted by area times s_k times s_p. Where the weights do not
     overlap (loose parts), it is half way between the two nearest groups of vertices.
     """
-    areas = vertex_areas(character.vertices, character.faces)
+    areas = character.areas
     mass = handles.weights * areas[:, None]
     share = mass.sum(axis=0) / max(areas.sum(), 1e-30)
     present = share > PRESENT
@@ -116,7 +116,7 @@ def refined_joints(character: Character, handles: Handles, joints: Joints, turns
     """
     body, estimated = reference_body(), estimated_reference_joints()
     centres = body.handles.positions
-    areas = vertex_areas(character.vertices, character.faces)
+    areas = character.areas
     positions = joints.positions.copy()
     h = handles.positions.astype(np.float64)
     for handle in range(1, len(body.joints)):
