@@ -44,6 +44,10 @@ class Motions:
     where it has an index.csv.
     """
 
+    report: bool = False
+    """Print what there is of each action when it is built: clips, minutes, turn, speed, height, contacts, and what was
+    dropped and why."""
+
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
         for folder in (self.characters, self.creatures):
@@ -70,6 +74,12 @@ class Motions:
         for reason in failed.values():
             print(f"left out {reason}", file=sys.stderr)
         print(f"wrote {index}")
+        if self.report:
+            from bunraku.datasets.motions.report import motion_report, report_text
+
+            with stages() as report:
+                rows = motion_report(self.output, report)
+            print(report_text(rows))
 
 
 @dataclass(frozen=True)
