@@ -19,6 +19,7 @@ from bunraku.retarget.legs import find_arms, find_legs, foot_points, move_feet
 from bunraku.retarget.stages.attach import find_joints, reference_joints
 from bunraku.retarget.stages.feet import find_contacts, lock_feet
 from bunraku.retarget.stages.floor import enough
+from bunraku.retarget.stages.ground import settle_hovering
 from bunraku.retarget.stages.smooth import smooth
 from bunraku.retarget.stance import rest_turns
 
@@ -317,3 +318,23 @@ def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
     )
     assert away.mean() < 0.003 * character.height
     assert away.max() < 0.01 * character.height
+
+
+def test_what_hovers_is_set_down_and_what_jumps_or_flies_is_not():
+    body = reference_body()
+    character, handles = body.character(), body.handles
+    stands = character.surface
+    frames = 100
+    height = np.full(frames, 0.06)
+    height[40:50] += 0.3 * np.sin(np.linspace(0, np.pi, 10))
+    path = np.zeros((frames, 3))
+    path[:, 1] = height
+    still = np.tile(np.eye(3), (frames, 30, 1, 1))
+    motion = HandleMotion(np.zeros((frames, 30, 3)), still, path, np.tile(np.eye(3), (frames, 1, 1)), 20.0)
+    settled = settle_hovering(motion, character, handles, stands).root_translation[:, 1]
+    assert np.abs(np.delete(settled, np.arange(40, 50))).max() < 0.01
+    assert settled[40:50].max() == pytest.approx(0.3, abs=0.03)
+    flying = replace(motion, root_translation=path + [0, 0.5, 0])
+    np.testing.assert_allclose(
+        settle_hovering(flying, character, handles, stands).root_translation[:, 1], height + 0.5, atol=1e-6
+    )

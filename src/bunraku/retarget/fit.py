@@ -15,6 +15,7 @@ switched off, clean its motion and turn it into one of another character. They r
   on.
 - `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of
   the reference body, and a reference body that drifts off the ground for longer than a jump lasts is set back on it.
+  A `native` motion keeps its own height, but what hovers by less than a fifth of the body is set down.
 - `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/stages/feet.py`).
 - `hands`: hands that touch the body stay near it (`retarget/stages/hands.py`); off unless asked for, as motion transfer
   does.
@@ -39,7 +40,7 @@ from bunraku.retarget.limbs import by_limb
 from bunraku.retarget.stages.attach import Joints, attach_joints, capped, find_joints, reference_joints, refined_joints
 from bunraku.retarget.stages.feet import lock_feet
 from bunraku.retarget.stages.floor import settle_on_floor
-from bunraku.retarget.stages.ground import set_on_ground, standing, stride_scale
+from bunraku.retarget.stages.ground import set_on_ground, settle_hovering, standing, stride_scale
 from bunraku.retarget.stages.hands import keep_hands
 from bunraku.retarget.stages.rest_pose import upright
 from bunraku.retarget.stages.shape import keep_edges
@@ -84,8 +85,8 @@ def fit_motion(
     """A handle motion of the reference body, fitted to a character.
 
     Args:
-        motion: Motion of the reference body's handles, feet on y = 0. One that is `native` is not set on the ground: a
-            bird stays in the air.
+        motion: Motion of the reference body's handles, feet on y = 0. One that is `native` keeps its
+            own height, but for hovering: a bird stays in the air.
         character: The character, facing +Z.
         handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose
             parts they play, about their own joints.
@@ -143,7 +144,9 @@ def fit_motion(
     fitted = replace(motion, rotations=rotations, translations=translations, root_translation=path)
     if stages.rest_pose and not motion.native and not upright(handles):
         fitted = replace(fitted, root_rotation=_levelled(motion.root_rotation, motion.fps))
-    if stages.ground and not motion.native:  # native motion brings its own height: a bird stays in the air
+    if stages.ground and motion.native:  # it brings its own height: a bird stays in the air
+        fitted = settle_hovering(fitted, character, handles, stands)
+    elif stages.ground:
         fitted = set_on_ground(motion, fitted, character, handles, scale, stands)
     if stages.feet or stages.floor or stages.hands:
         legs, contacts = find_legs(character, handles, joints), None

@@ -12,11 +12,14 @@ from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
+from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.extremes import part_extremes
 from bunraku.retarget.stages.rest_pose import upright
 
-__all__ = ["set_on_ground", "lowest", "standing", "stride_scale"]
+__all__ = ["lowest", "set_on_ground", "settle_hovering", "standing", "stride_scale"]
 
+FLIES = (0.12, 0.2)
+"""Heights over the ground, as shares of the body's, between which what hovers becomes what flies."""
 CHUNK = 500  # frames posed at once to find the lowest point: bounds memory
 _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
 _HANGING = [
@@ -97,4 +100,27 @@ def set_on_ground(
     lift = uniform_filter1d(floor + (want - drift) * scale - have, 5, mode="nearest")
     moved = fitted.root_translation.copy()
     moved[:, 1] += lift
+    return replace(fitted, root_translation=moved)
+
+
+def settle_hovering(fitted: HandleMotion, character: Character, handles: Handles, stands: np.ndarray) -> HandleMotion:
+    """A motion that was generated for this very body, set down where it hovers: it brings its own height over the
+    floor, and generators are a few centimetres off.
+
+    Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the body thinks the
+    ground is. Jumps keep theirs, and what is farther up than `FLIES` means to be there.
+
+    Args:
+        fitted: Motion of the character.
+        character: In its rest pose.
+        handles: Its handles.
+        stands: What may stand on the ground, shape (V,), bool.
+    """
+    floor = float(character.vertices[stands, 1].min())
+    have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions) - floor
+    window = 2 * round(0.75 * fitted.fps) + 1
+    hovers = gaussian_filter1d(minimum_filter1d(have, window, mode="nearest"), 0.25 * fitted.fps, mode="nearest")
+    hovers = np.maximum(hovers, 0) * (1 - smooth_step(hovers / character.height, *FLIES))
+    moved = fitted.root_translation.copy()
+    moved[:, 1] -= hovers
     return replace(fitted, root_translation=moved)
