@@ -70,3 +70,16 @@ def test_an_end_without_a_clause_is_left_out():
 def test_clauses_share_the_time_and_short_ones_stay_together():
     assert timed_clauses("walks, then waves", 5.0) == [("walks", 2.5), ("waves", 2.5)]
     assert timed_clauses("walks, then waves", 1.5) == [("walks, then waves", 1.5)]
+
+
+def test_what_is_done_once_gets_its_time_and_what_goes_on_the_rest():
+    assert timed_clauses("walks, then jumps", 6.0) == [("walks", 4.0), ("jumps", 2.0)]
+    assert timed_clauses("walks, then turns left, then waves", 9.0) == [
+        ("walks", 3.5),
+        ("turns left", 2.0),
+        ("waves", 3.5),
+    ]
+    jumps = timed_clauses("jumps, then bows", 9.0)
+    assert sum(time for _, time in jumps) == pytest.approx(9.0) and jumps[0][1] / jumps[1][1] == pytest.approx(0.8)
+    hurried = timed_clauses("walks, then jumps", 3.0)
+    assert sum(time for _, time in hurried) == pytest.approx(3.0) and min(time for _, time in hurried) >= 1

@@ -11,11 +11,21 @@ from __future__ import annotations
 import functools
 import re
 
+from bunraku.language.actions import actions_of
 from bunraku.language.captions import known_clauses, known_verbs
 from bunraku.language.grammar import conjugate
 
 __all__ = ["SHORTEST_CLAUSE", "split_clauses", "subject_of", "timed_clauses", "with_subject"]
 
+ONCE = {
+    "jump": 2.0, "long jump": 2.3, "kick": 2.0, "reach": 2.2, "sword": 1.6, "pick up": 3.2, "put down": 2.7,
+    "stand up": 2.5, "raise arm": 2.5, "turn": 2.0, "turn around": 2.5, "fall": 2.4, "roll": 2.0, "cartwheel": 3.0,
+    "flip": 2.0, "throw": 2.4, "kneel": 2.5, "catch": 2.4, "bow": 2.5, "lunge": 1.8, "shoot": 1.8, "shoot a ball": 3.0,
+    "salute": 2.2, "point": 2.2,
+}  # fmt: skip
+"""How long captured people take for what is done once [s], by the words of `language.actions`: medians, rounded up."""
+GOING, LEAST_GOING = 2.5, 1.5
+"""Time that goes on doing something is worth beside these, and the least that it gets before they get less [s]."""
 SHORTEST_CLAUSE = 1.0
 """Seconds under which clauses are too short to be done one by one; the sentence stays whole then."""
 
@@ -120,12 +130,31 @@ def subject_of(clause: str) -> tuple[str, str]:
 
 
 def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
-    """The clauses of a sentence with even shares of its seconds; the sentence itself where a share is under a
+    """The clauses of a sentence with their shares of its seconds; the sentence itself where an even share is under a
     second.
+
+    What is done once gets the time that it takes (`ONCE`), and what goes on (walking, waving) shares the rest evenly.
+    Where there is not enough time, or nothing goes on, all get more or less in proportion.
     """
     clauses = split_clauses(sentence)
-    share = seconds / len(clauses)
-    return [(clause, share) for clause in clauses] if share >= SHORTEST_CLAUSE else [(sentence, seconds)]
+    if seconds / len(clauses) < SHORTEST_CLAUSE:
+        return [(sentence, seconds)]
+    once = [_time_of(clause) for clause in clauses]
+    going = once.count(0.0)
+    rest = seconds - sum(once)
+    if going and rest >= going * LEAST_GOING:
+        times = [time or rest / going for time in once]
+    else:
+        worth = [time or GOING for time in once]
+        times = [seconds * time / sum(worth) for time in worth]
+    short = min(times) < SHORTEST_CLAUSE
+    return [(clause, seconds / len(clauses) if short else time) for clause, time in zip(clauses, times, strict=True)]
+
+
+def _time_of(clause: str) -> float:
+    """Time that a clause takes when it is done once [s]; 0 for what goes on."""
+    times = [ONCE.get(action, 0.0) for action in actions_of(clause)]
+    return max(times) if times and min(times) > 0 else 0.0
 
 
 def _hinged(piece: str) -> list[str]:
