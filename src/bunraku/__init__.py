@@ -26,6 +26,7 @@ from bunraku.errors import (
 )
 
 if TYPE_CHECKING:
+    from bunraku.core.animated import AnimatedCharacter
     from bunraku.core.animation import Animation
     from bunraku.core.character import Character, Handles, Rig
     from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
@@ -35,10 +36,12 @@ if TYPE_CHECKING:
     from bunraku.pipelines.animate import animate, generate, rig
     from bunraku.pipelines.edit import edit
     from bunraku.pipelines.transfer import transfer
+    from bunraku.retarget.fit import Stages
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "AnimatedCharacter",
     "Animation",
     "BunrakuError",
     "Character",
@@ -54,6 +57,7 @@ __all__ = [
     "RigAnimation",
     "SkeletalMotion",
     "Skeleton",
+    "Stages",
     "WeightsError",
     "__version__",
     "animate",
@@ -69,6 +73,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "AnimatedCharacter": "bunraku.core.animated",
     "Animation": "bunraku.core.animation",
     "Character": "bunraku.core.character",
     "HandleMotion": "bunraku.core.motion",
@@ -78,6 +83,7 @@ _HOME = {
     "RigAnimation": "bunraku.core.rig_animation",
     "SkeletalMotion": "bunraku.core.motion",
     "Skeleton": "bunraku.core.motion",
+    "Stages": "bunraku.retarget.fit",
     "animate": "bunraku.pipelines.animate",
     "edit": "bunraku.pipelines.edit",
     "generate": "bunraku.pipelines.animate",

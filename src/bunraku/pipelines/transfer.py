@@ -1,6 +1,6 @@
 """`transfer`: motion that exists already, put on any character.
 
-Every motion becomes one of the reference body first (`any_motion`). From there it goes to the handles of the character
+Every motion becomes one of the reference body first (`to_reference`). From there it goes to the handles of the character
 (TapMo, section 3.2) or to its own rig.
 """
 
