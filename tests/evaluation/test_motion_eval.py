@@ -21,6 +21,7 @@ from bunraku.evaluation.motion import samples as motion_samples
 from bunraku.evaluation.motion.blocks import BARS
 from bunraku.evaluation.motion.samples import Request, SamplerSettings, make_motions
 from bunraku.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
+from bunraku.evaluation.motion.viewer_prompts import VIEWER_BARS
 from bunraku.evaluation.motion.windows import Window
 from bunraku.geometry.rotations import matrix_y
 
@@ -214,7 +215,7 @@ def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
         "--work",
         str(tmp_path),
     ]
-    words += ["--pool", "40", "--clips", "32", "--quick", "--only-table", "--candidates", "4"]
+    words += ["--pool", "40", "--clips", "32", "--quick", "--only", "table", "--candidates", "4"]
     assert main([*words, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["counts"]["runs"] == 3 and result["r_precision_1_over_real"] > 0
@@ -222,6 +223,21 @@ def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
     text = capsys.readouterr().out
     assert "TapMo (MDM)" in text and "TapMo (ours)" in text and "Real" in text
     assert all(bar.title in text for bar in BARS)
+
+
+def test_the_command_prints_what_a_viewer_sees(folder, tmp_path, capsys):
+    words = ["evaluate", "motion", "--data", str(folder / "motions"), "--work", str(tmp_path), "--only", "viewer"]
+    words += ["--checkpoint", str(folder / "tapmo.safetensors"), "--steps", "1", "--quick"]
+    assert main([*words, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert {bar.key for bar in VIEWER_BARS} <= set(result) and "rows" not in result
+    assert set(result["jitter_by_action"]) > set(result["speed_by_action"])
+    waves = result["jitter_by_action"]["wave"]
+    assert waves["clips"] == 3 and waves["ratio"] == pytest.approx(waves["generated"] / waves["captured"])
+    assert result["jitter_over_real"] >= waves["ratio"] and result["speed_over_captured"] is None
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert all(bar.title in text for bar in VIEWER_BARS) and "R-Prec" not in text
 
 
 def test_bad_options_are_one_sentence(tmp_path, capsys):

@@ -1,16 +1,20 @@
-"""`bunraku evaluate motion`: the table of generated motion."""
+"""`bunraku evaluate motion`: the table of generated motion, and what a viewer sees."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from bunraku.cli.checks import check_input, check_range, check_source
 from bunraku.cli.evaluate.report import measured
 from bunraku.cli.progress import stages
+
+if TYPE_CHECKING:
+    from bunraku.evaluation.motion.blocks import Bar
 
 __all__ = ["EvaluateMotion"]
 
@@ -23,9 +27,9 @@ _NAMES = {"real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)"}
 
 @dataclass(frozen=True)
 class EvaluateMotion:
-    """Measure generated motion on held-out clips, as TapMo's Tables 1 and 2 do.
+    """Measure generated motion on held-out clips, as TapMo's Tables 1 and 2 do, and what a viewer sees of it.
 
-    Motions are kept in the folder --work, so the same command goes on where a run was stopped.
+    Motions of the table are kept in the folder --work, so the same command goes on where a run was stopped.
 
     Example: bunraku evaluate motion --data data/motions --mdm runs/mdm/diffusion.safetensors --json
     """
@@ -64,8 +68,8 @@ class EvaluateMotion:
     """Motions that this comparison is made on."""
     quick: bool = False
     """Few motions, 3 runs, and only what is fast: minutes, and wide intervals."""
-    only_table: bool = False
-    """Leave out all that is not in the table: characters, feet, seams, speed."""
+    only: Annotated[Literal["table", "viewer"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """The paper's table alone, or what a viewer sees alone, which takes minutes. Default: these and all the rest."""
     seed: int = 0
     """Of everything random."""
     json: bool = False
@@ -88,6 +92,7 @@ class EvaluateMotion:
                 check_input(path)
         from bunraku.evaluation.motion.blocks import add_blocks
         from bunraku.evaluation.motion.table import MotionEvalConfig, evaluate_motion
+        from bunraku.evaluation.motion.viewer_prompts import viewer_figures
 
         pool = self.pool or max(256 if self.quick else 1600, self.clips or 0)
         config = MotionEvalConfig(
@@ -101,13 +106,30 @@ class EvaluateMotion:
             reference_clips=self.reference_clips, seed=self.seed,
         )  # fmt: skip
         with stages() as report:
-            result = evaluate_motion(config, report)
-            if not self.only_table:
+            result = {} if self.only == "viewer" else evaluate_motion(config, report)
+            if self.only is None:
                 add_blocks(result, config, self.quick, report)
+            if self.only != "table":
+                result |= viewer_figures(config, self.quick, report)
         measured(result, self.json, _print)
 
 
 def _print(result: dict[str, Any]) -> None:
+    from bunraku.evaluation.motion.blocks import BARS
+    from bunraku.evaluation.motion.viewer_prompts import VIEWER_BARS
+
+    if "rows" in result:
+        _print_rows(result)
+        _print_bars("measure", BARS, result)
+    if any(bar.key in result for bar in VIEWER_BARS):
+        _print_bars("what a viewer sees", VIEWER_BARS, result)
+        _print_actions(result)
+    for name, reason in result.get("left_out", {}).items():
+        print(f"left out {name}: {reason}")
+
+
+def _print_rows(result: dict[str, Any]) -> None:
+    """The paper's table."""
     counts = result["counts"]
     print(
         f"{counts['clips']} clips of {counts['meanings']} meanings ({counts['seconds']:,.0f} s), "
@@ -121,22 +143,30 @@ def _print(result: dict[str, Any]) -> None:
         row = result["rows"].get(key)
         if row is not None:
             print(f"{name:<{width}}  " + "  ".join(f"{_cell(row.get(column)):>14}" for column, _ in _COLUMNS))
-    from bunraku.evaluation.motion.blocks import BARS
 
-    print(f"\n{'measure':<58}  {'value':>8}  {'bar':>8}  reached")
-    for bar in BARS:
+
+def _print_bars(title: str, bars: Sequence[Bar], result: dict[str, Any]) -> None:
+    """Figures beside their bars."""
+    print(f"\n{title:<62}  {'value':>8}  {'bar':>8}  reached")
+    for bar in bars:
         value = result.get(bar.key)
-        limit = "" if bar.bar is None else f"{'>=' if bar.high else '<='} {bar.bar:g}"
-        verdict = (
-            ""
-            if value is None or bar.bar is None
-            else "yes"
-            if (value >= bar.bar) == bar.high or value == bar.bar
-            else "no"
-        )
-        print(f"{bar.title:<58}  {'-' if value is None else f'{value:.3g}':>8}  {limit:>8}  {verdict}".rstrip())
-    for name, reason in result.get("left_out", {}).items():
-        print(f"left out {name}: {reason}")
+        verdict = "" if value is None or not bar.limit else "yes" if bar.reached(value) else "no"
+        print(f"{bar.title:<62}  {_figure(value):>8}  {bar.limit:>8}  {verdict}".rstrip())
+
+
+def _print_actions(result: dict[str, Any]) -> None:
+    """What lies behind the figures of sides, speed and trembling."""
+    sides = ", ".join(f"{action} {share:.0%}" for action, share in result["side_accuracy_by_action"].items())
+    print(f"the side asked for: {sides}")
+    for title, key in (("speed [m/s]", "speed_by_action"), ("third difference [cm]", "jitter_by_action")):
+        print(f"\n{title:<22}  {'generated':>9}  {'captured':>9}  {'ratio':>6}  clips")
+        for action, row in result[key].items():
+            cells = f"{_figure(row['generated']):>9}  {_figure(row['captured']):>9}  {_figure(row['ratio']):>6}"
+            print(f"{action:<22}  {cells}  {row['clips']:>5}")
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
 
 
 def _cell(value: dict[str, float] | None) -> str:
