@@ -84,11 +84,16 @@ class Captured:
     unsaid: str = ""
 
 
-_PACE = r"\b(slow|fast|quick|brisk|hurr|rapid|sprint|sneak|stiff|crouch|bent|low|climb|stairs|seat|karate)"
+_ASIDE = (
+    r"in place|on the spot|\b(stop|paus|halt|start|stand|sets? (out|off)|turn|circl|arc\b|around|spiral|zigzag|"
+    r"diagonal|angle|side|left|right|back|across|bend|crouch|low|stiff|climb|jump|stair|seat|over|karate|lay)"
+)
+"""Words of those who do not simply go straight on."""
+_PACE = r"|\b(slow|fast|quick|brisk|hurr|rapid|sprint|sneak|power|strid)"
 ACTIONS = {
-    "walk": Captured("a person walks forward", "walk", r"\bwalk", _PACE),
-    "run": Captured("a person runs forward", "run", r"\b(run|jog)", _PACE),
-    "slow walk": Captured("a person walks slowly", "walk", r"\bslow"),
+    "walk": Captured("a person walks forward", "walk", r"\bwalk", _ASIDE + _PACE),
+    "run": Captured("a person runs forward", "run", r"\b(run|jog)", _ASIDE + _PACE),
+    "slow walk": Captured("a person walks slowly", "walk", r"\bslow", _ASIDE),
     "jump": Captured("a person jumps", "jump"),
     "kick": Captured("a person kicks", "kick"),
     "punch": Captured("a person punches", "punch"),
