@@ -23,6 +23,7 @@ VRM_RATE = 60.0
 """Steps a second that VRM's numbers are meant for [1/s]."""
 LIGHTER = 0.5  # mass of a joint over that of the one above
 END = 0.07  # of a chain whose last node swings as well [m]
+MOST_PAIRS = 1_000_000  # of a group of springs and a collider
 GROUPS = 15  # of colliders; the first of MMD's 16 groups is that of the chains
 SHORTEST = 5e-3  # of a joint [m]
 _FREE = (np.ones(3), -np.ones(3))
@@ -51,15 +52,17 @@ class _Chains:
         self.taken: set[int] = set()
 
     def rig(self, avatar: VrmModel) -> ApparelRig:
-        sets = [
-            frozenset(number for group in spring.groups for number in avatar.groups[group]) for spring in avatar.springs
-        ]
+        sets = self.kept_out_of(avatar)
         kinds = sorted({chosen for chosen in sets if chosen}, key=sorted)
-        signatures: dict[tuple[bool, ...], int] = {}
+        users: dict[int, list[int]] = {}
+        for place, kind in enumerate(kinds):
+            for number in kind:
+                users.setdefault(number, []).append(place)
+        signatures: dict[tuple[int, ...], int] = {}
         groups: dict[int, int] = {}
         for number, collider in enumerate(avatar.colliders):
-            signature = tuple(number in kind for kind in kinds)
-            if not any(signature):
+            signature = tuple(users.get(number, ()))
+            if not signature:
                 continue
             if collider.shape == "plane" or collider.inside:
                 self.note("planes, and colliders that springs are kept inside of, are not simulated")
@@ -70,13 +73,28 @@ class _Chains:
                 )
                 signature = list(signatures)[-1]
             groups[number] = signatures.setdefault(signature, len(signatures) + 1)
+        bits = {chosen: sum({1 << groups[number] for number in chosen if number in groups}) for chosen in set(sets)}
         for number, group in groups.items():
             self.collider(avatar.colliders[number], group)
         for spring, chosen in zip(avatar.springs, sets, strict=True):
-            self.spring(spring, sum({1 << groups[number] for number in chosen if number in groups}))
+            self.spring(spring, bits[chosen])
         return ApparelRig(
             tuple(self.bodies), tuple(self.joints), tuple(self.notes), np.array(self.gravity).reshape(-1, 3)
         )
+
+    def kept_out_of(self, avatar: VrmModel) -> list[frozenset[int]]:
+        """The colliders that each spring is kept out of."""
+        known: dict[tuple[int, ...], frozenset[int]] = {}
+        left = MOST_PAIRS
+        for spring in avatar.springs:
+            if spring.groups not in known:
+                left -= sum(len(avatar.groups[group]) for group in spring.groups)
+                if left < 0:
+                    self.note("springs name more colliders than can be worked with; the last springs pass through all")
+                    known[spring.groups] = frozenset()
+                else:
+                    known[spring.groups] = frozenset(n for group in spring.groups for n in avatar.groups[group])
+        return [known[spring.groups] for spring in avatar.springs]
 
     def note(self, sentence: str) -> None:
         if sentence not in self.notes:
@@ -129,7 +147,7 @@ class _Chains:
             )
             way = way if np.linalg.norm(way) > 1e-6 else np.array([0.0, -1, 0])
             tails.append(starts[-1] + END * way / np.linalg.norm(way))
-        masses = LIGHTER ** np.arange(len(joints))
+        masses, ends = LIGHTER ** np.arange(len(joints)), np.array(tails[: len(joints)])
         above = -1
         for number, joint in enumerate(joints):
             if joint.node in self.taken:
@@ -142,7 +160,7 @@ class _Chains:
                 tail, length = head + [0.0, -SHORTEST, 0.0], SHORTEST
             if above < 0:
                 above = self.holder(int(self.parents[joint.node]), head)
-            lever = np.array([max(np.linalg.norm(end - head), SHORTEST) for end in tails[number : len(joints)]])
+            lever = np.maximum(np.linalg.norm(ends[number:] - head, axis=1), SHORTEST)
             inertia = float((masses[number:] * lever**2).sum())
             rate = -VRM_RATE * np.log1p(-min(max(joint.drag, 0.0), 1 - 1e-6))
             lost = float(-np.expm1(-min(rate, 30.0)))

@@ -16,6 +16,8 @@ from bunraku.geometry.rotations import matrix_y
 __all__ = ["bind_pose"]
 
 SAME_SIZE = 0.03  # bones may differ by this share in length for a placement to be one of the file's own size
+MOST_VISITS = 600_000  # of nodes, all of them for each skin that shares no joint with those before
+MOST_SPACES = 64  # mesh nodes of one skin that are tried
 GROWTH = 3.0  # a bind pose whose joints reach this much farther, or less far, than the default pose's makes no sense
 
 
@@ -28,10 +30,11 @@ def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree
         skins: Its joints.
     """
     fixed: dict[int, np.ndarray] = {}
+    visited = 0
     for skin, meshes in _used_skins(document, tree, skins):
         nodes = [skins.nodes[slot] for slot in skins.slots[skin]]
         inverse = skins.inverse[skin]
-        good = [i for i in range(len(nodes)) if abs(np.linalg.det(inverse[i])) > 1e-30]
+        good = [int(i) for i in np.flatnonzero(np.abs(np.linalg.det(inverse)) > 1e-30)]
         if not good:
             return tree
         nodes, inverse = [nodes[i] for i in good], inverse[good]
@@ -40,6 +43,9 @@ def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree
         if known:
             place: np.ndarray | None = fixed[nodes[known[0]]] @ inverse[known[0]]
         else:
+            visited += len(tree.parents)
+            if visited > MOST_VISITS:
+                return tree
             place = _placement(tree, _carried(tree, fixed), nodes, bind, meshes)
         if place is None:
             return tree
@@ -61,22 +67,17 @@ def _used_skins(document: Document, tree: NodeTree, skins: SkinJoints) -> list[t
     """
     users: dict[int, list[int]] = {}
     for node in tree.scene:
-        entry = document.items("nodes")[node]
+        entry = document.item("nodes", node)
         skin = entry.get("skin")
         if "mesh" in entry and type(skin) is int and 0 <= skin < len(skins.slots):
             users.setdefault(skin, []).append(node)
 
+    depths = tree.depths()[skins.nodes]
+
     def rank(skin: int) -> tuple[int, int, int]:
-        return min(_depth(tree, skins.nodes[slot]) for slot in skins.slots[skin]), -len(skins.slots[skin]), skin
+        return int(depths[skins.slots[skin]].min()), -len(skins.slots[skin]), skin
 
     return [(skin, users[skin]) for skin in sorted(users, key=rank)]
-
-
-def _depth(tree: NodeTree, node: int) -> int:
-    depth = 0
-    while tree.parents[node] >= 0:
-        node, depth = int(tree.parents[node]), depth + 1
-    return depth
 
 
 def _carried(tree: NodeTree, fixed: dict[int, np.ndarray]) -> np.ndarray:
@@ -84,7 +85,7 @@ def _carried(tree: NodeTree, fixed: dict[int, np.ndarray]) -> np.ndarray:
     if not fixed:
         return tree.world
     world = tree.world.copy()
-    for node in tree.order():
+    for node in tree.order:
         parent = int(tree.parents[node])
         if node in fixed:
             world[node] = fixed[node]
@@ -103,13 +104,14 @@ def _placement(
     pose is right, turned by a quarter or a half about +Y where only the clip turned the skeleton to the front. Where
     none does, the skeleton's root is put where it is by default.
     """
-    joints = set(nodes)
-    root = next((i for i, node in enumerate(nodes) if not _has_ancestor(tree, node, joints)), 0)
+    joints: dict[int, int] = {}
+    for i, node in enumerate(nodes):
+        joints.setdefault(node, i)
+    nearest, parents = tree.nearest(joints), tree.parents[nodes]
+    root = next((i for i, parent in enumerate(parents) if parent < 0 or nearest[parent] < 0), 0)
     above = int(tree.parents[nodes[root]])
     target = default[nodes]
-    pairs = [
-        (i, nodes.index(int(tree.parents[node]))) for i, node in enumerate(nodes) if int(tree.parents[node]) in joints
-    ]
+    pairs = [(i, joints[int(parent)]) for i, parent in enumerate(parents) if int(parent) in joints]
 
     def distance(choice: np.ndarray) -> float:
         return float(np.sqrt((((choice @ bind)[:, :3, 3] - target[:, :3, 3]) ** 2).sum(axis=1).mean()))
@@ -123,7 +125,7 @@ def _placement(
         (held @ bind)[:, :3, :3], target[:, :3, :3], rtol=0, atol=0.02 * np.abs(target[:, :3, :3]).max()
     ):
         return held  # the nodes stand in the bind pose
-    spaces = [default[above] if above >= 0 else np.eye(4), *(default[mesh] for mesh in meshes), np.eye(4)]
+    spaces = [default[above] if above >= 0 else np.eye(4), *(default[mesh] for mesh in meshes[:MOST_SPACES]), np.eye(4)]
     spaces = [space for space in spaces if fits(space)]
     if not spaces:
         return held if fits(held) else None
@@ -163,12 +165,3 @@ def _size_ratio(placed: np.ndarray, target: np.ndarray, pairs: list[tuple[int, i
         volumes = [abs(np.linalg.det(some[:, :3, :3])).mean() for some in (placed, target)]
         return float(np.cbrt(volumes[0] / max(volumes[1], 1e-30)))
     return float(np.median(own[clear] / want[clear]))
-
-
-def _has_ancestor(tree: NodeTree, node: int, chosen: set[int]) -> bool:
-    node = int(tree.parents[node])
-    while node >= 0:
-        if node in chosen:
-            return True
-        node = int(tree.parents[node])
-    return False

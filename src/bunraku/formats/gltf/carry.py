@@ -121,9 +121,9 @@ class MeshCarrier:
             rest: Positions that replace the raw ones [m], shape (V, 3) over its groups; its normals, tangents and morph
                 targets are bent as its skin bends them. None keeps everything as it is.
         """
-        old = self.document.items("meshes")[part.mesh]
+        old = self.document.item("meshes", part.mesh)
         mesh: dict[str, Any] = {key: copy.deepcopy(old[key]) for key in ("name", "extras") if key in old}
-        weights = self.document.items("nodes")[part.node].get("weights", old.get("weights"))
+        weights = self.document.item("nodes", part.node).get("weights", old.get("weights"))
         primitives: list[dict[str, Any]] = [{} for _ in self.document.objects(old, "primitives")]
         start = 0
         for number, group in enumerate(part.groups):

@@ -10,13 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.errors import FormatError
 from bunraku.formats.gltf.document import Document
 from bunraku.formats.gltf.mesh import MeshPart
 
 __all__ = ["linear_from_srgb", "srgb_from_linear", "vertex_colors"]
 
 MAX_PIXELS, MAX_IMAGES, PREVIEW_SIZE = 70_000_000, 256, 2048
+MAX_ALL_PIXELS = 600_000_000  # of all images: some seconds of decoding
+MAX_KEPT = 64 << 20  # of all previews [bytes]
+MAX_SCANS = 64  # of a progressive JPEG, which goes over all its pixels for each; programs write some ten
 
 
 def linear_from_srgb(values: np.ndarray) -> np.ndarray:
@@ -43,34 +45,34 @@ def vertex_colors(document: Document, parts: tuple[MeshPart, ...], count: int) -
         for group in part.groups:
             stop = start + len(group.vertices)
             for member, triangles in zip(group.primitives, group.triangles, strict=True):
-                shades = _primitive_colors(document, primitives[member], stop - start, images)
-                if len(group.primitives) == 1:
-                    colors[start:stop] = shades
-                else:
-                    used = np.unique(triangles)
-                    colors[start + used] = shades[used]
+                alone = len(group.primitives) == 1
+                used = np.arange(stop - start) if alone else np.unique(triangles)
+                if len(used):
+                    colors[start + used] = _primitive_colors(document, primitives[member], stop - start, used, images)
             start = stop
     return colors
 
 
 def _primitive_colors(
-    document: Document, primitive: dict[str, Any], count: int, images: dict[int, np.ndarray | None]
+    document: Document, primitive: dict[str, Any], count: int, used: np.ndarray, images: dict[int, np.ndarray | None]
 ) -> np.ndarray:
+    """Colours of those of a primitive's vertices that its triangles use, sRGB, shape (U, 3), uint8."""
     material = document.item("materials", primitive["material"]) if "material" in primitive else {}
     texture, factor = _base_color(document, material)
-    texels = _sample(document, primitive, texture, count, images) if texture is not None else None
+    texels = _sample(document, primitive, texture, count, used, images) if texture is not None else None
     shade = None
     attributes = primitive["attributes"]
     if "COLOR_0" in attributes and document.count(attributes["COLOR_0"]) == count:
-        shade = np.nan_to_num(document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))[:, :3].astype(np.float32))
+        stored = document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))
+        shade = np.nan_to_num(stored[used, :3].astype(np.float32))
     if texels is not None and shade is None and (factor == 1).all():
         return texels
-    linear = np.broadcast_to(factor.astype(np.float32), (1 if texels is None and shade is None else count, 3))
+    linear = np.broadcast_to(factor.astype(np.float32), (1 if texels is None and shade is None else len(used), 3))
     if texels is not None:
         linear = linear * _LINEAR[texels]
     if shade is not None:
         linear = linear * shade
-    return np.broadcast_to(np.round(255 * srgb_from_linear(linear)).astype(np.uint8), (count, 3))
+    return np.broadcast_to(np.round(255 * srgb_from_linear(linear)).astype(np.uint8), (len(used), 3))
 
 
 def _base_color(document: Document, material: dict[str, Any]) -> tuple[dict[str, Any] | None, np.ndarray]:
@@ -89,9 +91,10 @@ def _sample(
     primitive: dict[str, Any],
     info: dict[str, Any],
     count: int,
+    used: np.ndarray,
     images: dict[int, np.ndarray | None],
 ) -> np.ndarray | None:
-    """Texels at the UVs of a primitive, nearest neighbour, sRGB, shape (V, 3), uint8."""
+    """Texels at the UVs of some vertices of a primitive, nearest neighbour, sRGB, shape (U, 3), uint8."""
     transform = (info.get("extensions") or {}).get("KHR_texture_transform") or {}
     name = f"TEXCOORD_{transform.get('texCoord', info.get('texCoord', 0))}"
     texture = document.item("textures", info.get("index"))
@@ -102,7 +105,7 @@ def _sample(
     accessor, pixels = primitive["attributes"][name], images.get(image)
     if pixels is None or document.count(accessor) != count:
         return None
-    uv = np.nan_to_num(document.accessor(accessor, ("VEC2",)).astype(np.float64), posinf=0, neginf=0)
+    uv = np.nan_to_num(document.accessor(accessor, ("VEC2",))[used].astype(np.float64), posinf=0, neginf=0)
     if transform:
         turn = document.numbers({"r": [transform.get("rotation", 0)]}, "r", [0])[0]
         scaled = uv * document.numbers(transform, "scale", [1, 1])
@@ -140,34 +143,86 @@ def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np
             if image is not None:
                 document.item("images", image)
                 wanted.add(image)
-    wanted = set(sorted(wanted)[:MAX_IMAGES])
-    if len(wanted) < 2:
-        return {image: _decode(document, image) for image in wanted}
-    from concurrent.futures import ThreadPoolExecutor
+    sources = {image: _bytes_of(document, image) for image in sorted(wanted)[:MAX_IMAGES]}
+    first: dict[Any, int] = {}  # images that are the same bytes are decoded once
+    same = {image: first.setdefault(_place(data), image) for image, data in sources.items()}
+    sizes = {image: _size(sources[image]) for image in first.values()}
+    chosen: list[int] = []
+    total = 0
+    for image, (pixels, needed) in sizes.items():
+        total += pixels
+        if 0 < pixels <= MAX_PIXELS and total <= MAX_ALL_PIXELS and document.has_room(MAX_KEPT + needed):
+            chosen.append(image)
+    kept = PREVIEW_SIZE
+    while kept > 64 and 3 * kept**2 * len(chosen) > MAX_KEPT:
+        kept //= 2
+    side_by_side = min(4, len(chosen))
+    while side_by_side > 1 and not document.has_room(
+        MAX_KEPT + side_by_side * max(sizes[image][1] for image in chosen)
+    ):
+        side_by_side -= 1
+    if side_by_side < 2:
+        decoded = {image: _decode(sources[image], kept) for image in chosen}
+    else:
+        from concurrent.futures import ThreadPoolExecutor
 
-    with ThreadPoolExecutor(min(4, len(wanted))) as pool:
-        return dict(zip(wanted, pool.map(lambda image: _decode(document, image), wanted), strict=True))
+        with ThreadPoolExecutor(side_by_side) as pool:
+            decoded = dict(zip(chosen, pool.map(lambda image: _decode(sources[image], kept), chosen), strict=True))
+    return {image: decoded.get(like) for image, like in same.items()}
 
 
-def _decode(document: Document, index: int) -> np.ndarray | None:
+def _bytes_of(document: Document, index: int) -> Any:
+    """The bytes of an image, empty where there are none."""
+    entry = document.item("images", index)
+    data = document.images.get(index)
+    if data is None and "bufferView" in entry:
+        return document.view(entry["bufferView"])
+    return data or b""
+
+
+def _place(data: Any) -> tuple[int, int]:
+    """Where bytes lie in memory: the same for all images that are one view, or one file."""
+    array = np.frombuffer(data, np.uint8)
+    return array.__array_interface__["data"][0], len(array)
+
+
+def _opened(data: Any) -> Any:
     from PIL import Image
 
-    entry = document.item("images", index)
-    data: Any = document.images.get(index)
+    image = Image.open(io.BytesIO(data), formats=["PNG", "JPEG", "WEBP"])
+    if image.width * image.height <= MAX_PIXELS:
+        image.draft("RGB", (1024, 1024))  # JPEG decodes faster at a smaller size, and this is a preview
+    return image
+
+
+def _size(data: Any) -> tuple[int, int]:
+    """How many pixels an image has, 0 for one that cannot be decoded, and bytes that decoding it takes."""
+    from PIL import Image
+
     try:
-        if data is None:
-            data = document.view(entry["bufferView"]) if "bufferView" in entry else None
-        if data is None:
-            return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(io.BytesIO(data), formats=["PNG", "JPEG", "WEBP"]) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    return None
-                image.draft("RGB", (1024, 1024))  # JPEG decodes faster at a smaller size, and this is a preview
-                image.thumbnail((PREVIEW_SIZE, PREVIEW_SIZE), Image.Resampling.NEAREST)
-                return np.asarray(image.convert("RGB"))
-    except FormatError:
-        raise
+            with _opened(data) as image:
+                if image.format == "JPEG" and bytes(data).count(b"\xff\xda") > MAX_SCANS:
+                    return 0, 0
+                pixels = image.width * image.height
+                if image.format == "JPEG" and image.info.get("progressive"):  # all its coefficients are held
+                    with Image.open(io.BytesIO(data), formats=["JPEG"]) as whole:
+                        return whole.width * whole.height, 6 * whole.width * whole.height + 4 * pixels
+                each = {"1": 1, "L": 1, "P": 1}.get(image.mode, 4)
+                return pixels, pixels * each * (2 if image.format == "WEBP" else 1)
     except Exception:  # an image that cannot be decoded is no reason to refuse the character
+        return 0, 0
+
+
+def _decode(data: Any, size: int) -> np.ndarray | None:
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with _opened(data) as image:
+                image.thumbnail((size, size), Image.Resampling.NEAREST)
+                return np.asarray(image.convert("RGB"))
+    except Exception:  # as in `_size`
         return None

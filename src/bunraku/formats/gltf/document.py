@@ -7,14 +7,15 @@ import binascii
 import json
 import os
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
 from bunraku.errors import FormatError
-from bunraku.formats.files import inside, read_bounded
+from bunraku.formats.files import check_input, inside, read_bounded
+from bunraku.formats.memory import room
 
 __all__ = ["COMPONENT_TYPES", "ELEMENT_SIZES", "MAX_ELEMENTS", "Document", "open_document"]
 
@@ -25,6 +26,9 @@ COMPONENT_TYPES: dict[int, np.dtype[Any]] = {
 ELEMENT_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 MAX_ELEMENTS = 50_000_000
 """Most elements of one accessor: one may be declared without any data behind it, so the file's size is no bound."""
+
+_TREE_COSTS = {b"{": 232, b"[": 64, b",": 40}
+"""About how many bytes Python takes for what each of these signs of JSON stands for."""
 
 _COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 _UNDERSTOOD = (
@@ -47,14 +51,43 @@ class Document:
     Args:
         path: Where it came from, for messages.
         tree: The JSON object.
-        buffers: The bytes of each buffer.
+        buffers: The bytes of each buffer; those that name one file share them.
         images: Bytes of the images that are files or data URIs, by image index; None where the file is missing.
+        size: Bytes of the file and of the files that it names, each once; 0 for a document that was made in memory.
     """
 
     path: Path
     tree: dict[str, Any]
-    buffers: list[bytes]
+    buffers: list[bytes | memoryview]
     images: dict[int, bytes | None]
+    size: int = 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: views into the file as bytes of their own."""
+        return {**self.__dict__, "buffers": [bytes(buffer) for buffer in self.buffers]}
+
+    @property
+    def _own(self) -> int:
+        return self.size or sum(len(buffer) for buffer in self.buffers)
+
+    def has_room(self, needed: int) -> bool:
+        """Whether a file of this size may take so much memory beside itself [bytes]."""
+        return self._own + needed <= room(self._own)
+
+    def check_memory(self, needed: int) -> None:
+        """Refuse what takes more memory than a file of this size may.
+
+        Args:
+            needed: About how much it takes beside the file itself [bytes].
+
+        Raises:
+            FormatError: It is too much.
+        """
+        if not self.has_room(needed):
+            self.fail(
+                f"reading it would take {(self._own + needed) / 1e6:,.0f} MB of memory, which is too much for its "
+                "size or for this machine; simplify it, or close other programs"
+            )
 
     def fail(self, problem: str) -> NoReturn:
         """Raise a FormatError about this document."""
@@ -162,6 +195,7 @@ class Document:
         if "bufferView" in accessor:
             values = self._elements(accessor, accessor["bufferView"], dtype, count, size)
         else:
+            self.check_memory(count * size * dtype.itemsize)
             values = np.zeros((count, size), dtype)
         sparse = accessor.get("sparse")
         if isinstance(sparse, dict):
@@ -221,12 +255,17 @@ def open_document(path: Path, data: bytes) -> Document:
         text, chunk = _glb_chunks(path, data)
     else:
         text, chunk = memoryview(data), None
+    written = bytes(text)
+    Document(path, {}, [], {}, len(data)).check_memory(
+        2 * len(written) + sum(written.count(sign) * cost for sign, cost in _TREE_COSTS.items())
+    )
     try:
-        tree = json.loads(bytes(text).decode("utf-8-sig"), parse_constant=_no_constant)
+        tree = json.loads(written.decode("utf-8-sig"), parse_constant=_no_constant)
     except (ValueError, RecursionError):
         raise FormatError(
             path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again"
         ) from None
+    del written
     if not isinstance(tree, dict) or not isinstance(tree.get("asset"), dict):
         raise FormatError(path, "this is not a glTF document, it has no 'asset'; export it again as glTF 2.0")
     document = Document(path, tree, [], {})
@@ -236,12 +275,13 @@ def open_document(path: Path, data: bytes) -> Document:
             "glTF 2.0"
         )
     _check_extensions(document)
+    files = _Files(document)
     for index, buffer in enumerate(document.items("buffers")):
-        document.buffers.append(_buffer(document, buffer, chunk if index == 0 else None))
+        document.buffers.append(_buffer(files, buffer, chunk if index == 0 else None))
     for index, image in enumerate(document.items("images")):
         if "uri" in image:
-            document.images[index] = _resource(document, image["uri"], "image", missing_ok=True)
-    return document
+            document.images[index] = files.resource(image["uri"], "image", missing_ok=True)
+    return replace(document, size=len(data) + files.size)
 
 
 def _no_constant(name: str) -> NoReturn:
@@ -289,11 +329,12 @@ def _check_extensions(document: Document) -> None:
             )
 
 
-def _buffer(document: Document, buffer: dict[str, Any], chunk: memoryview | None) -> bytes:
+def _buffer(files: _Files, buffer: dict[str, Any], chunk: memoryview | None) -> bytes | memoryview:
+    document = files.document
     length = document.integer(buffer, "byteLength")
     data: bytes | memoryview
     if "uri" in buffer:
-        data = _resource(document, buffer["uri"], "buffer") or b""
+        data = files.resource(buffer["uri"], "buffer") or b""
     elif chunk is not None:
         data = chunk
     else:
@@ -304,30 +345,45 @@ def _buffer(document: Document, buffer: dict[str, Any], chunk: memoryview | None
             f"a buffer should have {length} bytes but has {len(data)}; the file is truncated, export or download it "
             "again"
         )
-    return bytes(data) if len(data) == length else bytes(memoryview(data)[:length])  # a view could not be pickled
+    return memoryview(data)[:length] if len(data) > length else data
 
 
-def _resource(document: Document, uri: Any, what: str, missing_ok: bool = False) -> bytes | None:
-    if not isinstance(uri, str):
-        document.fail(f"the address of its {what} is not text; the file is broken, export it again")
-    if uri[:5].lower() == "data:":
-        head, _, body = uri.partition(",")
-        try:
-            if not head.endswith(";base64"):
-                raise ValueError
-            return base64.b64decode(body)
-        except (ValueError, binascii.Error):
-            document.fail(f"its embedded {what} is not valid base64; the file is broken, export it again")
-    target = inside(document.path.parent, uri)
-    if target is None:
-        document.fail(
-            f"its {what} {uri[:80]!r} is not in the folder of the file, so it is not opened; put the {what} beside "
-            "the file"
-        )
-    if not os.path.isfile(target):
-        if missing_ok:
-            return None
-        document.fail(
-            f"its {what} {uri[:80]!r} is missing; put it beside the file, or export a GLB, which holds everything"
-        )
-    return read_bounded(target)
+class _Files:
+    """What the URIs of a document stand for; a file that many name is read once."""
+
+    def __init__(self, document: Document):
+        self.document = document
+        self.size = 0
+        self._known: dict[Path, bytes] = {}
+
+    def resource(self, uri: Any, what: str, missing_ok: bool = False) -> bytes | None:
+        """The bytes of a data URI or of a file in the document's folder."""
+        document = self.document
+        if not isinstance(uri, str):
+            document.fail(f"the address of its {what} is not text; the file is broken, export it again")
+        if uri[:5].lower() == "data:":
+            head, _, body = uri.partition(",")
+            try:
+                if not head.endswith(";base64"):
+                    raise ValueError
+                return base64.b64decode(body)
+            except (ValueError, binascii.Error):
+                document.fail(f"its embedded {what} is not valid base64; the file is broken, export it again")
+        target = inside(document.path.parent, uri)
+        if target is None:
+            document.fail(
+                f"its {what} {uri[:80]!r} is not in the folder of the file, so it is not opened; put the {what} beside "
+                "the file"
+            )
+        if target in self._known:
+            return self._known[target]
+        if not os.path.isfile(target):
+            if missing_ok:
+                return None
+            document.fail(
+                f"its {what} {uri[:80]!r} is missing; put it beside the file, or export a GLB, which holds everything"
+            )
+        self.size += check_input(target)
+        replace(document, size=self.size).check_memory(0)
+        self._known[target] = read_bounded(target)
+        return self._known[target]

@@ -19,10 +19,16 @@ __all__ = [
     "primitive_groups",
     "primitive_triangles",
     "read_part",
+    "rigid_joints",
     "skin_matrices",
 ]
 
-MAX_VERTICES, MAX_TRIANGLES, MAX_PRIMITIVES = 20_000_000, 40_000_000, 50_000
+MAX_VERTICES, MAX_TRIANGLES, MAX_PRIMITIVES = 20_000_000, 40_000_000, 20_000
+MAX_WORK = 150_000_000
+"""Most vertices that all primitives go over, each as often as it uses them: for its morph targets, and for colours."""
+
+_VERTEX, _INFLUENCE, _TRIANGLE = 72, 32, 40
+"""About how many bytes a vertex, one of its influences, and a triangle take while a character is read."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,7 @@ class PrimitiveData:
     Args:
         primitives: Indices of the primitives in their mesh.
         vertices: Default-pose positions in world space [m], shape (V, 3), float64.
-        triangles: For each primitive, vertex indices, shape (F, 3).
+        triangles: For each primitive, vertex indices, shape (F, 3), int32.
         joints: Joints of the merged list, shape (V, M).
         weights: Their shares, rows sum to 1, shape (V, M); empty where there is no rig.
         repaired: How many vertices had weights that had to be mended.
@@ -81,12 +87,16 @@ def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int,
                     "without that"
                 )
             continue  # glTF lets extensions bring positions; there is nothing to draw without one
-        key = tuple(
-            repr(attributes.get(name)) for name in ("POSITION", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1")
-        )
-        groups.setdefault((*key, repr(primitive.get("targets"))), []).append(index)
+        groups.setdefault(_shared(primitive), []).append(index)
     for members in groups.values():
         yield tuple(members), primitives[members[0]]["attributes"]
+
+
+def _shared(primitive: dict[str, Any]) -> tuple[str, ...]:
+    """What primitives of a mesh that share their vertices have in common."""
+    attributes = primitive["attributes"]
+    names = ("POSITION", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1")
+    return *(repr(attributes.get(name)) for name in names), repr(primitive.get("targets"))
 
 
 def primitive_triangles(document: Document, primitive: dict[str, Any], count: int) -> np.ndarray:
@@ -95,31 +105,31 @@ def primitive_triangles(document: Document, primitive: dict[str, Any], count: in
     """
     mode = document.integer(primitive, "mode", 4, high=6)
     if mode < 4:
-        return np.zeros((0, 3), np.int64)
+        return np.zeros((0, 3), np.int32)
     if "indices" in primitive:
         order = document.accessor(primitive["indices"], ("SCALAR",), raw=True)[:, 0]
         if order.dtype.kind != "u":
             document.fail("the indices of a mesh are not unsigned whole numbers; the file is broken, export it again")
-        order = order.astype(np.int64)
         if len(order) and int(order.max()) >= count:
             document.fail(
                 f"a triangle uses vertex {int(order.max())} but its mesh has {count}; the file is broken, export it "
                 "again"
             )
+        order = order.astype(np.int32)
     else:
-        order = np.arange(count)
+        order = np.arange(count, dtype=np.int32)
     if mode == 4:
         return order[: len(order) - len(order) % 3].reshape(-1, 3)
     if len(order) < 3:
-        return np.zeros((0, 3), np.int64)
+        return np.zeros((0, 3), np.int32)
     if mode == 6:
-        return np.stack([order[1:-1], order[2:], np.full(len(order) - 2, order[0])], axis=1)
+        return np.stack([order[1:-1], order[2:], np.full(len(order) - 2, order[0], np.int32)], axis=1)
     strip = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
     strip[1::2, 1:] = strip[1::2, 2:0:-1]
     return strip
 
 
-def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int) -> MeshPart:
+def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, carrier: int) -> MeshPart:
     """A mesh in world space, in the default pose of its node or of its skin.
 
     Args:
@@ -127,11 +137,12 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int) 
         tree: Its nodes.
         skins: Its joints.
         node: A node with a mesh.
+        carrier: The joint that carries it where it has no skin, as `rigid_joints` says.
 
     Raises:
         FormatError: An index, a count or a type is wrong.
     """
-    entry = document.items("nodes")[node]
+    entry = document.item("nodes", node)
     mesh = document.integer(entry, "mesh")
     document.item("meshes", mesh)
     skin = document.integer(entry, "skin") if "skin" in entry else None
@@ -139,10 +150,9 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int) 
         document.fail(f"node {node} uses a skin that does not exist; the file is broken, export it again")
     groups: list[PrimitiveData] = []
     transforms: list[np.ndarray | None] = []
-    mirrored = bool(np.linalg.det((tree.world[node] if skin is None else skins.bind[skin].mean(axis=0))[:3, :3]) < 0)
-    rigid = _rigid_joint(tree, skins, node)
+    mirrored = bool(np.linalg.det(tree.world[node, :3, :3]) < 0) if skin is None else skins.mirrored[skin]
     for members, attributes in primitive_groups(document, mesh):
-        primitives = document.items("meshes")[mesh]["primitives"]
+        primitives = document.item("meshes", mesh)["primitives"]
         raw = rest_positions(document, entry, mesh, primitives[members[0]])
         triangles = tuple(primitive_triangles(document, primitives[member], len(raw)) for member in members)
         if mirrored:
@@ -154,8 +164,8 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int) 
         else:
             transform, repaired = tree.world[node], 0
             vertices = raw @ transform[:3, :3].T + transform[:3, 3]
-            joints = np.full((len(raw), 1), rigid if rigid is not None else 0)
-            weights = np.ones((len(raw), 1))
+            joints = np.broadcast_to(np.int64(carrier), (len(raw), 1))
+            weights = np.broadcast_to(np.float64(1), (len(raw), 1))
         groups.append(PrimitiveData(members, vertices, triangles, joints, weights, repaired))
         transforms.append(transform)
     return MeshPart(node, mesh, _common(transforms), mirrored, tuple(groups))
@@ -163,8 +173,8 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int) 
 
 def skin_matrices(document: Document, tree: NodeTree, skins: SkinJoints, part: MeshPart, group: int) -> np.ndarray:
     """What takes each raw vertex of a group to its rest position, shape (V, 4, 4)."""
-    entry = document.items("nodes")[part.node]
-    primitive = document.items("meshes")[part.mesh]["primitives"][part.groups[group].primitives[0]]
+    entry = document.item("nodes", part.node)
+    primitive = document.item("meshes", part.mesh)["primitives"][part.groups[group].primitives[0]]
     attributes = primitive["attributes"]
     if "skin" in entry and "JOINTS_0" in attributes and "WEIGHTS_0" in attributes:
         bind = skins.bind[entry["skin"]]
@@ -177,7 +187,7 @@ def skin_matrices(document: Document, tree: NodeTree, skins: SkinJoints, part: M
 def rest_positions(document: Document, node: dict[str, Any], mesh: int, primitive: dict[str, Any]) -> np.ndarray:
     """Raw positions of a primitive with the default weights of its morph targets applied, shape (V, 3), float64."""
     raw = document.accessor(primitive["attributes"]["POSITION"], ("VEC3",)).astype(float)
-    entry = document.items("meshes")[mesh]
+    entry = document.item("meshes", mesh)
     weights = node.get("weights", entry.get("weights", []))
     targets = document.objects(primitive, "targets")
     if isinstance(weights, list) and all(type(weight) in (int, float) for weight in weights):
@@ -199,49 +209,63 @@ def check_size(document: Document, nodes: list[int]) -> None:
     Raises:
         FormatError: There are too many vertices, triangles or primitives.
     """
-    sizes: dict[Any, tuple[int, int, int]] = {}
-    total = np.zeros(3, dtype=object)
+    sizes: dict[Any, np.ndarray] = {}
+    total = np.zeros(5, dtype=object)
     for node in nodes:
-        mesh = document.items("nodes")[node].get("mesh")
-        if mesh is None:
+        placed = document.item("nodes", node)
+        if placed.get("mesh") is None:
             continue
-        entry = document.item("meshes", mesh)
-        if mesh not in sizes:
-            vertices = corners = 0
-            primitives = document.objects(entry, "primitives")
-            shared: set[Any] = set()
-            for primitive in primitives:
-                attributes = primitive.get("attributes")
-                position = attributes.get("POSITION") if isinstance(attributes, dict) else None
-                count = document.count(position) if position is not None else 0
-                vertices += 0 if position in shared else count
-                shared.add(position)
-                corners += document.count(primitive["indices"]) if "indices" in primitive else count
-            sizes[mesh] = vertices, corners, len(primitives)
-        total += sizes[mesh]
-    if total[0] > MAX_VERTICES or total[1] > 3 * MAX_TRIANGLES or total[2] > MAX_PRIMITIVES:
+        entry = document.item("meshes", placed["mesh"])
+        weights = placed.get("weights", entry.get("weights"))
+        key = placed["mesh"], len(weights) if isinstance(weights, list) else 0
+        if key not in sizes:
+            sizes[key] = _sizes(document, entry, key[1])
+        total += sizes[key]
+    vertices, corners, primitives, influences, work = total
+    if vertices > MAX_VERTICES or corners > 3 * MAX_TRIANGLES or primitives > MAX_PRIMITIVES:
         limits = f"{MAX_VERTICES:,} vertices, {MAX_TRIANGLES:,} triangles or {MAX_PRIMITIVES:,} pieces"
         document.fail(f"it has more than {limits}; simplify the mesh first")
+    if work > MAX_WORK:
+        document.fail(
+            f"its pieces and morph targets go over {work:,} vertices but at most {MAX_WORK:,} are read; join its "
+            "meshes or drop morph targets"
+        )
+    document.check_memory(_VERTEX * vertices + _INFLUENCE * influences + _TRIANGLE * corners // 3)
 
 
-def _rigid_joint(tree: NodeTree, skins: SkinJoints, node: int) -> int | None:
-    """The joint that carries an unskinned mesh: its nearest ancestor joint, else the first joint that no joint
-    carries.
+def _sizes(document: Document, mesh: dict[str, Any], weighted: int) -> np.ndarray:
+    """Vertices, corners, primitives, influences of a mesh with so many weights of morph targets, and vertices as often
+    as they are gone over.
+    """
+    vertices = corners = influences = work = 0
+    primitives = document.objects(mesh, "primitives")
+    seen: set[tuple[str, ...]] = set()
+    for primitive in primitives:
+        attributes = primitive.get("attributes")
+        if not isinstance(attributes, dict) or "POSITION" not in attributes:
+            continue
+        count = document.count(attributes["POSITION"])
+        shared = _shared(primitive)
+        if shared not in seen:
+            vertices += count
+            influences += count * 4 * sum(name in attributes for name in ("JOINTS_0", "JOINTS_1"))
+            work += count * min(weighted, len(document.objects(primitive, "targets")))
+        seen.add(shared)
+        work += count
+        corners += document.count(primitive["indices"]) if "indices" in primitive else count
+    return np.array([vertices, corners, len(primitives), influences, work], dtype=object)
+
+
+def rigid_joints(tree: NodeTree, skins: SkinJoints) -> np.ndarray:
+    """The joint that carries each node's mesh where that has no skin: the nearest one at or above it, else the first
+    joint that no joint carries; 0 where there are no joints, shape (M,).
     """
     if not skins.nodes:
-        return None
-    chosen = {joint_node: joint for joint, joint_node in enumerate(skins.nodes)}
-    above = tree.ancestor_in(node, chosen)
-    if above is not None:
-        return chosen[above]
-    return next(
-        (
-            j
-            for j, n in enumerate(skins.nodes)
-            if tree.parents[n] < 0 or tree.ancestor_in(int(tree.parents[n]), chosen) is None
-        ),
-        0,
-    )
+        return np.zeros(len(tree.parents), int)
+    found = tree.nearest({node: joint for joint, node in enumerate(skins.nodes)})
+    above = tree.parents[skins.nodes]
+    free = np.flatnonzero((above < 0) | (found[above] < 0))
+    return np.where(found >= 0, found, int(free[0]) if len(free) else 0)
 
 
 def _influences(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from bunraku.formats.gltf.document import Document
 from bunraku.geometry.rotations import matrix_from_quaternion
 
 __all__ = ["NodeTree", "SkinJoints", "posed_skins", "read_nodes", "read_skins"]
+
+MAX_NODES = 100_000
+MAX_SLOTS = 300_000  # joints of all skins: many skins may name the same ones, and each takes two matrices
 
 
 @dataclass(frozen=True)
@@ -28,23 +32,32 @@ class NodeTree:
     scene: list[int]
     local: np.ndarray
 
+    @cached_property
     def order(self) -> list[int]:
         """All nodes, each after its parent."""
         below: list[list[int]] = [[] for _ in self.parents]
         order: list[int] = []
-        for node, parent in enumerate(self.parents):
+        for node, parent in enumerate(self.parents.tolist()):
             (below[parent] if parent >= 0 else order).append(node)
         for node in order:
             order.extend(below[node])
         return order
 
-    def ancestor_in(self, node: int, chosen: dict[int, int]) -> int | None:
-        """The nearest of the chosen nodes at or above a node."""
-        while node >= 0:
-            if node in chosen:
-                return node
-            node = int(self.parents[node])
-        return None
+    def nearest(self, chosen: dict[int, int]) -> np.ndarray:
+        """What is chosen for the nearest of the chosen nodes at or above each node, -1 for none, shape (M,)."""
+        parents = self.parents.tolist()
+        found = [-1] * len(parents)
+        for node in self.order:
+            found[node] = chosen[node] if node in chosen else found[parents[node]] if parents[node] >= 0 else -1
+        return np.array(found, int)
+
+    def depths(self) -> np.ndarray:
+        """How many nodes stand above each, shape (M,)."""
+        parents = self.parents.tolist()
+        depths = [0] * len(parents)
+        for node in self.order:
+            depths[node] = depths[parents[node]] + 1 if parents[node] >= 0 else 0
+        return np.array(depths, int)
 
 
 @dataclass(frozen=True)
@@ -56,21 +69,22 @@ class SkinJoints:
         slots: For each skin, the joint of each of its slots.
         inverse: For each skin, the inverse bind matrix of each slot, shape (slots, 4, 4).
         bind: For each skin, what takes a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4).
+        mirrored: Whether each skin turns its meshes inside out.
     """
 
     nodes: list[int]
     slots: list[np.ndarray]
     inverse: list[np.ndarray]
     bind: list[np.ndarray]
+    mirrored: list[bool]
 
 
 def posed_skins(skins: SkinJoints, tree: NodeTree) -> SkinJoints:
     """The joints with the nodes in another pose."""
     nodes = np.array(skins.nodes, int)
-    return replace(
-        skins,
-        bind=[tree.world[nodes[slots]] @ inverse for slots, inverse in zip(skins.slots, skins.inverse, strict=True)],
-    )
+    bind = [tree.world[nodes[slots]] @ inverse for slots, inverse in zip(skins.slots, skins.inverse, strict=True)]
+    mirrored = [bool(np.linalg.det(some.mean(axis=0)[:3, :3]) < 0) for some in bind]
+    return replace(skins, bind=bind, mirrored=mirrored)
 
 
 def read_nodes(document: Document) -> NodeTree:
@@ -79,9 +93,12 @@ def read_nodes(document: Document) -> NodeTree:
     A VRM 0.x avatar looks along -Z; it is turned to look along +Z as glTF asks for and as VRM 1.0 does.
 
     Raises:
-        FormatError: The tree has a cycle or a node with two parents, or a transform is not finite.
+        FormatError: The tree has a cycle or a node with two parents, a transform is not finite, or there are too many
+            nodes.
     """
     nodes = document.items("nodes")
+    if len(nodes) > MAX_NODES:
+        document.fail(f"it has {len(nodes):,} nodes but at most {MAX_NODES:,} are read; export the character alone")
     parents = np.full(len(nodes), -1)
     children = [document.indices(node, "children", "nodes") for node in nodes]
     for node, below in enumerate(children):
@@ -89,13 +106,13 @@ def read_nodes(document: Document) -> NodeTree:
             if parents[child] != -1:
                 document.fail(f"node {child} has two parents; the file is broken, export it again")
             parents[child] = node
-    world, local = np.empty((len(nodes), 4, 4)), np.empty((len(nodes), 4, 4))
+    world, local = np.empty((len(nodes), 4, 4)), _locals(document, nodes)
     order = [int(node) for node in np.flatnonzero(parents < 0)]
     extensions = document.tree.get("extensions")
     turned = isinstance(extensions, dict) and "VRM" in extensions
     front = np.diag([-1.0, 1, -1, 1]) if turned else np.eye(4)
+    local[parents < 0] = front @ local[parents < 0]
     for node in order:
-        local[node] = _local(document, nodes[node]) if parents[node] >= 0 else front @ _local(document, nodes[node])
         world[node] = world[parents[node]] @ local[node] if parents[node] >= 0 else local[node]
         order.extend(children[node])
     if len(order) != len(nodes):
@@ -105,17 +122,25 @@ def read_nodes(document: Document) -> NodeTree:
     return NodeTree(parents, world, _scene_nodes(document, parents, children), local)
 
 
-def _local(document: Document, node: dict) -> np.ndarray:
-    if "matrix" in node:
-        matrix = document.numbers(node, "matrix", [0.0] * 16).reshape(4, 4).T.copy()
-        matrix[3] = 0, 0, 0, 1
-        return matrix
-    local = np.eye(4)
-    rotation = document.numbers(node, "rotation", [0, 0, 0, 1])
-    local[:3, :3] = (
-        matrix_from_quaternion(rotation) * document.numbers(node, "scale", [1, 1, 1]) if rotation.any() else np.eye(3)
-    )
-    local[:3, 3] = document.numbers(node, "translation", [0, 0, 0])
+def _locals(document: Document, nodes: list[dict]) -> np.ndarray:
+    """Transform of each node in its parent, shape (M, 4, 4)."""
+    parts = {"rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1], "translation": [0.0, 0, 0]}
+    values = {key: np.tile(default, (len(nodes), 1)) for key, default in parts.items()}
+    given: dict[int, np.ndarray] = {}
+    for number, node in enumerate(nodes):
+        if "matrix" in node:
+            given[number] = document.numbers(node, "matrix", [0.0] * 16).reshape(4, 4).T
+            continue
+        for key, default in parts.items():
+            if key in node:
+                values[key][number] = document.numbers(node, key, default)
+    local = np.tile(np.eye(4), (len(nodes), 1, 1))
+    turned = values["rotation"].any(axis=1)  # a rotation of zeros stands for none
+    local[turned, :3, :3] = matrix_from_quaternion(values["rotation"][turned]) * values["scale"][turned, None, :]
+    local[:, :3, 3] = values["translation"]
+    for number, matrix in given.items():
+        local[number, :3] = matrix[:3]
+        local[number, 3] = 0, 0, 0, 1
     return local
 
 
@@ -138,14 +163,17 @@ def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
     """Merge the joints of all skins into one list.
 
     Raises:
-        FormatError: A skin has no joints, or fewer inverse bind matrices than joints.
+        FormatError: A skin has no joints, or fewer inverse bind matrices than joints, or there are too many joints.
     """
     merged: dict[int, int] = {}
-    slots, inverses = [], []
+    slots, inverses, total = [], [], 0
     for skin in document.items("skins"):
         nodes = document.indices(skin, "joints", "nodes")
         if not nodes:
             document.fail("a skin has no joints; the file is broken, export it again")
+        total += len(nodes)
+        if total > MAX_SLOTS:
+            document.fail(f"its skins have more than {MAX_SLOTS:,} joints; export the character alone")
         slots.append(np.array([merged.setdefault(node, len(merged)) for node in nodes]))
         inverse = np.broadcast_to(np.eye(4), (len(nodes), 4, 4))
         if "inverseBindMatrices" in skin:
@@ -157,4 +185,4 @@ def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
         if not np.isfinite(inverse).all():
             document.fail("a skin has inverse bind matrices that are not numbers; the file is broken, export it again")
         inverses.append(inverse)
-    return posed_skins(SkinJoints(list(merged), slots, inverses, []), tree)
+    return posed_skins(SkinJoints(list(merged), slots, inverses, [], []), tree)

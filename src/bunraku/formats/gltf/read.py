@@ -12,7 +12,7 @@ from bunraku.errors import CharacterError
 from bunraku.formats.gltf.bind_pose import bind_pose
 from bunraku.formats.gltf.colors import vertex_colors
 from bunraku.formats.gltf.document import Document, open_document
-from bunraku.formats.gltf.mesh import MeshPart, check_size, read_part
+from bunraku.formats.gltf.mesh import MeshPart, check_size, read_part, rigid_joints
 from bunraku.formats.gltf.nodes import NodeTree, SkinJoints, posed_skins, read_nodes, read_skins
 from bunraku.formats.vrm.read import read_vrm
 
@@ -87,17 +87,24 @@ def character_from_document(
         skins = posed_skins(skins, tree)
     nodes = document.items("nodes")
     check_size(document, tree.scene)
-    parts = tuple(read_part(document, tree, skins, node) for node in tree.scene if "mesh" in nodes[node])
+    carriers = rigid_joints(tree, skins)
+    parts = tuple(
+        read_part(document, tree, skins, node, int(carriers[node])) for node in tree.scene if "mesh" in nodes[node]
+    )
     groups = [group for part in parts for group in part.groups]
     starts = np.cumsum([0, *(len(group.vertices) for group in groups)])
-    faces = [triangles + start for group, start in zip(groups, starts, strict=False) for triangles in group.triangles]
     vertices = np.concatenate([group.vertices for group in groups]) if groups else np.zeros((0, 3))
     with np.errstate(over="ignore"):
         vertices = vertices.astype(np.float32)
     farthest = float(np.abs(vertices).max(initial=0))
     if np.isfinite(farthest) and farthest > MAX_COORDINATE:
         raise CharacterError(f"{name}: its coordinates reach {farthest:.0e} m; scale the mesh down or export it again")
-    triangles = np.concatenate(faces) if faces else np.zeros((0, 3), np.int64)
+    triangles = np.empty((sum(len(some) for group in groups for some in group.triangles), 3), np.int64)
+    row = 0
+    for group, start in zip(groups, starts, strict=False):
+        for some in group.triangles:
+            np.add(some, start, out=triangles[row : row + len(some)])
+            row += len(some)
     colors = vertex_colors(document, parts, len(vertices))
     rig = _rig(document, tree, skins, parts) if skins.nodes and groups else None
     if index is None:
@@ -123,9 +130,9 @@ def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[Mes
             group.weights,
         )
         start = stop
-    chosen = {node: joint for joint, node in enumerate(skins.nodes)}
-    above = [tree.ancestor_in(int(tree.parents[node]), chosen) for node in skins.nodes]
-    parents = np.array([-1 if node is None else chosen[node] for node in above])
+    above = tree.parents[skins.nodes]
+    found = tree.nearest({node: joint for joint, node in enumerate(skins.nodes)})
+    parents = np.where(above >= 0, found[above], -1)
     nodes = document.items("nodes")
     names = tuple(str(nodes[node].get("name") or f"joint_{joint}")[:200] for joint, node in enumerate(skins.nodes))
     return Rig(names, parents, tree.world[skins.nodes], indices, weights)

@@ -149,7 +149,7 @@ def _add_part(
     kept = keeps_positions(part, rest, character)
     mesh = carrier.mesh(part, None if kept else rest)
     transform = part.transform if kept and part.transform is not None else np.eye(4)
-    old = carrier.document.items("nodes")[part.node]
+    old = carrier.document.item("nodes", part.node)
     node: dict[str, Any] = {"name": str(old.get("name") or f"mesh_{part.mesh}"), "mesh": builder.add("meshes", mesh)}
     if isinstance(old.get("extras"), dict):
         node["extras"] = copy.deepcopy(old["extras"])

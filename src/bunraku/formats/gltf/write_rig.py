@@ -151,7 +151,7 @@ def _local(source: Source, animation: RigAnimation, builder: GltfBuilder) -> np.
     frames = len(moved)
     world: dict[int, np.ndarray] = {}
     out = np.empty((frames, len(bones), 4, 4))
-    for node in source.tree.order():
+    for node in source.tree.order:
         parent = int(source.tree.parents[node])
         above = world[parent] if parent >= 0 else above_all
         bone = bones.get(node)
@@ -180,7 +180,7 @@ def _local(source: Source, animation: RigAnimation, builder: GltfBuilder) -> np.
 
 def _mesh(carrier: MeshCarrier, number: int, part: MeshPart | None) -> dict[str, Any]:
     document, builder = carrier.document, carrier.builder
-    old = document.items("meshes")[number]
+    old = document.item("meshes", number)
     if part is None:  # in no scene: kept without vertices of its own skin
         part = MeshPart(-1, number, np.eye(4), False, ())
     mesh: dict[str, Any] = {key: copy.deepcopy(old[key]) for key in ("name", "extras") if key in old}
@@ -202,7 +202,7 @@ def _mesh(carrier: MeshCarrier, number: int, part: MeshPart | None) -> dict[str,
 
 def _slots(source: Source, part: MeshPart) -> np.ndarray | None:
     """Slot in the skin of a mesh of each joint of all skins, -1 for none; None where the mesh has no skin."""
-    skin = source.document.items("nodes")[part.node].get("skin") if part.node >= 0 else None
+    skin = source.document.item("nodes", part.node).get("skin") if part.node >= 0 else None
     if type(skin) is not int or not 0 <= skin < len(source.skins.slots):
         return None
     out = np.full(len(source.skins.nodes), -1)
@@ -272,7 +272,7 @@ def _plain_rig(animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndar
             added = _influences(builder, rig.indices[own], rig.weights[own], slots)
             for member in group.primitives:
                 mesh["primitives"][member]["attributes"].update(added)
-        label = str(source.document.items("nodes")[part.node].get("name") or f"mesh_{part.mesh}")
+        label = str(source.document.item("nodes", part.node).get("name") or f"mesh_{part.mesh}")
         roots.append(builder.add("nodes", {"name": label, "mesh": builder.add("meshes", mesh), "skin": skin}))
     builder.tree["scenes"][0]["nodes"] = roots
     local = np.tile(np.eye(4), (len(animation), len(rest), 1, 1))

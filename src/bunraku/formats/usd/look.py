@@ -165,9 +165,9 @@ def pieces(character: Character) -> list[Piece]:
     start, document = 0, source.document
     for part in source.parts:
         title = (
-            document.items("nodes")[part.node].get("name") or document.items("meshes")[part.mesh].get("name") or "Mesh"
+            document.item("nodes", part.node).get("name") or document.item("meshes", part.mesh).get("name") or "Mesh"
         )
-        primitives = document.items("meshes")[part.mesh]["primitives"]
+        primitives = document.item("meshes", part.mesh)["primitives"]
         for group in part.groups:
             index = source.index[start : start + len(group.vertices)]
             start += len(group.vertices)

@@ -22,6 +22,7 @@ from bunraku.formats.gltf.nodes import NodeTree, read_nodes
 __all__ = ["read_vrm"]
 
 MOST = 10_000  # joints of springs, and colliders: more are no avatar's
+LONGEST = 300  # joints of one spring: what simulates them takes memory by the square of it
 _log = logging.getLogger(__name__)
 
 
@@ -55,6 +56,7 @@ class _Reader:
                 self.below[int(parent)].append(node)
         self.notes: dict[str, list[str]] = {}
         self.entered, self.last = self._visits()
+        self.swinging = 0
 
     def _visits(self) -> tuple[list[int], list[int]]:
         """When a walk down the tree comes to each node, and to the last one below it."""
@@ -135,7 +137,9 @@ class _Reader:
                     self.note("springs begin at nodes that do not exist and are left out", root)
                     continue
                 for chain in self.chains(root, taken):
-                    joints = tuple(VrmSpringJoint(node, *values) for node in chain)
+                    if len(chain) > LONGEST:
+                        self.note(f"springs are longer than {LONGEST} joints and are cut there", self.called(root))
+                    joints = tuple(VrmSpringJoint(node, *values) for node in chain[:LONGEST])
                     spring = VrmSpring(
                         str(group.get("comment") or ""), joints, own, self.node(group.get("center")), True
                     )
@@ -160,6 +164,9 @@ class _Reader:
         springs: list[VrmSpring] = []
         for entry in _objects(swings.get("springs")):
             name = str(entry.get("name") or "")
+            if self.swinging >= MOST:
+                self.note(f"springs beyond {MOST:,} joints are left out")
+                break
             joints = self.joints(_objects(entry.get("joints")), name)
             own = self.group_numbers(entry.get("colliderGroups"), len(groups), name)
             self.spring(springs, VrmSpring(name, joints, own, self.node(entry.get("center", -1))))
@@ -211,15 +218,18 @@ class _Reader:
             self.note("springs have no chain of nodes and are left out", name)
         elif not np.isfinite(numbers).all() or min(joint.radius for joint in new.joints) < 0:
             self.note("springs hold values that are negative or no numbers and are left out", name)
-        elif sum(len(spring.joints) for spring in springs) + len(new.joints) > MOST:
+        elif self.swinging + len(new.joints) > MOST:
             self.note(f"springs beyond {MOST:,} joints are left out")
         else:
+            self.swinging += len(new.joints)
             springs.append(new)
 
     def joints(self, entries: list[dict[str, Any]], name: str) -> tuple[VrmSpringJoint, ...]:
         """The joints of a spring of VRM 1.0, up to one that is not below the one before."""
         out: list[VrmSpringJoint] = []
-        for entry in entries:
+        if len(entries) > LONGEST:
+            self.note(f"springs are longer than {LONGEST} joints and are cut there", name)
+        for entry in entries[:LONGEST]:
             node = self.node(entry.get("node"))
             if node < 0 or (out and not self.is_below(node, out[-1].node)):
                 self.note("springs go on at nodes that are not below and are cut there", name or entry.get("node"))

@@ -91,13 +91,13 @@ def _motion(document: Document) -> SkeletalMotion:
         document.fail(f"its clip has {count} frames of {len(bones)} bones, which are too many; cut it")
     nodes = [bones[name] for name in bones]
     chosen = {node: joint for joint, node in enumerate(nodes)}
-    order = [node for node in tree.order() if node in chosen]
-    above = [tree.ancestor_in(int(tree.parents[node]), chosen) for node in order]
-    if above.count(None) != 1 or above[0] is not None or order[0] != bones["hips"]:
+    order = [node for node in tree.order if node in chosen]
+    place = {node: joint for joint, node in enumerate(order)}
+    found, above = tree.nearest(place), tree.parents[order]
+    parents = np.where(above >= 0, found[above], -1)
+    if (parents < 0).sum() != 1 or parents[0] >= 0 or order[0] != bones["hips"]:
         document.fail("its humanoid bones do not all hang on the hips; the file is broken, export it again")
     names = {node: name for name, node in bones.items()}
-    place = {node: joint for joint, node in enumerate(order)}
-    parents = np.array([-1 if node is None else place[node] for node in above])
     moved = node_worlds(document, tree, curves, np.arange(count) / fps, order)
     rest = tree.world[order]
     try:
