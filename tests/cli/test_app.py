@@ -104,6 +104,7 @@ def test_slug():
     assert slug("../../etc/passwd") == "etc-passwd"
     assert slug("!!") == "motion"
     assert len(slug("x" * 500)) <= 40 and len(slug("word " * 100)) <= 40
+    assert slug("word " * 100) != slug("word " * 99)  # what begins alike is told apart
 
 
 def test_size_text():

@@ -134,7 +134,7 @@ def test_a_file_of_prompts_goes_on_where_it_stopped(folder, capsys):
         *QUICK,
     ]
     assert main(words) == 0
-    files = sorted((folder / "clips").iterdir())
+    files = sorted((folder / "clips").glob("*.glb"))
     assert [path.name for path in files] == ["001-walks.glb", "002-jumps-waves.glb", "003-runs-1.glb"]
     one = load_clip(files[1]).motion
     files[1].unlink()
@@ -143,6 +143,11 @@ def test_a_file_of_prompts_goes_on_where_it_stopped(folder, capsys):
     assert main(words) == 0
     assert "2 of 3 clips are there already" in capsys.readouterr().out and files[0].stat().st_mtime_ns == stamp
     np.testing.assert_allclose(load_clip(files[1]).motion.rotations, one.rotations, atol=2e-3)  # alone as among others
+    before = files[0].read_bytes()
+    for other in (["--seed", "1"], ["--seconds", "2"]):  # not these clips, so nothing is said to be there already
+        assert main([*words, *other]) == 2
+        assert "--overwrite" in capsys.readouterr().err and files[0].read_bytes() == before
+    assert main([*words, "--seed", "1", "--overwrite"]) == 0 and files[0].read_bytes() != before
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,12 @@ from bunraku import transfer
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.cli import main
-from bunraku.cli.transfer.jobs import Settings, done_already, holds_character, pairs_of
+from bunraku.cli.ledger import note, still_to_do
+from bunraku.cli.transfer.jobs import Settings, holds_character, marks_of, pairs_of
 from bunraku.cli.transfer.runs import run_pairs
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import FormatError
 from bunraku.formats.bvh.write import write_bvh
 from bunraku.formats.mmd.vmd import load_vmd
 from bunraku.geometry.rotations import matrix_from_axis_angle
@@ -155,7 +157,9 @@ def test_many_pairs(files, capsys):
     assert run(*words[:3], "-o", out) == 0
     assert "2 of 2 files are there already" in capsys.readouterr().out
     assert (out / "person-wave.glb").stat().st_mtime_ns == before
-    assert run(*words[:3], "-o", out, "--without", "hands") == 0  # other settings, so all is made again
+    assert run(*words[:3], "-o", out, "--without", "hands") == 2  # other settings: nothing is replaced unasked
+    assert "--overwrite" in capsys.readouterr().err and (out / "person-wave.glb").stat().st_mtime_ns == before
+    assert run(*words[:3], "-o", out, "--without", "hands", "--overwrite") == 0
     assert (out / "person-wave.glb").stat().st_mtime_ns != before
 
 
@@ -241,5 +245,21 @@ def test_another_file_of_the_same_name_size_and_time_is_another(files):
     first, second = (pairs_of([person], [path], folder) for path in (files / "wave.bvh", other))
     folder.mkdir()
     first[0].output.write_bytes(b"done")
-    done_already(first, Settings())[1](first[0])
-    assert done_already(first, Settings())[0] == [] and done_already(second, Settings())[0] == second
+    note(*next(iter(marks_of(first, Settings()).items())))
+    assert still_to_do(marks_of(first, Settings())) == []
+    with pytest.raises(FormatError, match="--overwrite"):
+        still_to_do(marks_of(second, Settings()))
+
+
+def test_a_batch_never_replaces_a_file_that_it_did_not_write(files, fails, capsys):
+    own = files / "out" / "person-wave.glb"
+    own.parent.mkdir()
+    own.write_bytes(b"the user's own")
+    words = (files / "person.glb", files / "wave.bvh", files / "again.bvh", "-o", files / "out")
+    assert "person-wave.glb" in fails("transfer", *words)
+    assert own.read_bytes() == b"the user's own"
+    assert run(*words, "--overwrite") == 0 and own.read_bytes().startswith(b"glTF")
+    capsys.readouterr()
+    assert run(*words) == 0 and "2 of 2 files are there already" in capsys.readouterr().out
+    own.write_bytes(b"changed by the user")
+    assert run(*words) == 2 and own.read_bytes() == b"changed by the user"

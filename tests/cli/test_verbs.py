@@ -96,6 +96,18 @@ def test_samples_are_written_and_listed(tmp_path, capsys):
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["mushroom.glb"]
 
 
+def test_samples_never_replace_another_file(tmp_path, capsys):
+    path = tmp_path / "mushroom.glb"
+    path.write_bytes(b"the user's own")
+    assert main(["samples", "mushroom", "-o", str(tmp_path)]) == 2
+    assert "--overwrite" in capsys.readouterr().err and path.read_bytes() == b"the user's own"
+    assert main(["samples", "mushroom", "-o", str(tmp_path), "--overwrite"]) == 0
+    stamp = path.stat().st_mtime_ns
+    capsys.readouterr()
+    assert main(["samples", "mushroom", "-o", str(tmp_path)]) == 0  # the same command again
+    assert "1 of 1 samples are there already" in capsys.readouterr().out and path.stat().st_mtime_ns == stamp
+
+
 def test_doctor_reports_in_words_and_in_json(capsys):
     status = main(["doctor", "--json"])
     findings = json.loads(capsys.readouterr().out)
@@ -161,6 +173,14 @@ def test_animate_writes_every_output_and_names_the_default(tmp_path, monkeypatch
     assert describe(Path("walk.npz"))["seconds"] == pytest.approx(1, abs=0.06)
     assert describe(Path("new/walk.glb"))["animations"][0]["seconds"] == pytest.approx(0.95, abs=0.06)
     assert len(list(Path("frames").glob("*.obj"))) == 10
+    capsys.readouterr()
+    assert main(["animate", "person.glb", "a person walks", *options, *outputs]) == 0  # the same command again
+    capsys.readouterr()
+    Path("walk.npz").write_bytes(b"the user's own")
+    assert main(["animate", "person.glb", "a person walks", *options, *outputs]) == 2
+    assert "walk.npz" in capsys.readouterr().err and Path("walk.npz").read_bytes() == b"the user's own"
+    assert main(["animate", "person.glb", "a person walks", *options, *outputs, "--overwrite"]) == 0
+    capsys.readouterr()
     assert main(["animate", "person.glb", "a person walks", *options]) == 0
     assert "wrote person-a-person-walks.glb" in capsys.readouterr().out
     first, second = (describe(Path(name))["animations"][0] for name in ("new/walk.glb", "person-a-person-walks.glb"))

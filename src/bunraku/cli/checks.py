@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import re
@@ -15,7 +16,7 @@ from bunraku.language.sequence import LONGEST, SHORTEST, parse_sequence, timed_s
 
 __all__ = [
     "check_different", "check_folder", "check_input", "check_output", "check_range", "check_seconds", "check_sequence",
-    "check_source", "make_folder", "slug",
+    "check_source", "make_folder", "slug", "written_path",
 ]  # fmt: skip
 
 SECONDS = (SHORTEST, LONGEST)
@@ -93,11 +94,16 @@ def check_output(path: Path, suffixes: Iterable[str], inputs: Iterable[Path] = (
         registry.check_writer(path)
 
 
+def written_path(path: Path) -> Path:
+    """What is there once an output is written: the file, or the folder of a sequence of meshes."""
+    return path.with_suffix("") if path.suffix.lower() in SEQUENCES else path
+
+
 def check_different(paths: Iterable[Path]) -> None:
     """Raise OptionError where two outputs would be the same file, or the same folder of a sequence of meshes."""
     seen: dict[Path, Path] = {}
     for path in paths:
-        target = path.resolve().with_suffix("") if path.suffix.lower() in SEQUENCES else path.resolve()
+        target = written_path(path.resolve())
         if target in seen:
             raise OptionError(
                 f"{seen[target]} and {path} would both be written to {target.name}; choose another name for one of them"
@@ -136,16 +142,21 @@ def make_folder(path: Path) -> None:
 
 
 def slug(text: str, length: int = 40) -> str:
-    """Words of a sentence as a part of a file name, cut at a word: "Walks forward, then waves!" ->
-    "walks-forward-then-waves".
+    """Words of a sentence as a part of a file name: "Walks forward, then waves!" -> "walks-forward-then-waves".
+
+    What is longer is cut at a word and gets six letters that tell it from others that begin alike.
     """
     words = re.findall(r"\w+", text.lower())
-    out = ""
+    whole, out = "-".join(words), ""
+    if len(whole) <= length:
+        return whole or "motion"
+    mark = hashlib.sha256(whole.encode()).hexdigest()[:6]
+    length -= len(mark) + 1
     for word in words:
         if out and len(out) + 1 + len(word) > length:
             break
         out = f"{out}-{word}" if out else word[:length]
-    return out or "motion"
+    return f"{out}-{mark}"
 
 
 def _describe(path: Path) -> str:

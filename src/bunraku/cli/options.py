@@ -38,6 +38,8 @@ class GeneratingOptions:
     """Where the character's handles come from: "predict" finds them from the shape, "rig" takes the file's own bones,
     by their names.
     """
+    overwrite: bool = False
+    """Replace files that are there already and that Bunraku did not write, or made of something else."""
     up: AxisOption = "auto"
     """The axis that is up in the character's file. "auto" goes by the rule of the format, and by the shape where it has
     none.

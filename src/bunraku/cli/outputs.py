@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_different, check_output, make_folder
+from bunraku.cli.checks import check_different, check_output, make_folder, written_path
 from bunraku.cli.evaluate.report import wrote
+from bunraku.cli.ledger import check_free, note_written
 from bunraku.cli.progress import Report
 from bunraku.errors import OptionError
 
@@ -54,7 +55,12 @@ WithoutOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.
 
 
 def check_outputs(
-    outputs: Sequence[Path], previews: Sequence[Path], inputs: Sequence[Path], suffixes: Sequence[str] = OUTPUTS
+    outputs: Sequence[Path],
+    previews: Sequence[Path],
+    inputs: Sequence[Path],
+    suffixes: Sequence[str] = OUTPUTS,
+    *,
+    overwrite: bool,
 ) -> None:
     """Raise FormatError or OptionError unless all files can be written.
 
@@ -63,12 +69,14 @@ def check_outputs(
         previews: Videos and contact sheets.
         inputs: Files that must not be overwritten.
         suffixes: Those that an output may have.
+        overwrite: Whether files that Bunraku did not write may be replaced.
     """
     for path in outputs:
         check_output(path, suffixes, inputs)
     for path in previews:
         check_output(path, PREVIEWS, inputs)
     check_different((*outputs, *previews))
+    check_free(map(written_path, (*outputs, *previews)), overwrite)
 
 
 def save_all(
@@ -108,6 +116,7 @@ def save_all(
     finally:  # what is whole stays
         for path in written:
             wrote(path)
+        note_written(written)
 
 
 def check_stages(without: tuple[str, ...]) -> None:

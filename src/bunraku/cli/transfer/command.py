@@ -12,10 +12,11 @@ import tyro
 
 from bunraku.cli.checks import check_folder, check_input, check_range
 from bunraku.cli.evaluate.report import wrote
+from bunraku.cli.ledger import begin, note, still_to_do
 from bunraku.cli.orientation import AxisOption, check_axes
 from bunraku.cli.outputs import PreviewOption, WithoutOption, check_outputs, check_stages, save_all
 from bunraku.cli.progress import stages
-from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, done_already, holds_character, pairs_of
+from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, holds_character, marks_of, pairs_of
 from bunraku.cli.transfer.runs import run_pairs
 from bunraku.errors import BunrakuError, FormatError, OptionError
 
@@ -78,6 +79,8 @@ class Transfer:
     """What each pair is written as where no file is named: glb, vmd, vrma, bvh, usd, fbx, npz, obj, mp4 ..."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the pairs, or "ray" for a Ray cluster."""
+    overwrite: bool = False
+    """Replace files that are there already and that Bunraku did not write, or made of something else."""
     preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png), for a single pair. May be given more than once.
     """
@@ -153,7 +156,7 @@ class Transfer:
     def _one(self, character: Path, motion: Path, settings: Settings, suffix: str) -> None:
         output = self.output or Path(f"{character.stem}-{motion.stem}{suffix}")
         inputs = [character] if motion.is_dir() else [character, motion]
-        check_outputs([output], self.preview, inputs, _outputs())
+        check_outputs([output], self.preview, inputs, _outputs(), overwrite=self.overwrite)
         with stages() as report:
             animation = animation_of(Pair(character, motion, output), settings, report)
             save_all(animation, [output], self.preview, self.fps, report, settings.saving)
@@ -187,18 +190,22 @@ class Transfer:
         for pair in pairs:
             if pair.output.resolve() in inputs:
                 raise FormatError(pair.output, "this would overwrite the input; name another folder with -o")
-        todo, note = done_already(pairs, settings)
+        marks = marks_of(pairs, settings)
+        left = set(still_to_do(marks, self.overwrite))
+        todo = [pair for pair in pairs if pair.written in left]
         if len(todo) < len(pairs):
             print(f"{len(pairs) - len(todo)} of {len(pairs)} files are there already")
         failed: dict[str, str] = {str(path): reason for path, reason in bad.items()}
         if todo:
             folder.mkdir(exist_ok=True)
+            begin({pair.written: marks[pair.written] for pair in todo})
         with stages() as report:
             for done, (pair, reason) in enumerate(run_pairs(todo, settings, jobs), 1):
                 if reason:
                     failed[_label(pair, reason)] = reason
+                    note(pair.written, "")  # nothing was made: what comes to lie there is another's
                 else:
-                    note(pair)
+                    note(pair.written, marks[pair.written])
                     wrote(pair.written)
                 report("transfer", done / len(todo))
         for label, reason in failed.items():

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bunraku.cli.checks import written_path
+from bunraku.cli.ledger import fingerprint
 from bunraku.errors import BunrakuError, FormatError
 
 if TYPE_CHECKING:
@@ -17,10 +17,7 @@ if TYPE_CHECKING:
     from bunraku.pipelines.transfer import Source
     from bunraku.retarget.fit import Stages
 
-__all__ = ["Pair", "Settings", "animation_of", "done_already", "holds_character", "pairs_of", "transfer_pair"]
-
-LEDGER = ".bunraku-transfer.json"
-"""Beside the results of a batch: what each was made of."""
+__all__ = ["Pair", "Settings", "animation_of", "holds_character", "marks_of", "pairs_of", "transfer_pair"]
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ class Pair:
     @property
     def written(self) -> Path:
         """What is there when it is done: the file, or the folder of a sequence of meshes."""
-        return self.output.with_suffix("") if self.output.suffix.lower() in (".obj", ".ply") else self.output
+        return written_path(self.output)
 
 
 def holds_character(path: Path) -> bool:
@@ -184,41 +181,9 @@ def stages_of(settings: Settings) -> Stages:
     return replace(TRANSFER_STAGES, **{name.replace("-", "_"): False for name in settings.without})
 
 
-def done_already(pairs: list[Pair], settings: Settings) -> tuple[list[Pair], Callable[[Pair], None]]:
-    """The pairs that are still to be done, and what notes that one is.
-
-    A pair is done when its file is there and was made of the same files, of the same size and time, with the same
-    settings by the same version.
-    """
-    if not pairs:
-        return [], lambda pair: None
-    ledger = pairs[0].output.parent / LEDGER
-    try:
-        known: dict[str, str] = json.loads(ledger.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        known = {}
-    if not isinstance(known, dict):
-        known = {}
-    marks = {pair: _fingerprint(pair, settings) for pair in pairs}
-    todo = [pair for pair in pairs if known.get(pair.output.name) != marks[pair] or not pair.written.exists()]
-
-    def note(pair: Pair) -> None:
-        from bunraku.formats.files import atomic_write
-
-        known[pair.output.name] = marks[pair]
-        with atomic_write(ledger) as file:
-            file.write(json.dumps(known, indent=0, sort_keys=True).encode())
-
-    return todo, note
-
-
-def _fingerprint(pair: Pair, settings: Settings) -> str:
-    from bunraku import __version__
-
-    facts: list[Any] = [__version__, repr(settings)]
-    for path in (pair.character, pair.motion):
-        files = sorted(path.iterdir()) if path.is_dir() else [path]
-        facts += [
-            [str(file.resolve()), file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.exists()
-        ]
-    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]
+def marks_of(pairs: Iterable[Pair], settings: Settings) -> dict[Path, str]:
+    """The fingerprint of what each pair writes."""
+    return {
+        pair.written: fingerprint([pair.character, pair.motion], "transfer", pair.output.suffix, asdict(settings))
+        for pair in pairs
+    }

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import tyro
 
 from bunraku.cli.checks import check_input, check_sequence, slug
+from bunraku.cli.ledger import fingerprint
 from bunraku.cli.options import GeneratingOptions
 from bunraku.cli.orientation import stand_up
 from bunraku.cli.outputs import check_outputs, fitting_stages, save_all
 from bunraku.cli.progress import stages
-from bunraku.cli.verbs.batch import clips_to_do, read_lines, save_clips
+from bunraku.cli.verbs.batch import Clip, clips_of, clips_to_do, read_lines, save_clips
 from bunraku.errors import OptionError
 from bunraku.pipelines.together import check_together
 
@@ -46,7 +47,7 @@ class Animate(GeneratingOptions):
     """What it does, in English; or several prompts in a row with their seconds."""
     prompts: Path | None = None
     """A text file with one prompt a line, in place of PROMPT: each line gives a GLB in the folder that -o names. What
-    is there already is left as it is, so a run that was stopped goes on.
+    was made of the same before is left as it is, so a run that was stopped goes on.
     """
     seconds: float = 6.0
     """Length of the clip, 0.5 to 120; prompts in a row without seconds of their own share it."""
@@ -72,11 +73,14 @@ class Animate(GeneratingOptions):
         )
         fitting = fitting_stages(self.without, shape=True)
         outputs = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
-        todo: list[tuple[Path, str]] = []
+        todo: list[Clip] = []
         if self.prompts is None:
-            check_outputs(outputs, self.preview, [self.character] + ([self.after] if self.after else []))
+            inputs = [self.character] + ([self.after] if self.after else [])
+            check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
         else:
-            todo = clips_to_do(self.output[0] if self.output else Path(f"{self.character.stem}-clips"), prompts)
+            folder = self.output[0] if self.output else Path(f"{self.character.stem}-clips")
+            clips = clips_of(folder, prompts, self._mark)
+            todo = clips_to_do(clips, self.overwrite)
             if not todo:
                 return
 
@@ -94,7 +98,7 @@ class Animate(GeneratingOptions):
             )
             animations = animate_each(
                 character,
-                [prompt for _, prompt in todo] or prompts,
+                [clip.prompt for clip in todo] or prompts,
                 seconds=self.seconds,
                 handles=handles,
                 apparel=self.apparel,
@@ -108,9 +112,15 @@ class Animate(GeneratingOptions):
                 **self.sampling,
             )
             if todo:
-                save_clips(animations, [path for path, _ in todo], self.fps, report)
+                save_clips(animations, todo, self.fps, report)
             else:
                 save_all(next(animations), outputs, self.preview, self.fps, report)
+
+    def _mark(self, prompt: str) -> str:
+        """What a clip is made of."""
+        same = ("output", "preview", "overwrite", "character", "prompt", "prompts", "after")
+        options = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in same}
+        return fingerprint([self.character], "animate", prompt, options)
 
     def _prompts(self) -> list[str]:
         """All prompts, checked."""

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bunraku.cli.checks import check_folder, check_input, check_sequence, slug
 from bunraku.cli.evaluate.report import wrote
+from bunraku.cli.ledger import begin, note, still_to_do
 from bunraku.cli.progress import Report
 from bunraku.errors import FormatError, OptionError
 
 if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
 
-__all__ = ["clips_to_do", "read_lines", "save_clips"]
+__all__ = ["Clip", "clips_of", "clips_to_do", "read_lines", "save_clips"]
 
 LIMIT = 10_000
 
@@ -44,32 +46,57 @@ def read_lines(path: Path, seconds: float) -> list[str]:
     return prompts
 
 
-def clips_to_do(folder: Path, prompts: list[str]) -> list[tuple[Path, str]]:
-    """A file for each prompt, named after its number and words, and the prompt; without those that are there already.
+@dataclass(frozen=True)
+class Clip:
+    """A file to write, the prompt that it shows, and the fingerprint of what it is made of."""
+
+    path: Path
+    prompt: str
+    mark: str
+
+
+def clips_of(folder: Path, prompts: list[str], mark: Callable[[str], str]) -> list[Clip]:
+    """A clip for each prompt, its file named after its number and words.
+
+    Args:
+        folder: Of all files.
+        prompts: What is to be shown.
+        mark: Gives the fingerprint of a prompt's clip.
+    """
+    return [
+        Clip(folder / f"{number:03d}-{slug(prompt)}.glb", prompt, mark(prompt))
+        for number, prompt in enumerate(prompts, 1)
+    ]
+
+
+def clips_to_do(clips: list[Clip], overwrite: bool) -> list[Clip]:
+    """The clips that are not there yet.
 
     Raises:
-        FormatError: The folder is a file, or cannot be written to.
+        FormatError: The folder is a file, or cannot be written to, or another file has a clip's name.
     """
+    folder = clips[0].path.parent
     if folder.is_file():
         raise FormatError(folder, "this is a file; name a folder with -o, where each prompt gets a file")
     check_folder(folder)
-    files = [folder / f"{number:03d}-{slug(prompt)}.glb" for number, prompt in enumerate(prompts, 1)]
-    todo = [(path, prompt) for path, prompt in zip(files, prompts, strict=True) if not path.is_file()]
-    if len(todo) < len(files):
-        print(f"{len(files) - len(todo)} of {len(files)} clips are there already")
-    return todo
+    left = set(still_to_do({clip.path: clip.mark for clip in clips}, overwrite))
+    if len(left) < len(clips):
+        print(f"{len(clips) - len(left)} of {len(clips)} clips are there already")
+    return [clip for clip in clips if clip.path in left]
 
 
-def save_clips(animations: Iterator[AnimatedCharacter], paths: list[Path], fps: float, report: Report) -> None:
+def save_clips(animations: Iterator[AnimatedCharacter], clips: list[Clip], fps: float, report: Report) -> None:
     """Write each animation to its file as soon as it is made.
 
     Args:
-        animations: As many as files.
-        paths: The files.
+        animations: As many as clips.
+        clips: What they are.
         fps: Frames a second [1/s].
         report: Called with a stage's name and the share done.
     """
-    paths[0].parent.mkdir(exist_ok=True)
-    for done, path in enumerate(paths, 1):
-        wrote(next(animations).save(path, fps=fps))
-        report("clips", done / len(paths))
+    clips[0].path.parent.mkdir(exist_ok=True)
+    begin({clip.path: clip.mark for clip in clips})
+    for done, clip in enumerate(clips, 1):
+        wrote(next(animations).save(clip.path, fps=fps))
+        note(clip.path, clip.mark)
+        report("clips", done / len(clips))

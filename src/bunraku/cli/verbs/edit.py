@@ -64,7 +64,7 @@ class Edit(GeneratingOptions):
         for path in inputs:
             check_input(path)
         outputs = self.output or (Path(f"{self.clip.stem}-{slug(self.prompt)}{self.clip.suffix.lower()}"),)
-        check_outputs(outputs, self.preview, inputs)
+        check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
         fitting = fitting_stages(self.without)
 
         with stages() as report:

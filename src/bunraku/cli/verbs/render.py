@@ -10,6 +10,7 @@ import tyro
 
 from bunraku.cli.checks import check_input, check_output, check_range
 from bunraku.cli.evaluate.report import wrote
+from bunraku.cli.ledger import check_free, note_written
 from bunraku.cli.orientation import AxisOption, check_axes, stand_up
 from bunraku.cli.outputs import PREVIEWS
 from bunraku.cli.progress import Report, stages
@@ -47,6 +48,8 @@ class Render:
     """Width and height of a video or a still in pixels."""
     color: Literal["texture", "handles"] = "texture"
     """The character's own colours, or one for each handle or joint."""
+    overwrite: bool = False
+    """Replace a file that is there already and that Bunraku did not write."""
     up: AxisOption = "auto"
     """The axis that is up in a character without a clip, or in that of --character."""
     front: AxisOption = "auto"
@@ -69,6 +72,7 @@ class Render:
             check_input(self.character)
         if self.output is not None:
             check_output(self.output, PREVIEWS, [self.file])
+            check_free([self.output], self.overwrite)
 
         with stages() as report:
             report("load", 0.0)
@@ -76,6 +80,7 @@ class Render:
             report("load", 1.0)
             output = self.output or Path(f"{self.file.stem}.{'png' if animation is None else 'mp4'}")
             check_output(output, PREVIEWS, [self.file])
+            check_free([output], self.overwrite)
             if animation is None:
                 self._still(output)
             else:
@@ -91,6 +96,7 @@ class Render:
                     progress=lambda done, total: report("preview", done / total),
                 )
         wrote(output)
+        note_written([output])
 
     def _motion(self, report: Report) -> Animation:
         from bunraku.core.animation import Animation

@@ -10,6 +10,7 @@ import tyro
 
 from bunraku.cli.checks import check_input, check_output, make_folder
 from bunraku.cli.evaluate.report import wrote
+from bunraku.cli.ledger import check_free, note_written
 from bunraku.cli.orientation import AxisOption, check_axes, stand_up
 from bunraku.cli.progress import stages
 
@@ -35,6 +36,8 @@ class Rig:
     """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
     their names.
     """
+    overwrite: bool = False
+    """Replace files that are there already and that Bunraku did not write."""
     up: AxisOption = "auto"
     """The axis that is up in the file. "auto" goes by the rule of the format, and by the shape where it has none."""
     front: AxisOption = "auto"
@@ -47,6 +50,8 @@ class Rig:
         check_output(output, (".glb",), [self.character])
         if self.preview is not None:
             check_output(self.preview, (".png",), [self.character])
+        written = [output] if self.preview is None else [output, self.preview]
+        check_free(written, self.overwrite)
 
         from bunraku.io import load_character, save_character
 
@@ -69,3 +74,4 @@ class Rig:
         wrote(output, f"{len(handles.positions)} handles")
         if self.preview is not None:
             wrote(self.preview)
+        note_written(written)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ import tyro
 
 from bunraku.cli.checks import check_folder
 from bunraku.cli.evaluate.report import wrote
+from bunraku.cli.ledger import check_free
 from bunraku.cli.progress import stages
 from bunraku.errors import OptionError
 
@@ -27,10 +29,14 @@ class Samples:
     """Which ones; all of them by default."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path(".")
     """Folder to write to, made when it is not there."""
+    overwrite: bool = False
+    """Replace other files that have a sample's name."""
     list: bool = False
     """Only print the names."""
 
     def run(self) -> None:
+        from bunraku.formats.files import atomic_write
+        from bunraku.io import save_character
         from bunraku.synthetic.samples import sample_character, sample_names
 
         known = tuple(sample_names())
@@ -42,15 +48,21 @@ class Samples:
             return
         check_folder(self.output)
 
-        from bunraku.io import save_character
-
-        written = []
-        with stages() as report:
+        with stages() as report, tempfile.TemporaryDirectory() as scratch:
             names = self.names or known
-            for number, name in enumerate(names):
-                report("samples", number / len(names))
-                written.append(self.output / f"{name}.glb")
-                save_character(sample_character(name), written[-1])
+            made = {name: Path(scratch) / f"{name}.glb" for name in names}
+            for number, name in enumerate(made):
+                report("samples", number / len(made))
+                save_character(sample_character(name), made[name])
             report("samples", 1.0)
-        for path in written:
-            wrote(path)
+            todo = {name: path.read_bytes() for name, path in made.items()}
+        outputs = {name: self.output / f"{name}.glb" for name in todo}
+        there = [name for name, path in outputs.items() if path.is_file() and path.read_bytes() == todo[name]]
+        check_free([path for name, path in outputs.items() if name not in there], self.overwrite, ours=False)
+        if there:
+            print(f"{len(there)} of {len(todo)} samples are there already")
+        for name, path in outputs.items():
+            if name not in there:
+                with atomic_write(path) as file:
+                    file.write(todo[name])
+                wrote(path)
