@@ -1,6 +1,11 @@
 """The motion archive in its packed form, written byte by byte, and its conversion to handle motion."""
 
 import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -130,3 +135,39 @@ def test_a_subject_with_sloping_feet_is_levelled():
     assert subject_of("cmu_07_11") == "cmu_07"
     assert standing_foot_pitch(level_feet(motion, "cmu_07_09", slopes)) == pytest.approx(0, abs=1e-3)
     assert level_feet(motion, "cmu_08_09", slopes) is motion
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs the /proc of Linux")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_build_that_is_stopped_leaves_no_process_and_keeps_what_is_done(tmp_path, how):
+    write_archive(tmp_path, [300] * 16)
+    out = tmp_path / "out"
+    words = ["data", "motions", "--source", str(tmp_path), "-o", str(out), "--jobs", "2"]
+    run = subprocess.Popen([sys.executable, "-m", "bunraku", *words], stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 120
+    while not list(out.glob("*.npz")):
+        assert run.poll() is None and time.monotonic() < end
+        time.sleep(0.05)
+    children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
+    assert len(children) >= 2
+    run.send_signal(how)
+    before = time.monotonic()
+    run.wait(20)
+    while any(_runs(child) for child in children):
+        assert time.monotonic() - before < 2
+        time.sleep(0.02)
+    if how == signal.SIGINT:
+        assert run.returncode == 130
+        assert [line for line in run.stderr.read().splitlines() if "measuring" not in line] == ["bunraku: interrupted"]
+    done = list(out.glob("*.npz"))
+    assert 0 < len(done) < 16
+    stamps = {path: path.stat().st_mtime_ns for path in done}
+    assert len(json.loads(build_motions(tmp_path, out, jobs=2).read_text())["clips"]) == 16
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
+
+
+def _runs(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False

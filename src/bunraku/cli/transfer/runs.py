@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from importlib import import_module
-from multiprocessing import get_context
 from typing import Any
 
 from bunraku.cli.transfer.jobs import Pair, Settings, transfer_pair
 from bunraku.errors import MissingExtraError
+from bunraku.nn.pool import Pool
 
 __all__ = ["run_pairs"]
 
@@ -43,8 +42,8 @@ def _on_processes(batches: list[list[Pair]], settings: Settings, jobs: int) -> I
     then tried alone.
     """
     waiting, alone = deque(batches), deque[list[Pair]]()
-    idle: list[ProcessPoolExecutor] = []
-    running: dict[Future[list[tuple[Pair, str]]], tuple[ProcessPoolExecutor, list[Pair]]] = {}
+    idle: list[Pool] = []
+    running: dict[Future[list[tuple[Pair, str]]], tuple[Pool, list[Pair]]] = {}
     last = False
     try:
         while waiting or running or alone:
@@ -52,11 +51,7 @@ def _on_processes(batches: list[list[Pair]], settings: Settings, jobs: int) -> I
                 waiting, alone, jobs, last = alone, deque(), 1, True
             while waiting and len(running) < jobs:
                 batch = waiting.popleft()
-                lane = (
-                    idle.pop()
-                    if idle
-                    else ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_one_thread)
-                )
+                lane = idle.pop() if idle else Pool(1)
                 running[lane.submit(_run_batch, batch, settings)] = lane, batch
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 lane, batch = running.pop(future)
@@ -64,7 +59,7 @@ def _on_processes(batches: list[list[Pair]], settings: Settings, jobs: int) -> I
                     done = future.result()
                     idle.append(lane)
                 except Exception as error:  # the process died, for want of memory in most cases
-                    lane.shutdown(wait=False)
+                    lane.kill()
                     reason = (
                         f"its process ended twice ({type(error).__name__}); the memory may be too small: "
                         f"simplify the mesh or cut the motion"
@@ -74,7 +69,7 @@ def _on_processes(batches: list[list[Pair]], settings: Settings, jobs: int) -> I
                 yield from done
     finally:
         for lane in (*idle, *(lane for lane, _ in running.values())):
-            lane.shutdown(wait=False, cancel_futures=True)
+            lane.kill()
 
 
 def _batches(pairs: list[Pair], jobs: int) -> list[list[Pair]]:
@@ -93,12 +88,6 @@ def _batches(pairs: list[Pair], jobs: int) -> list[list[Pair]]:
 
 def _run_batch(batch: list[Pair], settings: Settings) -> list[tuple[Pair, str]]:
     return [(pair, transfer_pair(pair, settings)) for pair in batch]
-
-
-def _one_thread() -> None:
-    """Processes share the cores; threads in each would only get into each other's way."""
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"
 
 
 def _on_ray(pairs: list[Pair], settings: Settings) -> Iterator[tuple[Pair, str]]:

@@ -6,19 +6,16 @@ differ.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
-from multiprocessing import get_context
 from typing import Any
 
 from bunraku.errors import MissingExtraError
+from bunraku.nn.pool import THREADS, Pool
 
 __all__ = ["run_jobs"]
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 def run_jobs(work: Callable[..., str], items: Sequence[tuple[Any, ...]], jobs: int | str) -> Iterator[tuple[int, str]]:
@@ -38,20 +35,11 @@ def run_jobs(work: Callable[..., str], items: Sequence[tuple[Any, ...]], jobs: i
     if jobs == "ray":
         yield from _on_ray(work, items)
         return
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ |= dict.fromkeys(_THREADS, "1")  # processes inherit it before their libraries are loaded
-    try:
-        yield from _on_processes(work, items, int(jobs))
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+    yield from _on_processes(work, items, int(jobs))
 
 
 def _on_processes(work: Callable[..., str], items: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[tuple[int, str]]:
-    with ProcessPoolExecutor(min(jobs, len(items)), mp_context=get_context("spawn")) as pool:
+    with Pool(min(jobs, len(items))) as pool:
         waiting: dict[Future[str], int] = {}
         next_item = 0
         try:
@@ -70,9 +58,6 @@ def _on_processes(work: Callable[..., str], items: Sequence[tuple[Any, ...]], jo
                 "with fewer --jobs"
             )
             yield from ((number, reason) for number in [*waiting.values(), *range(next_item, len(items))])
-        except BaseException:  # an interrupt: what waits is not begun
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 def _on_ray(work: Callable[..., str], items: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, str]]:
@@ -80,7 +65,7 @@ def _on_ray(work: Callable[..., str], items: Sequence[tuple[Any, ...]]) -> Itera
         ray: Any = import_module("ray")
     except ImportError as error:
         raise MissingExtraError("ray", "ray", "--jobs ray") from error
-    ray.init(ignore_reinit_error=True, log_to_driver=False, runtime_env={"env_vars": dict.fromkeys(_THREADS, "1")})
+    ray.init(ignore_reinit_error=True, log_to_driver=False, runtime_env={"env_vars": dict.fromkeys(THREADS, "1")})
     task = ray.remote(work).options(max_retries=2)
     waiting = {task.remote(*item): number for number, item in enumerate(items)}
     while waiting:

@@ -11,9 +11,8 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from bunraku.datasets.motions.hinges import unrolled
 from bunraku.datasets.motions.watched import FEWEST, Stretch, load_watched
 from bunraku.errors import FormatError
 from bunraku.geometry.rotations import matrix_from_quaternion
+from bunraku.nn.pool import Pool
 from bunraku.retarget.from_mesh import registered_body
 
 __all__ = ["MotionArchive", "build_motions", "split_of"]
@@ -129,8 +129,6 @@ _ARCHIVE: MotionArchive | None = None
 
 def _start_worker(source: str) -> None:
     global _ARCHIVE
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
     _ARCHIVE = MotionArchive.open(source)
 
 
@@ -194,9 +192,7 @@ def build_motions(
             done += _convert(archive, batch, out, slopes)
             report("converting motions", done / total)
     else:
-        with ProcessPoolExecutor(
-            jobs, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(str(source),)
-        ) as pool:
+        with Pool(jobs, _start_worker, (str(source),)) as pool:
             for future in as_completed([pool.submit(_work, batch, out, slopes) for batch in _batches(archive, todo)]):
                 done += future.result()
                 report("converting motions", done / total)

@@ -12,9 +12,8 @@ import csv
 import os
 import re
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 from bunraku.body.layout import JOINT_NAMES
@@ -24,6 +23,7 @@ from bunraku.datasets.motions.build import split_of
 from bunraku.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.formats.arrays.humanml3d import HUMANML3D_FPS, TimedCaption, read_texts
+from bunraku.nn.pool import Pool
 from bunraku.retarget.from_mesh import handle_motion_of_body
 
 __all__ = ["Take", "add_takes", "amass_takes", "humanml3d_takes", "licensed_takes"]
@@ -282,8 +282,12 @@ def add_takes(
         for take in todo:
             note(*_convert(take, out))
     else:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            for future in as_completed([pool.submit(_convert, take, out) for take in todo]):
-                note(*future.result())
+        try:
+            with Pool(jobs) as pool:
+                for future in as_completed([pool.submit(_convert, take, out) for take in todo]):
+                    note(*future.result())
+        except KeyboardInterrupt:
+            write_index(out, clips)
+            raise
     write_index(out, clips)
     return added, failed
