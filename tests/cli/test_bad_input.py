@@ -97,6 +97,15 @@ def test_bad_prompt(fails, good, tmp_path, prompt, reason):
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that even root cannot write to")
+def test_a_prompt_that_is_not_understood_is_refused_before_the_work(fails, good, tmp_path):
+    said = fails("animate", good, "asdf qwer", "-o", tmp_path / "out.glb")
+    assert "'asdf', 'qwer'" in said and "--anyway" in said and said.count("'a person ") == 3
+    assert "'zxcv'" in fails("edit", good, "zxcv", "--keep", "legs", "-o", tmp_path / "out.glb")
+    (tmp_path / "prompts.txt").write_text("walks\nqwer zxcv\n", encoding="utf-8")
+    assert "line 2: no movement" in fails("animate", good, "--prompts", tmp_path / "prompts.txt")
+    assert "no handle motion" in fails("edit", good, "zxcv", "--anyway", "--keep", "legs", "-o", tmp_path / "out.glb")
+
+
 @pytest.mark.parametrize("verb", [["animate", "walks"], ["rig"]])
 def test_folder_that_cannot_be_written(fails, good, verb):
     assert "cannot be written" in fails(verb[0], good, *verb[1:], "-o", "/proc/out.glb")

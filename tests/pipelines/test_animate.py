@@ -179,3 +179,23 @@ def test_what_does_not_fit_together_is_refused(walk):
     cut = dataclasses.replace(walk, reference=reference.take(slice(0, len(reference) - 1)))
     with pytest.raises(bunraku.MotionError, match="save it again"):
         bunraku.edit(cut, "waves", keep="legs", steps=1)
+
+
+def test_what_is_not_understood_is_refused_or_told_once(person, walk, caplog):
+    for call in (
+        lambda **how: animate(person, "blorp the zarg", seconds=1.0, **how),
+        lambda **how: bunraku.generate("blorp the zarg", seconds=1.0, **how),
+        lambda **how: bunraku.edit(walk, "blorp the zarg", keep="legs", **how),
+    ):
+        with pytest.raises(bunraku.OptionError, match="no movement is understood in the prompt \\('blorp', 'zarg'\\)"):
+            call()
+        caplog.clear()
+        call(anyway=True, steps=1)
+        assert [record.message for record in caplog.records] == ["not understood: 'blorp', 'zarg'"]
+
+
+def test_a_sentence_of_another_language_is_made_as_its_english(caplog):
+    found = bunraku.generate("geht vorwärts, dann winkt er: 2", steps=2, seed=3)
+    assert [record.message for record in caplog.records] == ["read as: a person walks forward, then waves"]
+    english = bunraku.generate("a person walks forward, then waves: 2", steps=2, seed=3)
+    assert np.array_equal(found.rotations, english.rotations) and len(found) == 40

@@ -37,13 +37,17 @@ def check_seconds(seconds: float) -> None:
     check_range("--seconds", seconds, *SECONDS)
 
 
-def check_sequence(prompt: str, seconds: float) -> None:
-    """Raise OptionError unless this is a prompt, or several in a row, for a clip of a length that can be made."""
+def check_sequence(prompt: str, seconds: float, anyway: bool) -> None:
+    """Raise OptionError unless this is a prompt, or several in a row, for a clip of a length that can be made; one that
+    is not understood is taken where it is to be made `anyway`.
+    """
+    from bunraku.language.understood import check_understood
+
     check_seconds(seconds)
     if not prompt.strip() or ";" not in prompt:
         check_prompt(prompt)
     for part, _ in timed_sequence(parse_sequence(prompt), seconds):
-        check_prompt(part)
+        check_understood(part, anyway)
 
 
 def check_input(path: Path) -> None:

@@ -51,6 +51,9 @@ class GeneratingOptions:
     May be repeated.
     """
 
+    anyway: bool = False
+    """Go on where no movement of the sentence is understood; the network then makes some motion."""
+
     def check(self) -> None:
         """Raise OptionError unless a motion can be made with these."""
         check_range("--seed", self.seed, 0, 2**63 - 1)
@@ -62,4 +65,4 @@ class GeneratingOptions:
     @property
     def sampling(self) -> dict[str, Any]:
         """What `animate` and `edit` take of these."""
-        return {"seed": self.seed, "steps": self.steps, "guidance": self.guidance}
+        return {"seed": self.seed, "steps": self.steps, "guidance": self.guidance, "anyway": self.anyway}

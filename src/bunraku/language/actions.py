@@ -10,7 +10,7 @@ import functools
 import re
 from collections.abc import Sequence
 
-__all__ = ["ACTIONS", "CYCLIC", "actions_of", "main_actions"]
+__all__ = ["ACTIONS", "CYCLIC", "actions_of", "main_actions", "says_any"]
 
 ACTIONS: dict[str, str] = {
     "jumping jack": r"jumping jacks?|star jumps?",
@@ -202,10 +202,23 @@ _SWALLOWS = {
 
 
 @functools.cache
-def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
-    return tuple(
-        (action, re.compile(rf"\b(?:{pattern})\b" if "$" not in pattern else rf"\b(?:{pattern})", re.IGNORECASE))
-        for action, pattern in ACTIONS.items()
+def _pattern(action: str) -> re.Pattern[str]:
+    pattern = ACTIONS[action]
+    return re.compile(rf"\b(?:{pattern})\b" if "$" not in pattern else rf"\b(?:{pattern})", re.IGNORECASE)
+
+
+@functools.cache
+def _beginnings(action: str) -> frozenset[str]:
+    """The first three letters of all words of a pattern: a sentence without any of them does not match."""
+    return frozenset(word[:3] for word in re.findall(r"[a-z]{2,}", re.sub(r"\\\w", " ", ACTIONS[action])))
+
+
+def says_any(sentence: str) -> bool:
+    """Whether a sentence says anything known, as `actions_of`, but without making all patterns, which takes 60 ms."""
+    plain = sentence.lower()
+    return any(
+        any(letters in plain for letters in _beginnings(action)) and bool(_pattern(action).search(sentence))
+        for action in ACTIONS
     )
 
 
@@ -213,8 +226,8 @@ def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
 def actions_of(sentence: str) -> tuple[str, ...]:
     """Canonical words of a sentence in the order in which it says them; none where it says nothing known."""
     found = {}
-    for action, pattern in _patterns():
-        match = pattern.search(sentence)
+    for action in ACTIONS:
+        match = _pattern(action).search(sentence)
         if match:
             found[action] = match.start()
     for action in list(found):

@@ -21,8 +21,8 @@ from bunraku.language.grammar import conjugate, fill, is_stative, sentence_forms
 
 __all__ = [
     "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants",
-    "creature_clauses", "creature_names",
-    "creature_variants", "known_clauses", "known_verbs", "mirror_words", "normalise_label", "person_phrases",
+    "creature_clauses", "creature_names", "creature_variants", "creature_words", "known_clauses", "known_phrases",
+    "known_verbs", "mirror_words", "normalise_label", "person_phrases",
 ]  # fmt: skip
 
 _MIRRORED = {
@@ -89,12 +89,28 @@ def known_verbs() -> frozenset[str]:
 
 
 @functools.cache
+def known_phrases() -> tuple[str, ...]:
+    """All phrases for people's motions with their verbs in braces, in the order of the file."""
+    return tuple(dict.fromkeys(phrase for group in _groups().values() for phrase in group.phrases))
+
+
+@functools.cache
+def creature_words() -> frozenset[str]:
+    """Names of creatures and the phrases for what they do: all that sentences about them are made of."""
+    table = _table("creature_captions.json")
+    kinds = table["kinds"]
+    names = [*table["called"], *(name for called in table["called"].values() for name in called), *table["aliases"]]
+    names += [name for kind in kinds for name in (*kind["species"], kind.get("name", ""))]
+    phrases = [*table["actions"].values(), *(own for kind in kinds for own in kind["phrases"].values())]
+    return frozenset([*names, *table["actions"], *(phrase for some in phrases for phrase in some)])
+
+
+@functools.cache
 def known_clauses() -> frozenset[str]:
     """All phrases for people's motions without a subject, in the third person, as gerunds and plain: what sentences of
     training are made of.
     """
-    phrases = {phrase for group in _groups().values() for phrase in group.phrases}
-    return frozenset(conjugate(phrase, form) for phrase in phrases for form in ("third", "gerund", "plain"))
+    return frozenset(conjugate(phrase, form) for phrase in known_phrases() for form in ("third", "gerund", "plain"))
 
 
 def mirror_words(sentence: str) -> str:

@@ -15,7 +15,7 @@ from bunraku.language.actions import actions_of
 from bunraku.language.captions import known_clauses, known_verbs
 from bunraku.language.grammar import conjugate
 
-__all__ = ["SHORTEST_CLAUSE", "split_clauses", "subject_of", "timed_clauses", "with_subject"]
+__all__ = ["SHORTEST_CLAUSE", "clause_verbs", "split_clauses", "subject_of", "timed_clauses", "with_subject"]
 
 ONCE = {
     "jump": 2.0, "long jump": 2.3, "kick": 2.0, "reach": 2.2, "sword": 1.6, "pick up": 3.2, "put down": 2.7,
@@ -64,6 +64,11 @@ _NO_VERB = re.compile(
 _ADVERBS = r"(?:(?:\w+ly|also|again)\s+)*"
 
 
+def clause_verbs() -> frozenset[str]:
+    """Verbs that a clause may begin with, plain."""
+    return known_verbs() | frozenset(_MORE_VERBS)
+
+
 @functools.cache
 def _forms() -> tuple[str, str, str]:
     """Patterns of a verb in the third person, as a gerund, and plain."""
@@ -71,7 +76,7 @@ def _forms() -> tuple[str, str, str]:
     def pattern(words: set[str]) -> str:
         return r"(?:" + "|".join(sorted(map(re.escape, words), key=len, reverse=True)) + r")\b"
 
-    verbs = known_verbs() | set(_MORE_VERBS)
+    verbs = clause_verbs()
     third, gerund = ({conjugate(f"{{{verb}}}", form) for verb in verbs} for form in ("third", "gerund"))
     return pattern(third), pattern(gerund), pattern(set(verbs))
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from bunraku.language.captions import caption_clauses, caption_variants, known_verbs, mirror_words
 from bunraku.language.grammar import sentence_forms
 
-__all__ = ["agreeing", "stretch_phrases", "stretch_variants"]
+__all__ = ["agreeing", "stretch_phrases", "stretch_variants", "stretch_verbs"]
 
 _SUBJECT = re.compile(
     r"^(?:a|the|one) (?:person|human|man|woman|figure|character)\b|^someone\b|^somebody\b", re.IGNORECASE
@@ -45,7 +45,8 @@ _MORE_VERBS = frozenset({
 _LINK = re.compile(r"(,? and then |,? then |,? and |, )")
 
 
-def _verbs() -> frozenset[str]:
+def stretch_verbs() -> frozenset[str]:
+    """Verbs that a watched sentence may begin with, plain."""
     return known_verbs() | _MORE_VERBS
 
 
@@ -61,7 +62,7 @@ def stretch_phrases(texts: tuple[str, ...]) -> tuple[str, ...]:
     braced = []
     for place, part in enumerate(parts):
         first, *rest = part.split(" ", 1)
-        if place % 2 == 0 and first.lower() in _verbs():
+        if place % 2 == 0 and first.lower() in stretch_verbs():
             part = " ".join(["{" + first.lower() + "}", *rest])
         elif place == 0:
             return ()

@@ -57,18 +57,23 @@ def rig(
     return found
 
 
-def _scripts(prompts: Sequence[str], seconds: float) -> list[list[tuple[str, float]]]:
-    """The clauses of each prompt with their seconds; what cannot be generated is refused before anything is loaded."""
+Scripts = list[list[tuple[str, float]]]
+
+
+def _scripts(prompts: Sequence[str], seconds: float, anyway: bool) -> Scripts:
+    """The clauses of each prompt in English with their seconds; what cannot be generated is refused before anything is
+    loaded, and what is not understood is told.
+    """
     from bunraku.language.clauses import timed_clauses
-    from bunraku.language.prompts import check_prompt
     from bunraku.language.sequence import parse_sequence, timed_sequence
+    from bunraku.language.understood import english_of
 
     scripts = []
     for prompt in prompts:
         if not isinstance(prompt, str):
             raise OptionError("the prompt must be a sentence")
         timed = timed_sequence(parse_sequence(prompt), seconds)
-        scripts.append([clause for part, length in timed for clause in timed_clauses(check_prompt(part), length)])
+        scripts.append([clause for part, length in timed for clause in timed_clauses(english_of(part, anyway), length)])
     return scripts
 
 
@@ -83,6 +88,7 @@ def generate(
     mesh_feature: object | None = ...,
     loop: bool = ...,
     after: HandleMotion | None = ...,
+    anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> HandleMotion: ...
 
@@ -98,6 +104,7 @@ def generate(
     mesh_feature: object | None = ...,
     loop: bool = ...,
     after: HandleMotion | None = ...,
+    anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> list[HandleMotion]: ...
 
@@ -112,13 +119,14 @@ def generate(
     mesh_feature: object | None = None,
     loop: bool = False,
     after: HandleMotion | None = None,
+    anyway: bool = False,
     progress: Progress | None = None,
 ) -> HandleMotion | list[HandleMotion]:
     """Handle motions of the reference body from sentences (Eq. 2 of TapMo).
 
     Args:
-        prompt: What the character does, in English; several sentences in a row with their seconds ("walks:4; jumps:2;
-            waves:3"); or a list of such prompts, which are made in one batch.
+        prompt: What the character does, in English or a language of `language.words`; several sentences in a row with
+            their seconds ("walks:4; jumps:2; waves:3"); or a list of such prompts, which are made in one batch.
         seconds: Length [s], 0.5 to 120; what prompts without seconds of their own share.
         seed: The same seed and version give the same motion. One number gives each prompt of a list noise of its own,
             the first as when it is alone; a list has one for each.
@@ -127,29 +135,37 @@ def generate(
         mesh_feature: f_phi of the character, shape (448,); None generates for no mesh in particular.
         loop: Make a loop: the last frame is the first again, at another place where the motion travels.
         after: Motion of the reference body whose last pose is the first of the new motion.
+        anyway: Generate even where no movement of a sentence is understood.
         progress: Called with a stage's name and the share done.
 
     Raises:
-        OptionError: A prompt is empty or too long, a length is out of range, or a loop is to follow another motion.
+        OptionError: A prompt is empty, too long or not understood, a length is out of range, or a loop is to follow
+            another motion.
         MotionError: `after` is no motion of the reference body at 20 frames a second.
         WeightsError: The shipped weights are missing or broken.
     """
     prompts = [prompt] if isinstance(prompt, str) else list(prompt)
-    scripts = _scripts(prompts, seconds)
+    scripts = _scripts(prompts, seconds, anyway)
     check_together("rigid", loop=loop, after=after is not None)
     how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "progress": progress}
+    motions = _generated(scripts, seed, loop, after, how)
+    return motions[0] if isinstance(prompt, str) else motions
+
+
+def _generated(
+    scripts: Scripts, seed: int | Sequence[int], loop: bool, after: HandleMotion | None, how: dict[str, Any]
+) -> list[HandleMotion]:
+    """A motion for each script; arguments as for `generate`."""
     from bunraku.diffusion.generate import generate_motions
 
     if after is None:
-        motions = generate_motions(scripts, seeds=seed, loop=loop, **how)
-    else:
-        from bunraku.diffusion.editing import continue_motion
+        return generate_motions(scripts, seeds=seed, loop=loop, **how)
+    from bunraku.diffusion.editing import continue_motion
 
-        seeds = [seed + index for index in range(len(scripts))] if isinstance(seed, int) else list(seed)
-        if len(seeds) != len(scripts):
-            raise OptionError(f"{len(scripts)} motions need as many seeds, not {len(seeds)}")
-        motions = [continue_motion(after, script, seed=one, **how) for script, one in zip(scripts, seeds, strict=True)]
-    return motions[0] if isinstance(prompt, str) else motions
+    seeds = [seed + index for index in range(len(scripts))] if isinstance(seed, int) else list(seed)
+    if len(seeds) != len(scripts):
+        raise OptionError(f"{len(scripts)} motions need as many seeds, not {len(seeds)}")
+    return [continue_motion(after, script, seed=one, **how) for script, one in zip(scripts, seeds, strict=True)]
 
 
 def animate(
@@ -166,13 +182,15 @@ def animate(
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
     stages: Stages | None = None,
+    anyway: bool = False,
     progress: Progress | None = None,
 ) -> AnimatedCharacter:
     """Make a character do what a sentence says.
 
     Args:
         character: Any mesh, +Y up and facing +Z.
-        prompt: What it does, in English; or several sentences in a row with their seconds: "walks:4; jumps:2; waves:3".
+        prompt: What it does, in English or a language of `language.words`; or several sentences in a row with their
+            seconds: "walks:4; jumps:2; waves:3".
         seconds: Length [s], 0.5 to 120; what sentences without seconds of their own share.
         seed: The same seed and version give the same animation.
         steps: Sampling steps; None takes the default.
@@ -184,14 +202,15 @@ def animate(
         in_place: Take the way over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
         stages: Which stages fit the motion to the character; `pipelines.apply.GENERATED_STAGES` when None.
+        anyway: Animate even where no movement of a sentence is understood.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
         An `Animation` at 20 frames a second, or a `RigAnimation` at 30 where apparel is simulated.
 
     Raises:
-        OptionError: The prompt is empty or too long, the length is out of range, a loop is to follow another clip, or
-            simulated apparel is to be looped, to follow a clip, or to be moved by handles.
+        OptionError: The prompt is empty, too long or not understood, the length is out of range, a loop is to follow
+            another clip, or simulated apparel is to be looped, to follow a clip, or to be moved by handles.
         CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """
@@ -199,7 +218,7 @@ def animate(
         animate_each(
             character, [prompt], seconds=seconds, seed=seed, steps=steps, guidance=guidance, handles=handles,
             apparel=apparel, loop=loop,
-            in_place=in_place, after=after, stages=stages, progress=progress,
+            in_place=in_place, after=after, stages=stages, anyway=anyway, progress=progress,
         )
     )  # fmt: skip
 
@@ -218,6 +237,7 @@ def animate_each(
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
     stages: Stages | None = None,
+    anyway: bool = False,
     progress: Progress | None = None,
 ) -> Iterator[AnimatedCharacter]:
     """One animation for each prompt, as `animate` makes them, several in one pass of the network.
@@ -225,7 +245,7 @@ def animate_each(
     Each has the same seed, so that it does not depend on those beside it. Arguments, results and errors are those of
     `animate`.
     """
-    _scripts(prompts, seconds)
+    scripts = _scripts(prompts, seconds, anyway)
     check_together(apparel, loop=loop, after=after is not None, handles=handles != "predict")
     simulated = apparel == "simulate"
     if simulated:
@@ -239,14 +259,10 @@ def animate_each(
             handles = rig(character, handles=handles or "predict", progress=progress)
         feature = handles.features
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
-    for start in range(0, len(prompts), AT_ONCE):
-        some = prompts[start : start + AT_ONCE]
-        motions = generate(
-            list(some), seconds=seconds, seed=[seed] * len(some), steps=steps, guidance=guidance, mesh_feature=feature,
-            loop=loop, after=before,
-            progress=progress,
-        )  # fmt: skip
-        for motion in motions:
+    how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": feature, "progress": progress}
+    for start in range(0, len(scripts), AT_ONCE):
+        some = scripts[start : start + AT_ONCE]
+        for motion in _generated(some, [seed] * len(some), loop, before, how):
             if simulated or not isinstance(handles, Handles):
                 yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
             else:

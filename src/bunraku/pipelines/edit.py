@@ -29,13 +29,14 @@ def edit(
     steps: int | None = None,
     guidance: float | None = None,
     stages: Stages | None = None,
+    anyway: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Clip:
     """Keep chosen handles, or all but a span of seconds, and generate the rest from a sentence (section A.3 of TapMo).
 
     Args:
         clip: An animation, or a motion of the reference body at 20 frames a second.
-        prompt: What is done instead, in English.
+        prompt: What is done instead, in English or a language of `language.words`.
         keep: What stays as it is: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or
             single handles such as left_wrist; a list, or one text with commas.
         span: Seconds from and to which is generated; all of the clip by default.
@@ -43,6 +44,7 @@ def edit(
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         stages: Which stages fit an animation's new motion to its character; all when None.
+        anyway: Generate even where no movement of the sentence is understood.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
@@ -50,14 +52,17 @@ def edit(
         `reference`.
 
     Raises:
-        OptionError: Nothing is kept, or everything; the prompt is empty or too long; or the span is outside the clip.
+        OptionError: Nothing is kept, or everything; the prompt is empty, too long or not understood; or the span is
+            outside the clip.
         MotionError: The motion is not that of 30 handles at 20 frames a second.
         WeightsError: The shipped weights are missing or broken.
     """
     from bunraku.body.parts import kept_handles
     from bunraku.core.travel import put_back
     from bunraku.diffusion.editing import edit_motion, span_frames
+    from bunraku.language.understood import english_of
 
+    english = english_of(prompt, anyway)
     how: dict[str, Any] = {
         "keep": keep,
         "span": span,
@@ -67,7 +72,7 @@ def edit(
         "progress": progress,
     }
     if isinstance(clip, HandleMotion):
-        return cast(Clip, edit_motion(clip, prompt, **how))
+        return cast(Clip, edit_motion(clip, english, **how))
     assert isinstance(clip, Animation)
     handles = clip.handles
     if handles.features is None:
@@ -80,7 +85,7 @@ def edit(
             f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it "
             "again"
         )
-    made = edit_motion(reference, prompt, mesh_feature=handles.features, **how)
+    made = edit_motion(reference, english, mesh_feature=handles.features, **how)
     if progress:
         progress("fit", 0.0)
     kept = np.zeros(len(handles.positions), bool)

@@ -44,7 +44,9 @@ class Animate(GeneratingOptions):
     character: tyro.conf.Positional[Path]
     """The mesh to animate."""
     prompt: tyro.conf.Positional[str] = ""
-    """What it does, in English; or several prompts in a row with their seconds."""
+    """What it does, in English (or German, French, Spanish, Japanese or Chinese, read through a table of words); or
+    several prompts in a row with their seconds.
+    """
     prompts: Path | None = None
     """A text file with one prompt a line, in place of PROMPT: each line gives a GLB in the folder that -o names. What
     was made of the same before is left as it is, so a run that was stopped goes on.
@@ -125,13 +127,13 @@ class Animate(GeneratingOptions):
     def _prompts(self) -> list[str]:
         """All prompts, checked."""
         if self.prompts is None:
-            check_sequence(self.prompt, self.seconds)
+            check_sequence(self.prompt, self.seconds, self.anyway)
             return [self.prompt]
         if self.prompt:
             raise OptionError("a prompt and --prompts are both given; leave one out")
         if self.preview or self.after or len(self.output) > 1:
             raise OptionError("--prompts makes one GLB a line in one folder (-o), without --preview and --after")
-        return read_lines(self.prompts, self.seconds)
+        return read_lines(self.prompts, self.seconds, self.anyway)
 
 
 def _before(path: Path, character: Character, handles: Handles) -> HandleMotion | AnimatedCharacter:

@@ -21,7 +21,7 @@ __all__ = ["Clip", "clips_of", "clips_to_do", "read_lines", "save_clips"]
 LIMIT = 10_000
 
 
-def read_lines(path: Path, seconds: float) -> list[str]:
+def read_lines(path: Path, seconds: float, anyway: bool) -> list[str]:
     """The prompts of a text file, one a line; empty lines do not count.
 
     Raises:
@@ -37,7 +37,7 @@ def read_lines(path: Path, seconds: float) -> list[str]:
     for number, line in enumerate(lines, 1):
         if line.strip():
             try:
-                check_sequence(line, seconds)
+                check_sequence(line, seconds, anyway)
             except OptionError as error:
                 raise OptionError(f"{path}, line {number}: {error}") from None
             prompts.append(line.strip())

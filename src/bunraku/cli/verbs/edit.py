@@ -16,7 +16,7 @@ from bunraku.cli.orientation import stand_up
 from bunraku.cli.outputs import check_outputs, fitting_stages, save_all
 from bunraku.cli.progress import Report, stages
 from bunraku.errors import OptionError
-from bunraku.language.prompts import check_prompt
+from bunraku.language.understood import check_understood
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
@@ -36,7 +36,7 @@ class Edit(GeneratingOptions):
     clip: tyro.conf.Positional[Path]
     """The clip, .glb or .npz, as Bunraku wrote it."""
     prompt: tyro.conf.Positional[str]
-    """What is done instead, in English."""
+    """What is done instead, in English (or in a language that the table of words has)."""
     keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PART"), tyro.conf.UseAppendAction] = ()
     """What stays: root, legs, arms, left-arm, right-arm, left-leg, right-leg, upper-body, lower-body, head, torso,
     tail, wings, or a single handle such as left_wrist. May be given more than once.
@@ -51,7 +51,7 @@ class Edit(GeneratingOptions):
     def run(self) -> None:
         from bunraku.body.parts import kept_handles
 
-        check_prompt(self.prompt)
+        check_understood(self.prompt, self.anyway)
         span = parse_span(self.span) if self.span else None
         if self.keep:
             kept_handles(self.keep)

@@ -1,0 +1,196 @@
+"""What of a sentence is understood, and what is not.
+
+A sentence is understood where it says a movement that the captions of training have. Its other words may be unknown;
+they are named, since the network guesses what they mean. Typing errors are corrected, and sentences in a language of
+`words` are put into English.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import re
+from dataclasses import dataclass
+
+from bunraku.errors import OptionError
+from bunraku.language.known.nearest import nearest_sentences
+from bunraku.language.known.spelling import corrected
+from bunraku.language.known.vocabulary import FUNCTION_WORDS, says_action, words_of
+from bunraku.language.prompts import check_prompt
+from bunraku.language.words import Translation, translate
+
+__all__ = ["UnknownWord", "Understanding", "check_understood", "english_of", "understood"]
+
+_log = logging.getLogger(__name__)
+_SHARE = 0.25
+"""Of a sentence's words that must be known: "lorem ipsum dolor sit amet" is no way to sit."""
+_SURE = 0.6
+"""Of the words that are not the grammar's, the share that must be known or nearly so for any to be a typing error."""
+
+
+@dataclass(frozen=True)
+class UnknownWord:
+    """A word that is not understood.
+
+    Args:
+        word: As it stands in the sentence.
+        start: Of its first letter.
+        stop: After its last letter.
+    """
+
+    word: str
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True)
+class Understanding:
+    """What is understood of a sentence.
+
+    Args:
+        prompt: The sentence as it was given.
+        english: What the network is told.
+        ok: Whether the sentence says a movement that training shows.
+        language: "en", "de", "fr", "es", "ja" or "zh"; "" for a script that is not read.
+        known: Its words that are understood.
+        unknown: Those that are not, with their places in `prompt`.
+        corrected: Words taken for typing errors, and what is read in their place.
+        nearest: Three known sentences like it, where a word is not understood.
+    """
+
+    prompt: str
+    english: str
+    ok: bool
+    language: str = "en"
+    known: tuple[str, ...] = ()
+    unknown: tuple[UnknownWord, ...] = ()
+    corrected: tuple[tuple[str, str], ...] = ()
+    nearest: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What somebody who gave the sentence should be told, one line each."""
+        said = []
+        if self.language != "en" or self.corrected:
+            said.append(f"read as: {self.english}")
+        if self.unknown:
+            said.append(f"not understood: {_quoted(self.unknown)}")
+        return tuple(said)
+
+
+def _quoted(unknown: tuple[UnknownWord, ...], most: int = 8) -> str:
+    words = list(dict.fromkeys(f"'{one.word[:40]}'" for one in unknown))
+    return ", ".join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
+
+
+@functools.lru_cache(maxsize=512)
+def understood(prompt: str) -> Understanding:
+    """What is understood of one sentence.
+
+    Args:
+        prompt: In English, German, French, Spanish, Japanese or Chinese.
+
+    Raises:
+        OptionError: It is empty, has no letters or digits, or is longer than 1,000 characters.
+    """
+    check_prompt(prompt)
+    translation = translate(prompt)
+    return _foreign(prompt, translation) if translation.concepts else _english(prompt, translation.language)
+
+
+def _english(prompt: str, language: str) -> Understanding:
+    words = words_of(prompt)
+    slips = {word: corrected(word.text) for word in words if not word.known}
+    telling = [word for word in words if word.text.lower() not in FUNCTION_WORDS]
+    if sum(word.known or bool(slips[word]) for word in telling) < _SURE * len(telling):
+        slips = {}
+    text = prompt
+    for word in reversed(words):
+        if slips.get(word):
+            text = text[: word.start] + slips[word] + text[word.stop :]
+    text = check_prompt(text)
+    known = [slips.get(word) or word.text for word in words if word.known or slips.get(word)]
+    unknown = [word for word in words if not (word.known or slips.get(word))]
+    return Understanding(
+        prompt,
+        text,
+        _says_something(text, known, len(words)),
+        language,
+        tuple(known),
+        tuple(UnknownWord(word.text, word.start, word.stop) for word in unknown),
+        tuple((word.text, slip) for word, slip in slips.items() if slip),
+        nearest_sentences(known, [word.text for word in unknown]) if unknown else (),
+    )
+
+
+def _foreign(prompt: str, translation: Translation) -> Understanding:
+    """Words that the table does not have, and those whose English training does not have, are unknown."""
+    known, unknown = [], []
+    for concept in translation.concepts:
+        if concept.kind in ("comma", "stop", "number", "ignored", "side", "unit"):
+            continue
+        if concept.kind == "unknown" or not _english_known(concept.value):
+            unknown.append(UnknownWord(prompt[concept.start : concept.stop], concept.start, concept.stop))
+        else:
+            known.append(prompt[concept.start : concept.stop])
+    words = words_of(translation.english)
+    ok = bool(translation.english) and says_action(translation.english)
+    missing = sum(concept.stop - concept.start for concept in translation.concepts if concept.kind == "unknown")
+    ok = ok and missing <= (1 - _SHARE) * sum(letter.isalnum() for letter in prompt)
+    near = nearest_sentences([word.text for word in words if word.known]) if unknown or not ok else ()
+    return Understanding(
+        prompt, translation.english or check_prompt(prompt), ok, translation.language, tuple(known), tuple(unknown),
+        (), near,
+    )  # fmt: skip
+
+
+def _english_known(value: str) -> bool:
+    return all(word.known for word in words_of(re.sub(r"<.*>", "", value).replace("/", " ")))
+
+
+def _says_something(text: str, known: list[str], count: int) -> bool:
+    """Whether a sentence says a movement, or consists of known words that say something."""
+    if not count or len(known) < _SHARE * count:
+        return False
+    if says_action(text):
+        return True
+    return len(known) == count and any(word.lower() not in FUNCTION_WORDS for word in known)
+
+
+def check_understood(prompt: str, anyway: bool = False) -> Understanding:
+    """What is understood of a sentence that a motion can be made from.
+
+    Args:
+        prompt: A sentence.
+        anyway: Take it even where nothing of it is understood.
+
+    Raises:
+        OptionError: No movement in it is understood, and `anyway` is false; the message names its words and the nearest
+            sentences that are understood.
+    """
+    found = understood(prompt)
+    if found.ok or anyway:
+        return found
+    what = _quoted(found.unknown) if found.unknown else f"'{' '.join(prompt.split())[:60]}'"
+    near = "; ".join(f"'{sentence}'" for sentence in found.nearest or nearest_sentences(found.known))
+    raise OptionError(
+        f"no movement is understood in the prompt ({what}); sentences like it that are understood: {near}; say it in "
+        "other words, or go on anyway with --anyway (anyway=True in Python)"
+    )
+
+
+def english_of(prompt: str, anyway: bool = False) -> str:
+    """The English that the network is given for a sentence; what was read otherwise than written, and what was not
+    understood, is logged as a warning.
+
+    Args:
+        prompt: A sentence.
+        anyway: Take it even where nothing of it is understood.
+
+    Raises:
+        OptionError: It is not understood, and `anyway` is false.
+    """
+    found = check_understood(prompt, anyway)
+    for note in found.notes:
+        _log.warning("%s", note)
+    return found.english

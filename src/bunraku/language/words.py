@@ -1,0 +1,86 @@
+"""Japanese, Chinese, German, French and Spanish read through a table of words, as plain English.
+
+The text encoder knows English alone. A sentence in one of the five is put together again from the words of
+`words.json`; what the table does not have is left out, and said.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from dataclasses import dataclass
+
+from bunraku.language.foreign.sentence import english_sentence
+from bunraku.language.foreign.spaced import scan_spaced
+from bunraku.language.foreign.table import LANGUAGES, Concept
+from bunraku.language.foreign.unspaced import scan_unspaced
+from bunraku.language.known.vocabulary import words_of
+
+__all__ = ["Translation", "translate"]
+
+
+@dataclass(frozen=True)
+class Translation:
+    """A sentence in English.
+
+    Args:
+        english: "a person walks forward, then waves with the left hand"; the sentence itself where it is English or in
+            no language of the table, and "" where it is in one and the table has no word of it.
+        language: "en", "de", "fr", "es", "ja" or "zh"; "" for another script.
+        concepts: Words of the table in their order, those that it does not have as "unknown"; none of English.
+    """
+
+    english: str
+    language: str
+    concepts: tuple[Concept, ...] = ()
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Words that the table does not have."""
+        return tuple(concept.value for concept in self.concepts if concept.kind == "unknown")
+
+
+def translate(prompt: str) -> Translation:
+    """A sentence in English, as the captions of training say it, with order, sides and numbers kept.
+
+    Args:
+        prompt: In English or a language of the table, which is told by its script and by the words that the table has.
+    """
+    scripts = {_script(letter) for letter in prompt if letter.isalpha()}
+    if "kana" in scripts:
+        return _translated(prompt, "ja", scan_unspaced(prompt, "ja"))
+    if "han" in scripts:
+        chinese, japanese = scan_unspaced(prompt, "zh"), scan_unspaced(prompt, "ja")
+        if _missing(japanese) < _missing(chinese):
+            return _translated(prompt, "ja", japanese)
+        return _translated(prompt, "zh", chinese)
+    if scripts and "latin" not in scripts:
+        return Translation(prompt, "")
+    words = words_of(prompt)
+    english = sum(word.known for word in words) / len(words) if words else 1.0
+    best, language = [], "en"
+    if english < 1:
+        for other in ("de", "fr", "es"):
+            concepts = scan_spaced(prompt, other)
+            told = [concept for concept in concepts if concept.kind not in ("comma", "stop", "number")]
+            share = 1 - sum(concept.kind == "unknown" for concept in told) / len(told) if told else 0.0
+            if share > max(english, 0.4) and any(concept.kind in ("verb", "unit") for concept in told):
+                english, best, language = share, concepts, other
+    return _translated(prompt, language, best) if best else Translation(prompt, "en")
+
+
+def _translated(prompt: str, language: str, concepts: list[Concept]) -> Translation:
+    assert language in LANGUAGES
+    return Translation(english_sentence(concepts, language), language, tuple(concepts))
+
+
+def _missing(concepts: list[Concept]) -> int:
+    return sum(concept.stop - concept.start for concept in concepts if concept.kind == "unknown")
+
+
+def _script(letter: str) -> str:
+    name = unicodedata.name(letter, "")
+    if name.startswith(("HIRAGANA", "KATAKANA")):
+        return "kana"
+    if name.startswith("CJK UNIFIED"):
+        return "han"
+    return "latin" if "LATIN" in name else "other"
