@@ -58,6 +58,8 @@ def rig(
 
 
 Scripts = list[list[tuple[str, float]]]
+CANDIDATES = 3
+"""Motions that are drawn for each that is given back."""
 
 
 def _scripts(prompts: Sequence[str], seconds: float, anyway: bool) -> Scripts:
@@ -88,6 +90,7 @@ def generate(
     mesh_feature: object | None = ...,
     loop: bool = ...,
     after: HandleMotion | None = ...,
+    candidates: int = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> HandleMotion: ...
@@ -104,6 +107,7 @@ def generate(
     mesh_feature: object | None = ...,
     loop: bool = ...,
     after: HandleMotion | None = ...,
+    candidates: int = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> list[HandleMotion]: ...
@@ -119,6 +123,7 @@ def generate(
     mesh_feature: object | None = None,
     loop: bool = False,
     after: HandleMotion | None = None,
+    candidates: int = CANDIDATES,
     anyway: bool = False,
     progress: Progress | None = None,
 ) -> HandleMotion | list[HandleMotion]:
@@ -135,6 +140,8 @@ def generate(
         mesh_feature: f_phi of the character, shape (448,); None generates for no mesh in particular.
         loop: Make a loop: the last frame is the first again, at another place where the motion travels.
         after: Motion of the reference body whose last pose is the first of the new motion.
+        candidates: How many motions are drawn for each that is given back, the one that the ranker likes best, 1 to
+            16. A motion that follows another is drawn once.
         anyway: Generate even where no movement of a sentence is understood.
         progress: Called with a stage's name and the share done.
 
@@ -148,18 +155,23 @@ def generate(
     scripts = _scripts(prompts, seconds, anyway)
     check_together("rigid", loop=loop, after=after is not None)
     how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "progress": progress}
-    motions = _generated(scripts, seed, loop, after, how)
+    motions = _generated(scripts, seed, loop, after, candidates, how)
     return motions[0] if isinstance(prompt, str) else motions
 
 
 def _generated(
-    scripts: Scripts, seed: int | Sequence[int], loop: bool, after: HandleMotion | None, how: dict[str, Any]
+    scripts: Scripts,
+    seed: int | Sequence[int],
+    loop: bool,
+    after: HandleMotion | None,
+    candidates: int,
+    how: dict[str, Any],
 ) -> list[HandleMotion]:
     """A motion for each script; arguments as for `generate`."""
     from bunraku.diffusion.generate import generate_motions
 
     if after is None:
-        return generate_motions(scripts, seeds=seed, loop=loop, **how)
+        return generate_motions(scripts, seeds=seed, loop=loop, candidates=candidates, **how)
     from bunraku.diffusion.editing import continue_motion
 
     seeds = [seed + index for index in range(len(scripts))] if isinstance(seed, int) else list(seed)
@@ -182,6 +194,7 @@ def animate(
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
     stages: Stages | None = None,
+    candidates: int = CANDIDATES,
     anyway: bool = False,
     progress: Progress | None = None,
 ) -> AnimatedCharacter:
@@ -202,6 +215,7 @@ def animate(
         in_place: Take the way over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
         stages: Which stages fit the motion to the character; `pipelines.apply.GENERATED_STAGES` when None.
+        candidates: How many motions are drawn, of which the ranker chooses the best, 1 to 16.
         anyway: Animate even where no movement of a sentence is understood.
         progress: Called with a stage's name and the share done, 0 to 1.
 
@@ -218,7 +232,8 @@ def animate(
         animate_each(
             character, [prompt], seconds=seconds, seed=seed, steps=steps, guidance=guidance, handles=handles,
             apparel=apparel, loop=loop,
-            in_place=in_place, after=after, stages=stages, anyway=anyway, progress=progress,
+            in_place=in_place, after=after, stages=stages, candidates=candidates, anyway=anyway,
+            progress=progress,
         )
     )  # fmt: skip
 
@@ -237,6 +252,7 @@ def animate_each(
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
     stages: Stages | None = None,
+    candidates: int = CANDIDATES,
     anyway: bool = False,
     progress: Progress | None = None,
 ) -> Iterator[AnimatedCharacter]:
@@ -262,7 +278,7 @@ def animate_each(
     how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": feature, "progress": progress}
     for start in range(0, len(scripts), AT_ONCE):
         some = scripts[start : start + AT_ONCE]
-        for motion in _generated(some, [seed] * len(some), loop, before, how):
+        for motion in _generated(some, [seed] * len(some), loop, before, candidates, how):
             if simulated or not isinstance(handles, Handles):
                 yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
             else:

@@ -1,7 +1,7 @@
 """`transfer`: motion that exists already, put on any character.
 
-Every motion becomes one of the reference body first (`to_reference`). From there it goes to the handles of the character
-(TapMo, section 3.2) or to its own rig.
+Every motion becomes one of the reference body first (`to_reference`). From there it goes to the handles of the
+character (TapMo, section 3.2) or to its own rig.
 """
 
 from __future__ import annotations

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_sequence, slug
+from bunraku.cli.checks import check_input, check_range, check_sequence, slug
 from bunraku.cli.ledger import fingerprint
 from bunraku.cli.options import GeneratingOptions
 from bunraku.cli.orientation import stand_up
@@ -59,6 +59,10 @@ class Animate(GeneratingOptions):
     """How hair and clothes of MMD and VRM characters move: "rigid" with the body, or "simulate" by the physics of their
     file, on the bones of its own rig.
     """
+    candidates: int = 3
+    """Motions that are drawn, of which the one is written that a ranker likes best, 1 to 16; 1 is the fastest."""
+    takes: int = 1
+    """Write several takes of one prompt, 1 to 100: NAME-1.glb, NAME-2.glb and so on, with seeds that follow --seed."""
     in_place: bool = False
     """Take the way over the ground out: the character walks on the spot."""
     after: Path | None = None
@@ -74,11 +78,15 @@ class Animate(GeneratingOptions):
             self.apparel, loop=self.loop, after=self.after is not None, handles=self.handles != "predict", dashes="--"
         )
         fitting = fitting_stages(self.without, shape=True)
-        outputs = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
+        check_range("--candidates", self.candidates, 1, 16)
+        check_range("--takes", self.takes, 1, 100)
+        named = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
+        takes = [_numbered(named, self.preview, take, self.takes) for take in range(self.takes)]
         todo: list[Clip] = []
         if self.prompts is None:
             inputs = [self.character] + ([self.after] if self.after else [])
-            check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
+            for outputs, previews in takes:
+                check_outputs(outputs, previews, inputs, overwrite=self.overwrite)
         else:
             folder = self.output[0] if self.output else Path(f"{self.character.stem}-clips")
             clips = clips_of(folder, prompts, self._mark)
@@ -98,25 +106,19 @@ class Animate(GeneratingOptions):
             handles = (
                 self.handles if self.apparel == "simulate" else rig(character, handles=self.handles, progress=report)
             )
-            animations = animate_each(
-                character,
-                [clip.prompt for clip in todo] or prompts,
-                seconds=self.seconds,
-                handles=handles,
-                apparel=self.apparel,
-                loop=self.loop,
-                in_place=self.in_place,
-                after=None
-                if self.after is None or isinstance(handles, str)
-                else _before(self.after, character, handles),
-                stages=fitting,
-                progress=None if todo else report,
-                **self.sampling,
-            )
+            after = None if self.after is None or isinstance(handles, str) else _before(self.after, character, handles)
+            how: dict[str, Any] = {
+                "seconds": self.seconds, "handles": handles, "apparel": self.apparel, "loop": self.loop,
+                "in_place": self.in_place, "after": after, "stages": fitting, "candidates": self.candidates,
+            }  # fmt: skip
             if todo:
+                animations = animate_each(character, [clip.prompt for clip in todo], **how, **self.sampling)
                 save_clips(animations, todo, self.fps, report)
-            else:
-                save_all(next(animations), outputs, self.preview, self.fps, report)
+                return
+            for take, (outputs, previews) in enumerate(takes):
+                drawn = {**self.sampling, "seed": self.seed + take}
+                (animation,) = animate_each(character, prompts, **how, **drawn, progress=report)
+                save_all(animation, outputs, previews, self.fps, report)
 
     def _mark(self, prompt: str) -> str:
         """What a clip is made of."""
@@ -131,9 +133,24 @@ class Animate(GeneratingOptions):
             return [self.prompt]
         if self.prompt:
             raise OptionError("a prompt and --prompts are both given; leave one out")
-        if self.preview or self.after or len(self.output) > 1:
-            raise OptionError("--prompts makes one GLB a line in one folder (-o), without --preview and --after")
+        if self.preview or self.after or len(self.output) > 1 or self.takes > 1:
+            raise OptionError(
+                "--prompts makes one GLB a line in one folder (-o), without --preview, --after and --takes"
+            )
         return read_lines(self.prompts, self.seconds, self.anyway)
+
+
+def _numbered(
+    outputs: tuple[Path, ...], previews: tuple[Path, ...], take: int, takes: int
+) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+    """The files of one take: as they are named where there is one, else with its number."""
+    if takes == 1:
+        return outputs, previews
+
+    def names(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+        return tuple(path.with_name(f"{path.stem}-{take + 1}{path.suffix}") for path in paths)
+
+    return names(outputs), names(previews)
 
 
 def _before(path: Path, character: Character, handles: Handles) -> HandleMotion | AnimatedCharacter:
