@@ -29,6 +29,8 @@ def test_the_table_and_its_json(tmp_path, capsys):
         and result["characters"][0]["name"] == "body"
         and result["pose_error_clusters"] is None
     )
+    assert result["orientation_upright"] == 1 and result["orientation_creatures"] is None
+    assert result["reached"]["orientation_upright"] and result["reached"]["orientation_creatures"] is None
     assert main(words) == 0
     text = capsys.readouterr().out
     row = next(line for line in text.splitlines() if line.startswith("root"))

@@ -10,9 +10,10 @@ from bunraku.cli import main
 from bunraku.cli.app import _joined
 from bunraku.cli.orientation import said_axes, settle_file
 from bunraku.cli.verbs.inspect import describe
+from bunraku.core.character import Character
 from bunraku.errors import WeightsError
-from bunraku.geometry.axes import upright_rotation
-from bunraku.handles.orientation import Orientation, Settled
+from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
+from bunraku.handles.orientation import Orientation, Settled, settled_axes
 from bunraku.io import load_character, save_character
 from bunraku.io.registry import read_motion
 from bunraku.nn.checkpoints import shipped_checkpoint
@@ -65,10 +66,11 @@ def test_up_of_an_stl_gives_what_the_upright_file_gives(stls, tmp_path, capsys):
     outs = tmp_path / "standing.glb", tmp_path / "lying.glb"
     assert main(["rig", str(standing), "-o", str(outs[0]), "--up", "y", "--front", "z"]) == 0
     assert main(["rig", str(lying), "-o", str(outs[1]), "--up", "z", "--front", "-y"]) == 0
-    assert "seems to" not in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "taken as +" not in said and "lying.stl: 1,653 tall: probably millimetres; taken as 1.65 m" in said
     one, other = (load_character(path) for path in outs)
-    assert np.abs(one.vertices - other.vertices / 1000).max() < 1e-5 * one.height
-    assert np.abs(one.rig.positions - other.rig.positions / 1000).max() < 1e-4 * one.height
+    assert np.abs(one.vertices - other.vertices).max() < 1e-5 * one.height
+    assert np.abs(one.rig.positions - other.rig.positions).max() < 1e-4 * one.height
     assert np.abs(one.rig.dense_weights() - other.rig.dense_weights()).max() < 0.01
 
 
@@ -81,7 +83,7 @@ def test_animations_of_both_are_the_same_motion(stls, tmp_path):
         assert main(["animate", str(path), *options, "-o", str(out), "--up", axes[0], "--front", axes[1]]) == 0
         motions.append(read_motion(out))
     assert np.abs(motions[0].rotations - motions[1].rotations).max() < 2e-3
-    assert np.abs(motions[0].root_translation - motions[1].root_translation / 1000).max() < 2e-3
+    assert np.abs(motions[0].root_translation - motions[1].root_translation).max() < 2e-3
 
 
 def test_inspect_says_how_a_mesh_seems_to_stand_and_its_unit(stls, capsys):
@@ -95,7 +97,7 @@ def test_inspect_says_how_a_mesh_seems_to_stand_and_its_unit(stls, capsys):
         and 0 < found["up_confidence"] <= 1
         and 0 < found["front_confidence"] <= 1
     )
-    assert lying["unit"]["name"] == "millimetres" and "the animation keeps the file's unit" in lying["unit"]["note"]
+    assert lying["unit"]["name"] == "millimetres" and "taken as 1.65 m" in lying["unit"]["note"]
     assert main(["inspect", str(stls[1]), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["orientation"] == found
     assert main(["inspect", str(stls[1])]) == 0
@@ -109,48 +111,93 @@ def test_inspect_works_without_the_weights(stls, monkeypatch, tmp_path):
     assert (facts["up"], facts["front"], facts["up_confidence"]) == ("+y", "+z", None) and "assumed" in facts["note"]
 
 
+def guess(up, front, up_sure, front_sure):
+    """A guess; what is left of it lies on the next front, and on another axis up."""
+    out = np.zeros(24)
+    other = next(axes for axes in ORIENTATIONS if axes[0] == up and axes[1] != front)
+    elsewhere = next(axes for axes in ORIENTATIONS if axes[0] != up)
+    for axes, chance in (
+        ((up, front), up_sure * front_sure), (other, up_sure * (1 - front_sure)), (elsewhere, 1 - up_sure)
+    ):  # fmt: skip
+        out[ORIENTATIONS.index(axes)] += chance
+    return Orientation.of(out)
+
+
 def test_what_is_said_about_a_guess():
-    def guess(up, front, up_sure, front_sure):
-        return Orientation(up, front, up_sure, front_sure, np.zeros(24))
-
     lies = guess("+z", "-y", 0.99, 0.98)
-    assert (
-        said_axes(Settled("+z", "-y", lies))
-        == "seems to have +Z up (99 % sure) and face -Y (98 % sure); turned. Say --up and --front to settle it."
+    assert said_axes(Settled("+z", "-y", lies)) == (
+        "taken as +Z up (99 % sure), facing -Y (98 % sure): turned. To settle it, type --up +z --front -y, or else "
+        "--up +y --front +z."
     )
-    half = guess("+z", "+x", 0.999, 0.6)
-    assert (
-        said_axes(Settled("+z", "-y", half))
-        == "seems to have +Z up (99 % sure); turned. Say --up and --front to settle it."
+    cow = guess("+y", "+x", 0.86, 0.98)
+    assert said_axes(Settled("+y", "+x", cow)) == (
+        "taken as +Y up (86 % sure), facing +X (98 % sure): a guess. To settle it, type --up +y --front +x, or else "
+        "--up +x --front +y."
     )
-    unsure = guess("+y", "-x", 0.9, 0.7)
-    assert "may have +Y up (90 % sure) and face -X (70 % sure); taken as +Y up, facing +Z." in said_axes(
-        Settled("+y", "+z", unsure)
+    assert said_axes(Settled("+z", "+x", guess("+z", "+x", 1, 0.97)), up="z") == (
+        "taken as facing +X (97 % sure): turned. To settle it, type --front +x, or else --front -x."
     )
-    assert (
-        said_axes(Settled("+z", "+x", guess("+z", "+x", 1, 0.97)), up="z")
-        == "seems to face +X (97 % sure); turned. Say --front to settle it."
-    )
-    for quiet in (
-        Settled("+y", "+z", guess("+y", "+z", 0.99, 0.99)),
-        Settled("+y", "+z", guess("-x", "+z", 0.3, 0.9)),
-        Settled("+z", "-y", None),
-    ):
-        assert said_axes(quiet) == ""
+    assert said_axes(Settled("+y", "+z", guess("+y", "+z", 0.99, 0.99))) == ""
+    assert said_axes(Settled("+z", "-y", guess("+z", "-y", 1, 0.97)), up="z") == ""
+    assert said_axes(Settled("+z", "-y", None)) == ""
 
 
-def test_an_stl_is_turned_unasked_and_a_glb_is_not(stls, tmp_path, capsys):
-    need_weights("handles", "orientation")
+@pytest.mark.parametrize("rule", [True, False])
+def test_no_guess_below_nine_tenths_is_silent(rule):
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        chances = rng.dirichlet(np.full(24, rng.uniform(0.02, 2)))
+        found = Orientation.of(chances)
+        up, front = settled_axes(found, rule)
+        line = said_axes(Settled(up, front, found), rule=rule)
+        if not found.sure:
+            assert f"% sure), facing {found.front.upper()}" in line and "type --up " in line
+        else:
+            assert bool(line) == ((up, front) != ("+y", "+z"))
+        assert f"taken as {up.upper()} up" in line or not line
+
+
+def test_an_stl_is_turned_unasked(stls, capsys):
+    need_weights("orientation")
     standing, lying = (load_character(path) for path in stls)
     turned, line = settle_file(lying)
-    assert (turned.up, turned.front) == ("+z", "-y") and "; turned. Say --up and --front" in line
+    assert (turned.up, turned.front) == ("+z", "-y") and "taken as +Z up" in line and "--up +z --front -y" in line
     settled, line = settle_file(standing)
     assert (settled.up, settled.front, line) == ("+y", "+z", "")
+
+
+def test_a_glb_stands_unless_the_evidence_is_overwhelming(stls, tmp_path, capsys):
+    need_weights("handles", "orientation")
+    standing, lying = (load_character(path) for path in stls)
     path = save_character(lying, tmp_path / "lying.glb")
-    kept, line = settle_file(load_character(path))
-    assert (kept.up, kept.front) == ("+y", "+z") and "against the rule of its format; left as it is" in line
+    found, line = settle_file(load_character(path))  # shape, mirror plane and ground all say so
+    assert (found.up, found.front) == ("+z", "-y") and "turned, against the rule of its format" in line
+    hovering = Character("hovering", lying.vertices + np.float32([0.3, 0.7, 2.1]), lying.faces)
+    kept, line = settle_file(load_character(save_character(hovering, tmp_path / "hovering.glb")))
+    assert (kept.up, kept.front) == ("+y", "+z") and line  # the shape alone does not do
+    kept, line = settle_file(load_character(save_character(standing, tmp_path / "standing.glb")))
+    assert (kept.up, kept.front, line) == ("+y", "+z", "")
     asked, line = settle_file(load_character(path), up="z")
-    assert (asked.up, asked.front, line) == ("+z", "-y", "")
+    assert (asked.up, asked.front) == ("+z", "-y")
     assert main(["rig", str(path), "-o", str(tmp_path / "rigged.glb"), "--up", "z", "--front=-y"]) == 0
-    assert load_character(tmp_path / "rigged.glb").height == pytest.approx(1000 * standing.height, rel=1e-5)
+    assert load_character(tmp_path / "rigged.glb").height == pytest.approx(standing.height, rel=1e-5)
     assert "rule" not in capsys.readouterr().err
+
+
+def test_unit_gives_metres(stls, tmp_path, capsys):
+    need_weights("handles", "orientation")
+    robot, centimetres = load_character(stls[0]), tmp_path / "centimetres.stl"
+    write_stl(centimetres, 100 * robot.vertices, robot.faces)
+    heights = {}
+    for unit in ("auto", "m", "cm", "mm", "in"):
+        out = tmp_path / f"{unit}.glb"
+        assert main(["rig", str(centimetres), "-o", str(out), "--unit", unit]) == 0
+        said = capsys.readouterr().err
+        told = "165.3 tall: probably centimetres; taken as 1.65 m. Type --unit m to keep its numbers" in said
+        assert told == (unit == "auto")
+        heights[unit] = load_character(out, unit="m").height / robot.height
+    assert heights == pytest.approx({"auto": 1, "m": 100, "cm": 1, "mm": 0.1, "in": 2.54}, rel=1e-4)
+    assert describe(centimetres)["unit"]["name"] == "centimetres"
+    assert describe(centimetres, "cm")["height"] == pytest.approx(robot.height, rel=1e-3)
+    assert main(["inspect", str(centimetres), "--unit", "in"]) == 0
+    assert "inches" in capsys.readouterr().out

@@ -1,6 +1,7 @@
 """The table of handles, with a predictor that knows the truth and with the shipped one."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,13 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError, FormatError, OptionError
+from bunraku.evaluation.handles.orientation import measure_orientation
 from bunraku.evaluation.handles.resampling import carried
 from bunraku.evaluation.handles.subjects import find_files, subject
 from bunraku.evaluation.handles.table import BARS, Bar, code_made_subjects, evaluate_handles, folder_subjects
 from bunraku.evaluation.handles.trials import Reference, measure_subject, prediction_seconds, resolution_differences
+from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
+from bunraku.handles.orientation import settle
 from bunraku.io import save_character
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.synthetic.families import EVALUATION_SEED
@@ -89,6 +93,30 @@ def test_what_faces_sideways_is_turned():
 def test_no_rig_is_said():
     with pytest.raises(CharacterError, match="no rig"):
         subject(sample_character("dog", 0.3), "dog")
+
+
+@needs_weights
+@pytest.mark.parametrize("name", ["person", "dog"])
+def test_orientation_is_what_settle_makes_of_each_turned_file(name):
+    """Measured by permuting one look; here some of the turned meshes are looked at themselves."""
+    one = subject(sample_character(name, 0.3, rigged=True), name)
+    row = measure_orientation(one)
+    kind = "orientation_humanoids" if one.humanoid else "orientation_creatures"
+    assert row[kind] == row["orientation_up"] == row["orientation_front"] == row["orientation_upright"] == 1
+    assert row["orientation_warned"] is None
+    for up, front in ORIENTATIONS[::6]:
+        vertices = one.character.vertices @ upright_rotation(up, front).astype(np.float32)
+        found = settle(Character(name, vertices, one.character.faces), suffix=".obj")
+        assert (found.up, found.front) == (up, front)
+
+
+@needs_weights
+def test_a_character_that_faces_backwards_counts_as_wrong():
+    one = subject(sample_character("dog", 0.3, rigged=True), "dog")
+    backwards = Character("dog", one.character.vertices * np.float32([-1, 1, -1]), one.character.faces)
+    row = measure_orientation(replace(one, character=backwards))
+    assert row["orientation_creatures"] == row["orientation_front"] == 0 and row["orientation_up"] == 1
+    assert row["orientation_warned"] is not None
 
 
 def test_bars_know_both_directions():

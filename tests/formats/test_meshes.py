@@ -186,13 +186,32 @@ def test_ply_points_and_broken_ones(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
-def test_stl_stays_a_soup(tmp_path, kind):
+def test_stl_is_welded(tmp_path, kind):
     path = tmp_path / "cube.stl"
     trimesh.Trimesh(CUBE, CUBE_FACES, process=False).export(path, file_type=kind)
     character = load_character(path)
-    assert np.array_equal(character.vertices, CUBE[CUBE_FACES].reshape(-1, 3)) and np.array_equal(
-        character.faces, np.arange(36).reshape(-1, 3)
+    assert len(character.vertices) == 8 and character.faces.max() == 7
+    assert np.array_equal(character.vertices[character.faces], CUBE[CUBE_FACES])  # the same triangles in the same order
+    first = [vertex for n, vertex in enumerate(character.faces.ravel()) if vertex not in character.faces.ravel()[:n]]
+    assert first == list(range(8))  # numbered as they come
+
+
+def test_stl_drops_triangles_without_a_surface_and_joins_both_zeros(tmp_path):
+    triangles = np.array(
+        [
+            [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
+            [[1, 0, 0], [1, 0, 0], [0, 1, 0]],
+            [[2, 2, 2], [2, 2, 2], [2, 2, 2]],
+            [[1, 0, -0.0], [1, 1, 0], [-0.0, 1, 0]],
+        ],
+        "<f4",
     )
+    records = b"".join(np.zeros(3, "<f4").tobytes() + t.tobytes() + b"\0\0" for t in triangles)
+    path = tmp_path / "odd.stl"
+    path.write_bytes(bytes(80) + (4).to_bytes(4, "little") + records)
+    character = load_character(path)
+    assert character.faces.tolist() == [[0, 1, 2], [1, 3, 2]] and len(character.vertices) == 4
+    assert np.array_equal(character.vertices[character.faces], triangles[[0, 3]])
 
 
 def test_broken_stl_files(tmp_path):

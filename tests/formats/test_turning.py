@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from gltf_files import made_up_handles, made_up_motion, textured_glb
 from gltf_player import Player
 from test_validator import awkward_glb, errors, needs_validator
@@ -9,7 +10,7 @@ from test_validator import awkward_glb, errors, needs_validator
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.errors import OptionError
-from bunraku.formats.turning import turned
+from bunraku.formats.turning import scaled, turned
 from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
 from bunraku.io import load_character, save_animation, save_character
 
@@ -105,3 +106,32 @@ def test_turned_files_are_valid(thing, tmp_path):
             paths.append(save_character(out, tmp_path / f"{name}{up}{front}.glb", made_up_handles(out)))
             paths.append(save_character(out, tmp_path / f"{name}{up}{front}bare.glb"))
     assert errors(paths) == {}
+
+
+@pytest.mark.parametrize("rigged", [True, False])
+def test_a_scaled_character_is_written_smaller_with_all_that_it_wears(thing, tmp_path, rigged):
+    plain, out = tmp_path / "plain.glb", tmp_path / "scaled.glb"
+    character = scaled(thing, 0.01)
+    assert scaled(thing, 1) is thing and character.height == pytest.approx(0.01 * thing.height)
+    save_character(thing, plain, made_up_handles(thing) if rigged else None)
+    save_character(character, out, made_up_handles(character) if rigged else None)
+    before, after = Player(plain), Player(out)
+    assert np.abs(after.vertices(0) - 0.01 * before.vertices(0)).max() < 1e-6
+    assert np.abs(surface(after) - surface(before)).max() < 1e-5
+    assert after.tree.get("materials") == before.tree.get("materials")
+    if thing.rig is not None:
+        assert np.allclose(character.rig.positions, 0.01 * thing.rig.positions)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
+def test_positions_of_a_format_without_a_unit_are_scaled_themselves(tmp_path, suffix):
+    """So readers that see neither nodes nor skins see metres too."""
+    path, box = tmp_path / f"box.{suffix}", trimesh.creation.box((80, 170, 50))
+    box.export(path)
+    character = turned(scaled(load_character(path, unit="m"), 0.01), "+z", "-y")
+    player = Player(save_character(character, tmp_path / "out.glb", made_up_handles(character)))
+    raw = player.accessor(player.tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"])
+    assert sorted(np.ptp(raw, axis=0)) == pytest.approx([0.5, 0.8, 1.7])
+    assert np.ptp(player.vertices(0), axis=0) == pytest.approx([0.8, 0.5, 1.7], abs=1e-5)
+    again = load_character(path, unit="m")
+    assert np.ptp(again.vertices, axis=0) == pytest.approx([80, 170, 50])

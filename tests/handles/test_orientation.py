@@ -8,7 +8,8 @@ import pytest
 from bunraku.core.character import Character
 from bunraku.errors import OptionError, WeightsError
 from bunraku.geometry.axes import ORIENTATIONS, default_orientation, upright_rotation
-from bunraku.handles.orientation import HABITS, SURE, guess_orientation, settle, upright
+from bunraku.handles.orientation import SURE, Orientation, guess_orientation, settle, settled_axes, upright
+from bunraku.handles.orientation_evidence import combined, format_weights
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.synthetic.samples import sample_character, sample_names
 
@@ -30,13 +31,13 @@ def test_the_samples_are_recognised_however_they_lie(name):
     for up, front in ORIENTATIONS[::7]:
         guess = guess_orientation(laid(character, up, front))
         assert (guess.up, guess.front) == (up, front) and guess.confidence > 0.3
-        assert guess.chances.sum() == pytest.approx(1)
+        assert guess.probabilities.sum() == pytest.approx(1)
         assert np.array_equal(guess.rotation, upright_rotation(up, front))
 
 
 def test_turning_the_mesh_permutes_the_chances():
     character, even = sample_character("robot"), np.ones(24)
-    chances = guess_orientation(character, prior=even).chances
+    chances = guess_orientation(character, prior=even).probabilities
     for up, front in ORIENTATIONS[::5]:
         rotation = upright_rotation(up, front)
         turns = [upright_rotation(*axes) @ rotation.T for axes in ORIENTATIONS]
@@ -44,26 +45,98 @@ def test_turning_the_mesh_permutes_the_chances():
             next(n for n, axes in enumerate(ORIENTATIONS) if np.array_equal(upright_rotation(*axes), turn))
             for turn in turns
         ]
-        assert np.abs(guess_orientation(laid(character, up, front), prior=even).chances - chances[there]).max() < 1e-4
+        seen = guess_orientation(laid(character, up, front), prior=even).probabilities
+        assert np.abs(seen - chances[there]).max() < 1e-4
 
 
-def test_habits_weigh_what_the_shape_says():
-    assert (
-        HABITS.sum() == pytest.approx(1)
-        and HABITS.argmax() == ORIENTATIONS.index(("+y", "+z"))
-        and HABITS.min() > 0.005
-    )
+def test_the_format_weighs_what_the_mesh_says():
     character = sample_character("robot")
-    shape, both = guess_orientation(character, prior=np.ones(24)).chances, guess_orientation(character).chances
-    assert both == pytest.approx(shape * HABITS / (shape * HABITS).sum(), abs=1e-6)
+    seen = guess_orientation(character, prior=np.ones(24)).probabilities
+    for suffix in ("", ".stl", ".glb"):
+        both = guess_orientation(character, suffix=suffix).probabilities
+        weights = format_weights(suffix)
+        assert both == pytest.approx(seen * weights / (seen * weights).sum(), abs=1e-6)
 
 
-def test_size_and_place_do_not_matter():
+def test_size_does_not_matter_and_place_only_by_the_ground():
     character = sample_character("mushroom")
-    chances = guess_orientation(character).chances
-    for scale, move in ((1e-4, 0.0), (1780.0, 1e4)):
-        other = Character("other", character.vertices.astype(np.float64) * scale + move, character.faces)
-        assert np.abs(guess_orientation(other).chances - chances).max() < 0.02
+    chances = guess_orientation(character).probabilities
+    for scale in (1e-4, 1780.0):
+        other = Character("other", character.vertices.astype(np.float64) * scale, character.faces)
+        assert np.abs(guess_orientation(other).probabilities - chances).max() < 0.02
+    far = [
+        guess_orientation(Character("far", character.vertices + move, character.faces)).probabilities
+        for move in (np.float32([0, 50, 0]), np.float32([20, -30, 40]))
+    ]
+    assert np.abs(far[0] - far[1]).max() < 0.02
+
+
+def chances(**weights):
+    """Probabilities with these weights, such as yx for +Y up and +X ahead; what is left is even."""
+    names = {name: (f"+{name[0]}", f"+{name[1]}") for name in weights}
+    out = np.full(24, (1 - sum(weights.values())) / (24 - len(weights)))
+    for name, weight in weights.items():
+        out[ORIENTATIONS.index(names[name])] = weight
+    return out
+
+
+def test_up_is_summed_over_fronts_and_the_front_is_given_up():
+    seen = np.zeros(24)
+    for axes, chance in {("+z", "+x"): 0.4, ("+y", "+x"): 0.35, ("+y", "-x"): 0.25}.items():
+        seen[ORIENTATIONS.index(axes)] = chance
+    guess = Orientation.of(seen)
+    assert (guess.up, guess.front) == ("+y", "+x")
+    assert guess.up_confidence == pytest.approx(0.6) and guess.front_confidence == pytest.approx(0.35 / 0.6)
+    assert guess.confidence == pytest.approx(0.35) and not guess.sure
+    assert guess.next_best("+y", "+x") == ("+z", "+x") and guess.probability("+y", "-x") == pytest.approx(0.25)
+
+
+def test_a_cow_keeps_its_sure_front_though_its_up_is_unsure():
+    """Up +Y 86 %, front +X 98 % given that: facing +X was dropped for the default."""
+    seen = np.zeros(24)
+    for axes, chance in {("+y", "+x"): 0.86 * 0.98, ("+y", "-x"): 0.86 * 0.02, ("-y", "+x"): 0.14}.items():
+        seen[ORIENTATIONS.index(axes)] = chance
+    guess = Orientation.of(seen)
+    assert guess.up_confidence == pytest.approx(0.86) and guess.front_confidence == pytest.approx(0.98)
+    assert settled_axes(guess) == ("+y", "+x") and not guess.sure
+    assert settled_axes(guess, rule=True) == ("+y", "+z")  # a glTF stands unless the guess is sure
+
+
+def test_a_dragon_below_a_half_keeps_its_front():
+    """Up +Y 38 %, front +X 91 % given that."""
+    seen = chances(yx=0.38 * 0.91)
+    for front in ("-x", "+z", "-z"):
+        seen[ORIENTATIONS.index(("+y", front))] = 0.38 * 0.03
+    rest = [n for n, (up, _) in enumerate(ORIENTATIONS) if up != "+y"]
+    seen[rest] = 0.62 / len(rest)
+    guess = Orientation.of(seen)
+    assert guess.up_confidence == pytest.approx(0.38) and guess.front_confidence == pytest.approx(0.91)
+    assert settled_axes(guess) == ("+y", "+x") and not guess.sure
+
+
+def scorpion():
+    """A flat body with legs on both sides and a tail that bends up behind, its lowest point at 0."""
+    points = []
+    for z in np.linspace(-0.5, 0.5, 21):
+        points += [(side * width, height, z) for side in (-1, 1) for width in (0.05, 0.3) for height in (0.0, 0.1)]
+    points += [(0.0, 0.1 + 0.8 * share, -0.5 + 0.3 * share**2) for share in np.linspace(0, 1, 15)]
+    return np.array(points, np.float32)
+
+
+def test_a_scorpion_with_its_lowest_point_at_0_does_not_stand_on_its_tail():
+    """The network alone says that -Z is up."""
+    seen = np.full(24, 0.12 / 22)
+    seen[ORIENTATIONS.index(("-z", "+y"))], seen[ORIENTATIONS.index(("+y", "+z"))] = 0.75, 0.13
+    alone = Orientation.of(combined(seen))
+    assert (alone.up, alone.front) == ("-z", "+y")
+    found = Orientation.of(combined(seen, scorpion(), format_weights(".obj")))
+    assert (found.up, found.front) == ("+y", "+z") and found.up_confidence > SURE
+    laid_down = scorpion() @ upright_rotation("+z", "-y").astype(np.float32)
+    rotation = upright_rotation("+z", "-y")
+    turns = [upright_rotation(*axes) @ rotation.T for axes in ORIENTATIONS]
+    there = [[np.array_equal(upright_rotation(*axes), turn) for axes in ORIENTATIONS].index(True) for turn in turns]
+    found = Orientation.of(combined(seen[there], laid_down, format_weights(".stl")))
+    assert (found.up, found.front) == ("+z", "-y")
 
 
 def test_what_is_said_is_not_guessed():
@@ -87,9 +160,6 @@ def test_what_nobody_says_and_no_guess_decides_is_usual():
     for up, front in ORIENTATIONS:
         assert default_orientation(up, front) == (up, front)
         assert default_orientation(up)[0] == up and default_orientation(front=front)[1] == front
-    lying = laid(sample_character("robot"), "+z", "-y")
-    settled = settle(lying, sure=1.1)
-    assert (settled.up, settled.front) == ("+y", "+z") and settled.guess is not None
 
 
 def test_a_shape_that_tells_nothing_is_left_alone():

@@ -13,7 +13,6 @@ from bunraku.training.orientation.measures import (
     UPRIGHT,
     fitted_temperature,
     orientation_results,
-    turn_rates,
     validate_orientation,
 )
 from bunraku.training.orientation.train import OrientationTrainConfig, OrientationTrainer, train_orientation
@@ -92,9 +91,6 @@ def test_results_and_temperature_against_hand_computed_ones():
     results = orientation_results(logs)
     assert (results["up"], results["both"]) == (0.75, 0.5)
     assert results["front"] == 0.5  # the fronts of the one that lies tie, and +x comes first
-    wrong, right = turn_rates(logs, 0.9)
-    assert (wrong, right) == (0.5, 0.5) and turn_rates(logs, 0.9999) == (0, 1)
-    assert turn_rates(logs, 0.9, axes=("+z", "-y")) == (0.5, 0.5)  # lying changes no verdict
     assert fitted_temperature(logs) > 2  # half of it is wrong and sure of it
     sure = logs[[0, 3]]
     assert fitted_temperature(sure) == pytest.approx(0.5)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from bunraku.cli.checks import check_range
-from bunraku.cli.orientation import AxisOption, check_axes
+from bunraku.cli.orientation import AxisOption, UnitOption, check_axes
 from bunraku.cli.outputs import OutputOption, PreviewOption, WithoutOption
 
 __all__ = ["GeneratingOptions"]
@@ -46,6 +46,10 @@ class GeneratingOptions:
     """
     front: AxisOption = "auto"
     """The axis that the character faces in its file."""
+    unit: UnitOption = "auto"
+    """The unit of lengths in the character's file. "auto" goes by the rule of the format, and by the height where it
+    has none.
+    """
     without: WithoutOption = ()
     """Leave out a stage that fits the motion to the character: rest-pose, attach, shape, ground, feet, smooth or floor.
     May be repeated.

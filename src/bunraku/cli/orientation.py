@@ -1,11 +1,12 @@
-"""The options `--up` and `--front`, and what is said about a character that does not stand as it should."""
+"""The options `--up`, `--front` and `--unit`, and what is said about a character that does not stand as it should or
+whose size makes no sense.
+"""
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -15,12 +16,11 @@ if TYPE_CHECKING:
     from bunraku.core.character import Character
     from bunraku.handles.orientation import Settled
 
-__all__ = ["AxisOption", "check_axes", "said_axes", "settle_file", "stand_up"]
+__all__ = ["AxisOption", "UnitOption", "check_axes", "said_axes", "settle_file", "stand_up"]
 
 AxisOption = Annotated[str, tyro.conf.arg(metavar="{auto,+x,-x,+y,-y,+z,-z}")]
+UnitOption = Literal["auto", "m", "cm", "mm", "in"]
 OPTIONS = ("--up", "--front")
-SILENT = (".obj", ".ply", ".stl")
-"""Formats that do not say which axis is up; the others have a rule, and a guess does not overrule it."""
 
 
 def check_axes(up: str, front: str) -> None:
@@ -40,54 +40,52 @@ def check_axes(up: str, front: str) -> None:
         )
 
 
-def stand_up(character: Character, path: Path, up: str = "auto", front: str = "auto") -> Character:
-    """The character standing along +Y and facing +Z; one line on standard error says what was guessed.
+def stand_up(character: Character, path: Path, up: str = "auto", front: str = "auto", unit: str = "auto") -> Character:
+    """The character in metres, standing along +Y and facing +Z; lines on standard error say what was guessed.
 
     Args:
         character: As the file has it.
         path: The file.
-        up, front: What the options say.
+        up, front, unit: What the options say.
 
     Raises:
+        OptionError: The unit of the file cannot be changed.
         WeightsError: Something is to be guessed and the weights are missing or broken.
     """
     from bunraku.formats.turning import turned
+    from bunraku.io.units import in_metres
 
     settled, line = settle_file(character, up, front)
     if line:
         print(f"{path}: {line}", file=sys.stderr)
-    return turned(character, settled.up, settled.front)
+    character, note = in_metres(turned(character, settled.up, settled.front), unit, "+y")
+    if note:
+        print(f"{path}: {note}. Type --unit m to keep its numbers.", file=sys.stderr)
+    return character
 
 
 def settle_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[Settled, str]:
     """How a character of a file is taken to stand, and what there is to say about it.
 
-    Where the format has a rule and no option says otherwise, the rule holds, and a guess that is sure of something else
-    is told.
+    Where the format has a rule and no option says otherwise, the rule holds as long as its bones agree, or where there
+    are none, as long as the guess is not sure of something else.
     """
-    from bunraku.handles.orientation import SURE, settle
+    from bunraku.handles.orientation import Settled, settle
+    from bunraku.handles.orientation_evidence import has_rule
 
-    rule = (
-        getattr(character.source, "suffix", ".obj") not in SILENT
-        and up.strip().lower() == front.strip().lower() == "auto"
-    )
-    settled = settle(character, up, front, sure=math.inf if rule else SURE)
-    guess = settled.guess
-    if not rule or guess is None:
-        return settled, said_axes(settled, up, front)
-    bones = _front_of_bones(character)
-    if bones not in ("", settled.front):
-        return (
-            settled,
-            f"its bones face {bones.upper()}, if left and right are named rightly; left as it is. Say --front {bones} "
-            "to turn it.",
-        )
-    if guess.confidence < SURE or (guess.up, guess.front) == (settled.up, settled.front):
+    settled = settle(character, up, front)
+    unsaid = up.strip().lower() == front.strip().lower() == "auto"
+    rule = has_rule(getattr(character.source, "suffix", "")) and unsaid
+    bones = _front_of_bones(character) if rule else ""
+    if not bones:
+        return settled, said_axes(settled, up, front, rule)
+    settled = Settled("+y", "+z", settled.guess)
+    if bones == "+z":
         return settled, ""
-    seen = f"{guess.up.upper()} up and face {guess.front.upper()} ({_percent(guess.confidence)} sure)"
     return (
         settled,
-        f"seems to have {seen}, against the rule of its format; left as it is. Say --up and --front to turn it.",
+        f"its bones face {bones.upper()}, if left and right are named rightly; left as it is. Type --up +y --front "
+        f"{bones} to turn it.",
     )
 
 
@@ -100,41 +98,48 @@ def _front_of_bones(character: Character) -> str:
     return axes[1] if axes and axes[0] == "+y" else ""
 
 
-def said_axes(settled: Settled, up: str = "auto", front: str = "auto") -> str:
-    """What to tell about a guess: nothing where there was none, and nothing where the character stands as is usual.
+def said_axes(settled: Settled, up: str = "auto", front: str = "auto", rule: bool = False) -> str:
+    """What to tell about a guess: what was chosen, how sure it is, and what to type to settle it.
+
+    Nothing where nothing was guessed, and nothing where the guess is sure of what is usual.
 
     Args:
         settled: How the character is taken to stand.
         up, front: What the options say.
+        rule: Whether its format says how it stands.
     """
     from bunraku.geometry.axes import default_orientation
-    from bunraku.handles.orientation import MAYBE
 
-    guess, options = (
-        settled.guess,
-        [option for option, value in zip(OPTIONS, (up, front), strict=True) if value.strip().lower() == "auto"],
-    )
+    guess = settled.guess
     if guess is None:
         return ""
-    usual = default_orientation(
-        *(
-            None if option in options else axis
-            for option, axis in zip(OPTIONS, (settled.up, settled.front), strict=True)
-        )
-    )
-    turned = (settled.up, settled.front) != usual
-    if (guess.up, guess.front) == usual or not (turned or guess.confidence >= MAYBE):
+    given = [value.strip().lower() != "auto" for value in (up, front)]
+    taken = (settled.up, settled.front)
+    usual = taken == default_orientation(*(axis if said else None for axis, said in zip(taken, given, strict=True)))
+    seen = (guess.up, guess.front)
+    if usual and guess.sure and taken == seen:
         return ""
-    words = []
-    if "--up" in options:
-        words.append(f"have {guess.up.upper()} up ({_percent(guess.up_confidence)} sure)")
-    if "--front" in options and (not turned or settled.front == guess.front):
-        words.append(f"face {guess.front.upper()} ({_percent(guess.front_confidence)} sure)")
-    verdict = "turned" if turned else f"taken as {settled.up.upper()} up, facing {settled.front.upper()}"
-    return (
-        f"{'seems to' if turned else 'may'} {' and '.join(words)}; {verdict}. Say {' and '.join(options)} to settle it."
+    sure = (guess.up_confidence, guess.front_confidence)
+    looks = _listed([f"{seen[0].upper()} up", f"facing {seen[1].upper()}"], given, sure)
+    if taken != seen:  # the rule holds against a guess that is not sure enough
+        return (
+            f"taken as +Y up, facing +Z by the rule of its format, though it looks like {looks}. To turn it, type "
+            f"{_typed(seen, given)}."
+        )
+    against = ", against the rule of its format" if rule and not usual else ""
+    end = f"turned{against}" if guess.sure else f"a guess{against}"
+    other = ("+y", "+z") if guess.sure and not any(given) else guess.next_best(*taken)
+    return f"taken as {looks}: {end}. To settle it, type {_typed(taken, given)}, or else {_typed(other, given)}."
+
+
+def _listed(words: list[str], given: list[bool], sure: tuple[float, float]) -> str:
+    return ", ".join(
+        f"{word} ({100 * min(share, 0.99):.0f} % sure)"
+        for word, said, share in zip(words, given, sure, strict=True)
+        if not said
     )
 
 
-def _percent(share: float) -> str:
-    return f"{100 * min(share, 0.99):.0f} %"
+def _typed(axes: tuple[str, str], given: list[bool]) -> str:
+    """The options that say these axes, those that are not given."""
+    return " ".join(f"{option} {axis}" for option, axis, said in zip(OPTIONS, axes, given, strict=True) if not said)

@@ -8,10 +8,13 @@ import numpy as np
 
 from bunraku.errors import OptionError
 
-__all__ = ["UNITS", "FileFrame"]
+__all__ = ["BARE", "UNITS", "FileFrame", "likely_unit"]
 
 UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Length of each unit that a file may have [m]."""
+BARE = (".obj", ".ply", ".stl")
+"""Formats that say neither which axis is up nor how long their unit is; the others have a rule."""
+_LEAST = {"mm": 400.0, "cm": 10.0, "m": 0.04}
 
 _TURNS = {"+y": np.eye(3), "+z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
 
@@ -53,3 +56,12 @@ class FileFrame:
     def points(self, points: np.ndarray) -> np.ndarray:
         """Points [m], shape (..., 3), as the file says them, in their own type."""
         return points if self.ours else np.asarray(points @ (self.scale * self.turn.T), points.dtype)
+
+
+def likely_unit(height: float) -> str:
+    """The unit that a height is likely to be in: most characters are between a hand and a house tall.
+
+    Returns:
+        "mm" from 400 on, "cm" from 10 on, "m" from 0.04 on; "" for less, which may be shrunk.
+    """
+    return next((unit for unit, least in _LEAST.items() if height >= least), "")

@@ -13,33 +13,16 @@ from bunraku.core.character import Character
 from bunraku.formats.turning import turned
 from bunraku.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.geometry.surface_points import surface_points
+from bunraku.handles.orientation_evidence import combined, format_weights, has_rule
 
 if TYPE_CHECKING:
     from bunraku.handles.orientation_net import OrientationPredictor
 
-__all__ = [
-    "HABITS",
-    "MAYBE",
-    "SURE",
-    "Orientation",
-    "Settled",
-    "guess_orientation",
-    "settle",
-    "settled_axes",
-    "upright",
-]
+__all__ = ["SURE", "Orientation", "Settled", "guess_orientation", "settle", "settled_axes", "upright"]
 
 SURE = 0.9
-"""A character is turned unasked from this confidence on; see the model card for how often that is wrong."""
-MAYBE = 0.5
-"""From this confidence on a guess is worth a word."""
+"""From this probability on a guess is called sure, and may overrule the rule of a format."""
 _POINTS = 2048
-_HABITS = {("+y", "+z"): 0.35, ("+z", "-y"): 0.2, ("+y", "-z"): 0.06, ("+y", "+x"): 0.04, ("+y", "-x"): 0.04,
-           ("+z", "+y"): 0.04, ("+z", "+x"): 0.03, ("+z", "-x"): 0.03}  # fmt: skip
-HABITS = np.array(
-    [_HABITS.get(axes, (1 - sum(_HABITS.values())) / (len(ORIENTATIONS) - len(_HABITS))) for axes in ORIENTATIONS]
-)
-"""How common each of `ORIENTATIONS` is in files, roughly and by experience, shape (24,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,27 +30,31 @@ class Orientation:
     """What is up and what is the front of a character.
 
     Args:
-        up: Its up axis, such as "+y".
-        front: The axis that it faces, such as "+z".
+        up: Its up axis, such as "+y": the likeliest, whatever the front.
+        front: The axis that it faces, such as "+z": the likeliest with that axis up.
         up_confidence: How likely the up axis is right, 0 to 1.
         front_confidence: How likely the front is right if the up axis is, 0 to 1.
-        chances: How likely each of `geometry.axes.ORIENTATIONS` is, shape (24,).
+        probabilities: How likely each of `geometry.axes.ORIENTATIONS` is, shape (24,), sums to 1.
     """
 
     up: str
     front: str
     up_confidence: float
     front_confidence: float
-    chances: np.ndarray
+    probabilities: np.ndarray
 
     @staticmethod
-    def of(chances: np.ndarray) -> Orientation:
-        """The most likely up axis, and the most likely front with that axis up."""
+    def of(probabilities: np.ndarray) -> Orientation:
+        """The likeliest up axis, p(up) = sum over fronts of p(up, front), and the likeliest front given that axis, by
+        p(front | up) = p(up, front) / p(up).
+        """
         ups = np.array([up for up, _ in ORIENTATIONS])
-        total = {up: float(chances[ups == up].sum()) for up in AXES}
+        total = {up: float(probabilities[ups == up].sum()) for up in AXES}
         likely = max(total, key=lambda up: total[up])
-        best = int(np.where(ups == likely, chances, -1).argmax())
-        return Orientation(likely, ORIENTATIONS[best][1], total[likely], float(chances[best]) / total[likely], chances)
+        best = int(np.where(ups == likely, probabilities, -1).argmax())
+        return Orientation(
+            likely, ORIENTATIONS[best][1], total[likely], float(probabilities[best]) / total[likely], probabilities
+        )
 
     @property
     def confidence(self) -> float:
@@ -75,9 +62,23 @@ class Orientation:
         return self.up_confidence * self.front_confidence
 
     @property
+    def sure(self) -> bool:
+        """Whether both axes are right with a probability of at least 0.9."""
+        return self.confidence >= SURE
+
+    @property
     def rotation(self) -> np.ndarray:
         """What makes the character stand up along +Y and face +Z, shape (3, 3)."""
         return upright_rotation(self.up, self.front)
+
+    def probability(self, up: str, front: str) -> float:
+        """How likely an orientation is, 0 to 1."""
+        return float(self.probabilities[ORIENTATIONS.index((up, front))])
+
+    def next_best(self, up: str, front: str) -> tuple[str, str]:
+        """The likeliest orientation beside one that is known to be wrong."""
+        wrong = ORIENTATIONS.index((up, front))
+        return ORIENTATIONS[int(np.where(np.arange(len(ORIENTATIONS)) == wrong, -1, self.probabilities).argmax())]
 
 
 @lru_cache(maxsize=2)
@@ -92,17 +93,22 @@ def guess_orientation(
     *,
     up: str | None = None,
     front: str | None = None,
-    prior: np.ndarray = HABITS,
+    suffix: str | None = None,
+    prior: np.ndarray | None = None,
     checkpoint: str | Path | None = None,
 ) -> Orientation:
-    """The most likely up axis of a character, and the most likely front with that axis up.
+    """The likeliest up axis of a character, and the likeliest front with that axis up.
+
+    Three witnesses and what the format is used for are combined (`bunraku.handles.orientation_evidence`): the network,
+    which sees the shape; the ground, where the lowest point is at 0; and the plane that mirrors left and right.
 
     Args:
         character: Any mesh; a rig that it may have is not looked at.
         up: Its up axis where that is known.
         front: The axis that it faces where that is known.
-        prior: How likely each of `ORIENTATIONS` is before anyone looks at the shape; equal numbers let the shape speak
-            alone.
+        suffix: The format of its file, such as ".stl"; that of its source when not given.
+        prior: How likely each of `ORIENTATIONS` is before anyone looks at the mesh, shape (24,), in place of what the
+            format says; equal numbers let the mesh speak alone.
         checkpoint: Weights of kind "orientation"; the shipped ones when not given.
 
     Raises:
@@ -121,10 +127,15 @@ def guess_orientation(
     points, normals = surface_points(character.vertices, character.faces, _POINTS)
     tokens = torch.from_numpy(shape_tokens(points, normals, np.ones(len(points)), model.config.anchors))
     with torch.no_grad(), fitting_threads(model):
-        chances = model.probabilities(tokens).double().numpy()
-    chances = np.where(allowed, np.maximum(chances, 1e-12) * prior, 0)
-    chances /= chances.sum()
-    return Orientation.of(chances)
+        network = model.probabilities(tokens).double().numpy()
+    if prior is None:
+        prior = format_weights(_suffix(character) if suffix is None else suffix)
+    return Orientation.of(combined(network, character.vertices[character.surface], np.where(allowed, prior, 0)))
+
+
+def _suffix(character: Character) -> str:
+    """The format that a character came from; "" where it came from none."""
+    return str(getattr(character.source, "suffix", ""))
 
 
 def _allowed(up: str | None, front: str | None) -> np.ndarray:
@@ -142,7 +153,7 @@ class Settled:
     Args:
         up: Its up axis, such as "+z".
         front: The axis that it faces.
-        guess: What was guessed, whether or not it was sure enough; None where both axes were said.
+        guess: What was guessed, whether or not it was followed; None where both axes were said.
     """
 
     up: str
@@ -150,15 +161,14 @@ class Settled:
     guess: Orientation | None = None
 
 
-def settle(character: Character, up: str = "auto", front: str = "auto", *, sure: float = SURE) -> Settled:
-    """How a character stands, from what is said about it and from its shape.
+def settle(character: Character, up: str = "auto", front: str = "auto", *, suffix: str | None = None) -> Settled:
+    """How a character stands, from what is said about it, from its mesh, and from the rule of its format.
 
     Args:
         character: Any character.
         up: The axis that is up in it, such as "+z", or "auto" to guess.
         front: The axis that it faces, or "auto" to guess.
-        sure: Least confidence to believe a guess; below, what is not said is taken as `default_orientation` says. A
-            guess of the up axis may be believed alone.
+        suffix: The format of its file, such as ".stl"; that of its source when not given.
 
     Raises:
         OptionError: An axis is none of the six, or the two are not at a right angle.
@@ -168,19 +178,20 @@ def settle(character: Character, up: str = "auto", front: str = "auto", *, sure:
     if said[0] is not None and said[1] is not None:
         upright_rotation(said[0], said[1])
         return Settled(said[0], said[1])
-    guess = guess_orientation(character, up=said[0], front=said[1])
-    return Settled(*settled_axes(guess, sure, *said), guess)
+    suffix = _suffix(character) if suffix is None else suffix
+    rule = has_rule(suffix) and said == [None, None]
+    # What is said against a rule says that the file breaks it, so the rest is judged as in a format without one.
+    guess = guess_orientation(character, up=said[0], front=said[1], suffix=suffix if rule else _bare(suffix))
+    return Settled(*settled_axes(guess, rule), guess)
 
 
-def settled_axes(
-    guess: Orientation, sure: float = SURE, up: str | None = None, front: str | None = None
-) -> tuple[str, str]:
-    """Up and front as a guess has them where it is sure, and as is usual where it is not; an axis that is known stays
-    as it is.
-    """
-    if guess.up_confidence < sure:
-        return default_orientation(up, front)
-    return (guess.up, guess.front) if guess.confidence >= sure else default_orientation(guess.up, front)
+def _bare(suffix: str) -> str:
+    return "" if has_rule(suffix) else suffix
+
+
+def settled_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:
+    """Up and front as a guess has them; where the format has a rule, +Y and +Z unless the guess is sure of another."""
+    return (guess.up, guess.front) if guess.sure or not rule else default_orientation()
 
 
 def upright(character: Character, up: str = "auto", front: str = "auto") -> Character:
@@ -189,7 +200,7 @@ def upright(character: Character, up: str = "auto", front: str = "auto") -> Char
     Args:
         character: Any character.
         up: The axis that is up in it, such as "+z", or "auto" to guess.
-        front: The axis that it faces, or "auto" to guess. It is turned by a guess only where that is nearly certain.
+        front: The axis that it faces, or "auto" to guess; `guess_orientation` says how sure a guess is.
 
     Raises:
         OptionError: An axis is none of the six, or the two are not at a right angle.

@@ -34,7 +34,7 @@ def load_mesh_motion(folder: str | Path, fps: float = 20.0) -> MeshMotion:
     files = max(kinds, key=len)
     if not files:
         raise FormatError(folder, "it holds no .obj or .ply files; name a folder with one mesh a frame")
-    first = load_character(files[0])
+    first = load_character(files[0], unit="m")
     count = len(first.vertices)
     if count * 3 * len(files) > MAX_VALUES:
         raise FormatError(
@@ -42,7 +42,7 @@ def load_mesh_motion(folder: str | Path, fps: float = 20.0) -> MeshMotion:
         )
     vertices = np.empty((len(files), count, 3), np.float32)
     for number, file in enumerate(files):
-        mesh = first if not number else load_character(file)
+        mesh = first if not number else load_character(file, unit="m")
         if mesh.vertices.shape != first.vertices.shape or not np.array_equal(mesh.faces, first.faces):
             raise FormatError(
                 file,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable
 from importlib import import_module
@@ -19,6 +20,7 @@ from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionErro
 from bunraku.formats.files import check_input, check_output_folder, read_bounded
 from bunraku.geometry.axes import axis_name, default_orientation
 from bunraku.io.table import FORMATS, Format
+from bunraku.io.units import check_unit, in_metres
 
 __all__ = [
     "check_writer",
@@ -34,6 +36,7 @@ __all__ = [
 ]
 
 
+_log = logging.getLogger(__name__)
 _CHECKED = ("bunraku.formats.usd.write", "bunraku.formats.fbx.export")
 _ABILITIES = {
     "character": "characters are read from",
@@ -123,12 +126,14 @@ def _read(path: str | Path, ability: str, **options: Any) -> Any:
 
 
 def load_character(
-    path: str | Path, *, rest: str = "bind", up: str | None = None, front: str | None = None
+    path: str | Path, *, rest: str = "bind", up: str | None = None, front: str | None = None, unit: str = "auto"
 ) -> Character:
     """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY, STL, or the rig text of RigNet.
 
     The vertices of GLB, glTF, VRM and FBX are in world space, those of FBX turned from the frame and unit that the file
-    states. OBJ, PLY and STL name neither and are taken as they are: +Y up, +Z forward, metres.
+    states.
+    OBJ, PLY and STL name neither: they are taken as they are, +Y up and +Z forward, and in the unit that makes their
+    height a character's, which a warning of the log tells where it is not the metre.
 
     Args:
         path: The file; its first bytes decide the format where they can, its suffix otherwise.
@@ -138,21 +143,29 @@ def load_character(
         up: The axis that is up in the character as it would be read without this, such as "+z"; it is turned to stand
             along +Y. `bunraku.upright` finds out by itself.
         front: The axis that it faces; "-y" with "+z" up, "+z" otherwise, when only `up` is given.
+        unit: The unit of lengths as they would be read without this: "m", "cm", "mm" or "in". "auto" is the metre for
+            formats that have a unit, and for the others what the height makes likely (`formats.frames.likely_unit`).
 
     Raises:
         FormatError: The file is missing, empty, too large, broken, or of no known format.
         CharacterError: It holds no usable mesh: points only, coordinates that are not numbers, no extent.
-        OptionError: `rest` is neither, or `up` and `front` are not two axes at a right angle.
+        OptionError: `rest` is neither, `unit` is none of these, or `up` and `front` are not two axes at a right angle.
     """
     if rest not in ("bind", "default"):
         raise OptionError(f"the rest pose of a file is 'bind' or 'default', not {rest!r}")
     axes = [None if axis is None else axis_name(axis) for axis in (up, front)]
+    check_unit(unit)
     character: Character = _read(path, "character", rest=rest)
-    if axes == [None, None]:
+    standing = None if axes == [None, None] else default_orientation(*axes)
+    if unit != "m":
+        character, note = in_metres(character, unit, None if standing is None else standing[0])
+        if note:
+            _log.warning('%s: %s; say unit="m" to keep its numbers', path, note)
+    if standing is None:
         return character
     from bunraku.formats.turning import turned
 
-    return turned(character, *default_orientation(*axes))
+    return turned(character, *standing)
 
 
 def load_with_clips(path: str | Path, fps: float) -> Character:

@@ -13,7 +13,7 @@ import tyro
 from bunraku.cli.checks import check_folder, check_input, check_range
 from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.ledger import begin, note, still_to_do
-from bunraku.cli.orientation import AxisOption, check_axes
+from bunraku.cli.orientation import AxisOption, UnitOption, check_axes
 from bunraku.cli.outputs import PreviewOption, WithoutOption, check_outputs, check_stages, save_all
 from bunraku.cli.progress import stages
 from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, holds_character, marks_of, pairs_of
@@ -70,6 +70,8 @@ class Transfer:
     """The axis that is up in the characters' files."""
     front: AxisOption = "auto"
     """The axis that the characters face in their files."""
+    unit: UnitOption = "auto"
+    """The unit of lengths in the characters' files."""
     file_up: Annotated[Literal["+y", "+z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """The axis that is up in what is written, for BVH, USD, FBX, OBJ and PLY. Default: the format's own."""
     file_unit: Annotated[str | None, tyro.conf.arg(metavar="UNIT", help_behavior_hint="")] = None
@@ -103,7 +105,7 @@ class Transfer:
             self.front,
             self.apparel,
         )
-        settings = replace(settings, file_up=self.file_up or "", file_unit=self.file_unit or "")
+        settings = replace(settings, file_up=self.file_up or "", file_unit=self.file_unit or "", unit=self.unit)
         jobs, suffix = _jobs(self.jobs), _suffix(self.format)
         characters, motions, bad = self._sorted()
         single = len(characters) == len(motions) == 1 and not bad and not self._folder()

@@ -35,6 +35,7 @@ class Settings:
     apparel: str = "rigid"
     file_up: str = ""
     file_unit: str = ""
+    unit: str = "auto"
 
     @property
     def saving(self) -> dict[str, str]:
@@ -155,7 +156,7 @@ def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
     from bunraku.pipelines.animate import rig
     from bunraku.retarget.rig_parts import is_humanoid_rig
 
-    character = stand_up(load_character(path), path, settings.up, settings.front)
+    character = stand_up(load_character(path, unit="m"), path, settings.up, settings.front, settings.unit)
     bones = settings.onto == "rig" or (
         settings.onto == "auto" and (is_humanoid_rig(character) or mmd_model(character) is not None)
     )

@@ -98,7 +98,9 @@ class Animate(GeneratingOptions):
 
         with stages() as report:
             report("load", 0.0)
-            character = stand_up(load_character(self.character), self.character, self.up, self.front)
+            character = stand_up(
+                load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit
+            )
             report("load", 1.0)
 
             from bunraku.pipelines.animate import animate_each, rig

@@ -102,7 +102,7 @@ class Edit(GeneratingOptions):
         from bunraku.pipelines.animate import rig
         from bunraku.pipelines.apply import apply_motion
 
-        character = stand_up(load_character(self.character), self.character, self.up, self.front)
+        character = stand_up(load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit)
         handles = rig(character, handles=self.handles, progress=report)
         return clip.on(character, handles) or apply_motion(clip.of_the_reference_body(), character, handles)
 

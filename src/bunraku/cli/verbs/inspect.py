@@ -10,6 +10,7 @@ import tyro
 
 from bunraku.cli.checks import check_input
 from bunraku.cli.evaluate.report import size_text
+from bunraku.cli.orientation import UnitOption
 from bunraku.errors import WeightsError
 
 if TYPE_CHECKING:
@@ -33,12 +34,15 @@ class Inspect:
 
     file: tyro.conf.Positional[Path]
     """A character or a motion."""
+    unit: UnitOption = "auto"
+    """The unit of lengths in a character's file. "auto" says what the height makes likely and leaves them as they are.
+    """
     json: bool = False
     """Print JSON for programs."""
 
     def run(self) -> None:
         check_input(self.file)
-        facts = describe(self.file)
+        facts = describe(self.file, self.unit)
         if self.json:
             import json
 
@@ -47,7 +51,7 @@ class Inspect:
             _print(facts)
 
 
-def describe(path: Path) -> dict[str, Any]:
+def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
     """What a file holds, in values that JSON can say; lengths in metres and seconds.
 
     Raises:
@@ -65,9 +69,9 @@ def describe(path: Path) -> dict[str, Any]:
     fbx = _fbx(path) if path.suffix.lower() == ".fbx" else {}
     if fbx and not fbx["meshes"]:  # clips without a character
         return facts | _motion(path) | fbx
-    character = load_character(path)
+    character = load_character(path, unit="m" if unit == "auto" else unit)
     suffix = getattr(character.source, "suffix", path.suffix.lower())
-    facts |= _character(character)
+    facts |= _character(character, unit)
     if character.source is not None:
         facts |= _document(character.source.document)
     if suffix not in GLTF:
@@ -112,13 +116,14 @@ def _mapping(skeleton: Skeleton) -> dict[str, Any]:
     return {"convention": found.convention or "unknown", "mapping": named, "missing": list(found.missing)}
 
 
-def _character(character: Character) -> dict[str, Any]:
+def _character(character: Character, unit: str) -> dict[str, Any]:
     import numpy as np
 
     low, high = character.vertices.min(axis=0), character.vertices.max(axis=0)
     extent = high - low
     welded, parts = _count_parts(character)
     orientation = _orientation(character)
+    suffix = str(getattr(character.source, "suffix", ""))
     height = (
         float(np.ptp(character.vertices[character.surface], axis=0)["xyz".index(orientation["taken_up"][1])])
         or character.height
@@ -131,7 +136,7 @@ def _character(character: Character) -> dict[str, Any]:
         "faces": len(character.faces),
         "loose_parts": parts,
         "height": _digits(height),
-        "unit": _unit(height),
+        "unit": _unit(height, suffix, unit),
         "extent": [_digits(x) for x in extent],
         "lowest_corner": [_digits(x) for x in low],
         "orientation": orientation,
@@ -182,21 +187,14 @@ def _orientation(character: Character) -> dict[str, Any]:
     }
 
 
-def _unit(height: float) -> dict[str, str]:
-    """What unit a height is likely to be in: most characters are between a hand and a house tall."""
-    for least, unit in ((400, "millimetres"), (10, "centimetres"), (0.04, "metres")):
-        if height >= least:
-            return {
-                "name": unit,
-                "note": ""
-                if unit == "metres"
-                else f"{height:,.4g} m tall: probably {unit}; the animation keeps the file's unit",
-            }
-    return {
-        "name": "unknown",
-        "note": f"{height:.2g} m tall: probably shrunk 100 or 1,000 times on its way; the animation keeps the file's "
-        "unit",
-    }
+def _unit(height: float, suffix: str, unit: str) -> dict[str, str]:
+    """What unit the file is likely to be in, and what animate and rig make of it."""
+    from bunraku.io.units import NAMES, settle_unit
+
+    settled = settle_unit(height, suffix, "auto")
+    if unit != "auto":
+        return {"name": NAMES[unit], "note": ""}
+    return {"name": NAMES[settled.likely], "note": settled.note}
 
 
 def _document(document: Document) -> dict[str, Any]:

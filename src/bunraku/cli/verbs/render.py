@@ -11,7 +11,7 @@ import tyro
 from bunraku.cli.checks import check_input, check_output, check_range
 from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.ledger import check_free, note_written
-from bunraku.cli.orientation import AxisOption, check_axes, stand_up
+from bunraku.cli.orientation import AxisOption, UnitOption, check_axes, stand_up
 from bunraku.cli.outputs import PREVIEWS
 from bunraku.cli.progress import Report, stages
 from bunraku.errors import FormatError, OptionError
@@ -54,6 +54,8 @@ class Render:
     """The axis that is up in a character without a clip, or in that of --character."""
     front: AxisOption = "auto"
     """The axis that it faces."""
+    unit: UnitOption = "auto"
+    """The unit of lengths in its file."""
 
     def run(self) -> None:
         check_axes(self.up, self.front)
@@ -111,7 +113,7 @@ class Render:
                 self.file,
                 "this is no handle motion, whatever its suffix says; write one with `bunraku animate -o motion.npz`",
             )
-        character = stand_up(load_character(self.character), self.character, self.up, self.front)
+        character = stand_up(load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit)
         return Animation(character, rig(character, progress=report), motion)
 
     def _clip(self) -> Animation | None:
@@ -133,4 +135,5 @@ class Render:
             )
         if self.color == "handles":
             raise OptionError("the handles of a character without a clip are shown by `bunraku rig --preview`")
-        save_still(stand_up(load_character(self.file), self.file, self.up, self.front), output, size=self.size)
+        character = load_character(self.file, unit="m")
+        save_still(stand_up(character, self.file, self.up, self.front, self.unit), output, size=self.size)

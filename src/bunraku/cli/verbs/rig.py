@@ -11,7 +11,7 @@ import tyro
 from bunraku.cli.checks import check_input, check_output, make_folder
 from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.ledger import check_free, note_written
-from bunraku.cli.orientation import AxisOption, check_axes, stand_up
+from bunraku.cli.orientation import AxisOption, UnitOption, check_axes, stand_up
 from bunraku.cli.progress import stages
 
 __all__ = ["Rig"]
@@ -42,6 +42,8 @@ class Rig:
     """The axis that is up in the file. "auto" goes by the rule of the format, and by the shape where it has none."""
     front: AxisOption = "auto"
     """The axis that the character faces in the file."""
+    unit: UnitOption = "auto"
+    """The unit of lengths in the file. "auto" goes by the rule of the format, and by the height where it has none."""
 
     def run(self) -> None:
         check_axes(self.up, self.front)
@@ -57,7 +59,9 @@ class Rig:
 
         with stages() as report:
             report("load", 0.0)
-            character = stand_up(load_character(self.character), self.character, self.up, self.front)
+            character = stand_up(
+                load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit
+            )
             report("load", 1.0)
 
             from bunraku.pipelines.animate import rig

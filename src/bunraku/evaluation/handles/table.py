@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.errors import BunrakuError, OptionError
+from bunraku.evaluation.handles.orientation import measure_orientation
 from bunraku.evaluation.handles.subjects import Subject, find_files, load_subject, subject, subject_name
 from bunraku.evaluation.handles.trials import (
     Predict,
@@ -65,6 +66,12 @@ BARS: dict[str, Bar] = {
     "pose_error_bone_heat_together": Bar("  of bone heat, fitted so"),
     "resolution_l1": Bar("resolution: L1 difference of weights at 1k, 5k and 50k vertices", 0.05),
     "rest_pose_agreement": Bar("rest pose: main handle unchanged in A, arms down and sitting", 0.9, high=True),
+    "orientation_creatures": Bar("orientation: non-humanoids set up from all 24", 0.9, high=True),
+    "orientation_humanoids": Bar("  of humanoids"),
+    "orientation_up": Bar("  up alone, of all"),
+    "orientation_front": Bar("  front given up, of all"),
+    "orientation_upright": Bar("orientation: left alone as a glTF that stands", 0.98, high=True),
+    "orientation_warned": Bar("orientation: wrong ones that are called a guess", 1.0, high=True),
     "top4_error": Bar("top 4: error of four weights a vertex in motion, over the height", 0.001),
     "seconds_5k": Bar("speed: 5,000 vertices [s]", 0.3, seconds=True),
     "seconds_200k": Bar("speed: 200,000 vertices [s]", 4.0, seconds=True),
@@ -136,7 +143,8 @@ def evaluate_handles(
     left_out: dict[str, str] = {}
     for number, (name, load) in enumerate(subjects.items()):
         try:
-            rows.append(measure_subject(load(), predict, reference, baselines, seed))
+            one = load()
+            rows.append(measure_subject(one, predict, reference, baselines, seed) | measure_orientation(one))
         except BunrakuError as error:
             left_out[name] = str(error)
         report("characters", (number + 1) / len(subjects))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from bunraku.formats.gltf.document import COMPONENT_TYPES, Document
 
-__all__ = ["ARRAY_BUFFER", "ELEMENT_ARRAY_BUFFER", "GltfBuilder", "mesh_document"]
+__all__ = ["ARRAY_BUFFER", "ELEMENT_ARRAY_BUFFER", "GltfBuilder", "mesh_document", "scaled_mesh_document"]
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 _TYPE_CODES = {dtype: code for code, dtype in COMPONENT_TYPES.items()}
@@ -164,3 +165,13 @@ def mesh_document(
     if materials:
         builder.tree["materials"] = materials
     return builder.document(path)
+
+
+def scaled_mesh_document(document: Document, factor: float) -> Document:
+    """A document of `mesh_document` with its positions times a factor; they are the first array of its buffer."""
+    primitive = document.items("meshes")[0]["primitives"][0]
+    count = 3 * document.count(primitive["attributes"]["POSITION"])
+    data = np.frombuffer(document.buffers[0], np.uint8).copy()
+    positions = data[: 4 * count].view("<f4")
+    positions *= np.float32(factor)
+    return replace(document, buffers=[data.tobytes(), *document.buffers[1:]])

@@ -1,4 +1,8 @@
-"""Read STL, text or binary: triangles that share no vertices, kept as they are."""
+"""Read STL, text or binary.
+
+Its triangles repeat their corners; corners at exactly the same place become one vertex, so that the surface hangs
+together.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,9 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 
 
 def read_stl(path: Path, data: bytes) -> Character:
-    """Read an STL file; vertex 3 f + c is corner c of triangle f.
+    """Read an STL file; vertices are numbered as they come first, triangles keep their order.
+
+    Triangles with two corners at one place have no surface and are dropped.
 
     Args:
         path: The file.
@@ -39,12 +45,12 @@ def read_stl(path: Path, data: bytes) -> Character:
     if text:
         check_text(path, data)
     corners = _text(path, data) if text else _binary(path, data, count)
-    triangles = np.arange(len(corners)).reshape(-1, 3)
+    vertices, triangles = _welded(corners)
     material = {
         "name": path.stem,
         "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]},
     }
-    document = mesh_document(path, corners, [(triangles, 0)], materials=[material])
+    document = mesh_document(path, vertices, [(triangles, 0)], materials=[material])
     return character_from_document(document, path.stem, suffix=".stl")
 
 
@@ -65,3 +71,15 @@ def _text(path: Path, data: bytes) -> np.ndarray:
     if len(corners) % 3 or b"endsolid" not in data[-1024:].lower():
         raise FormatError(path, f"it ends inside a triangle; {_BROKEN}")
     return corners
+
+
+def _welded(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners without repetitions, and the triangles that have three different ones, shapes (V, 3) and (F, 3)."""
+    corners = np.ascontiguousarray(corners, np.float32) + np.float32(0)  # no -0.0: the bits are compared
+    keys = corners.view(np.dtype((np.void, 12))).ravel()
+    _, first, vertex = np.unique(keys, return_index=True, return_inverse=True)
+    number = np.argsort(np.argsort(first))  # in the order of the file
+    triangles = number[vertex].reshape(-1, 3)
+    flat = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
+    used, kept = np.unique(triangles[~flat], return_inverse=True)
+    return corners[np.sort(first)][used], kept.reshape(-1, 3)

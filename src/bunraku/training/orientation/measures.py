@@ -8,9 +8,8 @@ import numpy as np
 import torch
 
 from bunraku.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment
-from bunraku.geometry.axes import ORIENTATIONS, right_angle_rotations
+from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.handles.orientation import Orientation, settled_axes
 from bunraku.handles.orientation_net import OrientationPredictor, shape_tokens
 
 __all__ = [
@@ -19,7 +18,6 @@ __all__ = [
     "UPRIGHT",
     "fitted_temperature",
     "orientation_results",
-    "turn_rates",
     "validate_orientation",
     "varied_tokens",
 ]
@@ -113,30 +111,6 @@ def orientation_results(logs: np.ndarray) -> dict[str, float]:
         "both": float((logs.argmax(1) == UPRIGHT).mean()),
         "loss": float(-logs[:, UPRIGHT].mean()),
     }
-
-
-def turn_rates(
-    logs: np.ndarray, sure: float, prior: np.ndarray | None = None, axes: tuple[str, str] = ("+y", "+z")
-) -> tuple[float, float]:
-    """What `orientation.settle` makes of characters, from log-probabilities (N, 24) of what they are upright.
-
-    Args:
-        logs: As `validate_orientation` gives them.
-        sure: Least confidence to believe a guess.
-        prior: How likely each orientation is beforehand; equal when not given.
-        axes: How the characters lie.
-
-    Returns:
-        The share that is turned wrongly, and the share that stands upright and faces +Z in the end.
-    """
-    rotations = right_angle_rotations()
-    names = [matrix.astype(int).tobytes() for matrix in rotations]
-    lie = rotations[ORIENTATIONS.index(axes)]
-    there = [names.index((matrix @ lie.T).astype(int).tobytes()) for matrix in rotations]
-    chances = np.exp(logs - logs.max(axis=1, keepdims=True))[:, there] * (1 if prior is None else prior)
-    taken = [settled_axes(Orientation.of(row / row.sum()), sure) for row in chances]
-    wrong = [found not in (axes, ("+y", "+z")) for found in taken]
-    return float(np.mean(wrong)), float(np.mean([found == axes for found in taken]))
 
 
 def fitted_temperature(logs: np.ndarray) -> float:
