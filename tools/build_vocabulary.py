@@ -20,6 +20,8 @@ OUT = Path(__file__).resolve().parents[1] / "src" / "bunraku" / "language" / "vo
 LEAST = 2
 """Sentences that must have a word: what one alone has may be a slip."""
 _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
+_SAYS = re.compile(r"(?:^(?:(?:a|the|one) (?:person|human|man|woman|figure|character)|someone|somebody)|then) (\w+s)\b")
+"""A verb after its subject, or after "then"."""
 _LINK = re.compile(r"(?:,? and then |,? then |,? and |, )")
 
 
@@ -30,8 +32,8 @@ def captions(path: Path) -> list[list[list[str]]]:
 
 
 def vocabulary(clips: Iterable[list[list[str]]]) -> dict[str, object]:
-    """Words with the number of sentences that have them, and the verbs of the tersest sentences, which are orders:
-    "climb up", "turn left and walk".
+    """Words with the number of sentences that have them, and the verbs that sentences begin with, as they are written:
+    the tersest, which are orders ("climb up", "turn left and walk"), and the others after their subject.
     """
     words: Counter[str] = Counter()
     seen: set[str] = set()
@@ -42,11 +44,13 @@ def vocabulary(clips: Iterable[list[list[str]]]) -> dict[str, object]:
             words.update(set(_WORD.findall(sentence)))
     third = {word.removesuffix("s") for word in words if word.endswith("s")}
     gerunds = {word.removesuffix("ing") for word in words if word.endswith("ing")}
-    for stretch in (texts for clip in clips for texts in clip):
-        for part in _LINK.split(stretch[-1].lower()):
+    for texts in (texts for clip in clips for texts in clip):
+        for part in _LINK.split(texts[-1].lower()):
             first = _WORD.match(part)
             if first and first.group() in third and {first.group(), first.group().removesuffix("e")} & gerunds:
                 verbs[first.group()] += 1
+        for text in texts[:-1]:
+            verbs.update(_SAYS.findall(text.lower()))
     return {
         "words": {word: count for word, count in sorted(words.items()) if count >= LEAST},
         "verbs": sorted(word for word, count in verbs.items() if count >= LEAST),

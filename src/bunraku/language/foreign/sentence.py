@@ -22,7 +22,8 @@ _ON = frozenset({"stand", "hop", "balance", "jump", "kneel", "lie", "crawl", "si
 """Verbs that are done on a part; others with it."""
 _GOES = frozenset({"walk", "run", "go", "come", "sneak", "crawl", "jog", "stroll", "march", "limp", "hurry", "rush"})
 _PLACES = frozenset({"chair", "bench", "table", "window", "wall", "tree", "car", "stairs", "door"})
-_TOUCHED = frozenset({"touch", "rub", "grab", "hold", "wipe", "wash"})
+_CLIMBED = frozenset({"stairs", "ladder", "tree", "wall"})
+_TOUCHED = frozenset({"stretch", "touch", "rub", "grab", "hold", "wipe", "wash"})
 _BARE = frozenset({"something", "water", "music"})
 _SLOT = re.compile(r"<([^>]*)>")
 _SIDEWAYS = ("to the left", "to the right")
@@ -65,58 +66,71 @@ def _joined(clauses: list[Clause]) -> str:
 
 def _phrase(clause: Clause) -> str:
     """A clause without its subject, the verb in braces."""
-    items = list(clause.items)
-    verb = clause.verb
+    items, verb = list(clause.items), clause.verb
     steps = next((item for item in items if item.kind == "steps"), None)
-    if steps and (not verb or head_of(verb) == "step"):
-        verb = verb.replace("{step}", "") or " "
-        verb = f"{{take}} {steps.value}{verb.rstrip()}"
+    if steps and (not verb or head_of(verb) == "step"):  # "takes three steps back"
+        verb = f"{{take}} {steps.value}{verb.replace('{step}', '').rstrip()}"
         items.remove(steps)
-    head = head_of(verb)
     if verb.startswith("{turn} around") and any(item.kind == "degrees" or item.value in _SIDEWAYS for item in items):
         verb = "{turn}"
-    slot = _SLOT.search(verb)
-    given = ""
-    phrases: list[tuple[float, str]] = []
-    for item in items:
-        if item.kind == "part":
-            said = _part(item)
-            default = slot.group(1) if slot else ""
-            bodily = default.removeprefix("the ") in _body() or head in _TOUCHED
-            if slot and bodily and not given:
-                unsaid = said.removeprefix("the ") == default.removeprefix("the ").rstrip("s") and not item.mark
-                given = default if unsaid and not _sided(item) else said
-            elif head == "move" and not slot:
-                phrases.append((0, said))
-            elif _sided(item) or item.value.split("/")[0] not in OWN.get(head, ()):
-                phrases.append((1, f"{'on' if head in _ON and not slot else 'with'} {said}"))
-        elif item.kind in ("noun", "being"):
-            name, _, place = item.value.partition("/")
-            if slot and not given and slot.group(1).removeprefix("the ") not in _body():
-                given = name if name in _BARE else with_article(name)
-            elif name in verb:
-                continue
-            elif item.kind == "noun" and head in _GOES and name in _PLACES:
-                phrases.append((2, f"to the {name}"))
-            elif "} up" in verb and head in ("stand", "get"):
-                phrases.append((2, place.replace("on ", "from ")))
-            else:
-                phrases.append((2, place or f"with {with_article(name)}"))
-        elif item.kind == "likeness":
-            phrases.append((4, f"like {with_article(item.value.split('/')[0])}"))
-        elif item.kind == "direction":
-            value = item.value
-            if value in _SIDEWAYS and head == "turn":
-                value = value.removeprefix("to the ")
-            double = value == "backward" and "back" in verb.split()
-            if not double and value.split()[-1] not in verb.split() and (head, value) not in _SAID:
-                phrases.append((3, value))
-        elif item.kind in ("manner", "count", "seconds", "degrees", "steps"):
-            order = {"steps": 0, "degrees": 3.5, "manner": 4, "count": 5, "seconds": 6}[item.kind]
-            if item.value not in verb.split():
-                phrases.append((order, item.value))
-    verb = _SLOT.sub(given or (slot.group(1) if slot else ""), verb)
-    return " ".join([verb, *dict.fromkeys(text for _, text in sorted(phrases, key=lambda phrase: phrase[0]))]).strip()
+    head, slot = head_of(verb), _SLOT.search(verb)
+    given = None
+    if slot:
+        given = _object(items, slot.group(1), head)
+        verb = _SLOT.sub(_named(given, slot.group(1)) if given else slot.group(1), verb)
+    phrases = [_said(item, verb, head, bool(slot)) for item in items if item is not given]
+    told = dict.fromkeys(text for _, text in sorted(phrases, key=lambda phrase: phrase[0]) if text)
+    return " ".join([verb, *told]).strip()
+
+
+def _object(items: Sequence[Concept], default: str, head: str) -> Concept | None:
+    """What a verb is done to: a part of the body where that is usual, or else a thing or somebody."""
+    bodily = default.removeprefix("the ") in _body()
+    if bodily or head in _TOUCHED:
+        part = next((item for item in items if item.kind == "part"), None)
+        if part:
+            return part
+    kinds = ("noun",) if bodily else ("noun", "being")
+    return next((item for item in items if item.kind in kinds), None)
+
+
+def _named(item: Concept, default: str) -> str:
+    if item.kind == "part":
+        said = _part(item)
+        unsaid = said.removeprefix("the ") == default.removeprefix("the ").rstrip("s") and not item.mark
+        return default if unsaid and not _sided(item) else said
+    name = item.value.partition("/")[0]
+    return name if name in _BARE else with_article(name)
+
+
+def _said(item: Concept, verb: str, head: str, slot: bool) -> tuple[float, str]:
+    """What a word adds after the verb, and its place there."""
+    words = verb.split()
+    if item.kind == "part":
+        if head == "move" and not slot:
+            return 0, _part(item)
+        if not _sided(item) and item.value.split("/")[0] in OWN.get(head, ()):
+            return 1, ""
+        return 1, f"{'on' if head in _ON and not slot else 'with'} {_part(item)}"
+    if item.kind in ("noun", "being"):
+        name, _, place = item.value.partition("/")
+        if name in words or (name == "water" and slot):
+            return 2, ""
+        if head == "climb" and name in _CLIMBED:
+            return 1, "the stairs" if name == "stairs" else with_article(name)
+        if item.kind == "noun" and head in _GOES and name in _PLACES:
+            return 2, f"to the {name}"
+        if "} up" in verb and head in ("stand", "get"):
+            return 2, place.replace("on ", "from ")
+        return 2, place or f"with {with_article(name)}"
+    if item.kind == "likeness":
+        return 4, f"like {with_article(item.value.split('/')[0])}"
+    if item.kind == "direction":
+        value = item.value.removeprefix("to the ") if item.value in _SIDEWAYS and head == "turn" else item.value
+        double = (value == "backward" and "back" in words) or value.split()[-1] in words or (head, value) in _DOUBLE
+        return 3, "" if double else value
+    order = {"steps": 0, "degrees": 3.5, "manner": 4, "count": 5, "seconds": 6}.get(item.kind)
+    return (order, item.value) if order is not None and item.value not in words else (9, "")
 
 
 @functools.cache
@@ -124,7 +138,7 @@ def _body() -> frozenset[str]:
     return frozenset(name for row in table()["parts"] for name in row["en"].split("/"))
 
 
-_SAID = {("raise", "up"), ("lower", "down"), ("lift", "up"), ("climb", "up"), ("sit", "down"), ("fall", "down")}
+_DOUBLE = {("raise", "up"), ("lower", "down"), ("lift", "up"), ("climb", "up"), ("sit", "down"), ("fall", "down")}
 
 
 def _sided(item: Concept) -> bool:

@@ -53,7 +53,7 @@ FUNCTION_WORDS = frozenset(_FUNCTION.split())
 _LIGHT = (
     "be do have make let start begin continue keep try act take give get use perform show want need seem become cause "
     "help say tell know feel set can will would may must please remain mean call change find add list own note light "
-    "present end"
+    "present end finish handle repeat strain"
 )
 """Verbs that say no movement by themselves: "does a blorp"."""
 
@@ -115,9 +115,12 @@ def _stems() -> frozenset[str]:
 
 @functools.cache
 def action_stems() -> frozenset[str]:
-    """Stems of the verbs that training shows, without those that say no movement by themselves."""
+    """Stems of the verbs that training shows, without those that say no movement by themselves, and without those that
+    are a part of the body, too.
+    """
     verbs = clause_verbs() | stretch_verbs() | set(_written()["verbs"])
-    return (frozenset(map(stem, verbs)) & _stems()) - frozenset(map(stem, _LIGHT.split()))
+    parts = [name for row in table()["parts"] for name in row["en"].split("/")]
+    return (frozenset(map(stem, verbs)) & _stems()) - frozenset(map(stem, [*parts, *_LIGHT.split()]))
 
 
 def is_known(word: str) -> bool:
