@@ -19,6 +19,11 @@ _LONGEST = 8
 """Words of a phrase that is shown to somebody who looks for one."""
 _MOST = 4
 """Unknown words that are looked up; each takes half a millisecond."""
+_SHORT, _LIKE = 5, (0.7, 0.5)
+"""Letters of a short word, and the share that it, or a longer one, must have in common with a known word to be like
+it.
+"""
+_DOING = ("do", "make", "take", "give")
 _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 
 
@@ -77,12 +82,18 @@ def nearest_sentences(words: Sequence[str], unknown: Sequence[str] = (), count: 
     wanted = {stem(word): 1.0 for word in words if word.lower() not in FUNCTION_WORDS}
     for word in unknown[:_MOST]:
         for one, share in _alike(stem(word)):
+            if share < _LIKE[len(word) > _SHORT]:
+                continue
             wanted[one] = max(wanted.get(one, 0.0), 0.5 * share)
     for one, share in wanted.items():
         for place in where.get(one, ()):
             scores[place] += share * weights[one]  # type: ignore[assignment]
     phrases = _phrases()
-    order = sorted(range(len(phrases)), key=lambda place: (-scores[place] / (2 + len(phrases[place][2])), place))
+    usual = Counter(verb for _, verb, _ in phrases if verb not in _DOING)  # where nothing is near: what is done most
+    order = sorted(
+        range(len(phrases)),
+        key=lambda place: (-scores[place] / (2 + len(phrases[place][2])), -usual[phrases[place][1]], len(phrases[place][2]), place),
+    )
     found: dict[str, str] = {}
     for place in order:
         sentence, verb, _ = phrases[place]
