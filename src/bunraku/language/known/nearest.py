@@ -90,10 +90,12 @@ def nearest_sentences(words: Sequence[str], unknown: Sequence[str] = (), count: 
             scores[place] += share * weights[one]  # type: ignore[assignment]
     phrases = _phrases()
     usual = Counter(verb for _, verb, _ in phrases if verb not in _DOING)  # where nothing is near: what is done most
-    order = sorted(
-        range(len(phrases)),
-        key=lambda place: (-scores[place] / (2 + len(phrases[place][2])), -usual[phrases[place][1]], len(phrases[place][2]), place),
-    )
+
+    def rank(place: int) -> tuple[float, int, int, int]:
+        _, verb, stems = phrases[place]
+        return -scores[place] / (2 + len(stems)), -usual[verb], len(stems), place
+
+    order = sorted(range(len(phrases)), key=rank)
     found: dict[str, str] = {}
     for place in order:
         sentence, verb, _ = phrases[place]
