@@ -1,7 +1,29 @@
-"""`python -m bunraku` is the `bunraku` command."""
+"""`python -m bunraku`, and what the command `bunraku` calls: Ctrl-C ends it with one line from its first moment."""
 
+from __future__ import annotations
+
+import os
+import signal
 import sys
+from types import FrameType
+from typing import NoReturn
 
-from bunraku.cli import main
+__all__ = ["run"]
 
-sys.exit(main())
+
+def run() -> NoReturn:
+    """Run the command line and leave with its exit status."""
+    before = signal.signal(signal.SIGINT, _leave)
+    from bunraku.cli import main
+
+    signal.signal(signal.SIGINT, before)
+    sys.exit(main())
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os.write(2, b"bunraku: interrupted\n")
+    os._exit(130)
+
+
+if __name__ == "__main__":
+    run()

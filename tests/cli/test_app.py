@@ -115,3 +115,42 @@ def test_size_text():
         "2.5 MB",
         "3.0 GB",
     ]
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr", "both"])
+def test_closed_streams_are_no_fault(good, stream):
+    closed = {"stdout": ">&-", "stderr": "2>&-", "both": ">&- 2>&-"}[stream]
+    words = [sys.executable, "-m", "bunraku", "inspect", str(good)]
+    done = subprocess.run(["sh", "-c", f'"$@" {closed}', "sh", *words], capture_output=True, text=True)
+    assert done.returncode in (0, 141) and "fault" not in done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_stream_of_few_letters_is_no_fault(tmp_path, glb):
+    path = tmp_path / "füchsin.glb"
+    path.write_bytes(glb())
+    done = subprocess.run(
+        [sys.executable, "-m", "bunraku", "inspect", str(path)],
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"},
+    )
+    assert done.returncode == 0 and b"f\\xfcchsin" in done.stdout and b"fault" not in done.stderr
+
+
+@pytest.mark.parametrize("after", [0.0, 0.05, 0.15])
+def test_an_interrupt_at_the_start_is_one_line(good, after):
+    """It is sent as soon as the command's own module runs; before that Python itself starts."""
+    code = (
+        "import os, signal, sys, threading, time, bunraku.__main__ as command\n"
+        f"stop = lambda: (time.sleep({after}), os.kill(os.getpid(), signal.SIGINT))\n"
+        "real = signal.signal\n"
+        "def ready(*words):\n"
+        "    signal.signal = real\n"
+        "    out = real(*words)\n"
+        "    threading.Thread(target=stop).start()\n"
+        "    return out\n"
+        "signal.signal = ready\n"
+        f"sys.argv = ['bunraku', 'animate', {str(good)!r}, 'walks', '--seconds', '20']\n"
+        "command.run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=good.parent)
+    assert done.returncode == 130 and done.stderr == "bunraku: interrupted\n"

@@ -80,3 +80,10 @@ def test_files_that_are_broken_or_mean_harm(tmp_path):
         path.write_bytes(whole[:length])
         with pytest.raises(BunrakuError, match=r"bad\.npy"):
             load_motion(path)
+
+
+def test_hours_of_frames_are_refused_at_once(tmp_path):
+    path = tmp_path / "long.npy"
+    np.save(path, np.zeros((300_000, 22, 3), np.float32))
+    with pytest.raises(FormatError, match="300,000 frames"):
+        load_motion(path)

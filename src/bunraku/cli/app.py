@@ -6,10 +6,12 @@ import difflib
 import errno
 import importlib
 import inspect
+import io
 import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 from bunraku.errors import BunrakuError, OptionError
@@ -85,13 +87,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = os.environ.get("BUNRAKU_DEBUG", "") not in ("", "0") or "--debug" in words
     words = [word for word in words if word != "--debug"]
     try:
+        _mend_streams()
         status = _dispatch(words)
         sys.stdout.flush()
         return status
     except SystemExit as leave:  # the option parser has said what it had to say
         return leave.code if isinstance(leave.code, int) else 0 if leave.code is None else 2
     except BrokenPipeError:  # `bunraku inspect FILE | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        for stream in (sys.stdout, sys.stderr):  # what they still hold goes nowhere
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return 141
     except KeyboardInterrupt:
         print("bunraku: interrupted", file=sys.stderr)
@@ -102,6 +107,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         status, sentence = _explain(error)
         print(f"bunraku: error: {' '.join(sentence.split())}", file=sys.stderr)
         return status
+
+
+def _mend_streams() -> None:
+    """Let nothing that is printed fail: closed streams swallow it, and those of few letters escape the others."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 -- for the whole run
+        elif isinstance(stream := getattr(sys, name), io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _dispatch(words: list[str]) -> int:

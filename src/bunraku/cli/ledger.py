@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bunraku.errors import FormatError
+from bunraku.formats.files import sweep
 
 __all__ = ["begin", "check_free", "fingerprint", "note", "note_written", "still_to_do"]
 
@@ -51,7 +52,10 @@ def still_to_do(marks: Mapping[Path, str], overwrite: bool = False) -> list[Path
     """
     todo: list[Path] = []
     taken: list[Path] = []
-    known = _entries(next(iter(marks)).parent) if marks else {}
+    folder = next(iter(marks)).parent if marks else None
+    known = {} if folder is None else _entries(folder)
+    if folder is not None:
+        sweep(folder)
     for path, mark in marks.items():
         made, state = known.get(path.name, ("", None))
         here = _state(path)

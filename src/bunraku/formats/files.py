@@ -4,10 +4,13 @@ half-done.
 
 from __future__ import annotations
 
+import hashlib
 import os
+import platform
 import re
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,10 +28,15 @@ __all__ = [
     "check_text",
     "inside",
     "read_bounded",
+    "sweep",
 ]
 
 MAX_BYTES = 2 << 30
 """Largest file that is read [bytes]."""
+
+STALE = 3600.0
+"""After this a file that is being written has been given up [s]."""
+_TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{6})-(?P<process>\d{1,10})-[a-z0-9_]{8}\.tmp", re.DOTALL)
 
 MAX_TEXT_BYTES = 400 << 20
 """Largest mesh or motion that is read as text [bytes]: words take some ten times their file's memory."""
@@ -147,7 +155,8 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     check_output_folder(path)
     temporary = ""
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", suffix=".tmp", dir=path.parent)
+        prefix = f".{path.name[:100]}.{_machine()}-{os.getpid()}-"
+        descriptor, temporary = tempfile.mkstemp(prefix=prefix, suffix=".tmp", dir=path.parent)
         with os.fdopen(descriptor, "wb") as file:
             yield file
             file.flush()
@@ -164,6 +173,39 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
         if temporary:
             with suppress(OSError):
                 os.unlink(temporary)
+
+
+def sweep(folder: Path) -> int:
+    """Remove what `atomic_write` left half-done in a folder when its process was killed, and say how many files.
+
+    These are files of processes of this machine that are gone, and any that nobody has changed for an hour.
+    """
+    removed = 0
+    with suppress(OSError):  # no folder, nothing left
+        for entry in os.scandir(folder):
+            found = _TEMPORARY.fullmatch(entry.name)
+            if found is None or not entry.is_file(follow_symlinks=False):
+                continue
+            with suppress(OSError):
+                gone = found["machine"] == _machine() and not _alive(int(found["process"]))
+                if gone or time.time() - entry.stat().st_mtime > STALE:
+                    os.unlink(entry.path)
+                    removed += 1
+    return removed
+
+
+def _machine() -> str:
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:6]
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def _reason(error: Exception) -> str:

@@ -25,7 +25,7 @@ from bunraku.datasets.apparel.recording import record
 from bunraku.datasets.apparel.shards import Shard, shard_fingerprint, write_shard
 from bunraku.datasets.apparel.unified import UnifiedBody
 from bunraku.errors import BunrakuError, CharacterError, FormatError
-from bunraku.formats.files import atomic_write
+from bunraku.formats.files import atomic_write, sweep
 
 __all__ = ["BuildState", "body_animation", "build_apparel", "build_shard"]
 
@@ -79,6 +79,8 @@ def build_apparel(
         (folder / "shards").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(folder, f"the folder cannot be made ({error.strerror}); choose another") from error
+    for place in (folder, folder / "shards"):
+        sweep(place)
     progress = progress or (lambda state: None)
     state = BuildState(len(plan), sum(shard.seconds for shard in plan) / 60)
     todo = [shard for shard in plan if shard_fingerprint(_path(folder, shard)) != shard.fingerprint()]

@@ -20,6 +20,7 @@ from bunraku.core.character import Character
 from bunraku.datasets.characters.known_rigs import facing_turn, known_handles, root_joint
 from bunraku.datasets.characters.training_character import TrainingCharacter, handle_target
 from bunraku.errors import BunrakuError, CharacterError, FormatError
+from bunraku.formats.files import sweep
 from bunraku.geometry.simplify import network_mesh
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
 
@@ -163,6 +164,8 @@ def build_characters(
         makers[f"samples/{sample}"] = (partial(sample_character, sample, rigged=True), mesh_vertices)
     for family, seed in code_made_names(code_made):
         makers[f"code_made/{family}_{seed}"] = (partial(code_made_character, family, seed), mesh_vertices)
+    for place in {(cache / name).parent for name in makers}:
+        sweep(place)
     done, failed = [], {}
     for number, (name, (make, size)) in enumerate(makers.items()):
         target = cache / f"{name}.npz"

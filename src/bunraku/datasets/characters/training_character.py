@@ -11,6 +11,7 @@ import numpy as np
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
+from bunraku.formats.files import atomic_write
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 
 __all__ = [
@@ -59,10 +60,8 @@ class TrainingCharacter:
 
     def save(self, path: Path) -> None:
         """Write as npz, whole or not at all."""
-        temporary = path.with_name(f".{path.name}.part")
-        with temporary.open("wb") as file:
+        with atomic_write(path) as file:
             np.savez_compressed(file, **{field.name: np.asarray(getattr(self, field.name)) for field in fields(self)})  # type: ignore[arg-type]
-        temporary.replace(path)
 
     @staticmethod
     def load(path: Path) -> TrainingCharacter:

@@ -26,6 +26,7 @@ from bunraku.datasets.motions.floors import floor_height, posture_fault
 from bunraku.datasets.motions.hinges import unrolled
 from bunraku.datasets.motions.watched import FEWEST, Stretch, load_watched
 from bunraku.errors import FormatError
+from bunraku.formats.files import sweep
 from bunraku.geometry.rotations import matrix_from_quaternion
 from bunraku.nn.pool import Pool
 from bunraku.retarget.from_mesh import registered_body
@@ -174,6 +175,7 @@ def build_motions(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(out, f"the folder cannot be made ({error.strerror}); choose another") from error
+    sweep(out)
     todo = [index for index, name in enumerate(archive.names) if not (out / f"{name}.npz").is_file()]
     lengths = np.diff(archive.bounds)
     total, done = int(lengths.sum()), int(lengths.sum() - lengths[todo].sum())

@@ -23,6 +23,7 @@ from bunraku.datasets.motions.build import split_of
 from bunraku.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.formats.arrays.humanml3d import HUMANML3D_FPS, TimedCaption, read_texts
+from bunraku.formats.files import sweep
 from bunraku.nn.pool import Pool
 from bunraku.retarget.from_mesh import handle_motion_of_body
 
@@ -246,6 +247,7 @@ def add_takes(
         FormatError: The index is damaged, or cannot be written.
     """
     out = Path(out)
+    sweep(out)
     clips = load_index(out) if (out / "index.json").is_file() else {}
     by_name = {take.name: take for take in takes}
     added: list[str] = []

@@ -35,6 +35,8 @@ from bunraku.geometry.rotations import matrix_y
 __all__ = ["HUMANML3D_FPS", "TimedCaption", "positions_of_vectors", "read_humanml3d", "read_texts"]
 
 HUMANML3D_FPS = 20.0
+MAX_FRAMES = 24_000
+"""Longest motion that is read: each frame takes a tenth of a millisecond, as its rotations are found anew."""
 VECTOR_SIZE = 12 * JOINT_COUNT - 1
 
 
@@ -53,6 +55,10 @@ def read_humanml3d(path: Path, data: bytes) -> SkeletalMotion:
         MotionError: A value is not a number.
     """
     array = read_npy(path, data)
+    if len(array.shape) and len(array) > MAX_FRAMES:
+        raise FormatError(
+            path, f"it has {len(array):,} frames but at most {MAX_FRAMES:,} (20 minutes) are read; cut it into parts"
+        )
     if array.ndim == 2 and array.shape[1] == VECTOR_SIZE and len(array):
         positions = positions_of_vectors(array)
     elif array.ndim == 3 and array.shape[1:] == (JOINT_COUNT, 3) and len(array):

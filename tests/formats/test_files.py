@@ -1,0 +1,48 @@
+"""What a run that was killed leaves half-written, and who removes it."""
+
+import os
+import subprocess
+import sys
+import time
+
+from bunraku.formats.files import STALE, atomic_write, sweep
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from bunraku.formats.files import atomic_write
+with atomic_write(Path(sys.argv[1])) as file:
+    file.write(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_run_left_is_removed(tmp_path):
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "out.glb")], check=False)
+    assert len(list(tmp_path.iterdir())) == 1
+    assert sweep(tmp_path) == 1 and list(tmp_path.iterdir()) == []
+
+
+def test_what_is_being_written_and_what_is_not_ours_stays(tmp_path):
+    others = [".notes.tmp", "scene.tmp", ".x.abc123-1-12345678.tmp.glb", ".x.part"]
+    for name in others:
+        (tmp_path / name).write_bytes(b"")
+        os.utime(tmp_path / name, (0, 0))
+    with atomic_write(tmp_path / "out.glb") as file:
+        file.write(b"whole")
+        assert sweep(tmp_path) == 0
+    assert (tmp_path / "out.glb").read_bytes() == b"whole"
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*others, "out.glb"])
+
+
+def test_what_another_machine_gave_up_is_removed_after_an_hour(tmp_path):
+    path = tmp_path / ".out.glb.000000-1-abcdefgh.tmp"
+    path.write_bytes(b"half")
+    assert sweep(tmp_path) == 0
+    old = time.time() - STALE - 1
+    os.utime(path, (old, old))
+    assert sweep(tmp_path) == 1
+
+
+def test_a_folder_that_is_not_there_holds_nothing(tmp_path):
+    assert sweep(tmp_path / "none") == 0
