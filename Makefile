@@ -2,6 +2,7 @@
 #
 #   make demo      a sample character walks: a GLB and an MP4 in demo/
 #   make test      the tests
+#   make fuzz      broken files for all readers: COUNT=100000 of them, from seed FIRST=0 on
 #   make lint      ruff and mypy
 #   make format    let ruff rewrite the sources
 #   make install   only the set-up
@@ -12,12 +13,14 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 PROMPT ?= a person walks forward
 SAMPLE ?= person
+COUNT ?= 100000
+FIRST ?= 0
 
 BIN := .venv/bin
 READY := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint format wheel clean
+.PHONY: help install demo test fuzz lint format wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -53,6 +56,9 @@ test: $(READY) .venv/.validator
 		npm install --silent --no-audit --no-fund --no-package-lock --prefix $$folder || echo "npm install failed in $$folder; its tests are skipped"; \
 		done; fi
 	@touch $@
+
+fuzz: $(READY)
+	$(BIN)/python -W ignore tests/fuzz/fuzz.py --count $(COUNT) --first $(FIRST)
 
 lint: $(READY)
 	$(BIN)/ruff check .
