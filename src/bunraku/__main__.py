@@ -13,14 +13,20 @@ __all__ = ["run"]
 
 def run() -> NoReturn:
     """Run the command line and leave with its exit status."""
-    before = signal.signal(signal.SIGINT, _leave)
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.SIG_IGN:  # as in the background of a shell
+        signal.signal(signal.SIGINT, _leave)
     from bunraku.cli import main
 
-    signal.signal(signal.SIGINT, before)
-    sys.exit(main())
+    try:
+        signal.signal(signal.SIGINT, before)
+        status = main()
+    except KeyboardInterrupt:  # in the moment before `main` looks after it, or after
+        _leave(signal.SIGINT, None)
+    sys.exit(status)
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
+def _leave(number: int, frame: FrameType | None) -> NoReturn:
     os.write(2, b"bunraku: interrupted\n")
     os._exit(130)
 
