@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 import torch
 
+from bunraku.diffusion.features import encode
+from bunraku.diffusion.generate import _APART, generate_motions, load_generator
 from bunraku.diffusion.matching import RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences
-from bunraku.diffusion.ranking import best_of, script_scores
+from bunraku.diffusion.ranking import best_of, load_ranker, script_scores
 
 
 @pytest.fixture
@@ -35,3 +37,14 @@ def test_long_parts_are_looked_at_in_pieces_and_what_is_too_short_counts_nothing
 def test_the_best_of_each_row_is_taken():
     assert best_of(np.array([0.1, 0.3, 0.2, 0.9, 0.0, 0.5]), 3) == [1, 3]
     assert best_of(np.array([0.4, 0.2]), 1) == [0, 1]
+
+
+def test_what_is_chosen_is_the_candidate_with_the_best_score():
+    script = [[("a person kicks with the left leg", 2.0)]]
+    drawn = [generate_motions(script, seeds=[(5, place * _APART)], steps=4)[0] for place in range(3)]
+    scores = script_scores(
+        load_ranker(), load_generator()[1], [encode(motion) for motion in drawn], [[(script[0][0][0], 40)]] * 3
+    )
+    (chosen,) = generate_motions(script, seeds=[5], steps=4, candidates=3)
+    apart = [float(np.abs(chosen.rotations - motion.rotations).max()) for motion in drawn]
+    assert int(np.argmin(apart)) == int(np.argmax(scores)) and min(apart) < 1e-3

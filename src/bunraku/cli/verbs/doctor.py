@@ -22,6 +22,7 @@ WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
     "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
+    "ranker": "`bunraku animate` cannot choose among candidates; say --candidates 1",
 }
 EXTRAS = {
     "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
