@@ -7,7 +7,8 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.diffusion.features import ROOT_SIZE, FeatureStatistics, mirror
 from bunraku.errors import FormatError
 from bunraku.language.captions import creature_variants
-from bunraku.training.diffusion.clip_rows import ClipSet, load_clips
+from bunraku.training.diffusion.clip_data import load_clips
+from bunraku.training.diffusion.clip_rows import ClipSet
 
 
 def entry(features, text, split="train"):
@@ -233,3 +234,36 @@ def test_rows_are_a_function_of_their_seed_with_creatures_too(zoo):
         again = other.batch(5, number, 8, 0.3)
         np.testing.assert_array_equal(again.values, first[number].values)
         assert again.sentences == first[number].sentences and again.meshes == first[number].meshes
+
+
+def test_captions_by_time_make_stretches_and_what_is_done_once_is_not_looped(swings, features):
+    index = json.loads((swings / "index.json").read_text())
+    entry = index["clips"]["waves_0"]
+    entry["stretches"] = [
+        {"start": 0, "stop": 25, "texts": ["a person raises an arm and then lowers it", "raise arm"]},
+        {"start": 25, "stop": 60, "texts": ["a person waves", "wave"]},
+        {"start": 40, "stop": 60, "texts": ["a person is frozen"], "fault": "frozen"},
+    ]
+    (swings / "index.json").write_text(json.dumps(index))
+    clips = load_clips(swings)
+    assert {name for name in clips if name.startswith("waves_0")} == {"waves_0@0", "waves_0@25"}
+    assert clips["waves_0@0"]["features"].shape == (25, 271) and clips["waves_0@0"]["next"] == "waves_0@25"
+    assert clips["waves_0@25"]["texts"] == ["a person waves", "wave"] and "next" not in clips["waves_0@25"]
+    statistics = FeatureStatistics.measure([clip["features"] for clip in clips.values()])
+    found = {clip.name: clip for clip in ClipSet(clips, statistics, "train").clips}
+    assert found["waves_0@0"].loop is None  # "then" is not true of a motion that is played twice
+    assert found["waves_0@0"].actions == ("raise arm",) and found["waves_0@25"].actions == ("wave",)
+
+
+def test_actions_are_drawn_by_the_root_of_their_clips():
+    still = np.zeros((40, 271), np.float32)
+    still[:, 4], still[:, 8] = 1, 1
+    found = {
+        f"walk{number}": {"features": still, "texts": ["a person walks", "walk"], "watched": True, "split": "train"}
+        for number in range(80)
+    }
+    found["wave"] = {"features": still, "texts": ["a person waves", "wave"], "watched": True, "split": "train"}
+    clips = ClipSet(found, FeatureStatistics.measure([still + np.random.default_rng(0).normal(size=still.shape)]))
+    chance = dict(zip((clip.name for clip in clips.clips), clips.probability, strict=True))
+    walks = sum(chance[name] for name in found if name.startswith("walk"))
+    assert walks / chance["wave"] == pytest.approx(np.sqrt(80) / np.sqrt(20))

@@ -11,7 +11,8 @@ import torch
 
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.nn.checkpoints import load_training_state
-from bunraku.training.diffusion.clip_rows import ClipSet, load_clips
+from bunraku.training.diffusion.clip_data import load_clips
+from bunraku.training.diffusion.clip_rows import ClipSet
 from bunraku.training.diffusion.text_bank import TextBank
 from bunraku.training.diffusion.train import TrainingConfig
 from bunraku.training.diffusion.trainer import Trainer

@@ -19,7 +19,7 @@ from bunraku.evaluation.motion.samples import Request, checkpoint_digest, make_m
 from bunraku.evaluation.motion.table import MotionEvalConfig, Report
 from bunraku.evaluation.motion.train_extractor import people
 from bunraku.evaluation.motion.windows import Window, draw_windows, window_features
-from bunraku.training.diffusion.clip_rows import load_clips
+from bunraku.training.diffusion.clip_data import load_clips
 
 __all__ = [
     "BARS",

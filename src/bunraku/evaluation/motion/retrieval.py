@@ -23,7 +23,7 @@ from bunraku.errors import OptionError
 from bunraku.language.captions import caption_group, caption_variants
 from bunraku.language.encoders import TextEncoder
 from bunraku.nn.threads import fitting_threads
-from bunraku.training.diffusion.clip_rows import load_clips
+from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.losses.motion_loss import motion_losses
 
 __all__ = ["candidate_errors", "draw_candidates", "retrieval", "wilson_interval"]

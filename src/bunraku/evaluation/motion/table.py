@@ -24,7 +24,7 @@ from bunraku.evaluation.motion.metrics import diversity, fid, interval, multimod
 from bunraku.evaluation.motion.samples import Request, SamplerSettings, checkpoint_digest, make_motions
 from bunraku.evaluation.motion.train_extractor import people
 from bunraku.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
-from bunraku.training.diffusion.clip_rows import load_clips
+from bunraku.training.diffusion.clip_data import load_clips
 
 __all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows"]
 

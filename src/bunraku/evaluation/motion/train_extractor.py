@@ -37,7 +37,7 @@ from bunraku.language.captions import caption_variants
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.nn.checkpoints import TrainingState, save_training_state
 from bunraku.nn.runs import append_row, careful_step, follow_weights, learning_rate, plain_settings, resumed
-from bunraku.training.diffusion.clip_rows import load_clips
+from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.diffusion.text_bank import TextBank
 
 __all__ = ["ExtractorTrainConfig", "ExtractorTrainer", "people", "retrieval_of", "train_extractor"]

@@ -34,7 +34,8 @@ from bunraku.retarget.batched_fit import capped, fit_locals
 from bunraku.retarget.character_bank import CharacterBank, load_character_bank
 from bunraku.training.adaptation.arap_labels import EdgeSystem, arap_labels, edge_system
 from bunraku.training.adaptation.pairs import AdaptationPairs, collect_pairs
-from bunraku.training.diffusion.clip_rows import ClipSet, load_clips
+from bunraku.training.diffusion.clip_data import load_clips
+from bunraku.training.diffusion.clip_rows import ClipSet
 from bunraku.training.diffusion.mesh_learning import local_motion
 
 __all__ = ["AdaptationConfig", "train_adaptation"]

@@ -6,29 +6,24 @@ would have seen.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
-from itertools import zip_longest
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bunraku.datasets.motions.clips import load_clip, load_index
-from bunraku.diffusion.features import FeatureStatistics, decode, encode, feature_weights, mirror
-from bunraku.errors import FormatError
+from bunraku.diffusion.features import FeatureStatistics, decode, feature_weights, mirror
 from bunraku.language.captions import caption_group, mirror_words
 from bunraku.language.describe import describe, inside
 from bunraku.language.stretches import goes_on, joined_sentence
 from bunraku.language.track import Phrase
 from bunraku.language.wording import borrowed_sentence, can_do, computed_sentence, creature_subjects, verbs
+from bunraku.training.diffusion.clip_data import MIN_FRAMES
 from bunraku.training.diffusion.joining import join_point, link, splice
 from bunraku.training.diffusion.joins import Joins
 from bunraku.training.diffusion.training_clip import TrainingClip
 
-__all__ = ["ClipSet", "MotionBatch", "Row", "load_clips"]
+__all__ = ["ClipSet", "MotionBatch", "Row"]
 
-MIN_FRAMES = 8
 FEWEST_CLIPS, MOST_CLIPS = 20, 150
 """Bounds between which an action is drawn more often the more clips show it."""
 _BLEND = 8
@@ -59,71 +54,6 @@ class MotionBatch:
     lengths: np.ndarray
     sentences: list[str]
     meshes: list[str | None]
-
-
-def _features(path: Path) -> np.ndarray:
-    motion = load_clip(path)
-    if abs(motion.fps - 20) > 0.01:
-        raise FormatError(
-            path,
-            f"the clip has {motion.fps:g} frames a second, not 20; build the data again with 'bunraku data motions'",
-        )
-    return encode(motion)
-
-
-def load_clips(
-    folder: str | Path, progress: Any = None, splits: Collection[str] | None = None
-) -> dict[str, dict[str, Any]]:
-    """Features and index entries of clips: {name: {"features": (N, D), "texts", "split", "weight", ...}}.
-
-    A clip with captions by time becomes one entry a stretch, "name@first frame", without those that are faulty.
-
-    Args:
-        folder: What `bunraku data motions` wrote: `index.json` and one NPZ a clip.
-        progress: Called with (done, total).
-        splits: "train", "val", "test": those to load; None for all.
-
-    Raises:
-        FormatError: The index or a clip is missing or damaged.
-    """
-    folder = Path(folder)
-    index = load_index(folder)
-    found: dict[str, dict[str, Any]] = {}
-    for done, (name, entry) in enumerate(sorted(index.items())):
-        if (entry.get("texts") or entry.get("species")) and (splits is None or entry.get("split", "train") in splits):
-            features = _features(folder / f"{name}.npz")
-            if "stretches" in entry:
-                found |= _stretches(name, entry, features)
-            elif len(features) >= MIN_FRAMES:
-                found[name] = {**entry, "features": features}
-        if progress is not None:
-            progress(done + 1, len(index))
-    if not found:
-        raise FormatError(folder, "there is no captioned clip; build the data with 'bunraku data motions'")
-    return found
-
-
-def _stretches(name: str, entry: dict[str, Any], features: np.ndarray) -> dict[str, dict[str, Any]]:
-    """What is captioned by time, as entries of their own; those that follow each other without a gap say so in
-    "next".
-    """
-    sound = [part for part in entry["stretches"] if "fault" not in part and part["stop"] - part["start"] >= MIN_FRAMES]
-    found: dict[str, dict[str, Any]] = {}
-    common = {key: value for key, value in entry.items() if key not in ("stretches", "texts")}
-    for part, after in zip_longest(sound, sound[1:]):
-        start, stop = int(part["start"]), int(part["stop"])
-        own: dict[str, Any] = {
-            "texts": part["texts"],
-            "watched": True,
-            "features": features[start:stop],
-            "frames": stop - start,
-        }
-        if len(sound) == 1:
-            own["labels"] = entry.get("texts") or []
-        if after is not None and after["start"] == stop:
-            own["next"] = f"{name}@{stop}"
-        found[f"{name}@{start}"] = common | own
-    return found
 
 
 class ClipSet:

@@ -27,7 +27,8 @@ from bunraku.nn.events import EventLog
 from bunraku.nn.processes import Processes, open_processes
 from bunraku.nn.runs import Stop, append_row, logged_columns
 from bunraku.retarget.character_bank import load_character_bank
-from bunraku.training.diffusion.clip_rows import ClipSet, load_clips
+from bunraku.training.diffusion.clip_data import load_clips
+from bunraku.training.diffusion.clip_rows import ClipSet
 from bunraku.training.diffusion.mesh_bank import load_mesh_bank
 from bunraku.training.diffusion.text_bank import TextBank
 from bunraku.training.diffusion.trainer import Example, Trainer, TrainingConfig

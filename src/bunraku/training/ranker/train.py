@@ -29,7 +29,8 @@ from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.nn.checkpoints import TrainingState, save_training_state
 from bunraku.nn.runs import append_row, careful_step, follow_weights, learning_rate, plain_settings, resumed
-from bunraku.training.diffusion.clip_rows import ClipSet, MotionBatch, load_clips
+from bunraku.training.diffusion.clip_data import load_clips
+from bunraku.training.diffusion.clip_rows import ClipSet, MotionBatch
 from bunraku.training.diffusion.text_bank import TextBank
 
 __all__ = ["RankerTrainConfig", "RankerTrainer", "spoilt", "train_ranker"]
