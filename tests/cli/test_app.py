@@ -143,6 +143,7 @@ def test_an_interrupt_at_the_start_is_one_line(good, after):
         "import os, signal, sys, threading, time, bunraku.__main__ as command\n"
         f"stop = lambda: (time.sleep({after}), os.kill(os.getpid(), signal.SIGINT))\n"
         "real = signal.signal\n"
+        "real(signal.SIGINT, signal.default_int_handler)  # a job in the background inherits one that is ignored\n"
         "def ready(*words):\n"
         "    signal.signal = real\n"
         "    out = real(*words)\n"

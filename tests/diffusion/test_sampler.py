@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from bunraku.diffusion.sampler import Known, guided, sample, starting_noise, token_share
+from bunraku.diffusion.sampler import GUIDED_FROM, Known, guided, sample, starting_noise, token_share
 from bunraku.diffusion.schedule import alphas_cumprod, sampling_steps
 from bunraku.diffusion.solvers import ancestral, dpm_solver
 
@@ -85,6 +85,17 @@ def test_guidance_of_one_is_the_conditional_model(model, encoder):
     near = sample(model, text, 24, guidance=1.0 + 1e-7, steps=4)  # still both passes
     torch.testing.assert_close(sample(model, text, 24, guidance=1.0, steps=4).values, near.values, atol=1e-4, rtol=1e-4)
     assert (sample(model, text, 24, guidance=3.0, steps=4).values - near.values).abs().max() > 1e-2
+
+
+def test_guidance_acts_in_the_noisy_steps_alone(model, encoder):
+    seen = []
+    hook = model.register_forward_hook(lambda _, given, __: seen.append((int(given[1][0]), len(given[0]))))
+    try:
+        sample(model, encoder.encode(["a person walks"]), 24, guidance=3.0, steps=8)
+    finally:
+        hook.remove()
+    assert {step >= GUIDED_FROM for step, _ in seen} == {True, False}
+    assert all(rows == (2 if step >= GUIDED_FROM else 1) for step, rows in seen)  # with and without the sentence
 
 
 def test_seeds_batches_and_prompts(model, encoder):

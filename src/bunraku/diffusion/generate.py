@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["GUIDANCE", "STEPS", "Sampling", "adapt", "generate_motion", "generate_motions", "load_generator"]
 
 STEPS = 20
-GUIDANCE = 2.5
+GUIDANCE = 3.0
 _APART = 1_000_003
 """Between the noise of a motion's candidates, so that none is that of another motion of the batch."""
 
@@ -37,7 +37,7 @@ class Sampling:
 
     Args:
         steps: Sampling steps, 1 to 1,000; None takes 20.
-        guidance: Classifier-free guidance scale, 0 to 20; None takes 2.5.
+        guidance: Classifier-free guidance scale, 0 to 20; None takes 3.
         mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
             generate for no mesh in particular.
         progress: Called with a stage's name and the share done.

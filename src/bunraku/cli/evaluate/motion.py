@@ -60,6 +60,8 @@ class EvaluateMotion:
     """Sampling steps, 1 to 1000. Default: the sampler's."""
     guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
     """Classifier-free guidance scale, 0 to 20. Default: the sampler's."""
+    best_of: int = 1
+    """Of how many the ranker chooses each motion of what a viewer sees, 1 to 16; `bunraku animate` takes 3."""
     reference_steps: int = 0
     """Compare the default sampler with so many steps of DDPM's, 1000 for the paper's; hours on a processor. 0 leaves it
     out.
@@ -82,6 +84,7 @@ class EvaluateMotion:
         check_range("--candidates", self.candidates, 4, 100)
         check_range("--steps", self.steps, 1, 1000)
         check_range("--guidance", self.guidance, 0, 20)
+        check_range("--best-of", self.best_of, 1, 16)
         check_range("--reference-steps", self.reference_steps, 0, 1000)
         check_range("--reference-clips", self.reference_clips, 2, 100_000)
         check_range("--seed", self.seed, 0, 2**31)
@@ -102,7 +105,7 @@ class EvaluateMotion:
             runs=self.runs or (3 if self.quick else 20),
             references=1000 if self.quick else 3000, prompts=8 if self.quick else 20, repeats=4 if self.quick else 10,
             candidates=self.candidates,
-            steps=self.steps, guidance=self.guidance, reference_steps=self.reference_steps,
+            steps=self.steps, guidance=self.guidance, best_of=self.best_of, reference_steps=self.reference_steps,
             reference_clips=self.reference_clips, seed=self.seed,
         )  # fmt: skip
         with stages() as report:

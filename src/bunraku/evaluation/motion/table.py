@@ -52,6 +52,7 @@ class MotionEvalConfig:
         repeats: Motions of each of them.
         steps: Steps of the default sampler; None takes the default.
         guidance: Scale of classifier-free guidance; None takes the default.
+        best_of: Of how many the ranker chooses each motion of the second table, as `animate` does; 1 for none.
         reference_steps: Steps of DDPM's sampler that the default is compared with; 0 leaves the comparison out.
         reference_clips: Motions that it is compared on.
         seed: Of everything random.
@@ -73,6 +74,7 @@ class MotionEvalConfig:
     repeats: int = 10
     steps: int | None = None
     guidance: float | None = None
+    best_of: int = 1
     reference_steps: int = 0
     reference_clips: int = 256
     seed: int = 0

@@ -156,7 +156,10 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
     """
     from bunraku.diffusion.generate import generate_motions
 
-    how: dict[str, Any] = {"steps": config.steps, "guidance": config.guidance, "checkpoint": config.checkpoint}
+    how: dict[str, Any] = {
+        "steps": config.steps, "guidance": config.guidance, "checkpoint": config.checkpoint,
+        "candidates": config.best_of,
+    }  # fmt: skip
 
     def make(wanted: Sequence[tuple[str, float]]) -> list[HandleMotion]:
         found: list[HandleMotion] = []
