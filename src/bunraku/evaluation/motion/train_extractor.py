@@ -3,16 +3,12 @@
 The loss is the cross-entropy of finding the sentence among the batch's and the motion among the batch's (InfoNCE, as in
 TMR, Petrovich et al. 2023). Pairs that mean the same do not count as wrong. Batches hold motions of about one length,
 so that length tells nothing. Only clips of the training split are seen, and of these only captured motions of people.
-
-A run folder holds `state.safetensors` (all that is needed to go on), `extractor.safetensors` (the averaged weights),
-`log.csv` and the encoded captions. The same command goes on where a run stopped.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,63 +19,39 @@ from torch import Tensor
 
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.diffusion.matching import (
+    KIND,
     RADIUS,
     Extractor,
     ExtractorConfig,
     embed_motions,
     embed_sentences,
-    save_extractor,
 )
 from bunraku.errors import OptionError
 from bunraku.evaluation.motion.metrics import r_precision
 from bunraku.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
 from bunraku.language.captions import caption_variants
 from bunraku.language.encoders import TextEncoder, text_encoder
-from bunraku.nn.checkpoints import TrainingState, save_training_state
-from bunraku.nn.runs import append_row, careful_step, follow_weights, learning_rate, plain_settings, resumed
+from bunraku.nn.averaged_run import share_done
 from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.diffusion.text_bank import TextBank
+from bunraku.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
 
 __all__ = ["ExtractorTrainConfig", "ExtractorTrainer", "people", "retrieval_of", "train_extractor"]
 
 
 @dataclass(frozen=True)
-class ExtractorTrainConfig:
-    """Settings of a training run.
+class ExtractorTrainConfig(MatchingTrainConfig):
+    """Settings of a training run: those of `MatchingTrainConfig`, and these.
 
     Args:
-        data: Folder that `bunraku data motions` wrote.
-        out: Folder of the run; the same folder goes on with the same run.
-        minutes: Stop after this much processor time, over all sittings; the learning rate falls to nothing by then.
         steps: Stop after so many steps, where `minutes` is 0.
-        threads: CPU threads.
-        device: Where to train.
-        batch: Pairs a step.
-        rate: Peak learning rate of AdamW.
-        warmup: Steps until the peak.
-        weight_decay: Of AdamW.
-        ema: Decay of the running mean of the weights, which is what is validated and saved.
         shortest: Frames; clips with fewer are left out.
-        bf16: Compute in bfloat16 where torch says it is safe.
-        validate_every: Steps between validations and saved states.
-        seed: Of everything random.
+        extractor: The network.
     """
 
-    data: Path = Path("runs/data/motions")
     out: Path = Path("runs/extractor")
-    minutes: float = 25.0
     steps: int = 3000
-    threads: int = 1
-    device: str = "cpu"
-    batch: int = 96
-    rate: float = 6e-4
-    warmup: int = 100
-    weight_decay: float = 0.05
-    ema: float = 0.998
     shortest: int = 24
-    bf16: bool = True
-    validate_every: int = 200
-    seed: int = 0
     extractor: ExtractorConfig = field(default_factory=ExtractorConfig)
 
 
@@ -111,7 +83,7 @@ def retrieval_of(
     return r_precision(vectors, np.stack([[text[sentence] for sentence in row] for row in rows]))
 
 
-class ExtractorTrainer:
+class ExtractorTrainer(MatchingRun):
     """One training run in memory.
 
     Args:
@@ -121,27 +93,13 @@ class ExtractorTrainer:
     """
 
     def __init__(self, config: ExtractorTrainConfig, clips: Mapping[str, dict[str, Any]], bank: TextBank):
-        self.config, self.clips, self.bank = config, clips, bank
-        torch.manual_seed(config.seed)
-        self.model = Extractor(config.extractor).to(config.device)
+        self.config, self.clips = config, clips
         statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
-        self.model.mean.copy_(torch.from_numpy(statistics.mean))
-        self.model.std.copy_(torch.from_numpy(statistics.std))
-        self.average = Extractor(config.extractor).to(config.device).eval()
-        self.average.load_state_dict(self.model.state_dict())
-        self.optimizer = torch.optim.AdamW(
-            self.model.parameters(), lr=config.rate, betas=(0.9, 0.98), weight_decay=config.weight_decay
-        )
-        self.step, self.seconds = 0, 0.0
+        super().__init__(config, config.extractor, statistics, bank, len(clips), KIND)
 
     def progress(self) -> float:
         """How far the run is through its limits, 0 to 1."""
-        done = (
-            self.seconds / (60 * self.config.minutes)
-            if self.config.minutes > 0
-            else self.step / max(self.config.steps, 1)
-        )
-        return min(done, 1.0)
+        return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
 
     def batch(self, number: int) -> list[Window]:
         """Batch `number` of the endless series of the seed: a quarter of four batches' windows, sorted by length."""
@@ -174,57 +132,15 @@ class ExtractorTrainer:
         loss = 0.5 * (F.cross_entropy(logits, target) + F.cross_entropy(logits.T, target))
         return loss, float((logits.argmax(1) == target).float().mean())
 
-    def train_step(self) -> dict[str, float]:
-        """One step of the optimiser."""
-        start, config = time.process_time(), self.config
-        self.model.train()
-        rate = learning_rate(config.rate, self.step, config.warmup, self.progress(), least=0.01)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
+    def step_loss(self) -> tuple[Tensor, dict[str, float]]:
+        """The loss of the batch of this step, and the share of motions that find their sentence first."""
         loss, won = self.loss(self.batch(self.step))
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        careful_step(self.model, self.optimizer)
-        self.step += 1
-        follow_weights(self.average, self.model, min(config.ema, self.step / (self.step + 10)))
-        self.seconds += time.process_time() - start
-        return {"loss": float(loss.detach()), "won": won, "rate": rate}
-
-    def save(self, results: dict[str, float]) -> Path:
-        """Write the training state and the checkpoint; a kill leaves the last ones."""
-        out, settings = Path(self.config.out), plain_settings(asdict(self.config))
-        models = {"model": self.model.state_dict(), "average": self.average.state_dict()}
-        state = TrainingState(
-            self.step, models, {"adam": self.optimizer.state_dict()}, settings, {"seconds": self.seconds}
-        )
-        save_training_state(out / "state.safetensors", state)
-        notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "clips": len(self.clips), **results}
-        return save_extractor(out / "extractor.safetensors", self.average, notes)
-
-    def restore(self) -> bool:
-        """Go on from the run folder's state where there is one.
-
-        Raises:
-            OptionError: The run was started with another network.
-        """
-        try:
-            state = resumed(Path(self.config.out), self.model, self.average, self.optimizer)
-        except (RuntimeError, ValueError) as error:
-            raise OptionError(
-                f"{self.config.out}: this run was started with another network; give the same settings, or another "
-                "folder"
-            ) from error
-        if state is None:
-            return False
-        self.step, self.seconds = state.step, float(state.values["seconds"])
-        return True
+        return loss, {"won": won}
 
 
-def _sentences(clips: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _sentences(clips: Mapping[str, Mapping[str, Any]]) -> set[str]:
     texts = {text for entry in clips.values() for text in entry["texts"]}
-    return sorted(
-        {sentence for text in texts for mirrored in (False, True) for sentence in caption_variants(text, mirrored)}
-    )
+    return {sentence for text in texts for mirrored in (False, True) for sentence in caption_variants(text, mirrored)}
 
 
 def train_extractor(
@@ -257,48 +173,17 @@ def train_extractor(
             f"{config.data}: there are no training clips of people; build the data again with 'bunraku data motions'"
         )
     encoder = encoder or text_encoder()
-    network = replace(
-        config.extractor, text_encoder=encoder.name, text_size=encoder.token_size, pooled_size=encoder.pooled_size
-    )
-    config = replace(config, extractor=network)
-    bank = TextBank(
-        encoder,
-        _sentences(train),
-        config.out / "captions.safetensors",
-        lambda done, total: report("captions", done / total),
-    )
-    trainer = ExtractorTrainer(config, train, bank)
-    trainer.restore()
+    config = replace(config, extractor=for_encoder(config.extractor, encoder))
+    trainer = ExtractorTrainer(config, train, captions_of(config, encoder, _sentences(train), report))
     windows, candidates = _validation(held)
-    torch.set_flush_denormal(True)
-    rows: list[dict[str, float]] = []
-    path = trainer.save({}) if not trainer.step else config.out / "extractor.safetensors"
-    try:
-        while trainer.progress() < 1:
-            rows.append(trainer.train_step())
-            if trainer.step % config.validate_every == 0 or trainer.progress() >= 1:
-                row = {
-                    "step": trainer.step,
-                    "minutes": trainer.seconds / 60,
-                    **{key: float(np.mean([r[key] for r in rows])) for key in rows[0]},
-                }
-                results = {}
-                if windows:
-                    tops = retrieval_of(trainer.average, encoder, held, windows, candidates)
-                    results = {
-                        "validation_candidates": candidates,
-                        "validation_top1": tops[0],
-                        "validation_top3": tops[2],
-                    }
-                row |= results
-                append_row(config.out / "log.csv", row)
-                path, rows = trainer.save(results), []
-                if tell is not None:
-                    tell(row)
-            report("training", trainer.progress())
-    finally:
-        torch.set_flush_denormal(False)
-    return path
+
+    def validate() -> dict[str, float]:
+        if not windows:
+            return {}
+        tops = retrieval_of(trainer.average, encoder, held, windows, candidates)
+        return {"validation_candidates": candidates, "validation_top1": tops[0], "validation_top3": tops[2]}
+
+    return trainer.run(validate, tell, report)
 
 
 def _validation(clips: Mapping[str, dict[str, Any]]) -> tuple[list[Window], int]:

@@ -24,8 +24,8 @@ from bunraku.datasets.characters.training_character import (
 from bunraku.errors import OptionError
 from bunraku.handles.graph import MeshGraph, mesh_graph
 from bunraku.handles.predictor import HandlePredictor, PredictorConfig, grow_predictor, save_predictor
-from bunraku.nn.checkpoints import TrainingState, save_training_state
-from bunraku.nn.runs import append_row, plain_settings, resumed
+from bunraku.nn.averaged_run import AveragedRun
+from bunraku.nn.runs import append_row, plain_settings
 from bunraku.training.handles.damage import DamageConfig, damage
 from bunraku.training.handles.mesh_feature_bank import write_mesh_bank
 from bunraku.training.losses import handle_losses as losses
@@ -85,7 +85,7 @@ def _graph(
     return mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, config.anchors, rng).to(device)
 
 
-class HandleTrainer:
+class HandleTrainer(AveragedRun[HandlePredictor]):
     """One training run in memory: the network, its optimiser, and the characters.
 
     Args:
@@ -107,15 +107,14 @@ class HandleTrainer:
         self.config = config
         self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
         torch.manual_seed(config.seed)
-        self.model = HandlePredictor(config.predictor).to(config.device)
+        model = HandlePredictor(config.predictor).to(config.device)
         if config.start is not None:
-            grow_predictor(self.model, config.start)
-        self.average = HandlePredictor(config.predictor).to(config.device).eval()
-        self.average.load_state_dict(self.model.state_dict())
-        self.optimizer = torch.optim.Adam(self.model.parameters(), lr=config.rate)
+            grow_predictor(model, config.start)
+        average = HandlePredictor(config.predictor).to(config.device)
+        super().__init__(config.out, model, average, torch.optim.Adam(model.parameters(), lr=config.rate))
         self.rng = np.random.default_rng(config.seed)
         self.generator = torch.Generator().manual_seed(config.seed)
-        self.step, self.epoch, self.seconds = 0, 0, 0.0
+        self.epoch = 0
         self.swap = torch.tensor(HANDLE_MIRROR)
         folders = [c.name.rpartition("/")[0] for c in self.characters]
         share = np.array(
@@ -175,11 +174,7 @@ class HandleTrainer:
         counts = dict.fromkeys(sums, 0)
         before = self.seconds
         for _ in range(math.ceil(len(self.characters) / self.config.batch)):
-            ease = min(1.0, (self.step + 1) / self.config.warmup) * (
-                0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * self.progress()))
-            )
-            for group in self.optimizer.param_groups:
-                group["lr"] = self.config.rate * ease
+            self.set_rate(self.config.rate, self.config.warmup, self.progress())
             for _ in range(self.config.batch):
                 known = self.reference and self.rng.random() < self.config.reference_share
                 if known:
@@ -191,15 +186,7 @@ class HandleTrainer:
                 (loss / self.config.batch).backward()
                 for name, value in {"total": float(loss.detach()), **parts}.items():
                     sums[name], counts[name] = sums.get(name, 0.0) + value, counts.get(name, 0) + 1
-            norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
-            if bool(torch.isfinite(norm)):
-                self.optimizer.step()
-            self.optimizer.zero_grad(set_to_none=True)
-            self.step += 1
-            keep = min(self.config.decay, self.step / (self.step + 10))
-            with torch.no_grad():
-                for mean, now in zip(self.average.parameters(), self.model.parameters(), strict=True):
-                    mean.lerp_(now, 1 - keep)
+            self.update(self.config.decay)
             self.seconds = before + time.perf_counter() - start
             if stop() or self.progress() >= 1:
                 break
@@ -208,29 +195,20 @@ class HandleTrainer:
 
     def save(self, results: dict[str, float]) -> Path:
         """Write the training state and the checkpoint; a kill leaves the last ones."""
-        out = Path(self.config.out)
         settings = plain_settings(asdict(self.config))
-        state = TrainingState(
-            self.step,
-            {"model": self.model.state_dict(), "average": self.average.state_dict()},
-            {"adam": self.optimizer.state_dict()},
-            settings,
-            {"epoch": self.epoch, "seconds": self.seconds, "rng": self.rng.bit_generator.state},
-            {"pairs": self.generator.get_state()},
-        )
-        save_training_state(out / "state.safetensors", state)
+        values = {"epoch": self.epoch, "rng": self.rng.bit_generator.state}
+        self.save_state(settings, values, {"pairs": self.generator.get_state()})
         note = {"training": settings, "seconds": self.seconds, "epochs": self.epoch, "results": results}
-        return save_predictor(out / "handles.safetensors", self.average, note)
+        return save_predictor(self.out / "handles.safetensors", self.average, note)
 
     def resume(self) -> bool:
         """Go on from the run's folder, if it holds a state; whether it did."""
-        state = resumed(Path(self.config.out), self.model, self.average, self.optimizer)
-        if state is None:
-            return False
-        self.rng.bit_generator.state = state.values["rng"]
-        self.generator.set_state(state.generators["pairs"])
-        self.step, self.epoch, self.seconds = state.step, int(state.values["epoch"]), float(state.values["seconds"])
-        return True
+        state = self.restore_state()
+        if state is not None:
+            self.rng.bit_generator.state = state.values["rng"]
+            self.generator.set_state(state.generators["pairs"])
+            self.epoch = int(state.values["epoch"])
+        return state is not None
 
 
 @torch.no_grad()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -15,8 +14,8 @@ from bunraku.datasets.characters.training_character import AugmentConfig, Traini
 from bunraku.errors import OptionError
 from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.handles.orientation_net import OrientationConfig, OrientationPredictor, save_orientation_predictor
-from bunraku.nn.checkpoints import TrainingState, save_training_state
-from bunraku.nn.runs import append_row, careful_step, follow_weights, learning_rate, plain_settings, resumed
+from bunraku.nn.averaged_run import AveragedRun, share_done
+from bunraku.nn.runs import append_row, plain_settings
 from bunraku.training.orientation.measures import (
     FRONTS,
     OTHERS,
@@ -74,7 +73,7 @@ class OrientationTrainConfig:
     augment: AugmentConfig = field(default_factory=lambda: AugmentConfig(poses=0))
 
 
-class OrientationTrainer:
+class OrientationTrainer(AveragedRun[OrientationPredictor]):
     """One training run in memory: the network, its optimiser, and the characters.
 
     Args:
@@ -96,24 +95,17 @@ class OrientationTrainer:
         self.config = config
         self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
         torch.manual_seed(config.seed)
-        self.model = OrientationPredictor(config.predictor).to(config.device)
-        self.average = OrientationPredictor(config.predictor).to(config.device).eval()
-        self.average.load_state_dict(self.model.state_dict())
-        self.optimizer = torch.optim.AdamW(self.model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
+        model, average = (OrientationPredictor(config.predictor).to(config.device) for _ in range(2))
+        adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
+        super().__init__(config.out, model, average, adam)
         self.rng = np.random.default_rng(config.seed)
-        self.step, self.seconds = 0, 0.0
         folders = [c.name.rpartition("/")[0] for c in self.characters]
         share = np.array([folders.count(f) ** -0.5 for f in folders])
         self.chances = share / share.sum()
 
     def progress(self) -> float:
         """How far the run is through its limits, 0 to 1."""
-        done = (
-            self.seconds / (60 * self.config.minutes)
-            if self.config.minutes > 0
-            else self.step / max(self.config.steps, 1)
-        )
-        return min(done, 1.0)
+        return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
 
     def loss(self, tokens: torch.Tensor, others: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Cross-entropy of the upright orientation against the three other fronts and a sample of the rest; and the
@@ -128,53 +120,41 @@ class OrientationTrainer:
 
     def train_step(self) -> dict[str, float]:
         """One step; the loss, and how often upright won among what it was compared with."""
-        start, config = time.process_time(), self.config
-        self.model.train()
-        rate = learning_rate(config.rate, self.step, config.warmup, self.progress())
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        tokens = []
-        for _ in range(config.batch):
-            known = self.reference and self.rng.random() < config.reference_share
-            character = (
-                self.reference[self.rng.integers(len(self.reference))]
-                if known
-                else self.characters[self.rng.choice(len(self.characters), p=self.chances)]
-            )
-            tokens.append(varied_tokens(character, self.rng, config.predictor.anchors, config.tilt, config.augment))
-        others = self.rng.choice(OTHERS, size=min(config.others, len(OTHERS)), replace=False)
-        loss, scores = self.loss(torch.from_numpy(np.stack(tokens)).to(config.device), others)
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        careful_step(self.model, self.optimizer)
-        self.step += 1
-        follow_weights(self.average, self.model, min(config.decay, self.step / (self.step + 10)))
-        self.seconds += time.process_time() - start
+        config = self.config
+        with self.timed():
+            self.model.train()
+            rate = self.set_rate(config.rate, config.warmup, self.progress())
+            tokens = []
+            for _ in range(config.batch):
+                known = self.reference and self.rng.random() < config.reference_share
+                character = (
+                    self.reference[self.rng.integers(len(self.reference))]
+                    if known
+                    else self.characters[self.rng.choice(len(self.characters), p=self.chances)]
+                )
+                tokens.append(varied_tokens(character, self.rng, config.predictor.anchors, config.tilt, config.augment))
+            others = self.rng.choice(OTHERS, size=min(config.others, len(OTHERS)), replace=False)
+            loss, scores = self.loss(torch.from_numpy(np.stack(tokens)).to(config.device), others)
+            loss.backward()  # type: ignore[no-untyped-call]
+            self.update(config.decay)
         won = float((scores.argmax(1) == FRONTS.index(UPRIGHT)).float().mean())
         return {"loss": float(loss.detach()), "won": won, "rate": rate}
 
     def save(self, results: dict[str, float], temperature: float = 1.0) -> Path:
         """Write the training state and the checkpoint; a kill leaves the last ones."""
-        out, settings = Path(self.config.out), plain_settings(asdict(self.config))
-        models = {"model": self.model.state_dict(), "average": self.average.state_dict()}
-        values = {"seconds": self.seconds, "rng": self.rng.bit_generator.state}
-        save_training_state(
-            out / "state.safetensors",
-            TrainingState(self.step, models, {"adam": self.optimizer.state_dict()}, settings, values),
-        )
+        settings = plain_settings(asdict(self.config))
+        self.save_state(settings, {"rng": self.rng.bit_generator.state})
         shipped = OrientationPredictor(replace(self.average.config, temperature=temperature))
         shipped.load_state_dict(self.average.state_dict())
         note = {"training": settings, "seconds": self.seconds, "steps": self.step, "results": results}
-        return save_orientation_predictor(out / "orientation.safetensors", shipped, note, half=True)
+        return save_orientation_predictor(self.out / "orientation.safetensors", shipped, note, half=True)
 
     def resume(self) -> bool:
         """Go on from the run's folder, if it holds a state; whether it did."""
-        state = resumed(Path(self.config.out), self.model, self.average, self.optimizer)
-        if state is None:
-            return False
-        self.rng.bit_generator.state = state.values["rng"]
-        self.step, self.seconds = state.step, float(state.values["seconds"])
-        return True
+        state = self.restore_state()
+        if state is not None:
+            self.rng.bit_generator.state = state.values["rng"]
+        return state is not None
 
 
 def train_orientation(config: OrientationTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:

@@ -4,16 +4,12 @@ It is the network of `diffusion.matching`, trained on the rows that the denoiser
 tables. A motion finds its sentence among the batch's and the same with left and right exchanged; a sentence finds its
 motion among the batch's and spoilt ones: mirrored, played backwards, too small, trembling, done twice. Those are what
 generators do wrong.
-
-A run folder holds `state.safetensors`, `ranker.safetensors` (the averaged weights) and `log.csv`. The same command goes
-on where a run stopped.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,16 +18,16 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from bunraku.diffusion.features import FeatureStatistics, mirror
-from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, ExtractorConfig, save_extractor
+from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, ExtractorConfig
 from bunraku.errors import OptionError
 from bunraku.language.actions import actions_of
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
-from bunraku.nn.checkpoints import TrainingState, save_training_state
-from bunraku.nn.runs import append_row, careful_step, follow_weights, learning_rate, plain_settings, resumed
+from bunraku.nn.averaged_run import share_done
 from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.diffusion.clip_rows import ClipSet, MotionBatch
 from bunraku.training.diffusion.text_bank import TextBank
+from bunraku.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
 
 __all__ = ["RankerTrainConfig", "RankerTrainer", "spoilt", "train_ranker"]
 
@@ -40,38 +36,11 @@ _SHORT = 7
 
 
 @dataclass(frozen=True)
-class RankerTrainConfig:
-    """Settings of a training run.
+class RankerTrainConfig(MatchingTrainConfig):
+    """Settings of a training run: those of `MatchingTrainConfig`, and `network`."""
 
-    Args:
-        data: Folder that `bunraku data motions` wrote.
-        out: Folder of the run; the same folder goes on with the same run.
-        minutes: Stop after this much processor time, over all sittings; the learning rate falls to nothing by then.
-        threads: CPU threads.
-        device: Where to train.
-        batch: Pairs a step.
-        rate: Peak learning rate of AdamW.
-        warmup: Steps until the peak.
-        weight_decay: Of AdamW.
-        ema: Decay of the running mean of the weights, which is what is validated and saved.
-        bf16: Compute in bfloat16 where torch says it is safe.
-        validate_every: Steps between validations and saved states.
-        seed: Of everything random.
-    """
-
-    data: Path = Path("runs/data/motions")
     out: Path = Path("runs/ranker")
-    minutes: float = 25.0
-    threads: int = 1
-    device: str = "cpu"
     batch: int = 80
-    rate: float = 6e-4
-    warmup: int = 100
-    weight_decay: float = 0.05
-    ema: float = 0.998
-    bf16: bool = True
-    validate_every: int = 200
-    seed: int = 0
     network: ExtractorConfig = field(default_factory=ExtractorConfig)
 
 
@@ -105,7 +74,7 @@ def spoilt(values: np.ndarray, random: np.random.Generator, sided: bool) -> np.n
     return np.concatenate([half, half])[: len(values)]
 
 
-class RankerTrainer:
+class RankerTrainer(MatchingRun):
     """One training run in memory.
 
     Args:
@@ -115,21 +84,12 @@ class RankerTrainer:
     """
 
     def __init__(self, config: RankerTrainConfig, rows: ClipSet, bank: TextBank):
-        self.config, self.rows, self.bank = config, rows, bank
-        torch.manual_seed(config.seed)
-        self.model = Extractor(config.network).to(config.device)
-        self.model.mean.copy_(torch.from_numpy(rows.statistics.mean))
-        self.model.std.copy_(torch.from_numpy(rows.statistics.std))
-        self.average = Extractor(config.network).to(config.device).eval()
-        self.average.load_state_dict(self.model.state_dict())
-        self.optimizer = torch.optim.AdamW(
-            self.model.parameters(), lr=config.rate, betas=(0.9, 0.98), weight_decay=config.weight_decay
-        )
-        self.step, self.seconds = 0, 0.0
+        self.config, self.rows = config, rows
+        super().__init__(config, config.network, rows.statistics, bank, len(rows.clips), RANKER)
 
     def progress(self) -> float:
         """How far the run is through its minutes, 0 to 1."""
-        return min(self.seconds / (60 * self.config.minutes), 1.0)
+        return share_done(self.seconds, self.config.minutes, self.step, 1)
 
     def losses(self, model: Extractor, batch: MotionBatch, random: np.random.Generator) -> tuple[Tensor, float, float]:
         """The loss of a batch, the share of motions that find their sentence first, and of sentences that find their
@@ -163,22 +123,12 @@ class RankerTrainer:
         won = [float((logits.argmax(1) == target).float().mean()) for logits in (found, told)]
         return loss, won[0], won[1]
 
-    def train_step(self) -> dict[str, float]:
-        """One step of the optimiser."""
-        start, config = time.process_time(), self.config
-        self.model.train()
-        rate = learning_rate(config.rate, self.step, config.warmup, self.progress(), least=0.01)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
+    def step_loss(self) -> tuple[Tensor, dict[str, float]]:
+        """The loss of the batch of this step, and how often each side found its own."""
+        config = self.config
         batch = self.rows.batch(config.seed, self.step, config.batch)
         loss, found, told = self.losses(self.model, batch, np.random.default_rng([config.seed, self.step, 5]))
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        careful_step(self.model, self.optimizer)
-        self.step += 1
-        follow_weights(self.average, self.model, min(config.ema, self.step / (self.step + 10)))
-        self.seconds += time.process_time() - start
-        return {"loss": float(loss.detach()), "motion_to_text": found, "text_to_motion": told, "rate": rate}
+        return loss, {"motion_to_text": found, "text_to_motion": told}
 
     @torch.no_grad()
     def validate(self, rows: ClipSet) -> dict[str, float]:
@@ -189,33 +139,6 @@ class RankerTrainer:
             found.append(self.losses(self.average, batch, np.random.default_rng(number)))
         names = ("validation", "validation_motion_to_text", "validation_text_to_motion")
         return {name: float(np.mean([float(one[place]) for one in found])) for place, name in enumerate(names)}
-
-    def save(self, results: dict[str, float]) -> Path:
-        """Write the training state and the checkpoint; a kill leaves the last ones."""
-        out, settings = Path(self.config.out), plain_settings(asdict(self.config))
-        models = {"model": self.model.state_dict(), "average": self.average.state_dict()}
-        state = TrainingState(
-            self.step, models, {"adam": self.optimizer.state_dict()}, settings, {"seconds": self.seconds}
-        )
-        save_training_state(out / "state.safetensors", state)
-        notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "clips": len(self.rows.clips), **results}
-        return save_extractor(out / "ranker.safetensors", self.average, notes, RANKER)
-
-    def restore(self) -> bool:
-        """Go on from the run folder's state where there is one.
-
-        Raises:
-            OptionError: The run was started with another network.
-        """
-        try:
-            state = resumed(Path(self.config.out), self.model, self.average, self.optimizer)
-        except (RuntimeError, ValueError) as error:
-            advice = "give the same settings, or another folder"
-            raise OptionError(f"{self.config.out}: this run was started with another network; {advice}") from error
-        if state is None:
-            return False
-        self.step, self.seconds = state.step, float(state.values["seconds"])
-        return True
 
 
 def alike(sentences: Sequence[str]) -> np.ndarray:
@@ -259,31 +182,7 @@ def train_ranker(
     statistics = FeatureStatistics.measure(training)
     train, held = (ClipSet(clips, statistics, split, borrowed=0.0, creatures=0.0) for split in ("train", "val"))
     encoder = encoder or text_encoder()
-    network = replace(
-        config.network, text_encoder=encoder.name, text_size=encoder.token_size, pooled_size=encoder.pooled_size
-    )
-    config = replace(config, network=network)
-    sentences = sorted({*train.sentences(), *held.sentences()})
-    bank = TextBank(
-        encoder, sentences, config.out / "captions.safetensors", lambda done, all: progress("captions", done / all)
-    )
+    config = replace(config, network=for_encoder(config.network, encoder))
+    bank = captions_of(config, encoder, {*train.sentences(), *held.sentences()}, progress)
     trainer = RankerTrainer(config, train, bank)
-    trainer.restore()
-    torch.set_flush_denormal(True)
-    rows: list[dict[str, float]] = []
-    path = trainer.save({}) if not trainer.step else config.out / "ranker.safetensors"
-    try:
-        while trainer.progress() < 1:
-            rows.append(trainer.train_step())
-            if trainer.step % config.validate_every == 0 or trainer.progress() >= 1:
-                means = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
-                results = trainer.validate(held) if len(held.clips) > 1 else {}
-                line = {"step": trainer.step, "minutes": trainer.seconds / 60, **means, **results}
-                append_row(config.out / "log.csv", line)
-                path, rows = trainer.save(results), []
-                if log is not None:
-                    log(line)
-            progress("training", trainer.progress())
-    finally:
-        torch.set_flush_denormal(False)
-    return path
+    return trainer.run(lambda: trainer.validate(held) if len(held.clips) > 1 else {}, log, progress)
