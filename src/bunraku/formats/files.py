@@ -27,8 +27,10 @@ __all__ = [
     "check_output_folder",
     "check_text",
     "inside",
+    "open_to_others",
     "read_bounded",
     "sweep",
+    "writing",
 ]
 
 MAX_BYTES = 2 << 30
@@ -146,6 +148,32 @@ def check_output_folder(path: Path) -> None:
 
 
 @contextmanager
+def writing(path: Path, what: str = "file") -> Iterator[None]:
+    """Turn the system's refusal of what a block writes into one sentence.
+
+    Args:
+        path: The target, which the sentence names.
+        what: What cannot be written.
+
+    Raises:
+        FormatError: The system refused.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise FormatError(
+            path, f"the {what} cannot be written ({_reason(error)}); choose another place or free some space"
+        ) from None
+
+
+def open_to_others(path: Path, most: int = 0o666) -> None:
+    """Give a temporary file, which only its owner can read, the rights that new files have; 0o777 for a folder."""
+    mask = os.umask(0)
+    os.umask(mask)
+    os.chmod(path, most & ~mask)
+
+
+@contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """A binary file beside the target that takes its place when the block ends, and vanishes when the block fails.
 
@@ -154,25 +182,20 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """
     check_output_folder(path)
     temporary = ""
-    try:
-        prefix = f".{path.name[:100]}.{_machine()}-{os.getpid()}-"
-        descriptor, temporary = tempfile.mkstemp(prefix=prefix, suffix=".tmp", dir=path.parent)
-        with os.fdopen(descriptor, "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())  # a name never stands for what is not on the disk yet
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes files that only their owner can read
-        os.replace(temporary, path)
-    except OSError as error:
-        raise FormatError(
-            path, f"the file cannot be written ({_reason(error)}); choose another place or free some space"
-        ) from None
-    finally:
-        if temporary:
-            with suppress(OSError):
-                os.unlink(temporary)
+    with writing(path):
+        try:
+            prefix = f".{path.name[:100]}.{_machine()}-{os.getpid()}-"
+            descriptor, temporary = tempfile.mkstemp(prefix=prefix, suffix=".tmp", dir=path.parent)
+            with os.fdopen(descriptor, "wb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())  # a name never stands for what is not on the disk yet
+            open_to_others(Path(temporary))
+            os.replace(temporary, path)
+        finally:
+            if temporary:
+                with suppress(OSError):
+                    os.unlink(temporary)
 
 
 def sweep(folder: Path) -> int:

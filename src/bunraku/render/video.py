@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.errors import FormatError, MissingExtraError
-from bunraku.formats.files import check_output_folder
+from bunraku.formats.files import check_output_folder, open_to_others
 
 __all__ = ["check_target", "write_moving", "write_png"]
 
@@ -48,9 +48,7 @@ def _replacing(path: Path) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
+        open_to_others(temporary)
         os.replace(temporary, path)
     except OSError as error:
         raise FormatError(

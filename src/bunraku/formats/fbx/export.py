@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bunraku.core.resample import checked_fps, resample
-from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.formats.files import check_output_folder
+from bunraku.errors import BunrakuError, OptionError
+from bunraku.formats.files import check_output_folder, writing
 from bunraku.formats.gltf.write import write_animation
 
 if TYPE_CHECKING:
@@ -103,23 +103,20 @@ def write_fbx(
         "fps": rate, "frames": len(resample(animation.motion, rate)), "up": up, "scale": SCALES[unit],
         "name": str(name) if name else path.stem,
     }  # fmt: skip
-    try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent) as folder:
-            source, target = Path(folder, "in.glb"), Path(folder, "out.fbx")
-            write_animation(animation, source, fps=rate)
-            with as_file(files("bunraku.formats.fbx").joinpath("blender_script.py")) as script:
-                _run(
-                    [*command, str(script), "--", str(source.resolve()), str(target.resolve()), json.dumps(options)],
-                    target,
-                    path,
-                    timeout,
-                )
-            os.replace(target, path)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FormatError(
-            path, f"the file cannot be written ({reason}); choose another place or free some space"
-        ) from None
+    with (
+        writing(path),
+        tempfile.TemporaryDirectory(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent) as folder,
+    ):
+        source, target = Path(folder, "in.glb"), Path(folder, "out.fbx")
+        write_animation(animation, source, fps=rate)
+        with as_file(files("bunraku.formats.fbx").joinpath("blender_script.py")) as script:
+            _run(
+                [*command, str(script), "--", str(source.resolve()), str(target.resolve()), json.dumps(options)],
+                target,
+                path,
+                timeout,
+            )
+        os.replace(target, path)
     return path
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from bunraku.core.resample import checked_fps
 from bunraku.errors import FormatError
-from bunraku.formats.files import check_output_folder
+from bunraku.formats.files import check_output_folder, open_to_others, writing
 from bunraku.formats.frames import FileFrame
 
 if TYPE_CHECKING:
@@ -93,29 +93,23 @@ def _write(animation: Animation | PointAnimation, path: Path, fps: float | None,
     check_output_folder(path)
     folder = check_sequence(path)
     temporary = ""
-    try:
-        temporary = tempfile.mkdtemp(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent)
-        digits = max(4, len(str(frames - 1)))
-        for start in range(0, frames, 16):
-            for offset, vertices in enumerate(moved.vertices(slice(start, start + 16))):
-                Path(temporary, f"{path.stem}_{start + offset:0{digits}d}{path.suffix}").write_bytes(
-                    frame(np.ascontiguousarray(axes.points(vertices)))
-                )
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o777 & ~mask)
-        if folder.exists():
-            shutil.rmtree(folder)
-        os.replace(temporary, folder)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FormatError(
-            path, f"the files cannot be written ({reason}); choose another place or free some space"
-        ) from None
-    finally:
-        if temporary:
-            with suppress(OSError):
-                shutil.rmtree(temporary)
+    with writing(path, "files"):
+        try:
+            temporary = tempfile.mkdtemp(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent)
+            digits = max(4, len(str(frames - 1)))
+            for start in range(0, frames, 16):
+                for offset, vertices in enumerate(moved.vertices(slice(start, start + 16))):
+                    Path(temporary, f"{path.stem}_{start + offset:0{digits}d}{path.suffix}").write_bytes(
+                        frame(np.ascontiguousarray(axes.points(vertices)))
+                    )
+            open_to_others(Path(temporary), 0o777)
+            if folder.exists():
+                shutil.rmtree(folder)
+            os.replace(temporary, folder)
+        finally:
+            if temporary:
+                with suppress(OSError):
+                    shutil.rmtree(temporary)
     return folder
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from bunraku.core.resample import checked_fps
 from bunraku.errors import FormatError, MissingExtraError, OptionError
-from bunraku.formats.files import check_output_folder
+from bunraku.formats.files import check_output_folder, open_to_others, writing
 from bunraku.formats.frames import UNITS, FileFrame
 from bunraku.formats.gltf.handle_channels import handle_names
 from bunraku.formats.usd.look import Look, add_mesh, pieces, prim_name
@@ -228,33 +228,28 @@ def _export(usd: dict[str, Any], stage: Any, path: Path, look: Look) -> Path:
     suffix = path.suffix.lower()
     if suffix not in (".usd", ".usda", ".usdc", ".usdz"):
         raise OptionError(f"USD is written to .usd, .usda, .usdc or .usdz, not {suffix}")
-    try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent) as folder:
-            layer, images = (
-                Path(folder, f"{prim_name(path.stem)}{'.usda' if suffix == '.usda' else '.usdc'}"),
-                Path(folder, look.folder),
-            )
-            written = bool(stage.GetRootLayer().Export(str(layer)))
-            if look.textures:
-                images.mkdir()
-                for name, data in look.textures.items():
-                    (images / name).write_bytes(data)
-            if written and suffix == ".usdz":
-                package = layer.with_suffix(".usdz")
-                written = bool(usd["UsdUtils"].CreateNewUsdzPackage(str(layer), str(package)))
-                layer = package
-            if not written:
-                raise FormatError(path, "USD cannot write the file; choose another place or free some space")
-            mask = os.umask(0)
-            os.umask(mask)
-            os.chmod(layer, 0o666 & ~mask)
-            if look.textures and suffix != ".usdz":
-                shutil.rmtree(path.parent / look.folder, ignore_errors=True)
-                os.replace(images, path.parent / look.folder)
-            os.replace(layer, path)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FormatError(
-            path, f"the file cannot be written ({reason}); choose another place or free some space"
-        ) from None
+    with (
+        writing(path),
+        tempfile.TemporaryDirectory(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent) as folder,
+    ):
+        layer, images = (
+            Path(folder, f"{prim_name(path.stem)}{'.usda' if suffix == '.usda' else '.usdc'}"),
+            Path(folder, look.folder),
+        )
+        written = bool(stage.GetRootLayer().Export(str(layer)))
+        if look.textures:
+            images.mkdir()
+            for name, data in look.textures.items():
+                (images / name).write_bytes(data)
+        if written and suffix == ".usdz":
+            package = layer.with_suffix(".usdz")
+            written = bool(usd["UsdUtils"].CreateNewUsdzPackage(str(layer), str(package)))
+            layer = package
+        if not written:
+            raise FormatError(path, "USD cannot write the file; choose another place or free some space")
+        open_to_others(layer)
+        if look.textures and suffix != ".usdz":
+            shutil.rmtree(path.parent / look.folder, ignore_errors=True)
+            os.replace(images, path.parent / look.folder)
+        os.replace(layer, path)
     return path
