@@ -1,16 +1,13 @@
 """`bunraku inspect` on PMX, PMD and VMD files."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
+from mmd_bytes import Joint, plank, pmd, pmx
 
 from bunraku.cli import main
 from bunraku.formats.mmd.vmd_write import MmdClip, write_vmd
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
-from mmd_bytes import Joint, plank, pmd, pmx
 
 
 def inspected(path: Path, capsys) -> dict:

@@ -5,11 +5,10 @@ import multiprocessing
 import os
 import shutil
 import signal
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from mmd_bytes import Bone, plank, pmx
 
 from bunraku import transfer
 from bunraku.body.layout import JOINT_NAMES
@@ -27,9 +26,6 @@ from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character, load_motion
 from bunraku.retarget.mmd.play import mmd_animation
 from bunraku.retarget.mmd.standard import standard_model
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
-from mmd_bytes import Bone, plank, pmx
 
 
 def waving(skeleton=None, frames=8):

@@ -1,11 +1,11 @@
 """The table of motion transfer, on a folder with one character and five motions."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mmd_bytes import Bone, plank, pmx
 
 from bunraku import FormatError, RigAnimation
 from bunraku.body.layout import JOINT_NAMES
@@ -19,9 +19,6 @@ from bunraku.formats.mmd.vmd_write import MmdClip, write_vmd
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.mmd.standard import standard_model
 from bunraku.retarget.rig_parts import RigParts
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
-from mmd_bytes import Bone, plank, pmx
 
 MMD = Path("/work/data/apparel/mmd")
 

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from gltf_files import CUBE_FACES
 
 from bunraku.core.character import Character
 from bunraku.errors import OptionError, WeightsError
@@ -164,21 +165,7 @@ def test_what_nobody_says_and_no_guess_decides_is_usual():
 
 def test_a_shape_that_tells_nothing_is_left_alone():
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
-    faces = [
-        [0, 1, 3],
-        [0, 3, 2],
-        [4, 6, 7],
-        [4, 7, 5],
-        [0, 4, 5],
-        [0, 5, 1],
-        [2, 3, 7],
-        [2, 7, 6],
-        [0, 2, 6],
-        [0, 6, 4],
-        [1, 5, 7],
-        [1, 7, 3],
-    ]
-    cube = Character("cube", corners, faces)
+    cube = Character("cube", corners, CUBE_FACES)
     settled = settle(cube)
     assert settled.guess.confidence < SURE and (settled.up, settled.front) == ("+y", "+z") and upright(cube) is cube
     flat = Character("flat", [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])

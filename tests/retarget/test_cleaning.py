@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gltf_files import CUBE_FACES
 from scipy.spatial.transform import Rotation
 
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
@@ -82,20 +83,6 @@ def test_a_person_has_two_legs_and_two_arms(person):
 def table():
     """A body with a head on four legs of three boxes each, of which two are arms to the handles."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (0, 1) for z in (-0.5, 0.5)])
-    sides = [
-        [0, 1, 3],
-        [0, 3, 2],
-        [4, 6, 7],
-        [4, 7, 5],
-        [0, 4, 5],
-        [0, 5, 1],
-        [2, 3, 7],
-        [2, 7, 6],
-        [0, 2, 6],
-        [0, 6, 4],
-        [1, 5, 7],
-        [1, 7, 3],
-    ]
     boxes = [("pelvis", (0, 0.9, 0), (0.5, 0.3, 1)), ("head", (0, 1, 0.7), (0.3, 0.3, 0.4))]
     for side, x in (("left", 0.2), ("right", -0.2)):
         for parts, z in ((("hip", "knee", "ankle"), -0.4), (("shoulder", "elbow", "wrist"), 0.4)):
@@ -103,7 +90,7 @@ def table():
                 (f"{side}_{part}", (x, y, z), (0.1, 0.3, 0.1)) for part, y in zip(parts, (0.6, 0.3, 0), strict=True)
             ]
     vertices = np.concatenate([corners * size + place for _, place, size in boxes])
-    faces = np.concatenate([np.array(sides) + 8 * number for number in range(len(boxes))])
+    faces = np.concatenate([CUBE_FACES + 8 * number for number in range(len(boxes))])
     weights = np.zeros((len(vertices), HANDLE_COUNT))
     weights[np.arange(len(vertices)), np.repeat([HANDLE_NAMES.index(name) for name, _, _ in boxes], 8)] = 1
     areas = vertex_areas(vertices, faces)

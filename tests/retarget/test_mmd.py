@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mmd_bytes import Bone, plank, pmx
 from scipy.spatial.transform import Rotation
 
 from bunraku.body.layout import JOINT_NAMES
@@ -259,11 +260,6 @@ def test_smpl_onto_mmd_bones_and_back():
 
 def rigged(tmp_path, model):
     """A character with the bones of a model and a mesh between them, by way of a file."""
-    import sys
-
-    sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
-    from mmd_bytes import Bone, plank, pmx
-
     bones = [
         Bone(some.name, tuple(some.position * [1, 1, -1] / 0.08), some.parent, some.layer,
              append=(some.append.bone, some.append.ratio, 0x100) if some.append else None)

@@ -1,15 +1,10 @@
 """Skeletons of many conventions become SMPL's joints, and their motions move alike."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "formats"))
 from bvh_files import ALONG_X, CMU, DIALECTS, bvh_text
 from motion_files import walk_about
+from scipy.spatial.transform import Rotation
 
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.core.motion import SkeletalMotion, Skeleton
