@@ -1,6 +1,7 @@
 """The table of motion transfer, on a folder with one character and five motions."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.mmd.standard import standard_model
 from bunraku.retarget.rig_parts import RigParts
 
-MMD = Path("/work/data/apparel/mmd")
+MMD = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd")
 
 
 def test_motions_are_picked_by_caption_then_by_name(tmp_path):

@@ -19,7 +19,7 @@ from bunraku.formats.bvh.read import load_bvh
 from bunraku.formats.bvh.write import write_bvh
 from bunraku.io import load_motion
 
-ARCHIVE = Path(os.environ.get("BUNRAKU_DATA", "/work/shared/data"))
+ARCHIVE = Path(os.environ.get("BUNRAKU_DATA", "../shared/data"))
 
 SMALL = """HIERARCHY
 ROOT hips

@@ -1,5 +1,6 @@
 """PMX and PMD written byte by byte: what is read of them, in our frame, and what broken ones say."""
 
+import os
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from bunraku.core.mmd_model import mmd_model
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.io import load_character
 
-MODELS = Path("/work/data/apparel/mmd")
+MODELS = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd")
 FLIP = np.diag([1.0, 1, -1])
 
 

@@ -1,5 +1,6 @@
 """VMD files written byte by byte, their curves against a root finder, and real ones where they are."""
 
+import os
 import struct
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from bunraku.core.mmd_model import MMD_METRE
 from bunraku.errors import FormatError
 from bunraku.formats.mmd.vmd import load_vmd
 
-MOTIONS = Path("/work/data/apparel/mmd/motion")
+MOTIONS = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd/motion")
 LINEAR = ((20, 20, 107, 107),) * 4
 
 

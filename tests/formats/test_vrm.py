@@ -1,5 +1,6 @@
 """Springs and colliders of VRM 0.x and 1.0, written by hand, good and broken."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from bunraku.core.vrm_model import vrm_model
 from bunraku.errors import FormatError
 from bunraku.io import load_character
 
-REAL = Path("/work/data/apparel/vrm/Godette_vrm_v4.vrm")
+REAL = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/vrm/Godette_vrm_v4.vrm")
 # 0 hips, 1 head, 2 to 4 hair, 5 a branch of it, 6 the mesh
 NODES = [
     {"name": "hips", "children": [1]},

@@ -1,5 +1,6 @@
 """Simulated apparel against solutions by hand and by scipy, and what must hold of any result."""
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,8 +17,8 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, MotionError, OptionError
 from bunraku.physics import ApparelRig, PhysicsSettings, apparel_rig, simulate
 
-GENE = Path("/work/data/apparel/mmd/gene/Gene.pmx")
-WALK = Path("/work/data/apparel/mmd/motion/walk.vmd")
+GENE = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd/gene/Gene.pmx")
+WALK = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd/motion/walk.vmd")
 
 
 def test_a_pendulum_on_a_bone_that_is_shaken_swings_as_its_equation_says():

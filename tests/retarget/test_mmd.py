@@ -1,5 +1,6 @@
 """MMD bones: what they take over, inverse kinematics, and the way to SMPL's joints and back."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from bunraku.retarget.mmd.pose import pose_mmd
 from bunraku.retarget.mmd.retarget import mmd_clip, mmd_motion, settle_mmd
 from bunraku.retarget.mmd.standard import standard_model, vmd_motion
 
-DATA = Path("/work/data/apparel/mmd")
+DATA = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "apparel/mmd")
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="needs the unpacked MMD characters")
 
 

@@ -1,8 +1,7 @@
 """The training set of the Mesh Handle Predictor: rigged characters, as network meshes with their rigs' truth.
 
-The characters come from the archive that `shared/data/README.md` of the project's data describes, or from any folder of
-GLB or FBX files with skins (Mixamo), or of OBJ files with their rig texts (ModelsResource-RigNet). Each becomes one npz
-in a cache folder.
+The characters come from the training archive, or from any folder of GLB or FBX files with skins (Mixamo), or of OBJ
+files with their rig texts (ModelsResource-RigNet). Each becomes one npz in a cache folder.
 """
 
 from __future__ import annotations
