@@ -14,8 +14,9 @@ from bunraku.diffusion.features import decode, encode, mirror
 from bunraku.geometry.rotations import matrix_y
 from bunraku.language.captions import mirror_words
 from bunraku.language.describe import chain, describe, inside, sentences
+from bunraku.language.events import find_punches, find_seats
 from bunraku.language.grammar import conjugate
-from bunraku.language.track import Phrase, runs
+from bunraku.language.track import Phrase, Track, runs
 
 FPS = 20
 REST = reference_body().handles.positions
@@ -315,3 +316,31 @@ def test_runs_and_chains():
     (kept,) = inside([far, near], 10, 50)
     assert (kept.start, kept.stop, kept.texts) == (0, 40, near.texts)
     assert conjugate("{raise} both hands and {wave}", "gerund") == "raising both hands and waving"
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_punch_is_of_the_hand_that_shoots_forward(side):
+    """A fist before the chest that goes half a metre forward in 0.2 s and back, and one that goes up instead."""
+    sign = 1 if side == "left" else -1
+    out = np.interp(np.arange(40), [15, 19, 25], [0, 1, 0])
+    offsets = np.zeros((40, 3))
+    offsets[:, 0], offsets[:, 1], offsets[:, 2] = -0.5 * sign, 0.0, 0.1 + 0.5 * out
+    found = find_punches(Track.of(person(40, hands={side: offsets})))
+    assert [phrase.texts[0] for phrase in found] == [f"{{punch}} with the {side} hand"]
+    assert found[0].start < 15 and found[0].stop > 19
+    offsets[:, 1], offsets[:, 2] = 0.5 * out, 0.1
+    assert not find_punches(Track.of(person(40, hands={side: offsets})))
+
+
+def test_sitting_down_and_standing_up_again():
+    """Down to 40 cm in a second, two seconds on the chair, and up; a squat that comes up at once is none."""
+    height = -np.interp(np.arange(120), [20, 40, 80, 100], [0, 0.4, 0.4, 0])
+    sits, rises = find_seats(Track.of(person(120, height=height)))
+    assert (
+        sits.texts[:2] == ("{sit} down", "{sit} down on a chair") and 20 <= sits.start <= 30 and 40 <= sits.stop <= 70
+    )
+    assert rises.texts[0] == "{stand} up from the chair" and 60 <= rises.start <= 90 and rises.stop >= 95
+    squat = -np.interp(np.arange(60), [20, 28, 36], [0, 0.4, 0])
+    assert not find_seats(Track.of(person(60, height=squat)))
+    low = -np.interp(np.arange(120), [20, 40], [0, 0.7])
+    assert find_seats(Track.of(person(120, height=low)))[0].texts[1] == "{sit} down on the floor"

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from bunraku.errors import OptionError, WeightsError
+from bunraku.language.cues import CUES
 from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
 from bunraku.language.prompts import check_prompt
 
@@ -71,6 +72,12 @@ def test_left_and_right_differ_more_in_tokens_than_in_the_pooled_vector(encoder)
     pair = encoder.encode(["a person waves with the left hand", "a person waves with the right hand"])
     cosine = torch.nn.functional.cosine_similarity
     assert cosine(pair.tokens[0], pair.tokens[1], dim=-1).min() < cosine(pair.pooled[0], pair.pooled[1], dim=-1) - 0.02
+
+
+@needs_minilm
+def test_the_name_of_an_encoder_says_whether_cues_are_read():
+    assert text_encoder("all-MiniLM-L6-v2+cues").name == "all-MiniLM-L6-v2+cues"
+    assert text_encoder("all-MiniLM-L6-v2+cues").pooled_size == 384 + len(CUES)
 
 
 def test_wrong_folders_and_names_are_clear(tmp_path):

