@@ -55,7 +55,7 @@ def main() -> None:
     from bunraku.diffusion.features import FeatureStatistics, decode
     from bunraku.diffusion.generate import load_generator
     from bunraku.diffusion.sampler import sample
-    from bunraku.evaluation.motion.seams import handle_places
+    from bunraku.evaluation.motion.seams import posed_positions
     from bunraku.nn.threads import fitting_threads
 
     torch.set_num_threads(args.threads)
@@ -85,7 +85,7 @@ def main() -> None:
         return time.process_time() - start
 
     def jerk(values: np.ndarray) -> float:
-        parts = [handle_places(decode(statistics.restore(row), model.config.fps)) for row in values]
+        parts = [posed_positions(decode(statistics.restore(row), model.config.fps)) for row in values]
         return (
             float(np.mean([np.linalg.norm(np.diff(part, n=3, axis=0), axis=-1).mean() for part in parts]))
             * model.config.fps**3

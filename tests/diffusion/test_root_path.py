@@ -9,7 +9,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import closed_loop, in_place, moved, placed_at, repeated
 from bunraku.diffusion.features import FEATURE_SIZE, decode
 from bunraku.diffusion.root_path import arrive
-from bunraku.evaluation.motion.seams import handle_places
+from bunraku.evaluation.motion.seams import posed_positions
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 
 FPS = 20.0
@@ -69,8 +69,8 @@ def test_a_loop_ends_facing_as_it_starts_and_travels_only_on_purpose():
 def test_moving_keeps_the_motion_and_puts_it_in_place():
     motion = walk()
     other = moved(motion, 0.7, np.array([3.0, 0.0, -2.0]))
-    apart = np.linalg.norm(np.diff(handle_places(motion), axis=0), axis=-1)
-    np.testing.assert_allclose(np.linalg.norm(np.diff(handle_places(other), axis=0), axis=-1), apart, atol=1e-5)
+    apart = np.linalg.norm(np.diff(posed_positions(motion), axis=0), axis=-1)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(posed_positions(other), axis=0), axis=-1), apart, atol=1e-5)
     back = placed_at(other, 4, motion, 4)
     np.testing.assert_allclose(back.root_translation, motion.root_translation, atol=1e-5)
     np.testing.assert_allclose(back.root_rotation, motion.root_rotation, atol=1e-5)
@@ -81,7 +81,7 @@ def test_rounds_of_a_loop_go_on_from_each_other(turn):
     longer = walk(201, turn)
     whole = longer.take(slice(60, 121))  # three rounds of the sway
     found = repeated(whole, 60, 80)
-    np.testing.assert_allclose(handle_places(found), handle_places(longer), atol=2e-4)
+    np.testing.assert_allclose(posed_positions(found), posed_positions(longer), atol=2e-4)
 
 
 def test_a_nearly_closed_loop_is_closed():

@@ -7,10 +7,9 @@ import pytest
 
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.body.reference import reference_body
-from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.evaluation.motion.quality import foot_sliding, gauge, jitter, measure, penetration, pooled, stage_effects
+from bunraku.evaluation.motion.quality import gauge, measure, pooled, stage_effects
 
 FRAMES = 40
 CM = 170 / reference_body().character().height  # at human size, for each metre of the reference body
@@ -27,10 +26,15 @@ def line(x=0.0, y=0.0, z=0.0):
     return np.linspace(0, 1, FRAMES)[:, None] * [x, y, z]
 
 
+def measured(motion):
+    body = reference_body()
+    return measure(gauge(body.character(), body.handles), motion)
+
+
 def test_a_body_that_glides_slides_by_its_own_speed():
-    assert foot_sliding(moving(line())) == 0
-    assert foot_sliding(moving(line(z=0.39))) == pytest.approx(0.01 * CM, rel=1e-3)  # 1 cm a frame
-    assert foot_sliding(moving(line(x=0.39) + [0, 0.5, 0])) == 0  # in the air
+    assert measured(moving(line())).sliding == 0
+    assert measured(moving(line(z=0.39))).sliding == pytest.approx(0.01 * CM, rel=1e-3)  # 1 cm a frame
+    assert measured(moving(line(x=0.39) + [0, 0.5, 0])).sliding == 0  # in the air
 
 
 def test_the_size_of_a_character_does_not_matter():
@@ -38,7 +42,7 @@ def test_the_size_of_a_character_does_not_matter():
     giant = Character("giant", body.vertices * 30, body.faces)
     handles = Handles(body.handles.positions * 30, body.handle_weights)
     motion = replace(moving(line(z=0.39)), root_translation=line(z=0.39) * 30)
-    assert foot_sliding(Animation(giant, handles, motion)) == pytest.approx(0.01 * CM, rel=1e-3)
+    assert measure(gauge(giant, handles), motion).sliding == pytest.approx(0.01 * CM, rel=1e-3)
 
 
 def test_a_foot_that_swings_low_is_told_from_one_that_slides():
@@ -58,15 +62,15 @@ def test_a_foot_that_swings_low_is_told_from_one_that_slides():
 
 def test_depth_is_that_of_the_lowest_vertex():
     height = reference_body().character().height
-    assert penetration(moving(line())) == pytest.approx(0, abs=1e-4)
-    assert penetration(moving(line(y=-0.1))) == pytest.approx(10 / height, rel=1e-3)
+    assert measured(moving(line())).deepest == pytest.approx(0, abs=1e-4)
+    assert measured(moving(line(y=-0.1))).deepest == pytest.approx(10 / height, rel=1e-3)
 
 
 def test_jitter_is_the_third_difference():
-    assert jitter(moving(line(x=3) ** 1)) == pytest.approx(0, abs=1e-3)
+    assert measured(moving(line(x=3) ** 1)).jitter == pytest.approx(0, abs=1e-3)
     cubic = moving((np.arange(FRAMES)[:, None] / 20.0) ** 3 * [0, 0, 1])
-    assert jitter(cubic) == pytest.approx(6 / 20**3 * CM, rel=0.02)
-    assert jitter(moving(np.zeros((3, 3)))) == 0
+    assert measured(cubic).jitter == pytest.approx(6 / 20**3 * CM, rel=0.02)
+    assert measured(moving(np.zeros((3, 3)))).jitter == 0
 
 
 def test_pooling_weighs_by_feet_that_are_down():

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
-from bunraku.body.smpl_rest import smpl_offsets, smpl_turns
+from bunraku.body.smpl_rest import smpl_offsets, smpl_rotations
 from bunraku.errors import BunrakuError, FormatError, MotionError
 from bunraku.io import load_motion
 
@@ -66,7 +66,7 @@ def test_limbs_point_where_smpl_has_them(tmp_path):
 
 
 def test_turns_between_the_t_poses_are_small():
-    turns = smpl_turns()
+    turns = smpl_rotations()
     assert np.degrees(Rotation.from_matrix(turns).magnitude()).max() < 10
     assert np.allclose(turns[[0, 3, 6, 9, 12, 15]], np.eye(3))
 

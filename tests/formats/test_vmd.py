@@ -73,8 +73,7 @@ def test_keys_curves_and_names(tmp_path):
     )
     assert motion.model == "ジーン" and set(motion.bones) == {"センター", "左ひじ"}
     assert motion.morphs == {"まばたき": 2, "あ": 1} and motion.last_frame == 20
-    assert [motion.ik_enabled("左足ＩＫ", frame) for frame in (0, 9, 10, 30)] == [True, True, False, False]
-    assert not motion.ik_enabled("右足ＩＫ", 10) and motion.ik_enabled("頭ＩＫ", 10)
+    assert motion.switches == ((0, {"左足ＩＫ": True, "右足ＩＫ": False}), (10, {"左足ＩＫ": False}))
     positions, rotations = motion.sample()["センター"]
     assert positions.shape == (21, 3)
     for frame in range(21):

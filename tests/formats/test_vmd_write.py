@@ -35,9 +35,7 @@ def test_written_and_read_again(tmp_path):
         error = Rotation.from_matrix(rotations).inv() * Rotation.from_matrix(wanted.bones[name][1])
         assert np.degrees(error.magnitude()).max() < 0.01
     assert len(motion.bones["左腕"].frames) == 1  # it stands still
-    assert [motion.ik_enabled(name, frame) for name in ("左足ＩＫ", "右足ＩＫ", "頭ＩＫ") for frame in (0, 40)] == [
-        False
-    ] * 4 + [True] * 2
+    assert motion.switches == ((0, {"左足ＩＫ": False, "右足ＩＫ": False}),)
 
 
 def test_between_frames_the_way_is_straight(tmp_path):

@@ -14,7 +14,7 @@ from bunraku.render.surface import build_surface, linear_from_srgb, srgb_from_li
 
 SIZE = (96, 64)
 RED, BLUE = (220, 20, 20), (20, 20, 220)
-FRONT = Camera.looking_at(np.array([0.0, 0.5, 0.0]), np.array([0.0, 0.5, 10.0]))
+FRONT = Camera(np.array([0.0, 0.5, 10.0]), np.eye(3))  # looks along -z at the height of the middle
 TRIANGLE = np.array([[-0.8, 0.1, 0.0], [1.1, 0.0, 0.0], [0.2, 1.3, 0.0]], np.float32)
 
 

@@ -10,7 +10,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin_reference
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.from_rig import rig_handles
-from bunraku.retarget.batched_fit import LONGEST, bone_places, capped, fit_locals, handle_places, move_points
+from bunraku.retarget.batched_fit import LONGEST, bone_positions, capped, fit_locals, move_points, posed_positions
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.synthetic.samples import sample_character
 
@@ -32,14 +32,14 @@ def test_it_is_the_fit_of_animations(bank, motion, row):
     fitted = fit_motion(motion, replace(character, rig=None), handles, Stages(**off))
     parts = (torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations))
     found = fit_locals(*parts, bank, torch.tensor([row]))
-    translations, places = handle_places(found, bank)
+    translations, places = posed_positions(found, bank)
     np.testing.assert_allclose(found.rotations[0], fitted.rotations, atol=1e-5)
     np.testing.assert_allclose(translations[0], fitted.translations, atol=1e-5)
     np.testing.assert_allclose(places[0], handles.positions + fitted.translations, atol=1e-5)
 
 
 def test_delta_is_what_the_generator_would_add(bank, motion):
-    """`generate.adapt`, then `fit_motion`, is `handle_places` with delta."""
+    """`generate.adapt`, then `fit_motion`, is `posed_positions` with delta."""
     from bunraku.diffusion.generate import adapt
 
     delta = np.random.default_rng(1).normal(0, 0.02, (3, 30, 3)).astype(np.float32)
@@ -48,7 +48,7 @@ def test_delta_is_what_the_generator_would_add(bank, motion):
         rotations, torch.from_numpy(np.array(adapt(motion, delta).translations))[None], bank, torch.tensor([3])
     )
     apart = fit_locals(rotations, torch.from_numpy(np.array(motion.translations))[None], bank, torch.tensor([3]))
-    want, got = handle_places(whole, bank)[0], handle_places(apart, bank, torch.from_numpy(delta)[None])[0]
+    want, got = posed_positions(whole, bank)[0], posed_positions(apart, bank, torch.from_numpy(delta)[None])[0]
     torch.testing.assert_close(got, want, atol=1e-6, rtol=0)
 
 
@@ -75,7 +75,7 @@ def test_points_move_as_eq_3_says(bank, motion):
     fitted = fit_locals(
         *(torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations)), bank, row
     )
-    translations = handle_places(fitted, bank)[0]
+    translations = posed_positions(fitted, bank)[0]
     points, index, weights = bank.arm_points[row, :9], bank.arm_index[row, :9], bank.arm_weights[row, :9]
     moved = move_points(points, index, weights, fitted.rotations, bank.handles[row], translations)
     h = bank.handles[1].numpy()
@@ -91,7 +91,7 @@ def test_bones_keep_their_lengths(bank, motion):
     fitted = fit_locals(
         *(torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations)), bank, row
     )
-    places = bone_places(fitted, bank)[1][0]
+    places = bone_positions(fitted, bank)[1][0]
     parents = bank.bone_parents[1]
     some = torch.nonzero(parents >= 0).flatten()
     assert len(some) > 5

@@ -22,7 +22,7 @@ from bunraku.retarget.stages.feet import find_contacts, lock_feet
 from bunraku.retarget.stages.floor import enough
 from bunraku.retarget.stages.ground import settle_hovering
 from bunraku.retarget.stages.smooth import smooth
-from bunraku.retarget.stance import rest_turns
+from bunraku.retarget.stance import rest_to_reference
 
 LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 
@@ -123,7 +123,7 @@ def test_who_has_no_legs_is_lifted_and_otherwise_left_alone():
     weights[:, 0] += weights[:, legs].sum(axis=1)
     weights[:, legs] = 0
     ghost, handles = body.character(), Handles(body.handles.positions, weights)
-    assert find_legs(ghost, handles, rest_turns(ghost, handles)[1]) == []
+    assert find_legs(ghost, handles, rest_to_reference(ghost, handles)[1]) == []
     motion = replace(still(20), root_translation=np.linspace(0, 1, 20)[:, None] * [0.3, 0, 0])
     with_stage, without = (fit_motion(motion, ghost, handles, Stages(feet=feet)) for feet in (True, False))
     np.testing.assert_array_equal(with_stage.root_translation, without.root_translation)
@@ -292,12 +292,12 @@ def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
     handles = Handles(body.handles.positions, rows["weights"] / rows["weights"].sum(axis=1, keepdims=True))
     assert decimated(character, handles)[0] is character  # few enough
     motion = posed(20, left_hip=-30 + 20 * np.sin(np.linspace(0, 9, 20)), left_knee=40)
-    full, joints = fit_motion(motion, character, handles), rest_turns(character, handles)[1]
+    full, joints = fit_motion(motion, character, handles), rest_to_reference(character, handles)[1]
     monkeypatch.setattr("bunraku.retarget.decimate.MANY", 8000)
     monkeypatch.setattr("bunraku.retarget.decimate.CELLS", 4000)
     light, lighter_handles = decimated(character, handles)
     assert len(light.vertices) < 0.7 * len(character.vertices)
-    fast, found = fit_motion(motion, character, handles), rest_turns(light, lighter_handles)[1]
+    fast, found = fit_motion(motion, character, handles), rest_to_reference(light, lighter_handles)[1]
     assert (found.present == joints.present).all()
     assert np.linalg.norm(found.positions - joints.positions, axis=1)[joints.present].max() < 0.004 * character.height
     away = np.linalg.norm(

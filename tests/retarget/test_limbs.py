@@ -13,7 +13,7 @@ from bunraku.formats.gltf.handle_channels import handle_names
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.limbs import by_limb, limb_views
-from bunraku.retarget.stance import rest_turns
+from bunraku.retarget.stance import rest_to_reference
 from bunraku.skeletons.bone_names import handle_of_joints
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
@@ -55,7 +55,7 @@ def test_limbs_are_found_from_the_body_outwards() -> None:
 
 def test_further_joints_hang_on_their_own_limb() -> None:
     character, handles = two_bodies()
-    _, joints = rest_turns(character, handles)
+    _, joints = rest_to_reference(character, handles)
     for side, spare in SPARE.items():
         hip, knee, ankle, foot = (H[name] for name in spare)
         assert [joints.parents[k] for k in (hip, knee, ankle, foot)] == [0, hip, knee, ankle]
@@ -85,7 +85,7 @@ def test_every_leg_does_what_the_first_does_about_its_own_hip() -> None:
 def test_plain_handles_are_solved_once() -> None:
     body = reference_body()
     seen = []
-    by_limb(body.handles, lambda plain: seen.append(plain) or rest_turns(body.character(), plain))
+    by_limb(body.handles, lambda plain: seen.append(plain) or rest_to_reference(body.character(), plain))
     assert len(seen) == 1 and seen[0].roles is None
 
 

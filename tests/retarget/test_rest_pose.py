@@ -13,7 +13,7 @@ from bunraku.evaluation.handles.rest_pose_transfer import code_made_motions
 from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.stages.attach import find_joints, refined_joints
-from bunraku.retarget.stance import rest_turns, stance_of
+from bunraku.retarget.stance import rest_to_reference, stance_of
 
 POSES = {
     "A": {"shoulder": ("z", -45)},
@@ -43,7 +43,7 @@ def posed(pose):
 @pytest.mark.parametrize("pose", POSES)
 def test_limbs_are_turned_back_as_far_as_they_were_turned(pose):
     character, handles, world, _ = posed(pose)
-    turns, _ = rest_turns(character, handles)
+    turns, _ = rest_to_reference(character, handles)
     for part in ("shoulder", "elbow", "wrist", "hip", "knee"):
         for side in ("left", "right"):
             left = turns[HANDLE_NAMES.index(f"{side}_{part}")] @ world[0, JOINT_NAMES.index(f"{side}_{part}")]
@@ -66,7 +66,7 @@ def test_bent_joints_are_found(pose):
 def test_who_sits_stands_up_on_the_same_floor():
     body = reference_body()
     character, handles, *_ = posed("sitting")
-    turns, joints = rest_turns(character, handles)
+    turns, joints = rest_to_reference(character, handles)
     stance, _ = stance_of(character, handles, joints, turns)
     assert np.ptp(stance.vertices[:, 1]) == pytest.approx(np.ptp(body.vertices[:, 1]), rel=0.03)
     assert (
@@ -84,8 +84,8 @@ def test_who_sits_stands_up_on_the_same_floor():
 def test_feet_that_go_with_their_shins_end_flat():
     character, handles, world, _ = posed("kneeling")
     foot = HANDLE_NAMES.index("left_ankle")
-    turns, _ = rest_turns(character, handles)
+    turns, _ = rest_to_reference(character, handles)
     left = turns[foot] @ world[0, JOINT_NAMES.index("left_ankle")]
     assert np.degrees(np.linalg.norm(Rotation.from_matrix(left).as_rotvec())) < 8
-    flat, _ = rest_turns(reference_body().character(), reference_body().handles)
+    flat, _ = rest_to_reference(reference_body().character(), reference_body().handles)
     np.testing.assert_allclose(flat[foot], np.eye(3), atol=0.05)

@@ -50,13 +50,15 @@ def test_labels_lower_the_loss_of_a_character(bank, gesture):
 def test_the_sampled_loss_is_that_of_the_whole_mesh(bank, gesture):
     """Of the dancer: what the bank's edges say is what `animation_arap` says of all edges, up to sampling."""
     from bunraku.handles.from_rig import rig_handles
-    from bunraku.retarget.batched_fit import handle_places
+    from bunraku.retarget.batched_fit import posed_positions
     from bunraku.synthetic.samples import sample_character
 
     character = sample_character("dancer", 0.5, rigged=True)
     handles = rig_handles(character).top(4)
     fitted = fit_locals(*gesture("left_elbow", 4, 1.5), bank, torch.tensor([1]))
     still = np.zeros((4, 3))
-    motion = HandleMotion(handle_places(fitted, bank)[0][0], fitted.rotations[0], still, np.tile(np.eye(3), (4, 1, 1)))
+    motion = HandleMotion(
+        posed_positions(fitted, bank)[0][0], fitted.rotations[0], still, np.tile(np.eye(3), (4, 1, 1))
+    )
     whole = animation_arap(Animation(character, handles, motion))
     assert abs(float(edge_system(fitted, bank).loss().mean()) / whole - 1) < 0.2

@@ -87,14 +87,14 @@ def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> Skeleta
     )
 
 
-def _joint_places(world: np.ndarray) -> np.ndarray:
+def _joint_positions(world: np.ndarray) -> np.ndarray:
     """Joints relative to the pelvis joint [m], shape (N, 22, 3)."""
     offsets = reference_body().skeleton.offsets.astype(float)
-    places = np.zeros((len(world), JOINT_COUNT, 3))
+    positions = np.zeros((len(world), JOINT_COUNT, 3))
     for joint in range(1, JOINT_COUNT):
         parent = JOINT_PARENTS[joint]
-        places[:, joint] = places[:, parent] + world[:, parent] @ offsets[joint]
-    return places
+        positions[:, joint] = positions[:, parent] + world[:, parent] @ offsets[joint]
+    return positions
 
 
 def _world(want: np.ndarray, rounds: int) -> np.ndarray:
@@ -103,9 +103,9 @@ def _world(want: np.ndarray, rounds: int) -> np.ndarray:
     frames = len(want)
     for _ in range(rounds):
         wide = world.transpose(0, 2, 1, 3).reshape(3 * frames, -1)  # rows: frame and axis; columns: joint and its axis
-        places = _joint_places(world).transpose(0, 2, 1).reshape(3 * frames, -1)
+        positions = _joint_positions(world).transpose(0, 2, 1).reshape(3 * frames, -1)
         covariance = (
-            (wide @ moments.linear + places @ moments.shift).reshape(frames, 3, JOINT_COUNT, 3).transpose(0, 2, 1, 3)
+            (wide @ moments.linear + positions @ moments.shift).reshape(frames, 3, JOINT_COUNT, 3).transpose(0, 2, 1, 3)
         )
         lacking = axis_angle_from_matrix(want @ np.swapaxes(nearest_rotation(covariance), -1, -2))
         world = matrix_from_axis_angle(lacking) @ world
@@ -120,7 +120,7 @@ def _mean_of_root(world: np.ndarray) -> np.ndarray:
     shares = mass[:, None] * body.joint_weights
     arms = np.einsum("vj,vja->ja", shares, body.vertices[:, None].astype(float) - body.joints)
     return np.asarray(
-        np.einsum("njab,jb->na", world, arms) + np.einsum("j,nja->na", shares.sum(axis=0), _joint_places(world))
+        np.einsum("njab,jb->na", world, arms) + np.einsum("j,nja->na", shares.sum(axis=0), _joint_positions(world))
     )
 
 

@@ -37,14 +37,14 @@ def motion_from_positions(positions: np.ndarray, fps: float) -> SkeletalMotion:
     Raises:
         MotionError: The shape is another one, there is no frame, or a value is not finite.
     """
-    places = np.asarray(positions, float)
-    if places.ndim != 3 or places.shape[1:] != (JOINT_COUNT, 3) or not len(places):
-        raise MotionError(f"joint positions must have shape (frames, {JOINT_COUNT}, 3), not {places.shape}")
-    if not np.isfinite(places).all():
+    joints = np.asarray(positions, float)
+    if joints.ndim != 3 or joints.shape[1:] != (JOINT_COUNT, 3) or not len(joints):
+        raise MotionError(f"joint positions must have shape (frames, {JOINT_COUNT}, 3), not {joints.shape}")
+    if not np.isfinite(joints).all():
         raise MotionError("joint positions hold values that are not numbers")
-    bones = places - places[:, [max(parent, 0) for parent in JOINT_PARENTS]]
+    bones = joints - joints[:, [max(parent, 0) for parent in JOINT_PARENTS]]
     offsets = _rest_offsets(bones)
-    world = np.tile(np.eye(3), (len(places), JOINT_COUNT, 1, 1))
+    world = np.tile(np.eye(3), (len(joints), JOINT_COUNT, 1, 1))
     for joint, children in enumerate(_CHILDREN):
         parent = JOINT_PARENTS[joint]
         above = world[:, max(parent, 0)]
@@ -58,7 +58,7 @@ def motion_from_positions(positions: np.ndarray, fps: float) -> SkeletalMotion:
         else:
             world[:, joint] = above
     parents = np.array(JOINT_PARENTS)
-    return SkeletalMotion(Skeleton(JOINT_NAMES, parents, offsets), local_rotations(world, parents), places[:, 0], fps)
+    return SkeletalMotion(Skeleton(JOINT_NAMES, parents, offsets), local_rotations(world, parents), joints[:, 0], fps)
 
 
 def _rest_offsets(bones: np.ndarray) -> np.ndarray:

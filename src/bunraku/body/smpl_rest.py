@@ -14,7 +14,7 @@ from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
 from bunraku.geometry.rotations import rotation_between
 
-__all__ = ["LIMB_CHILD", "smpl_offsets", "smpl_turns"]
+__all__ = ["LIMB_CHILD", "smpl_offsets", "smpl_rotations"]
 
 # Centimetres from the parent joint, both sides averaged: enough for directions.
 _LEFT_AND_MIDDLE = {
@@ -48,7 +48,7 @@ def smpl_offsets() -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
-def smpl_turns() -> np.ndarray:
+def smpl_rotations() -> np.ndarray:
     """World rotation of each part that turns the reference body's T-pose into SMPL's, shape (22, 3, 3).
 
     Limbs are turned, and hands with their forearms; the trunk and the feet face the same way in both.

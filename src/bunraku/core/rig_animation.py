@@ -68,7 +68,7 @@ class RigAnimation:
     def of_world(
         cls,
         character: Character,
-        turns: np.ndarray,
+        world_rotations: np.ndarray,
         positions: np.ndarray,
         fps: float = 20.0,
         reference: HandleMotion | None = None,
@@ -77,7 +77,7 @@ class RigAnimation:
 
         Args:
             character: With a rig.
-            turns: World turn of each bone from its rest pose, shape (N, J, 3, 3).
+            world_rotations: World turn of each bone from its rest pose, shape (N, J, 3, 3).
             positions: Where its head is [m], shape (N, J, 3).
             fps: Frames a second [1/s].
             reference: As above.
@@ -85,11 +85,11 @@ class RigAnimation:
         if character.rig is None:
             raise CharacterError(f"{character.name}: there is no rig in this file to animate")
         rig, rest = character.rig, character.rig.positions
-        rotations, translations = np.array(turns, np.float64), positions - rest
+        rotations, translations = np.array(world_rotations, np.float64), positions - rest
         for bone, parent in enumerate(rig.parents):
             if parent >= 0:
-                back = np.swapaxes(turns[:, parent], -1, -2)
-                rotations[:, bone] = back @ turns[:, bone]
+                back = np.swapaxes(world_rotations[:, parent], -1, -2)
+                rotations[:, bone] = back @ world_rotations[:, bone]
                 away = np.einsum("nij,nj->ni", back, positions[:, bone] - positions[:, parent])
                 translations[:, bone] = away - (rest[bone] - rest[parent])
         return cls(character, rotations, translations, fps, reference)
@@ -109,21 +109,21 @@ class RigAnimation:
         rig = self.character.rig
         assert rig is not None
         rest = rig.positions
-        turns, positions = self.rotations.astype(np.float64), rest + self.translations.astype(np.float64)
+        rotations, positions = self.rotations.astype(np.float64), rest + self.translations.astype(np.float64)
         for bone in bone_order(rig.parents):
             parent = int(rig.parents[bone])
             if parent >= 0:
-                turns[:, bone] = turns[:, parent] @ self.rotations[:, bone]
+                rotations[:, bone] = rotations[:, parent] @ self.rotations[:, bone]
                 away = rest[bone] - rest[parent] + self.translations[:, bone]
-                positions[:, bone] = positions[:, parent] + np.einsum("nij,nj->ni", turns[:, parent], away)
-        return turns, positions
+                positions[:, bone] = positions[:, parent] + np.einsum("nij,nj->ni", rotations[:, parent], away)
+        return rotations, positions
 
     @cached_property
     def _affine(self) -> np.ndarray:
-        turns, positions = self.world()
+        rotations, positions = self.world()
         assert self.character.rig is not None
-        shift = positions - np.einsum("njab,jb->nja", turns, self.character.rig.positions)
-        return np.concatenate([turns, shift[..., None]], axis=-1).astype(np.float32)
+        shift = positions - np.einsum("njab,jb->nja", rotations, self.character.rig.positions)
+        return np.concatenate([rotations, shift[..., None]], axis=-1).astype(np.float32)
 
     def transforms(self) -> np.ndarray:
         """Affine transform of each bone from the rest pose [m], shape (N, J, 3, 4), float32."""

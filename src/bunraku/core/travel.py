@@ -62,14 +62,14 @@ def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
     rounds, frames = np.divmod(whole, last)
     step = matrix_y(np.array([_turn(motion.root_rotation[0], motion.root_rotation[-1])]))[0]
     way = motion.root_translation[-1].astype(float) - step @ motion.root_translation[0]
-    places, turns = {0: np.zeros(3)}, {0: np.eye(3)}
+    positions, turns = {0: np.zeros(3)}, {0: np.eye(3)}
     for index in range(1, max(int(rounds.max()), 0) + 1):
-        turns[index], places[index] = step @ turns[index - 1], step @ places[index - 1] + way
+        turns[index], positions[index] = step @ turns[index - 1], step @ positions[index - 1] + way
     for index in range(-1, min(int(rounds.min()), 0) - 1, -1):
-        turns[index], places[index] = step.T @ turns[index + 1], step.T @ (places[index + 1] - way)
+        turns[index], positions[index] = step.T @ turns[index + 1], step.T @ (positions[index + 1] - way)
     turned, moves = (
         np.stack([turns[index] for index in rounds.tolist()]),
-        np.stack([places[index] for index in rounds.tolist()]),
+        np.stack([positions[index] for index in rounds.tolist()]),
     )
     return HandleMotion(
         motion.translations[frames],

@@ -39,8 +39,10 @@ def _person(mesh: NetworkMesh, weights: np.ndarray) -> bool:
     """Whether a character stands upright and tall on its legs; what looks like further limbs are its clothes and
     weapons.
     """
-    places = handle_positions(mesh.vertices, weights, mesh.areas)
-    pelvis, head, *feet = (places[HANDLE_NAMES.index(name)] for name in ("pelvis", "head", "left_ankle", "right_ankle"))
+    positions = handle_positions(mesh.vertices, weights, mesh.areas)
+    pelvis, head, *feet = (
+        positions[HANDLE_NAMES.index(name)] for name in ("pelvis", "head", "left_ankle", "right_ankle")
+    )
     return bool(head[1] - pelvis[1] > 2 * abs(head[2] - pelvis[2]) and head[1] - max(foot[1] for foot in feet) > TALL)
 
 
@@ -230,8 +232,8 @@ def _without(weights: np.ndarray, spare: list[int]) -> np.ndarray:
 
 def _body_handle(mesh: NetworkMesh, weights: np.ndarray, stub: Limb) -> int:
     """The handle of the body that is nearest to a stub: that of the head for fangs and feelers."""
-    places = handle_positions(mesh.vertices, weights, mesh.areas)
-    away = np.linalg.norm(places - mesh.vertices[stub.members].mean(axis=0), axis=1)
+    positions = handle_positions(mesh.vertices, weights, mesh.areas)
+    away = np.linalg.norm(positions - mesh.vertices[stub.members].mean(axis=0), axis=1)
     away[mesh.areas @ weights < SPARE * mesh.areas.sum()] = np.inf
     away[LIMB_HANDLES] = np.inf
     return int(away.argmin())

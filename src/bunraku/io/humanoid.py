@@ -67,7 +67,7 @@ def _offsets(way: WayBack, pelvis: np.ndarray) -> np.ndarray:
         line = [joint]
         while JOINT_PARENTS[line[-1]] != above:
             line.append(JOINT_PARENTS[line[-1]])
-        way_there = way.turns[above] @ (joints[joint] - joints[above])
+        way_there = way.rotations[above] @ (joints[joint] - joints[above])
         todo = [some for some in line if some == joint or not _shared(some, joint, parents, present)]
         way_there = way_there - sum((out[some] for some in line if some not in todo), np.zeros(3))
         lengths = np.linalg.norm(plain[todo], axis=-1)

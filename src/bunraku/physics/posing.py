@@ -24,7 +24,7 @@ def joints_moved(parents: np.ndarray, rig: ApparelRig) -> np.ndarray:
 
 
 def posed(
-    animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray, turns: np.ndarray, places: np.ndarray
+    animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray, body_rotations: np.ndarray, positions: np.ndarray
 ) -> RigAnimation:
     """The animation with the bones of dynamic bodies where these are; bones below follow as they are keyed.
 
@@ -35,8 +35,8 @@ def posed(
         animation: Of N frames.
         rig: The bodies.
         bodies: Which of them are dynamic, shape (D,).
-        turns: World turns of these from rest, shape (N, D, 3, 3).
-        places: Their centres [m], shape (N, D, 3).
+        body_rotations: World turns of these from rest, shape (N, D, 3, 3).
+        positions: Their centres [m], shape (N, D, 3).
     """
     skeleton = animation.character.rig
     assert skeleton is not None
@@ -54,10 +54,10 @@ def posed(
         if bone in movers:
             column, index = movers[bone]
             body = rig.bodies[index]
-            world[:, bone] = turns[:, column]
-            rotations[:, bone] = np.swapaxes(above, -1, -2) @ turns[:, column]
+            world[:, bone] = body_rotations[:, column]
+            rotations[:, bone] = np.swapaxes(above, -1, -2) @ body_rotations[:, column]
             if body.mode == 1:
-                heads[:, bone] = places[:, column] + turns[:, column] @ (rest[bone] - body.position)
+                heads[:, bone] = positions[:, column] + body_rotations[:, column] @ (rest[bone] - body.position)
                 translations[:, bone] = np.einsum("...ji,...j->...i", above, heads[:, bone] - start) - offset
                 continue
         else:

@@ -136,23 +136,23 @@ def simulate(
     reach = float(np.ptp(character.vertices, axis=0).max())
     wanted = bool(rig.unguarded) if settings.limbs is None else settings.limbs
     limbs = body_limbs(character, joints_moved(skeleton.parents, rig)) if wanted else []
-    turns, places = animation.world()
+    rotations, positions = animation.world()
     if lead:
         before = lead_in(animation, lead)
-        turns, places = np.concatenate([before[0], turns]), np.concatenate([before[1], places])
+        rotations, positions = np.concatenate([before[0], rotations]), np.concatenate([before[1], positions])
     names = [body.name for body in rig.bodies]
     with _quiet():
         world = build_world(
             rig, skeleton.positions, skeleton.parents, 1 / (animation.fps * parts), settings, limbs, reach
         )
-        drive = Drive.of(turns[:, world.bones], places[:, world.bones], animation.fps, settings.cut)
+        drive = Drive.of(rotations[:, world.bones], positions[:, world.bones], animation.fps, settings.cut)
         start = time.perf_counter()
         run = _Run(world, drive, settings)
-        moved_turns, moved_places = run.through(parts, lead, names, progress)
+        moved_rotations, moved_positions = run.through(parts, lead, names, progress)
         seconds = time.perf_counter() - start
-    result = posed(animation, rig, world.bodies, moved_turns[lead:], moved_places[lead:])
+    result = posed(animation, rig, world.bodies, moved_rotations[lead:], moved_positions[lead:])
     report = SimulationReport(
-        tuple(run.recoveries), stretched(result, rig, world.bodies), run.mean_speed(), seconds, len(turns), parts,
+        tuple(run.recoveries), stretched(result, rig, world.bodies), run.mean_speed(), seconds, len(rotations), parts,
         len(world.bodies), world.notes
     )  # fmt: skip
     return Simulation(result, report)
@@ -191,7 +191,7 @@ class _Run:
         count = len(world.bones)
         self.qpos = world.root_qpos[:, None] + np.arange(7)
         self.qvel = world.root_qvel[:, None] + np.arange(6)
-        state = np.concatenate([drive.places[0], drive.quaternions[0]], axis=1) if count else np.zeros((0, 7))
+        state = np.concatenate([drive.positions[0], drive.quaternions[0]], axis=1) if count else np.zeros((0, 7))
         data.qpos[self.qpos] = state
         mujoco.mj_forward(model, data)
         self.state = state
@@ -205,29 +205,29 @@ class _Run:
         self, parts: int, lead: int, names: list[str], progress: Callable[[float], None] | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """World turns (F, D, 3, 3) and places (F, D, 3) of the dynamic bodies."""
-        world, frames = self.world, len(self.drive.places)
+        world, frames = self.world, len(self.drive.positions)
         model, data = world.model, world.data
-        turns, places = np.empty((frames, len(world.ids), 3, 3)), np.empty((frames, len(world.ids), 3))
+        rotations, positions = np.empty((frames, len(world.ids), 3, 3)), np.empty((frames, len(world.ids), 3))
         for frame in range(frames):
             if frame:
                 self.frame(frame - 1, parts)
             self.recoveries += [Recovery(names[world.bodies[number]], frame - lead) for number in self.lost()]
             self.mj.mj_kinematics(model, data)
-            turns[frame] = data.xmat[world.ids].reshape(-1, 3, 3)
-            places[frame] = data.xpos[world.ids]
+            rotations[frame] = data.xmat[world.ids].reshape(-1, 3, 3)
+            positions[frame] = data.xpos[world.ids]
             if progress is not None and frame % 16 == 0:
                 progress(frame / frames)
         if progress is not None:
             progress(1.0)
-        return turns, places
+        return rotations, positions
 
     def frame(self, frame: int, parts: int) -> None:
         """From a frame to the next one."""
         world, mj = self.world, self.mj
         model, data, step = world.model, world.data, world.step
-        places, quaternions = self.drive.between(frame, parts)
+        positions, quaternions = self.drive.between(frame, parts)
         jump = bool(self.drive.jumps[frame])
-        states = np.concatenate([places, quaternions], axis=-1)
+        states = np.concatenate([positions, quaternions], axis=-1)
         before = np.concatenate([self.state[None], states[:-1]])
         speeds = np.zeros((parts, len(world.bones), 6))
         if not jump:

@@ -29,11 +29,11 @@ def lead_in(animation: RigAnimation, frames: int) -> tuple[np.ndarray, np.ndarra
     rig = animation.character.rig
     assert rig is not None
     first = RigAnimation(animation.character, animation.rotations[:1], animation.translations[:1], animation.fps)
-    turns, places = (array[0] for array in first.world())
+    rotations, positions = (array[0] for array in first.world())
     rest = rig.positions
-    mean = turns.mean(axis=0)
+    mean = rotations.mean(axis=0)
     yaw = np.asarray(matrix_y(np.array(np.arctan2(mean[0, 2] - mean[2, 0], mean[0, 0] + mean[2, 2]))))
-    shift = places.mean(axis=0) - yaw @ rest.mean(axis=0)
+    shift = positions.mean(axis=0) - yaw @ rest.mean(axis=0)
     count = len(rest)
     share = np.clip(np.arange(frames) / max(BLEND * frames, 1), 0, 1)
     share = share * share * (3 - 2 * share)
@@ -51,14 +51,14 @@ def lead_in(animation: RigAnimation, frames: int) -> tuple[np.ndarray, np.ndarra
 def _forward(
     parents: np.ndarray, rest: np.ndarray, local: np.ndarray, moved: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    turns, places = np.array(local), rest + moved
+    rotations, positions = np.array(local), rest + moved
     for bone in bone_order(parents):
         parent = int(parents[bone])
         if parent >= 0:
-            turns[:, bone] = turns[:, parent] @ local[:, bone]
+            rotations[:, bone] = rotations[:, parent] @ local[:, bone]
             away = rest[bone] - rest[parent] + moved[:, bone]
-            places[:, bone] = places[:, parent] + np.einsum("nij,nj->ni", turns[:, parent], away)
-    return turns, places
+            positions[:, bone] = positions[:, parent] + np.einsum("nij,nj->ni", rotations[:, parent], away)
+    return rotations, positions
 
 
 @dataclass
@@ -70,37 +70,37 @@ class Drive:
     between.
 
     Args:
-        places: Of the bones [m], shape (F, R, 3).
+        positions: Of the bones [m], shape (F, R, 3).
         quaternions: wxyz, shape (F, R, 4), without jumps of sign.
         jumps: Whether the way from a frame to the next one is a jump, shape (F - 1,).
     """
 
-    places: np.ndarray
+    positions: np.ndarray
     quaternions: np.ndarray
     jumps: np.ndarray
 
     @classmethod
-    def of(cls, turns: np.ndarray, places: np.ndarray, fps: float, cut: float) -> Drive:
+    def of(cls, rotations: np.ndarray, positions: np.ndarray, fps: float, cut: float) -> Drive:
         """From world turns (F, R, 3, 3) and places (F, R, 3) of the bones."""
-        quaternions = quaternion_from_matrix(np.asarray(turns, float))[..., [3, 0, 1, 2]]
+        quaternions = quaternion_from_matrix(np.asarray(rotations, float))[..., [3, 0, 1, 2]]
         signs = np.where((quaternions[1:] * quaternions[:-1]).sum(-1) < 0, -1.0, 1.0)
         quaternions[1:] *= np.cumprod(signs, axis=0)[..., None]
-        speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) * fps
+        speed = np.linalg.norm(np.diff(positions, axis=0), axis=-1) * fps
         jumps = (speed > cut).any(axis=1) if speed.size else np.zeros(len(speed), bool)
-        return cls(np.asarray(places, float), quaternions, jumps)
+        return cls(np.asarray(positions, float), quaternions, jumps)
 
     def between(self, frame: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
         """Places (parts, R, 3) and quaternions (parts, R, 4) on the way from a frame, which is left out, to the next
         one.
         """
         if self.jumps[frame]:
-            return np.repeat(self.places[frame + 1][None], parts, 0), np.repeat(
+            return np.repeat(self.positions[frame + 1][None], parts, 0), np.repeat(
                 self.quaternions[frame + 1][None], parts, 0
             )
         share = (np.arange(1, parts + 1) / parts)[:, None, None]
-        places = self._curve(self.places, frame, share)
+        positions = self._curve(self.positions, frame, share)
         quaternions = self._curve(self.quaternions, frame, share)
-        return places, quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
+        return positions, quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
 
     def _curve(self, values: np.ndarray, frame: int, s: np.ndarray) -> np.ndarray:
         start, end = values[frame], values[frame + 1]

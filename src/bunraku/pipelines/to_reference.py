@@ -22,7 +22,7 @@ from bunraku.errors import CharacterError, MotionError
 from bunraku.geometry.rotations import nearest_rotation
 from bunraku.io.motions import Motion
 
-__all__ = ["bone_turns", "reference_motion"]
+__all__ = ["bone_rotations", "reference_motion"]
 
 _CHUNK = 200  # frames registered at once: bounds memory
 
@@ -80,13 +80,13 @@ def _of_animation(animation: Animation) -> HandleMotion:
         return motion_to_reference(animation.motion, character, animation.handles)
     if rig is not None and len(animation.handles.positions) == bones + 1:
         try:
-            return _of_rig(character, *bone_turns(animation), animation.motion.fps)
+            return _of_rig(character, *bone_rotations(animation), animation.motion.fps)
         except CharacterError:
             pass  # names that say nothing
     return _of_mesh(replace(character, rig=None), animation.vertices(), animation.motion.fps)
 
 
-def _of_rig(character: Character, turns: np.ndarray, places: np.ndarray, fps: float) -> HandleMotion:
+def _of_rig(character: Character, rotations: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
     from bunraku.formats.turning import turned
     from bunraku.geometry.axes import upright_rotation
     from bunraku.retarget.rig_motion import rig_to_reference
@@ -98,12 +98,12 @@ def _of_rig(character: Character, turns: np.ndarray, places: np.ndarray, fps: fl
     axes = rig_axes(rig.names, rig.parents, rig.positions)
     if axes is not None and axes != ("+y", "+z"):
         turn = upright_rotation(*axes)
-        character, turns, places = (
+        character, rotations, positions = (
             turned(replace(character, source=None, avatar=None), *axes),
-            turn @ turns @ turn.T,
-            places @ turn.T,
+            turn @ rotations @ turn.T,
+            positions @ turn.T,
         )
-    return rig_to_reference(RigParts.of(character), turns, places, fps, native=True)
+    return rig_to_reference(RigParts.of(character), rotations, positions, fps, native=True)
 
 
 def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
@@ -125,7 +125,7 @@ def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
     return motion_to_reference(HandleMotion.joined(parts), rest, handles)
 
 
-def bone_turns(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
+def bone_rotations(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
     """World turns (N, J, 3, 3) and heads [m] (N, J, 3) of the bones of a clip whose handles they are."""
     assert animation.character.rig is not None
     affine = animation.motion.transforms(animation.handles.positions)[:, 1:].astype(np.float64)

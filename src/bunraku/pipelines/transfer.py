@@ -19,7 +19,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, OptionError
 from bunraku.io.motions import Motion, load_motion
-from bunraku.pipelines.to_reference import bone_turns, reference_motion
+from bunraku.pipelines.to_reference import bone_rotations, reference_motion
 from bunraku.retarget.fit import Stages, fit_motion
 
 __all__ = ["RATE", "TRANSFER_STAGES", "Source", "apply_transfer", "played_by_mmd", "same_skeleton", "transfer"]
@@ -184,7 +184,7 @@ def same_skeleton(character: Character, motion: Motion) -> RigAnimation | None:
         return copied_bones(motion.character, *motion.world(), motion.fps, character)
     if len(motion.handles.positions) != len(motion.character.rig.names) + 1:
         return None
-    return copied_bones(motion.character, *bone_turns(motion), motion.motion.fps, character)
+    return copied_bones(motion.character, *bone_rotations(motion), motion.motion.fps, character)
 
 
 def played_by_mmd(character: Character, path: str | Path, fps: float) -> RigAnimation | None:

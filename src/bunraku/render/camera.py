@@ -52,16 +52,6 @@ class Camera:
         if not 0 < self.field_of_view < np.pi:
             raise OptionError("a camera's field of view must be between 0 and pi radians")
 
-    @classmethod
-    def looking_at(cls, target: np.ndarray, eye: np.ndarray, field_of_view: float = float(FIELD_OF_VIEW)) -> Camera:
-        """A level camera at `eye` [m] that looks at `target` [m]; both have shape (3,)."""
-        back = np.asarray(eye, float) - np.asarray(target, float)
-        length = np.linalg.norm(back)
-        if length == 0 or np.hypot(back[0], back[2]) < 1e-6 * length:
-            raise OptionError("a level camera cannot look straight up or down, nor at its own position")
-        axes = view_axes(float(np.arctan2(back[0], back[2])), float(np.arcsin(back[1] / length)))
-        return cls(np.asarray(eye, float), axes, field_of_view)
-
     def moved(self, offset: np.ndarray) -> Camera:
         """The same camera at another place, `offset` [m] away."""
         return replace(self, position=self.position + offset)

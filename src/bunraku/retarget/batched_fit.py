@@ -15,7 +15,7 @@ from torch import Tensor
 from bunraku.core.skinning import handle_offsets
 from bunraku.retarget.character_bank import CharacterBank
 
-__all__ = ["LONGEST", "Fitted", "bone_places", "capped", "fit_locals", "handle_places", "move_points"]
+__all__ = ["LONGEST", "Fitted", "bone_positions", "capped", "fit_locals", "posed_positions", "move_points"]
 
 LONGEST = 0.05  # what is left of a residual in `fit_motion` [m of the reference body]
 
@@ -85,12 +85,12 @@ def fit_locals(rotations: Tensor, translations: Tensor, bank: CharacterBank, row
     """
     residual = translations - _attached(rotations, bank, torch.zeros_like(row))[1]
     played = bank.roles[row]
-    turned = rotations.gather(2, played[:, None, :, None, None].expand_as(rotations)) @ bank.turns[row][:, None]
+    turned = rotations.gather(2, played[:, None, :, None, None].expand_as(rotations)) @ bank.rotations[row][:, None]
     own, stiff = _attached(turned, bank, row)
     return Fitted(row, own, stiff, residual)
 
 
-def handle_places(fitted: Fitted, bank: CharacterBank, delta: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def posed_positions(fitted: Fitted, bank: CharacterBank, delta: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Local translations t and positions h + t of the handles [m], shape (B, N, K, 3) each.
 
     Args:
@@ -137,7 +137,7 @@ def _turned(dense: Tensor, points: Tensor, rotations: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def bone_places(fitted: Fitted, bank: CharacterBank) -> tuple[Tensor, Tensor]:
+def bone_positions(fitted: Fitted, bank: CharacterBank) -> tuple[Tensor, Tensor]:
     """The bones of the characters' own rigs under the same rotations: a skeleton that keeps its lengths.
 
     Returns:
@@ -147,12 +147,12 @@ def bone_places(fitted: Fitted, bank: CharacterBank) -> tuple[Tensor, Tensor]:
     each = torch.arange(len(row), device=row.device)
     joints, parents, handles = bank.bone_joints[row], bank.bone_parents[row], bank.bone_handles[row]
     rotations = fitted.rotations[each[:, None], :, handles].transpose(1, 2)
-    places = joints[:, None].expand(-1, rotations.shape[1], -1, -1).clone()
+    positions = joints[:, None].expand(-1, rotations.shape[1], -1, -1).clone()
     for bone in range(1, joints.shape[1]):
         parent = parents[:, bone]
         above = parent.clamp(min=0)
         step = torch.einsum("bnij,bj->bni", _pick(rotations, above), joints[:, bone] - joints[each, above]) + _pick(
-            places, above
+            positions, above
         )
-        places[:, :, bone] = torch.where((parent >= 0)[:, None, None], step, places[:, :, bone])
-    return rotations, places
+        positions[:, :, bone] = torch.where((parent >= 0)[:, None, None], step, positions[:, :, bone])
+    return rotations, positions

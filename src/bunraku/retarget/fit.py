@@ -45,7 +45,7 @@ from bunraku.retarget.stages.hands import keep_hands
 from bunraku.retarget.stages.rest_pose import upright
 from bunraku.retarget.stages.shape import keep_edges
 from bunraku.retarget.stages.smooth import smooth
-from bunraku.retarget.stance import rest_turns, stance_of
+from bunraku.retarget.stance import rest_to_reference, stance_of
 
 __all__ = ["Stages", "fit_motion"]
 
@@ -113,7 +113,7 @@ def fit_motion(
     character, handles = decimated(character, handles)
     rotations = motion.rotations[:, handles.played].astype(np.float64)
     if stages.rest_pose:
-        turns, joints = rest or rest_turns(character, handles)
+        turns, joints = rest or rest_to_reference(character, handles)
         rotations = rotations @ turns
     else:
         still = np.tile(np.eye(3), (len(handles.positions), 1, 1))

@@ -16,7 +16,7 @@ from bunraku.retarget.decimate import decimated
 from bunraku.retarget.limbs import reference_parts
 from bunraku.retarget.stages.attach import Joints, attach_joints, capped, downwards, reference_joints
 from bunraku.retarget.stages.ground import standing, stride_scale
-from bunraku.retarget.stance import rest_turns, stance_of
+from bunraku.retarget.stance import rest_to_reference, stance_of
 
 __all__ = ["WayBack", "motion_to_reference"]
 
@@ -30,7 +30,7 @@ class WayBack:
 
     Args:
         handles: The character's handles.
-        turns: From its rest pose into the reference body's, shape (K, 3, 3).
+        rotations: From its rest pose into the reference body's, shape (K, 3, 3).
         joints: Where its handles meet in its rest pose.
         scale: Length of its strides over the reference body's.
         rise: How much higher its floor is in the rest pose than in the reference body's stance [m].
@@ -38,7 +38,7 @@ class WayBack:
     """
 
     handles: Handles
-    turns: np.ndarray
+    rotations: np.ndarray
     joints: Joints
     scale: float
     rise: float
@@ -54,12 +54,12 @@ class WayBack:
             rest: What a rig tells of the rest pose (see `fit_motion`); None measures it.
         """
         character, handles = decimated(character, handles)
-        turns, joints = rest or rest_turns(character, handles)
-        stance, there = stance_of(character, handles, joints, turns)
+        rotations, joints = rest or rest_to_reference(character, handles)
+        stance, there = stance_of(character, handles, joints, rotations)
         stands = standing(stance, there)
         rise = float(character.vertices[stands, 1].min()) - float(stance.vertices[stands, 1].min())
         lever = handles.positions[0].astype(np.float64) - there.positions[0]
-        return cls(handles, turns, joints, stride_scale(stance, there, stands), rise, lever)
+        return cls(handles, rotations, joints, stride_scale(stance, there, stands), rise, lever)
 
     def motion(self, motion: HandleMotion, native: bool = True) -> HandleMotion:
         """A handle motion of the character as the one of the reference body that `fit_motion` of a `native` motion
@@ -77,7 +77,7 @@ class WayBack:
         """
         known = reference_joints()
         parents, present = reference_parts(self.handles, self.joints)
-        rotations = motion.rotations.astype(np.float64) @ self.turns.transpose(0, 2, 1)
+        rotations = motion.rotations.astype(np.float64) @ self.rotations.transpose(0, 2, 1)
         stiff = attach_joints(motion.rotations.astype(np.float64), self.handles, self.joints)[1]
         residual = (motion.translations - stiff) / self.scale * present[:, None]
         residual[:, 0] = 0

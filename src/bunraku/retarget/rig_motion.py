@@ -13,28 +13,31 @@ from bunraku.retarget.rig_parts import RigParts
 __all__ = ["bones_to_handles", "handle_animation", "rig_to_reference"]
 
 
-def bones_to_handles(parts: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
+def bones_to_handles(parts: RigParts, world_rotations: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
     """Motion of the rig's 30 handles; each moves as its first bone.
 
     Args:
         parts: The rig.
-        turns: World turn of each bone from its rest pose, shape (N, J, 3, 3).
+        world_rotations: World turn of each bone from its rest pose, shape (N, J, 3, 3).
         positions: Where its head is [m], shape (N, J, 3).
         fps: Frames a second [1/s].
     """
     assert parts.character.rig is not None
     rest, h = parts.character.rig.positions, parts.handles.positions.astype(np.float64)
     pelvis = int(parts.leads[0])
-    root = turns[:, pelvis]
+    root = world_rotations[:, pelvis]
     back = np.swapaxes(root, -1, -2)
-    rotations, translations = np.tile(np.eye(3), (len(turns), len(h), 1, 1)), np.zeros((len(turns), len(h), 3))
+    rotations, translations = (
+        np.tile(np.eye(3), (len(world_rotations), len(h), 1, 1)),
+        np.zeros((len(world_rotations), len(h), 3)),
+    )
     centre = positions[:, pelvis] + np.einsum("nij,j->ni", root, h[0] - rest[pelvis])
     for handle in range(1, len(h)):
         bone = int(parts.leads[handle])
         if bone < 0:
             continue
-        place = positions[:, bone] + np.einsum("nij,j->ni", turns[:, bone], h[handle] - rest[bone])
-        rotations[:, handle] = back @ turns[:, bone]
+        place = positions[:, bone] + np.einsum("nij,j->ni", world_rotations[:, bone], h[handle] - rest[bone])
+        rotations[:, handle] = back @ world_rotations[:, bone]
         translations[:, handle] = np.einsum("nij,nj->ni", back, place - centre) + h[0] - h[handle]
     return HandleMotion(translations, rotations, centre - h[0], root, fps)
 
@@ -51,16 +54,16 @@ def handle_animation(animation: RigAnimation) -> Animation:
 
 
 def rig_to_reference(
-    parts: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float, native: bool = False
+    parts: RigParts, rotations: np.ndarray, positions: np.ndarray, fps: float, native: bool = False
 ) -> HandleMotion:
     """Motion of a rig's bones as handle motion of the reference body.
 
     Args:
         parts: The rig, facing +Z.
-        turns: World turn of each bone from its rest pose, shape (N, J, 3, 3).
+        rotations: World turn of each bone from its rest pose, shape (N, J, 3, 3).
         positions: Where its head is [m], shape (N, J, 3).
         fps: Frames a second [1/s].
         native: See `motion_to_reference`.
     """
-    way = WayBack.of(parts.character, parts.handles, (parts.turns, parts.joints))
-    return way.motion(bones_to_handles(parts, turns, positions, fps), native)
+    way = WayBack.of(parts.character, parts.handles, (parts.rotations, parts.joints))
+    return way.motion(bones_to_handles(parts, rotations, positions, fps), native)

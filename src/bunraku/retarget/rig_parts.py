@@ -55,7 +55,7 @@ class RigParts:
         character: The character, facing +Z.
         handles: 30 handles whose weights are those of their bones.
         joints: Where handles meet: heads of bones, and parents as the rig has them.
-        turns: From the rest pose into the reference body's, shape (30, 3, 3).
+        rotations: From the rest pose into the reference body's, shape (30, 3, 3).
         parts: Handle of each bone, -1 where it goes along with its parent, shape (J,).
         leads: First bone of each handle, -1 for none, shape (30,).
         parents: Parent of each bone for posing, shape (J,): feet that hang on the root hang on their legs.
@@ -65,7 +65,7 @@ class RigParts:
     character: Character
     handles: Handles
     joints: Joints
-    turns: np.ndarray
+    rotations: np.ndarray
     parts: np.ndarray
     leads: np.ndarray
     parents: np.ndarray
@@ -126,20 +126,20 @@ class RigParts:
         assert self.character.rig is not None
         rest = self.character.rig.positions
         frames = len(transforms)
-        turns, positions = np.tile(np.eye(3), (frames, len(rest), 1, 1)), np.tile(rest, (frames, 1, 1))
+        rotations, positions = np.tile(np.eye(3), (frames, len(rest), 1, 1)), np.tile(rest, (frames, 1, 1))
         for bone in bone_order(self.parents):
             parent, part = int(self.parents[bone]), int(self.parts[bone])
             if self.still[bone]:
                 continue
             if parent >= 0 and not self.still[parent]:
                 positions[:, bone] = positions[:, parent] + np.einsum(
-                    "nij,j->ni", turns[:, parent], rest[bone] - rest[parent]
+                    "nij,j->ni", rotations[:, parent], rest[bone] - rest[parent]
                 )
-                turns[:, bone] = turns[:, parent] if part == NO_HANDLE else transforms[:, part, :, :3]
+                rotations[:, bone] = rotations[:, parent] if part == NO_HANDLE else transforms[:, part, :, :3]
             else:
                 own = transforms[:, max(part, 0)]
-                turns[:, bone], positions[:, bone] = own[..., :3], own[..., :3] @ rest[bone] + own[..., 3]
-        return turns, positions
+                rotations[:, bone], positions[:, bone] = own[..., :3], own[..., :3] @ rest[bone] + own[..., 3]
+        return rotations, positions
 
 
 def is_humanoid_rig(character: Character) -> bool:

@@ -18,7 +18,7 @@ ALIKE, MOST = (
 
 
 def copied_bones(
-    source: Character, turns: np.ndarray, positions: np.ndarray, fps: float, character: Character
+    source: Character, world_rotations: np.ndarray, positions: np.ndarray, fps: float, character: Character
 ) -> RigAnimation | None:
     """The clip on another character of the same skeleton, or None where it is another one.
 
@@ -28,7 +28,7 @@ def copied_bones(
 
     Args:
         source: The character of the clip.
-        turns: World turn of each of its bones from the rest pose, shape (N, J, 3, 3).
+        world_rotations: World turn of each of its bones from the rest pose, shape (N, J, 3, 3).
         positions: Where its head is [m], shape (N, J, 3).
         fps: Frames a second [1/s].
         character: The one to be moved.
@@ -63,9 +63,9 @@ def copied_bones(
             angles.append(np.degrees(np.arccos(np.clip(mine @ other / (lengths[0] * lengths[1]), -1, 1))))
     if len(ratios) < 2 or float(np.mean(angles)) > ALIKE or float(np.max(angles)) > MOST:
         return None
-    local = RigAnimation.of_world(source, turns, positions, fps)
-    rotations = np.tile(np.eye(3, dtype=np.float32), (len(turns), len(own.names), 1, 1))
-    translations = np.zeros((len(turns), len(own.names), 3), np.float32)
+    local = RigAnimation.of_world(source, world_rotations, positions, fps)
+    rotations = np.tile(np.eye(3, dtype=np.float32), (len(world_rotations), len(own.names), 1, 1))
+    translations = np.zeros((len(world_rotations), len(own.names), 3), np.float32)
     there = partner >= 0
     rotations[:, there] = local.rotations[:, partner[there]]
     translations[:, there] = local.translations[:, partner[there]] * float(np.median(ratios))

@@ -23,34 +23,36 @@ from bunraku.retarget.stages.attach import (
 )
 from bunraku.retarget.stages.rest_pose import rest_rotations
 
-__all__ = ["flat_feet", "stance_of", "rest_turns"]
+__all__ = ["flat_feet", "stance_of", "rest_to_reference"]
 
 PASSES = 2  # turns need joints and joints need turns; both settle at once
 SOLE = 0.08  # what is this near to the lowest point, as a share of the foot's length, stands on the ground
 FLATTER = 1.2  # how much more of a foot must stand before the foot is turned
 
 
-def rest_turns(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
+def rest_to_reference(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
     """How a rest pose differs from the reference body's.
 
     Returns:
         The turn of each handle that makes up for it (see `rest_rotations`), shape (K, 3, 3), and the joints in the rest
         pose.
     """
-    return by_limb(handles, lambda plain: _rest_turns(character, plain))
+    return by_limb(handles, lambda plain: _rest_to_reference(character, plain))
 
 
-def _rest_turns(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
+def _rest_to_reference(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
     reference, found = reference_body().handles, find_joints(character, handles)
-    turns = rest_rotations(handles, found, reference, estimated_reference_joints(), character.height)
+    rotations = rest_rotations(handles, found, reference, estimated_reference_joints(), character.height)
     for _ in range(PASSES):
-        joints = refined_joints(character, handles, found, turns)
-        turns = rest_rotations(handles, joints, reference, reference_joints(), character.height)
-    turns = flat_feet(character, handles, turns)
-    return turns, refined_joints(character, handles, found, turns)
+        joints = refined_joints(character, handles, found, rotations)
+        rotations = rest_rotations(handles, joints, reference, reference_joints(), character.height)
+    rotations = flat_feet(character, handles, rotations)
+    return rotations, refined_joints(character, handles, found, rotations)
 
 
-def stance_of(character: Character, handles: Handles, joints: Joints, turns: np.ndarray) -> tuple[Character, Handles]:
+def stance_of(
+    character: Character, handles: Handles, joints: Joints, to_reference: np.ndarray
+) -> tuple[Character, Handles]:
     """The character with every handle turned, every joint held and its root where it was, and its handles as they are
     there.
 
@@ -58,9 +60,9 @@ def stance_of(character: Character, handles: Handles, joints: Joints, turns: np.
         character: In its rest pose.
         handles: Its handles.
         joints: Where they meet.
-        turns: Turn of each handle, the identity for the root, shape (K, 3, 3).
+        to_reference: Turn of each handle, the identity for the root, shape (K, 3, 3).
     """
-    rotations, translations = attach_joints(turns[None].astype(np.float64), handles, joints)
+    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles, joints)
     still = np.zeros((1, 3)), np.eye(3)[None]
     motion = HandleMotion(translations, rotations, *still)
     vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]
@@ -70,18 +72,18 @@ def stance_of(character: Character, handles: Handles, joints: Joints, turns: np.
     )
 
 
-def flat_feet(character: Character, handles: Handles, turns: np.ndarray) -> np.ndarray:
+def flat_feet(character: Character, handles: Handles, rotations: np.ndarray) -> np.ndarray:
     """The turns with feet that go along with their shins where that, and not their rest pose, makes them stand flat,
     shape (K, 3, 3).
 
     Who crouches on the toes has feet that belong to the shins; who sits, or crouches on flat feet, has them on the
     ground already.
     """
-    out = turns.copy()
+    out = rotations.copy()
     areas = character.areas
     for side in ("left", "right"):
         foot = [HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot")]
-        shin = turns[HANDLE_NAMES.index(f"{side}_knee")]
+        shin = rotations[HANDLE_NAMES.index(f"{side}_knee")]
         own = character.surface & (handles.weights[:, foot].sum(axis=1) > 0.5)
         if own.sum() < 4 or np.allclose(shin, np.eye(3)):
             continue

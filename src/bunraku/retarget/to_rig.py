@@ -42,10 +42,10 @@ def fit_rig(motion: HandleMotion, character: Character | RigParts, stages: Stage
         parts.character,
         parts.handles,
         replace(stages or Stages(), shape=False),
-        rest=(parts.turns, parts.joints),
+        rest=(parts.rotations, parts.joints),
     )
-    turns, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
-    return _with_helpers(RigAnimation.of_world(parts.character, turns, positions, motion.fps, motion), parts)
+    rotations, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
+    return _with_helpers(RigAnimation.of_world(parts.character, rotations, positions, motion.fps, motion), parts)
 
 
 def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:

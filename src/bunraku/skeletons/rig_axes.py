@@ -34,18 +34,22 @@ def rig_axes(
             axes.
     """
     handles = handle_of_joints(names, parents)
-    places = {int(h): positions[handles == h].mean(axis=0) for h in np.unique(handles) if h != NO_HANDLE}
+    centres = {int(h): positions[handles == h].mean(axis=0) for h in np.unique(handles) if h != NO_HANDLE}
     ends = next(
-        ([places[a], places[b]] for a, b in zip(_FEET[::2], _FEET[1::2], strict=True) if a in places and b in places),
+        (
+            [centres[a], centres[b]]
+            for a, b in zip(_FEET[::2], _FEET[1::2], strict=True)
+            if a in centres and b in centres
+        ),
         None,
     )
-    if ends is None or any(top not in places for top in _TOPS):
+    if ends is None or any(top not in centres for top in _TOPS):
         return None
-    up = np.mean([places[top] for top in _TOPS], axis=0) - np.mean(ends, axis=0)
+    up = np.mean([centres[top] for top in _TOPS], axis=0) - np.mean(ends, axis=0)
     pairs = [
-        places[h] - places[m]
+        centres[h] - centres[m]
         for h, m in enumerate(HANDLE_MIRROR)
-        if HANDLE_NAMES[h].startswith("left_") and h in places and m in places
+        if HANDLE_NAMES[h].startswith("left_") and h in centres and m in centres
     ]
     lengths = np.linalg.norm(pairs, axis=1)
     left = np.sum(pairs, axis=0)

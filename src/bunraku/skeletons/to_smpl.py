@@ -25,7 +25,7 @@ from bunraku.geometry.rotations import (
 from bunraku.skeletons.joint_map import SkeletonMap
 from bunraku.skeletons.skeleton_map import map_skeleton
 
-__all__ = ["rest_is_a_pose", "to_smpl", "turns_of_rest"]
+__all__ = ["rest_is_a_pose", "to_smpl", "rotations_of_rest"]
 
 _J = {name: index for index, name in enumerate(JOINT_NAMES)}
 _CHILD = LIMB_CHILD | {3: 6, 6: 9, 9: 12, 12: 15, 7: 10, 8: 11, 13: 16, 14: 17}  # where a part points
@@ -52,15 +52,15 @@ def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> 
     found = skeleton_map or map_skeleton(motion.skeleton)
     world, positions = motion.world()
     rest = motion.skeleton.positions.astype(float)
-    turns = (
-        turns_of_rest(found, rest)
+    rotations = (
+        rotations_of_rest(found, rest)
         if rest_is_a_pose(motion.skeleton, found)
-        else _turns_of_motion(found, world, positions)
+        else _rotations_of_motion(found, world, positions)
     )
     out = np.empty((len(motion), JOINT_COUNT, 3, 3))
     for joint, parent in enumerate(JOINT_PARENTS):
         source = found.joints[joint]
-        out[:, joint] = world[:, source] @ turns[joint] if source >= 0 else out[:, parent]
+        out[:, joint] = world[:, source] @ rotations[joint] if source >= 0 else out[:, parent]
     offsets = _offsets(found, out, positions)
     parents = np.array(JOINT_PARENTS)
     return SkeletalMotion(
@@ -75,11 +75,11 @@ def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
     """Whether the rest pose is one that a body can take, its legs down from its trunk, and not all bones along an
     axis.
     """
-    places = skeleton.positions.astype(float)
-    up, across = _up(skeleton_map, places), _across(skeleton_map, places, ("hip",))
+    positions = skeleton.positions.astype(float)
+    up, across = _up(skeleton_map, positions), _across(skeleton_map, positions, ("hip",))
     legs = np.mean(
         [
-            places[skeleton_map.of(f"{side}_knee")] - places[skeleton_map.of(f"{side}_hip")]
+            positions[skeleton_map.of(f"{side}_knee")] - positions[skeleton_map.of(f"{side}_hip")]
             for side in ("left", "right")
         ],
         axis=0,
@@ -89,19 +89,19 @@ def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
     return bool(up @ legs < -0.3 * scale and wide)
 
 
-def _up(found: SkeletonMap, places: np.ndarray) -> np.ndarray:
+def _up(found: SkeletonMap, positions: np.ndarray) -> np.ndarray:
     """From between the hips to the neck, or to the highest part of the trunk that there is."""
     top = next(
         (found.of(name) for name in ("neck", "head", "spine3", "spine2", "spine1") if found.of(name) >= 0),
         found.joints[0],
     )
-    return np.asarray(places[top] - (places[found.of("left_hip")] + places[found.of("right_hip")]) / 2)
+    return np.asarray(positions[top] - (positions[found.of("left_hip")] + positions[found.of("right_hip")]) / 2)
 
 
-def _across(found: SkeletonMap, places: np.ndarray, parts: tuple[str, ...] = ("hip", "shoulder")) -> np.ndarray:
+def _across(found: SkeletonMap, positions: np.ndarray, parts: tuple[str, ...] = ("hip", "shoulder")) -> np.ndarray:
     """From right to left."""
     pairs = [(found.of(f"left_{part}"), found.of(f"right_{part}")) for part in parts]
-    return np.asarray(sum((places[a] - places[b] for a, b in pairs if min(a, b) >= 0), np.zeros(3)))
+    return np.asarray(sum((positions[a] - positions[b] for a, b in pairs if min(a, b) >= 0), np.zeros(3)))
 
 
 def _axes(across: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -111,16 +111,16 @@ def _axes(across: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.stack([axis / max(float(np.linalg.norm(axis)), 1e-12) for axis in axes], -1)
 
 
-def turns_of_rest(found: SkeletonMap, places: np.ndarray) -> np.ndarray:
+def rotations_of_rest(found: SkeletonMap, positions: np.ndarray) -> np.ndarray:
     """C of each joint from the rest pose, shape (22, 3, 3).
 
     Args:
         found: Which joints are which.
-        places: Positions of all joints in the rest pose [m], shape (J, 3).
+        positions: Positions of all joints in the rest pose [m], shape (J, 3).
     """
     known = reference_body()
     offsets = known.skeleton.offsets.astype(float)
-    up, across = _up(found, places), _across(found, places)
+    up, across = _up(found, positions), _across(found, positions)
     if up[1] > _UPRIGHT * np.linalg.norm(up):
         body = _axes(across * [1, 0, 1], np.array([0.0, 1, 0]))  # the slope of the spine is the body's build
         if body[0, 0] > _AHEAD:
@@ -133,13 +133,15 @@ def turns_of_rest(found: SkeletonMap, places: np.ndarray) -> np.ndarray:
         above = out[JOINT_PARENTS[joint]]
         out[joint] = above
         if found.joints[joint] >= 0 and found.joints[child] >= 0:
-            bone = places[found.joints[child]] - places[found.joints[joint]]
+            bone = positions[found.joints[child]] - positions[found.joints[joint]]
             out[joint] = rotation_between(above @ offsets[child], bone) @ above
     for side in ("left", "right"):
         out[_J[f"{side}_wrist"]] = out[_J[f"{side}_elbow"]]
         ankle, foot = _J[f"{side}_ankle"], _J[f"{side}_foot"]
         if min(found.joints[ankle], found.joints[foot]) >= 0:
-            out[[ankle, foot]] = _foot(places[found.joints[foot]] - places[found.joints[ankle]], body, offsets[foot])
+            out[[ankle, foot]] = _foot(
+                positions[found.joints[foot]] - positions[found.joints[ankle]], body, offsets[foot]
+            )
     return out
 
 
@@ -152,7 +154,7 @@ def _foot(bone: np.ndarray, body: np.ndarray, want: np.ndarray) -> np.ndarray:
     return rotation_between(plain - up * (up @ plain), bone - up * (up @ bone)) @ body
 
 
-def _turns_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def _rotations_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """C of each joint from the whole clip, shape (22, 3, 3)."""
     known = reference_body()
     identity = SkeletonMap(tuple(range(JOINT_COUNT)), ("",) * JOINT_COUNT)

@@ -127,7 +127,7 @@ def _teller(report: Callable[[str, float], None]) -> Callable[[BuildState], None
     """Progress as a bar, or, where there is no terminal, as a line now and then with the time left."""
     terminal, last = sys.stderr.isatty(), time.monotonic()
 
-    def tell(state: BuildState) -> None:
+    def progress(state: BuildState) -> None:
         nonlocal last
         report("apparel", (state.done + len(state.failed)) / max(state.shards, 1))
         if not terminal and time.monotonic() - last > EVERY and state.seconds_left is not None:
@@ -140,4 +140,4 @@ def _teller(report: Callable[[str, float], None]) -> Callable[[BuildState], None
                 flush=True,
             )
 
-    return tell
+    return progress

@@ -26,7 +26,7 @@ from bunraku.retarget.decimate import decimated
 from bunraku.retarget.stages.attach import Joints, downwards, reference_joints
 from bunraku.retarget.stages.ground import standing, stride_scale
 from bunraku.retarget.stages.rest_pose import upright
-from bunraku.retarget.stance import rest_turns, stance_of
+from bunraku.retarget.stance import rest_to_reference, stance_of
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
 
 __all__ = ["bank_row", "build_character_bank", "write_rows"]
@@ -141,9 +141,9 @@ def bank_row(character: Character, name: str, rig: Callable[[Character], Handles
     plain = replace(character, rig=None)
     handles = rig(plain)
     light, few = decimated(plain, handles)  # as `fit_motion` does
-    turns, joints = rest_turns(light, few)
-    stance = stance_of(light, few, joints, turns)
-    return _row(character, name, handles, turns, joints, stride_scale(*stance, standing(*stance)), seed)
+    rotations, joints = rest_to_reference(light, few)
+    stance = stance_of(light, few, joints, rotations)
+    return _row(character, name, handles, rotations, joints, stride_scale(*stance, standing(*stance)), seed)
 
 
 def _varied(character: Character, name: str, random: np.random.Generator) -> Character:
@@ -181,7 +181,13 @@ def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def _row(
-    character: Character, name: str, handles: Handles, turns: np.ndarray, joints: Joints, scale: float, seed: int = 0
+    character: Character,
+    name: str,
+    handles: Handles,
+    rotations: np.ndarray,
+    joints: Joints,
+    scale: float,
+    seed: int = 0,
 ) -> Row:
     random = np.random.default_rng([seed, len(character.vertices)])
     index, weights = _top(handles.weights)
@@ -199,7 +205,7 @@ def _row(
         "names": name, "split": "test" if name.partition("~")[0] in HELD_OUT else "train",
         "humanoid": bool(upright(handles) and present[_LIMBS].all()),
         "features": np.zeros(0) if handles.features is None else handles.features,
-        "handles": handles.positions, "roles": handles.played, "turns": turns, "joints": joints.positions,
+        "handles": handles.positions, "roles": handles.played, "rotations": rotations, "joints": joints.positions,
         "parents": joints.parents,
         "order": downwards(joints.parents), "present": present, "scale": scale, "extent": np.ptp(character.vertices,
         axis=0).max(),

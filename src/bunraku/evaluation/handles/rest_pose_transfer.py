@@ -126,11 +126,11 @@ def code_made_motions(seconds: float = 2.0) -> dict[str, HandleMotion]:
 
     def motion(joints: Mapping[str, tuple[str, np.ndarray | float]]) -> HandleMotion:
         body = reference_body()
-        turns = np.zeros((len(t), JOINT_COUNT, 3))
+        rotations = np.zeros((len(t), JOINT_COUNT, 3))
         for name, (axis, degrees) in joints.items():
-            turns[:, JOINT_NAMES.index(name), "xyz".index(axis)] = np.radians(degrees)
+            rotations[:, JOINT_NAMES.index(name), "xyz".index(axis)] = np.radians(degrees)
         root = np.tile(body.joints[0], (len(t), 1))
-        posed = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), root, RATE)
+        posed = SkeletalMotion(body.skeleton, matrix_from_axis_angle(rotations), root, RATE)
         root[:, 1] -= body.pose(posed)[..., 1].min(axis=1)  # the lower foot stands
         return handle_motion_of_body(SkeletalMotion(body.skeleton, posed.rotations, root, RATE))
 

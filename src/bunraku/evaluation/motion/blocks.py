@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 Clips = Mapping[str, Mapping[str, Any]]
-Tell = Callable[[float], None]
+Progress = Callable[[float], None]
 SCRIPT = (
     "a person walks forward", "a person turns around", "a person dances", "a person walks backwards",
     "a person waves with the right hand",
@@ -153,7 +153,7 @@ def seam_block(config: MotionEvalConfig) -> dict[str, float]:
     return out
 
 
-def handle_fid_block(config: MotionEvalConfig, count: int, tell: Tell) -> dict[str, float]:
+def handle_fid_block(config: MotionEvalConfig, count: int, progress: Progress) -> dict[str, float]:
     """Handle-FID of our model's motions, made for each body, and that of the real motions of other windows."""
     from bunraku.body.reference import reference_body
     from bunraku.evaluation.handles.fid import BODIES, body_handles, handle_fid
@@ -165,15 +165,15 @@ def handle_fid_block(config: MotionEvalConfig, count: int, tell: Tell) -> dict[s
     for number, shape in enumerate(BODIES):
         feature = mesh_feature(reference_body(shape).character())
         made[shape] = body_handles(_motions(config, windows, feature), shape)
-        tell((3 * number + 1) / (3 * len(BODIES)))
+        progress((3 * number + 1) / (3 * len(BODIES)))
         real[shape] = body_handles([window_features(clips, window) for window in windows], shape)
-        tell((3 * number + 2) / (3 * len(BODIES)))
+        progress((3 * number + 2) / (3 * len(BODIES)))
         again[shape] = body_handles([window_features(clips, window) for window in others], shape)
-        tell((3 * number + 3) / (3 * len(BODIES)))
+        progress((3 * number + 3) / (3 * len(BODIES)))
     return {"handle_fid": handle_fid(made, real), "handle_fid_real": handle_fid(again, real)}
 
 
-def foot_block(config: MotionEvalConfig, count: int, tell: Tell) -> dict[str, float]:
+def foot_block(config: MotionEvalConfig, count: int, progress: Progress) -> dict[str, float]:
     """Feet of generated motions of held-out sentences, on the reference body and on unseen humanoids of the characters'
     folder.
     """
@@ -182,10 +182,10 @@ def foot_block(config: MotionEvalConfig, count: int, tell: Tell) -> dict[str, fl
     characters = []
     if config.characters is not None:
         characters = load_named(chosen_files(config.characters, True, 8), config.characters, humanoids=True)[:4]
-    return foot_figures(_motions(config, _windows(config, count, 23)[1]), characters, tell)
+    return foot_figures(_motions(config, _windows(config, count, 23)[1]), characters, progress)
 
 
-def arap_block(config: MotionEvalConfig, quick: bool, tell: Tell) -> dict[str, float | None]:
+def arap_block(config: MotionEvalConfig, quick: bool, progress: Progress) -> dict[str, float | None]:
     """ARAP-Loss with and without the adaptation on seen and unseen characters.
 
     Raises:
@@ -196,13 +196,18 @@ def arap_block(config: MotionEvalConfig, quick: bool, tell: Tell) -> dict[str, f
     if config.characters is None:
         raise OptionError("--characters names no folder")
     files = [file for unseen in (False, True) for file in chosen_files(config.characters, unseen, 3 if quick else 15)]
-    characters = load_named(files, config.characters, tell=lambda done: tell(0.3 * done))
+    characters = load_named(files, config.characters, progress=lambda done: progress(0.3 * done))
     return arap_figures(
-        characters, config.checkpoint, 2 if quick else 6, config.steps, config.seed, lambda done: tell(0.3 + 0.7 * done)
+        characters,
+        config.checkpoint,
+        2 if quick else 6,
+        config.steps,
+        config.seed,
+        lambda done: progress(0.3 + 0.7 * done),
     )
 
 
-def creature_block(config: MotionEvalConfig, quick: bool, tell: Tell) -> dict[str, Any]:
+def creature_block(config: MotionEvalConfig, quick: bool, progress: Progress) -> dict[str, Any]:
     """What creatures that no training sees are told to do, by a classifier of real clips (see `creatures`).
 
     Raises:
@@ -230,7 +235,7 @@ def creature_block(config: MotionEvalConfig, quick: bool, tell: Tell) -> dict[st
             checkpoint=config.checkpoint,
         )
 
-    found = creature_accuracy(generate, config.data, features, progress=lambda done, total: tell(done / total))
+    found = creature_accuracy(generate, config.data, features, progress=lambda done, total: progress(done / total))
     return {
         "creature_accuracy": found["accuracy"],
         "creature_accuracy_real": found["real"]["accuracy"],

@@ -28,7 +28,7 @@ __all__ = ["Named", "arap_figures", "chosen_files", "foot_figures", "load_named"
 _log = logging.getLogger(__name__)
 
 Named = tuple[str, Character, Handles]
-Tell = Callable[[float], None]
+Progress = Callable[[float], None]
 
 
 def chosen_files(folder: Path, unseen: bool, count: int) -> list[Path]:
@@ -44,7 +44,9 @@ def chosen_files(folder: Path, unseen: bool, count: int) -> list[Path]:
     return [files[index] for index in np.linspace(0, len(files) - 1, count).round().astype(int)]
 
 
-def load_named(files: Sequence[Path], folder: Path, humanoids: bool = False, tell: Tell | None = None) -> list[Named]:
+def load_named(
+    files: Sequence[Path], folder: Path, humanoids: bool = False, progress: Progress | None = None
+) -> list[Named]:
     """Characters facing +Z with the handles that the predictor gives them; files that cannot be used are left out with
     a warning.
 
@@ -52,7 +54,7 @@ def load_named(files: Sequence[Path], folder: Path, humanoids: bool = False, tel
         files: Their files.
         folder: What their names are relative to.
         humanoids: Leave out all that are not.
-        tell: Called with the share done.
+        progress: Called with the share done.
     """
     found: list[Named] = []
     for done, file in enumerate(files, 1):
@@ -62,8 +64,8 @@ def load_named(files: Sequence[Path], folder: Path, humanoids: bool = False, tel
                 found.append((subject.name, subject.character, predict_handles(subject.character).top(4)))
         except BunrakuError as error:
             _log.warning("%s is left out: %s", file, error)
-        if tell is not None:
-            tell(done / len(files))
+        if progress is not None:
+            progress(done / len(files))
     return found
 
 
@@ -78,7 +80,7 @@ def mesh_features(folder: Path, names: Collection[str]) -> dict[str, np.ndarray]
 
 
 def arap_figures(
-    characters: Sequence[Named], checkpoint: Path | None, prompts: int, steps: int | None, seed: int, tell: Tell
+    characters: Sequence[Named], checkpoint: Path | None, prompts: int, steps: int | None, seed: int, progress: Progress
 ) -> dict[str, float | None]:
     """ARAP-Loss of generated motions with the adaptation, without, and the ratio of both, on seen and on unseen
     characters.
@@ -89,7 +91,7 @@ def arap_figures(
         steps=steps,
         seed=seed,
         checkpoint=checkpoint,
-        progress=lambda stage, done: tell(done),
+        progress=lambda stage, done: progress(done),
     )
     out: dict[str, float | None] = {}
     for unseen, word in ((False, "seen"), (True, "unseen")):
@@ -101,14 +103,14 @@ def arap_figures(
     return out
 
 
-def foot_figures(features: Sequence[np.ndarray], characters: Sequence[Named], tell: Tell) -> dict[str, float]:
+def foot_figures(features: Sequence[np.ndarray], characters: Sequence[Named], progress: Progress) -> dict[str, float]:
     """Sliding, sinking and jitter of generated motions on the reference body and on characters, with all stages and
     without them.
 
     Args:
         features: Motions of the reference body, each of shape (N, 271).
         characters: Further characters.
-        tell: Called with the share done.
+        progress: Called with the share done.
     """
     body = reference_body()
     everyone: list[Named] = [("reference", body.character(), body.handles), *characters]
@@ -117,7 +119,7 @@ def foot_figures(features: Sequence[np.ndarray], characters: Sequence[Named], te
     for done, (name, character, handles) in enumerate(everyone, 1):
         found = stage_effects(motions, {name: (character, handles)})
         rows.append({str(row["without"]): row for row in found if row["character"] == "all"})
-        tell(done / len(everyone))
+        progress(done / len(everyone))
     weights = np.array([float(row["nothing"]["down"]) for row in rows])
     weights = weights if weights.sum() else np.ones(len(rows))
 

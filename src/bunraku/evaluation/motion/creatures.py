@@ -185,7 +185,7 @@ class ActionClassifier:
         raw = np.stack([action_features(motion) for motion in motions])
         return np.column_stack([np.clip((raw - self.mean) / self.scale, -4, 4), np.ones(len(raw))])
 
-    def tell(self, motions: Sequence[HandleMotion]) -> list[str]:
+    def predict(self, motions: Sequence[HandleMotion]) -> list[str]:
         """The class of each motion."""
         return [CLASSES[index] for index in (self.inputs(motions) @ self.weights).argmax(axis=1)]
 
@@ -224,12 +224,12 @@ def train_classifier(cases: Sequence[CreatureCase]) -> ActionClassifier:
     return ActionClassifier(empty.mean, empty.scale, found.x.reshape(empty.weights.shape))
 
 
-def _table(cases: Sequence[CreatureCase], told: Sequence[str]) -> dict[str, Any]:
+def _table(cases: Sequence[CreatureCase], predicted: Sequence[str]) -> dict[str, Any]:
     """Share told rightly, overall ("accuracy"), as the mean over classes ("balanced"), and by class, with all
     confusions.
     """
     confusion = {name: dict.fromkeys(CLASSES, 0) for name in CLASSES}
-    for case, answer in zip(cases, told, strict=True):
+    for case, answer in zip(cases, predicted, strict=True):
         confusion[case.action][answer] += 1
     by_class = {name: row[name] / sum(row.values()) for name, row in confusion.items() if sum(row.values())}
     right = sum(confusion[name][name] for name in CLASSES)
@@ -245,7 +245,7 @@ def real_accuracy(classifier: ActionClassifier, cases: Sequence[CreatureCase]) -
     """How well the classifier tells real clips: `accuracy`, `balanced` (mean over classes), `by_class` and
     `confusion`.
     """
-    return _table(cases, classifier.tell([case.motion for case in cases]))
+    return _table(cases, classifier.predict([case.motion for case in cases]))
 
 
 def creature_accuracy(
@@ -280,13 +280,15 @@ def creature_accuracy(
     for case in held:
         asked.setdefault((case.character, case.action, case.text), case)
     cases = [case for case in asked.values() for _ in seeds]
-    told: list[str] = []
+    predicted: list[str] = []
     for number, case in enumerate(cases):
         motion = generate(case.text, features.get(case.character), seconds, seeds[number % len(seeds)])
-        told += classifier.tell([motion])
+        predicted += classifier.predict([motion])
         if progress:
             progress(number + 1, len(cases))
     wrong = [
-        (case.text, case.character, answer) for case, answer in zip(cases, told, strict=True) if answer != case.action
+        (case.text, case.character, answer)
+        for case, answer in zip(cases, predicted, strict=True)
+        if answer != case.action
     ]
-    return {**_table(cases, told), "real": real_accuracy(classifier, held), "clips": len(cases), "wrong": wrong}
+    return {**_table(cases, predicted), "real": real_accuracy(classifier, held), "clips": len(cases), "wrong": wrong}

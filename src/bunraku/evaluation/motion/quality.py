@@ -12,24 +12,19 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from bunraku.body.reference import reference_body
-from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points, skin
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.legs import find_legs
 from bunraku.retarget.stages.ground import standing
-from bunraku.retarget.stance import rest_turns, stance_of
+from bunraku.retarget.stance import rest_to_reference, stance_of
 
 __all__ = [
     "Gauge",
     "MotionQuality",
-    "foot_sliding",
     "gauge",
-    "jitter",
     "measure",
-    "penetration",
     "pooled",
     "stage_effects",
 ]
@@ -100,7 +95,7 @@ class MotionQuality:
 
 def gauge(character: Character, handles: Handles) -> Gauge:
     """What to measure on a character; the same for all its motions."""
-    turns, joints = rest_turns(character, handles)
+    turns, joints = rest_to_reference(character, handles)
     legs = find_legs(character, handles, joints)
     stands = np.flatnonzero(standing(*stance_of(character, handles, joints, turns)))
     floor = float(character.vertices[stands, 1].min())
@@ -149,11 +144,11 @@ def _depths(what: Gauge, transforms: np.ndarray) -> np.ndarray:
 
 
 def _jitter(what: Gauge, transforms: np.ndarray) -> float:
-    places = posed_points(transforms, what.handles.positions)
-    if len(places) < 4:
+    positions = posed_points(transforms, what.handles.positions)
+    if len(positions) < 4:
         return 0.0
     return float(
-        np.linalg.norm(np.diff(places[:, what.present].astype(np.float64), 3, axis=0), axis=-1).mean() * what.scale
+        np.linalg.norm(np.diff(positions[:, what.present].astype(np.float64), 3, axis=0), axis=-1).mean() * what.scale
     )
 
 
@@ -176,54 +171,6 @@ def measure(what: Gauge, motion: HandleMotion) -> MotionQuality:
         deepest=float(depths.max()),
         jitter=_jitter(what, transforms),
         frames=len(motion),
-    )
-
-
-def _of_reference(motion: HandleMotion | Animation) -> Animation:
-    if isinstance(motion, Animation):
-        return motion
-    body = reference_body()
-    return Animation(body.character(), body.handles, motion)
-
-
-def foot_sliding(motion: HandleMotion | Animation) -> float:
-    """Mean way of a foot along the ground while it is down, in centimetres a frame at human size.
-
-    A foot is down from one frame to the next where vertices of it are, in both, nearer to the ground than 5 % of the
-    leg's length; its way is the mean of those vertices'. A foot that moves faster than the body does, and than 1 m/s,
-    is swung forward low over the ground, as captured feet are in walking, and does not count.
-
-    Args:
-        motion: An animation, or a handle motion of the reference body.
-    """
-    animation = _of_reference(motion)
-    ways, slid, _ = _slides(
-        gauge(animation.character, animation.handles),
-        animation.motion.transforms(animation.handles.positions),
-        animation.motion.fps,
-    )
-    return float(ways[slid].mean()) if slid.any() else 0.0
-
-
-def penetration(motion: HandleMotion | Animation) -> float:
-    """Depth of the lowest vertex of all frames below the ground [% of the height]; of an animation, or a motion of the
-    reference body.
-    """
-    animation = _of_reference(motion)
-    return float(
-        _depths(
-            gauge(animation.character, animation.handles), animation.motion.transforms(animation.handles.positions)
-        ).max()
-    )
-
-
-def jitter(motion: HandleMotion | Animation) -> float:
-    """Mean third difference of the handles' places [cm at human size]; of an animation, or a motion of the reference
-    body.
-    """
-    animation = _of_reference(motion)
-    return _jitter(
-        gauge(animation.character, animation.handles), animation.motion.transforms(animation.handles.positions)
     )
 
 

@@ -20,7 +20,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points
 
-__all__ = ["SeamReport", "handle_places", "measure_loop", "measure_seams"]
+__all__ = ["SeamReport", "posed_positions", "measure_seams"]
 
 NEAR = 10  # frames
 
@@ -42,7 +42,7 @@ class SeamReport:
     jump_elsewhere: float
 
 
-def handle_places(motion: HandleMotion, positions: np.ndarray | None = None) -> np.ndarray:
+def posed_positions(motion: HandleMotion, positions: np.ndarray | None = None) -> np.ndarray:
     """World positions of the handles [m], shape (N, K, 3); of the reference body's unless rest positions (K, 3) are
     given.
     """
@@ -59,40 +59,13 @@ def measure_seams(motion: HandleMotion, seams: Sequence[int], positions: np.ndar
         seams: Frames at which another window or prompt takes over.
         positions: Rest positions of the handles [m], shape (K, 3); the reference body's by default.
     """
-    places = handle_places(motion, positions)
+    posed = posed_positions(motion, positions)
     found: list[float] = []
     for order in (1, 2):
-        rate = np.linalg.norm(np.diff(places, n=order, axis=0), axis=-1).mean(axis=1)
+        rate = np.linalg.norm(np.diff(posed, n=order, axis=0), axis=-1).mean(axis=1)
         near = np.zeros(len(rate), bool)
         for seam in seams:
             near[max(seam - NEAR, 0) : seam + NEAR] = True
         middle = max(float(np.median(rate)), 1e-9)
         found += [float(rate[part].max(initial=0)) / middle for part in (near, ~near)]
     return SeamReport(*found)
-
-
-def measure_loop(motion: HandleMotion, positions: np.ndarray | None = None) -> dict[str, float]:
-    """How well the end of a loop meets its start, apart from the way and the turn that a round makes.
-
-    Args:
-        motion: A loop: its last frame is the first of the next round.
-        positions: As in `measure_seams`.
-
-    Returns:
-        `pose` [m]: mean distance of the handles between the last pose and the first; `velocity`: how much the handles'
-        step changes where the rounds meet, over the median change inside the clip; `travel` [m]: the way over the
-        ground of a round.
-    """
-    from bunraku.core.travel import placed_at, repeated
-
-    here = placed_at(motion, len(motion) - 1, motion, 0)
-    first, last = handle_places(motion, positions)[0], handle_places(here, positions)[-1]
-    places = handle_places(repeated(motion, 0, 2), positions)
-    change = np.linalg.norm(np.diff(places, n=2, axis=0), axis=-1).mean(axis=1)
-    way = motion.root_translation[-1] - motion.root_translation[0]
-    at = len(motion) - 2
-    return {
-        "pose": float(np.linalg.norm(first - last, axis=-1).mean()),
-        "velocity": float(change[at] / max(float(np.median(change[:at])), 1e-9)),
-        "travel": float(np.hypot(way[0], way[2])),
-    }

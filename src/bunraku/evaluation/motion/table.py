@@ -213,11 +213,13 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     for name, (model, own_encoder) in loaded.items():
         digest = checkpoint_digest(models[name])
 
-        def tell(done: int, total: int, name: str = name) -> None:
+        def progress(done: int, total: int, name: str = name) -> None:
             report(f"motions of {name}", done / total)
 
         requests = [Request(window.sentence, window.frames) for window in windows]
-        motions = make_motions(model, own_encoder, requests, sampling, folder=config.work, digest=digest, progress=tell)
+        motions = make_motions(
+            model, own_encoder, requests, sampling, folder=config.work, digest=digest, progress=progress
+        )
         again = [Request(window.sentence, window.frames) for window in named for _ in range(config.repeats)]
         repeated = (
             make_motions(model, own_encoder, again, sampling, folder=config.work, digest=digest)
@@ -296,11 +298,11 @@ def _steps_ratio(
     count = min(config.reference_clips, len(windows))
     requests = [Request(window.sentence, window.frames) for window in windows[:count]]
 
-    def tell(done: int, total: int) -> None:
+    def progress(done: int, total: int) -> None:
         report(f"{sampling.steps} steps", done / total)
 
     motions = make_motions(
-        model, encoder, requests, sampling, folder=config.work, digest=checkpoint_digest(path), progress=tell
+        model, encoder, requests, sampling, folder=config.work, digest=checkpoint_digest(path), progress=progress
     )
     reference = fid(embed_motions(extractor, motions), references)
     here = fid(fast[:count], references)

@@ -145,7 +145,7 @@ def _sentences(clips: Mapping[str, Mapping[str, Any]]) -> set[str]:
 
 def train_extractor(
     config: ExtractorTrainConfig,
-    tell: Callable[[dict[str, float]], None] | None = None,
+    log: Callable[[dict[str, float]], None] | None = None,
     encoder: TextEncoder | None = None,
     report: Callable[[str, float], None] | None = None,
 ) -> Path:
@@ -153,7 +153,7 @@ def train_extractor(
 
     Args:
         config: The run.
-        tell: Called with a row of the log at each validation.
+        log: Called with a row of the log at each validation.
         encoder: In place of the built-in text encoder.
         report: Called with a stage's name and the share done.
 
@@ -183,7 +183,7 @@ def train_extractor(
         tops = retrieval_of(trainer.average, encoder, held, windows, candidates)
         return {"validation_candidates": candidates, "validation_top1": tops[0], "validation_top3": tops[2]}
 
-    return trainer.run(validate, tell, report)
+    return trainer.run(validate, log, report)
 
 
 def _validation(clips: Mapping[str, dict[str, Any]]) -> tuple[list[Window], int]:

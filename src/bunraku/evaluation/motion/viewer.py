@@ -17,7 +17,7 @@ from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.evaluation.motion.seams import handle_places
+from bunraku.evaluation.motion.seams import posed_positions
 from bunraku.geometry.extremes import part_extremes
 from bunraku.geometry.heading import heading
 from bunraku.language.track import SIDES, Track, runs
@@ -174,7 +174,7 @@ def moving_speed(motion: HandleMotion) -> float:
 
 def tremor(motion: HandleMotion) -> float:
     """Mean norm of the third difference of the places of a person's 22 parts from frame to frame [cm]."""
-    third = np.diff(handle_places(motion)[:, :JOINT_COUNT].astype(float), 3, axis=0)
+    third = np.diff(posed_positions(motion)[:, :JOINT_COUNT].astype(float), 3, axis=0)
     return 100 * float(np.linalg.norm(third, axis=-1).mean()) if len(third) else 0.0
 
 

@@ -76,10 +76,10 @@ def apparel_chains(character: Character, rig: ApparelRig) -> list[Chain]:
             parent, number = above[bodies[-1]]
             bodies.append(parent)
             joints.append(number)
-        places = [
+        positions = [
             link_place(character, rig, body, number) for body, number in zip(bodies[-2::-1], joints[::-1], strict=True)
         ] + [rig.bodies[end].position]
-        length = float(sum(np.linalg.norm(b - a) for a, b in zip(places[:-1], places[1:], strict=True)))
+        length = float(sum(np.linalg.norm(b - a) for a, b in zip(positions[:-1], positions[1:], strict=True)))
         if length > _SHORT:
             chains.append(Chain(tuple(bodies[::-1]), tuple(joints[::-1]), length))
     return chains
@@ -105,14 +105,14 @@ def chain_lengths(animation: RigAnimation, rig: ApparelRig, chains: list[Chain])
         rig: Its bodies and joints.
         chains: From `apparel_chains`.
     """
-    turns, places = animation.world()
+    rotations, positions = animation.world()
     skeleton = animation.character.rig
     assert skeleton is not None
     rest = skeleton.positions
     out = np.empty((len(animation), len(chains)))
 
     def carried(bone: int, point: np.ndarray) -> np.ndarray:
-        return np.asarray(places[:, bone] + turns[:, bone] @ (point - rest[bone]))
+        return np.asarray(positions[:, bone] + rotations[:, bone] @ (point - rest[bone]))
 
     gaps: dict[tuple[int, int, int], np.ndarray] = {}
     for column, chain in enumerate(chains):
@@ -129,11 +129,11 @@ def chain_lengths(animation: RigAnimation, rig: ApparelRig, chains: list[Chain])
 
 def body_speeds(animation: RigAnimation, rig: ApparelRig) -> np.ndarray:
     """How fast the centres of the dynamic bodies move from each frame to the next [m/s], shape (N - 1, D)."""
-    turns, places = animation.world()
+    rotations, positions = animation.world()
     skeleton = animation.character.rig
     assert skeleton is not None
     moving = [body for body in rig.bodies if body.dynamic and body.bone >= 0]
     bones = np.array([body.bone for body in moving], np.int64)
     offsets = np.array([body.position for body in moving]).reshape(-1, 3) - skeleton.positions[bones]
-    centres = places[:, bones] + np.einsum("ndab,db->nda", turns[:, bones], offsets)
+    centres = positions[:, bones] + np.einsum("ndab,db->nda", rotations[:, bones], offsets)
     return np.asarray(np.linalg.norm(np.diff(centres, axis=0), axis=-1) * animation.fps)

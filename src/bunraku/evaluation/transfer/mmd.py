@@ -92,7 +92,7 @@ def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dic
     """
     from bunraku.retarget.mmd.play import mmd_animation
 
-    places = mmd_animation(character, vmd).world()[1]
+    positions = mmd_animation(character, vmd).world()[1]
     out = []
     for name, toe_name in _goals(model).items():
         goal, toe_goal = model.bone(name), model.bone(toe_name)
@@ -100,18 +100,18 @@ def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dic
         if ik is None or len(ik.links) != 2:
             continue
         ankle, hip = ik.target, ik.links[1].bone
-        away = places[:, goal] - places[:, hip]
+        away = positions[:, goal] - positions[:, hip]
         distance = np.linalg.norm(away, axis=-1)
         reach = leg_reach(model, ik.links[0], hip, ankle)
-        gap = target = np.linalg.norm(places[:, ankle] - places[:, goal], axis=-1)
+        gap = target = np.linalg.norm(positions[:, ankle] - positions[:, goal], axis=-1)
         toe_ik = model.bones[toe_goal].ik if toe_goal >= 0 else None
         if toe_ik is not None:
-            line, toe = places[:, toe_goal] - places[:, goal], toe_ik.target
+            line, toe = positions[:, toe_goal] - positions[:, goal], toe_ik.target
             length = np.linalg.norm(model.positions[toe] - model.positions[ankle])
-            want = places[:, goal] + line * (length / np.maximum(np.linalg.norm(line, axis=-1), 1e-9))[:, None]
-            gap = np.maximum(gap, np.linalg.norm(places[:, toe] - want, axis=-1))
-        nearest = places[:, hip] + away * np.minimum(1, reach / np.maximum(distance, 1e-9))[:, None]
-        beyond = np.linalg.norm(places[:, ankle] - nearest, axis=-1)
+            want = positions[:, goal] + line * (length / np.maximum(np.linalg.norm(line, axis=-1), 1e-9))[:, None]
+            gap = np.maximum(gap, np.linalg.norm(positions[:, toe] - want, axis=-1))
+        nearest = positions[:, hip] + away * np.minimum(1, reach / np.maximum(distance, 1e-9))[:, None]
+        beyond = np.linalg.norm(positions[:, ankle] - nearest, axis=-1)
         out.append({"reached": distance <= reach + HAIR, "gap": gap, "beyond": beyond, "target": target})
     return out
 

@@ -81,11 +81,11 @@ def read_amass(path: Path, data: bytes) -> SkeletalMotion:
 
 def _in_our_pose(rotations: np.ndarray) -> np.ndarray:
     """Local rotations relative to SMPL's T-pose as ones relative to the reference body's, shape (N, 22, 3, 3)."""
-    from bunraku.body.smpl_rest import smpl_turns  # after the formats, in the order of imports
+    from bunraku.body.smpl_rest import smpl_rotations  # after the formats, in the order of imports
 
-    turns = smpl_turns()
-    above = turns[[max(parent, 0) for parent in JOINT_PARENTS]]
-    return np.asarray(np.swapaxes(above, -1, -2) @ rotations @ turns, np.float32)
+    rest_rotations = smpl_rotations()
+    above = rest_rotations[[max(parent, 0) for parent in JOINT_PARENTS]]
+    return np.asarray(np.swapaxes(above, -1, -2) @ rotations @ rest_rotations, np.float32)
 
 
 def _rows(path: Path, array: np.ndarray, name: str) -> np.ndarray:

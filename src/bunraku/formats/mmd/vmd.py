@@ -97,15 +97,6 @@ class VmdMotion:
         frames = np.arange(self.frame_count(fps)) * (VMD_FPS / fps)
         return {name: track.sample(frames) for name, track in self.bones.items() if bones is None or name in bones}
 
-    def ik_enabled(self, bone: str, frame: float) -> bool:
-        """Whether the inverse kinematics of a bone are on at a frame; they are where no key says otherwise."""
-        enabled = True
-        for start, states in self.switches:
-            if start > frame and bone in states:
-                break
-            enabled = states.get(bone, enabled)
-        return enabled
-
 
 def load_vmd(path: str | Path) -> VmdMotion:
     """Read a VMD file.

@@ -96,9 +96,9 @@ def write_points(
         meshes.append((piece, mesh.GetPointsAttr(), mesh.GetExtentAttr()))
     for start in range(0, len(moved.motion), CHUNK):
         for number, posed in enumerate(moved.vertices(slice(start, start + CHUNK)), start):
-            places = np.ascontiguousarray(frame.points(posed), np.float32)
+            positions = np.ascontiguousarray(frame.points(posed), np.float32)
             for piece, points, extent in meshes:
-                own = np.ascontiguousarray(places[piece.index])
+                own = np.ascontiguousarray(positions[piece.index])
                 points.Set(array(own), number)
                 extent.Set(array(np.stack([own.min(axis=0), own.max(axis=0)])), number)
     stage.SetDefaultPrim(root.GetPrim())
@@ -143,8 +143,8 @@ def _skinned(usd: dict[str, Any], stage: Any, root: str, animation: Animation, f
 
     skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
     skeleton.CreateJointsAttr(joints)
-    for make, places in ((skeleton.CreateBindTransformsAttr, h), (skeleton.CreateRestTransformsAttr, local)):
-        make(Vt.Matrix4dArray([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*place)) for place in places.tolist()]))
+    for make, positions in ((skeleton.CreateBindTransformsAttr, h), (skeleton.CreateRestTransformsAttr, local)):
+        make(Vt.Matrix4dArray([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*place)) for place in positions.tolist()]))
     clip = UsdSkel.Animation.Define(stage, f"{root}/Skeleton/Animation")
     clip.CreateJointsAttr(joints)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([clip.GetPath()])

@@ -105,8 +105,8 @@ def _motion(document: Document) -> SkeletalMotion:
     except np.linalg.LinAlgError:
         raise FormatError(document.path, "a bone has no extent at rest; the file is broken, export it again") from None
     local = local_rotations(world, parents)
-    places = rest[:, :3, 3]
-    offsets = places - np.where(parents[:, None] >= 0, places[np.maximum(parents, 0)], 0)
+    positions = rest[:, :3, 3]
+    offsets = positions - np.where(parents[:, None] >= 0, positions[np.maximum(parents, 0)], 0)
     if not np.isfinite(local).all():
         raise MotionError("joint rotations hold values that are not numbers")
     return SkeletalMotion(

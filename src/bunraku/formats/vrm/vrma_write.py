@@ -70,9 +70,9 @@ def _add_bones(builder: GltfBuilder, motion: SkeletalMotion) -> None:
 
     body, skeleton = reference_body(), motion.skeleton
     offsets = skeleton.offsets.astype(float)
-    places = skeleton.positions.astype(float) - skeleton.positions[0]
-    scale = leg_length(places) / leg_length(body.joints)
-    offsets[0] = [0, float(body.joints[:, 1].min()) * scale - float(places[:, 1].min()), 0]
+    positions = skeleton.positions.astype(float) - skeleton.positions[0]
+    scale = leg_length(positions) / leg_length(body.joints)
+    offsets[0] = [0, float(body.joints[:, 1].min()) * scale - float(positions[:, 1].min()), 0]
     for joint, name in enumerate(skeleton.names):
         children = [int(child) for child in np.flatnonzero(skeleton.parents == joint)]
         node: dict[str, Any] = {"name": VRM_BONES[name], "translation": offsets[joint].astype(np.float32).tolist()}

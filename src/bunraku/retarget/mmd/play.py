@@ -4,8 +4,6 @@ can take.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
 import numpy as np
 
 from bunraku.core.character import Character
@@ -19,7 +17,7 @@ from bunraku.skeletons.joint_map import SkeletonMap
 from bunraku.skeletons.mmd_names import mmd_skeleton_map
 from bunraku.skeletons.to_smpl import to_smpl
 
-__all__ = ["mmd_animation", "mmd_poses_to_smpl", "mmd_vertices", "model_of", "play_vmd", "standard_bones"]
+__all__ = ["mmd_animation", "mmd_poses_to_smpl", "model_of", "play_vmd", "standard_bones"]
 
 MOST_TRANSFORMS = 20_000_000  # of all bones in all frames: 1 GB
 
@@ -105,28 +103,6 @@ def _switched(vmd: VmdMotion, name: str, frames: np.ndarray) -> np.ndarray:
         if name in states:
             out[frames >= start] = states[name]
     return out
-
-
-def mmd_vertices(
-    character: Character, poses: MmdPoses, frames: Sequence[int] | np.ndarray | None = None
-) -> Iterator[np.ndarray]:
-    """Posed vertices [m] of one frame after the other, each (V, 3), float32; SDEF is taken as a blend of two bones.
-
-    Args:
-        character: That was read from the model.
-        poses: Of its model.
-        frames: Which frames; all by default.
-    """
-    from scipy.sparse import csr_matrix
-
-    rig = character.rig
-    assert rig is not None
-    rows = np.repeat(np.arange(len(rig.indices)), rig.indices.shape[1])
-    blend = csr_matrix((rig.weights.ravel(), (rows, rig.indices.ravel())), (len(rig.indices), len(rig.names)))
-    transforms = poses.transforms()
-    for frame in range(len(poses)) if frames is None else frames:
-        matrices = np.asarray(blend @ transforms[frame].reshape(-1, 12)).reshape(-1, 3, 4)
-        yield np.einsum("vij,vj->vi", matrices[:, :, :3], character.vertices) + matrices[:, :, 3]
 
 
 def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:

@@ -83,13 +83,13 @@ def pose_mmd(
         state = _State(model, stop - start)
         for name, (moved, turned) in tracks.items():
             if name in known:
-                state.keyed_moves[:, known[name]], state.keyed_turns[:, known[name]] = (
+                state.keyed_moves[:, known[name]], state.keyed_rotations[:, known[name]] = (
                     moved[start:stop],
                     turned[start:stop],
                 )
         switches = {name: np.asarray(on)[start:stop] for name, on in (ik or {}).items()}
         state.solve(switches)
-        rotations[start:stop], positions[start:stop] = state.turns, state.places
+        rotations[start:stop], positions[start:stop] = state.rotations, state.positions
     return MmdPoses(model, rotations, positions, fps)
 
 
@@ -106,16 +106,16 @@ class _State:
             if parent >= 0:
                 self.children[parent].append(bone)
         self.keyed_moves = np.zeros((frames, count, 3))
-        self.keyed_turns = np.tile(np.eye(3), (frames, count, 1, 1))
+        self.keyed_rotations = np.tile(np.eye(3), (frames, count, 1, 1))
         self.solved: dict[int, np.ndarray] = {}  # what inverse kinematics add to the keys of a link
-        self.taken_turns: dict[int, np.ndarray] = {}
+        self.taken_rotations: dict[int, np.ndarray] = {}
         self.taken_moves: dict[int, np.ndarray] = {}
 
     def solve(self, switches: Mapping[str, np.ndarray]) -> None:
         """World rotations and places from the keys."""
         bones = self.model.bones
-        self.local, self.moves = self.keyed_turns.copy(), self.keyed_moves.copy()
-        self.turns, self.places = np.empty_like(self.local), np.empty_like(self.moves)
+        self.local, self.moves = self.keyed_rotations.copy(), self.keyed_moves.copy()
+        self.rotations, self.positions = np.empty_like(self.local), np.empty_like(self.moves)
         for root in np.flatnonzero(self.parents < 0):
             self._carry(int(root))
         for bone in self.model.order:
@@ -125,7 +125,7 @@ class _State:
             ik = bones[bone].ik
             if ik is not None:
                 on = switches.get(bones[bone].name)
-                chosen = np.arange(len(self.places)) if on is None else np.flatnonzero(on)
+                chosen = np.arange(len(self.positions)) if on is None else np.flatnonzero(on)
                 if len(chosen) and ik.links:
                     self._reach(bone, ik, chosen)
 
@@ -141,11 +141,11 @@ class _State:
         parent = self.parents[bone]
         offset = self.offsets[bone] + self.moves[chosen, bone]
         if parent < 0:
-            self.turns[chosen, bone], self.places[chosen, bone] = self.local[chosen, bone], offset
+            self.rotations[chosen, bone], self.positions[chosen, bone] = self.local[chosen, bone], offset
         else:
-            above = self.turns[chosen, parent]
-            self.turns[chosen, bone] = above @ self.local[chosen, bone]
-            self.places[chosen, bone] = self.places[chosen, parent] + (above @ offset[..., None])[..., 0]
+            above = self.rotations[chosen, parent]
+            self.rotations[chosen, bone] = above @ self.local[chosen, bone]
+            self.positions[chosen, bone] = self.positions[chosen, parent] + (above @ offset[..., None])[..., 0]
 
     def _take_over(self, bone: int) -> None:
         """What a bone takes of another: of its keys and inverse kinematics, or, where that one takes over itself, of
@@ -158,9 +158,9 @@ class _State:
             if append.local:
                 turn = self.local[:, source]
             else:
-                turn = self.taken_turns.get(source, self.keyed_turns[:, source])
+                turn = self.taken_rotations.get(source, self.keyed_rotations[:, source])
                 turn = self.solved[source] @ turn if source in self.solved else turn
-            self.taken_turns[bone] = (
+            self.taken_rotations[bone] = (
                 matrix_from_axis_angle(append.ratio * axis_angle_from_matrix(turn)) if append.ratio != 1 else turn
             )
         if append.translation:
@@ -170,9 +170,9 @@ class _State:
 
     def _compose(self, bone: int) -> None:
         """Local transform from keys, inverse kinematics and what is taken over."""
-        turn = self.keyed_turns[:, bone]
+        turn = self.keyed_rotations[:, bone]
         turn = self.solved[bone] @ turn if bone in self.solved else turn
-        self.local[:, bone] = turn @ self.taken_turns[bone] if bone in self.taken_turns else turn
+        self.local[:, bone] = turn @ self.taken_rotations[bone] if bone in self.taken_rotations else turn
         self.moves[:, bone] = self.keyed_moves[:, bone] + self.taken_moves.get(bone, 0)
 
     def _reach(self, goal: int, ik: MmdIk, chosen: np.ndarray) -> None:
@@ -187,7 +187,7 @@ class _State:
         before = {link.bone: self.local[:, link.bone].copy() for link in links}
         planes = {link.bone: axis for link in links if (axis := _hinge(link)) is not None}
         angles = {bone: np.zeros(len(chosen)) for bone in planes}
-        where = self.places[chosen, goal]
+        where = self.positions[chosen, goal]
         for bone in planes:  # hinges start from rest, whatever their keys say
             self.local[chosen, bone] = np.eye(3)
         self._refresh(below[links[-1].bone], chosen)
@@ -203,7 +203,7 @@ class _State:
             for link in links:
                 self._step(link, planes.get(link.bone), angles, ik, where, loop, chosen)
                 self._refresh(below[link.bone], chosen)
-            if np.linalg.norm(self.places[chosen, ik.target] - where, axis=-1).max() < NEAR:
+            if np.linalg.norm(self.positions[chosen, ik.target] - where, axis=-1).max() < NEAR:
                 break
         for bone in before:
             self._keep(bone, before[bone])
@@ -211,7 +211,7 @@ class _State:
 
     def _keep(self, bone: int, before: np.ndarray) -> None:
         """Remember what inverse kinematics did to a link, for bones that take over of it."""
-        taken = self.taken_turns.get(bone)
+        taken = self.taken_rotations.get(bone)
         keyed = before if taken is None else before @ np.swapaxes(taken, -1, -2)
         now = self.local[:, bone] if taken is None else self.local[:, bone] @ np.swapaxes(taken, -1, -2)
         solved = now @ np.swapaxes(keyed, -1, -2)
@@ -234,15 +234,15 @@ class _State:
         """Turn a knee to the angle at which the target is as far from the hip as the goal is."""
         knee, hip = links[0].bone, links[1].bone
         assert links[0].lower is not None and links[0].upper is not None
-        frame = self.turns[chosen, knee]  # at rest, so its parent's
-        thigh = _into(frame, self.places[chosen, knee] - self.places[chosen, hip])
-        shin = _into(frame, self.places[chosen, target] - self.places[chosen, knee])
+        frame = self.rotations[chosen, knee]  # at rest, so its parent's
+        thigh = _into(frame, self.positions[chosen, knee] - self.positions[chosen, hip])
+        shin = _into(frame, self.positions[chosen, target] - self.positions[chosen, knee])
         y, z = (axis + 1) % 3, (axis + 2) % 3
         along = thigh[:, y] * shin[:, y] + thigh[:, z] * shin[:, z]
         across = thigh[:, z] * shin[:, y] - thigh[:, y] * shin[:, z]
-        want = (((where - self.places[chosen, hip]) ** 2).sum(-1) - (thigh**2).sum(-1) - (shin**2).sum(-1)) / 2 - thigh[
-            :, axis
-        ] * shin[:, axis]
+        want = (
+            ((where - self.positions[chosen, hip]) ** 2).sum(-1) - (thigh**2).sum(-1) - (shin**2).sum(-1)
+        ) / 2 - thigh[:, axis] * shin[:, axis]
         spread = np.arccos(np.clip(want / np.maximum(np.hypot(along, across), 1e-12), -1, 1))
         middle = np.arctan2(across, along)
         low, high = float(links[0].lower[axis]), float(links[0].upper[axis])
@@ -264,8 +264,8 @@ class _State:
         chosen: np.ndarray,
     ) -> None:
         """One step of the descent: turn a link so that the target comes as near to the goal as it can."""
-        bone, frame, place = link.bone, self.turns[chosen, link.bone], self.places[chosen, link.bone]
-        now, want = _into(frame, self.places[chosen, ik.target] - place), _into(frame, where - place)
+        bone, frame, place = link.bone, self.rotations[chosen, link.bone], self.positions[chosen, link.bone]
+        now, want = _into(frame, self.positions[chosen, ik.target] - place), _into(frame, where - place)
         if axis is not None and link.lower is not None and link.upper is not None:
             y, z = (axis + 1) % 3, (axis + 2) % 3
             turn = np.arctan2(

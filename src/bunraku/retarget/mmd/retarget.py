@@ -1,6 +1,6 @@
 """Onto the bones of MMD models: the motion of SMPL's 22 joints, and any animation of a model's rig, as keys for a VMD.
 
-A model rests in an A-pose and SMPL in a T-pose. With C the turns of `turns_of_rest`, which take the T-pose to the
+A model rests in an A-pose and SMPL in a T-pose. With C the turns of `rotations_of_rest`, which take the T-pose to the
 model's rest pose, a bone's world rotation is `W = W_smpl C^T`, the way back of `to_smpl`. The centre bone carries the
 pelvis and the path, so both halves of the trunk start from it; the path is scaled by the ratio of leg lengths. Inverse
 kinematics of legs are off, since rotations say it all.
@@ -23,13 +23,12 @@ from bunraku.formats.mmd.vmd_write import MmdClip
 from bunraku.geometry.resampling import Resampling
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.retarget.mmd.play import model_of, standard_bones
-from bunraku.retarget.mmd.pose import pose_mmd
 from bunraku.skeletons.bone_words import plain_name
 from bunraku.skeletons.joint_map import SkeletonMap
 from bunraku.skeletons.mmd_names import MMD_CENTRES, mmd_skeleton_map
-from bunraku.skeletons.to_smpl import turns_of_rest
+from bunraku.skeletons.to_smpl import rotations_of_rest
 
-__all__ = ["mmd_clip", "mmd_motion", "settle_mmd"]
+__all__ = ["mmd_clip", "mmd_motion"]
 
 _J = {name: index for index, name in enumerate(JOINT_NAMES)}
 _LEGS = ("left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle")
@@ -55,21 +54,23 @@ def mmd_motion(target: Character | MmdModel, motion: SkeletalMotion) -> MmdClip:
     motion = resample_motion(motion, VMD_FPS)
     wanted, centre = _wanted(model, found, motion)
     parents, rest = model.parents, model.positions
-    turns = np.tile(np.eye(3), (len(motion), len(parents), 1, 1))
-    places = np.broadcast_to(rest, (len(motion), *rest.shape)).copy()
+    joint_rotations = np.tile(np.eye(3), (len(motion), len(parents), 1, 1))
+    positions = np.broadcast_to(rest, (len(motion), *rest.shape)).copy()
     local: dict[int, np.ndarray] = {}
     for bone in bone_order(parents):
         parent = int(parents[bone])
-        above = turns[:, parent] if parent >= 0 else np.eye(3)
+        above = joint_rotations[:, parent] if parent >= 0 else np.eye(3)
         if bone in wanted:
             local[bone] = np.swapaxes(above, -1, -2) @ wanted[bone]
-            turns[:, bone] = wanted[bone]
+            joint_rotations[:, bone] = wanted[bone]
         else:
-            turns[:, bone] = above
+            joint_rotations[:, bone] = above
         if parent >= 0:
-            places[:, bone] = places[:, parent] + np.einsum("nij,j->ni", turns[:, parent], rest[bone] - rest[parent])
+            positions[:, bone] = positions[:, parent] + np.einsum(
+                "nij,j->ni", joint_rotations[:, parent], rest[bone] - rest[parent]
+            )
     hips = [found.of("left_hip"), found.of("right_hip")]
-    shift = _hips(model, found, motion) - places[:, hips].mean(axis=1)
+    shift = _hips(model, found, motion) - positions[:, hips].mean(axis=1)
     still = np.zeros_like(shift)
     bones = {model.names[bone]: (shift if bone == centre else still, rotations) for bone, rotations in local.items()}
     return MmdClip(bones, model.name, _leg_goals(model))
@@ -78,7 +79,7 @@ def mmd_motion(target: Character | MmdModel, motion: SkeletalMotion) -> MmdClip:
 def _wanted(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> tuple[dict[int, np.ndarray], int]:
     """World rotation of each bone that plays a part, shape (N, 3, 3), and the bone that carries the body."""
     world = motion.world()[0].astype(float)
-    back = np.swapaxes(turns_of_rest(found, model.positions), -1, -2)
+    back = np.swapaxes(rotations_of_rest(found, model.positions), -1, -2)
     out = {bone: world[:, joint] @ back[joint] for joint, bone in enumerate(found.joints) if bone >= 0}
     line = line_up(found.of("pelvis"), model.parents)
     named = {plain_name(model.names[bone]): bone for bone in line}
@@ -129,46 +130,26 @@ def mmd_clip(animation: RigAnimation) -> MmdClip:
     return MmdClip(_keys(model, rotations, translations), model.name, _leg_goals(model))
 
 
-def settle_mmd(animation: RigAnimation) -> RigAnimation:
-    """The animation with the bones that MMD moves by itself: what takes over of others, and inverse kinematics of all
-    but legs.
-
-    Twist bones, sleeves and second legs of a model follow what a retargeted motion does to their sources.
-
-    Args:
-        animation: Of a character that was read from a PMX or PMD file.
-
-    Raises:
-        MotionError: The character is no MMD model.
-    """
-    model, frames = model_of(animation.character), len(animation)
-    tracks = _keys(model, animation.rotations.astype(float), animation.translations.astype(float))
-    off = _leg_goals(model)
-    switches = {bone.name: np.full(frames, bone.name not in off) for bone in model.bones if bone.ik is not None}
-    poses = pose_mmd(model, tracks, switches, frames=frames, fps=animation.fps)
-    return RigAnimation.of_world(
-        animation.character, poses.rotations, poses.positions, animation.fps, animation.reference
-    )
-
-
 def _keys(model: MmdModel, rotations: np.ndarray, translations: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Keys of the bones that move, from how each stands on its parent: rotations (N, B, 3, 3) and translations (N, B,
     3).
     """
-    keyed_turns, keyed_moves = rotations.copy(), translations.copy()
+    keyed_rotations, keyed_moves = rotations.copy(), translations.copy()
     still = _still(rotations, translations)
-    keyed_turns[:, still], keyed_moves[:, still] = np.eye(3), 0
-    taken_turns: dict[int, np.ndarray] = {}
+    keyed_rotations[:, still], keyed_moves[:, still] = np.eye(3), 0
+    taken_rotations: dict[int, np.ndarray] = {}
     taken_moves: dict[int, np.ndarray] = {}
     for bone in model.order:
         append = model.bones[bone].append
         if append is not None and append.rotation:
             source = (
-                rotations[:, append.bone] if append.local else taken_turns.get(append.bone, keyed_turns[:, append.bone])
+                rotations[:, append.bone]
+                if append.local
+                else taken_rotations.get(append.bone, keyed_rotations[:, append.bone])
             )
-            taken_turns[bone] = matrix_from_axis_angle(append.ratio * axis_angle_from_matrix(source))
+            taken_rotations[bone] = matrix_from_axis_angle(append.ratio * axis_angle_from_matrix(source))
             if not still[bone]:
-                keyed_turns[:, bone] = rotations[:, bone] @ np.swapaxes(taken_turns[bone], -1, -2)
+                keyed_rotations[:, bone] = rotations[:, bone] @ np.swapaxes(taken_rotations[bone], -1, -2)
         if append is not None and append.translation:
             move = (
                 translations[:, append.bone]
@@ -178,8 +159,8 @@ def _keys(model: MmdModel, rotations: np.ndarray, translations: np.ndarray) -> d
             taken_moves[bone] = append.ratio * move
             if not still[bone]:
                 keyed_moves[:, bone] = translations[:, bone] - taken_moves[bone]
-    moving = np.flatnonzero(~_still(keyed_turns, keyed_moves))
-    return {model.names[bone]: (keyed_moves[:, bone], keyed_turns[:, bone]) for bone in moving}
+    moving = np.flatnonzero(~_still(keyed_rotations, keyed_moves))
+    return {model.names[bone]: (keyed_moves[:, bone], keyed_rotations[:, bone]) for bone in moving}
 
 
 def _still(rotations: np.ndarray, translations: np.ndarray) -> np.ndarray:

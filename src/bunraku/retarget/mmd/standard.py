@@ -47,9 +47,9 @@ def vmd_motion(
 @lru_cache(maxsize=1)
 def standard_model() -> MmdModel:
     """A model without a mesh: the standard bones with the inverse kinematics of legs and toes, in an A-pose."""
-    places = _a_pose()
-    hips = (places[_J["left_hip"]] + places[_J["right_hip"]]) / 2
-    waist = np.array([0, places[_J["spine1"], 1], hips[2]])
+    positions = _a_pose()
+    hips = (positions[_J["left_hip"]] + positions[_J["right_hip"]]) / 2
+    waist = np.array([0, positions[_J["spine1"], 1], hips[2]])
     bones: list[MmdBone] = []
     number: dict[str, int] = {}
 
@@ -72,9 +72,9 @@ def standard_model() -> MmdModel:
     add("グルーブ", np.array([0, _CENTRE, 0]), "センター", True)
     add("腰", waist, "グルーブ", True)
     add("上半身", waist, "腰")
-    add("上半身2", places[_J["spine3"]], "上半身")
-    add("首", places[_J["neck"]], "上半身2")
-    add("頭", places[_J["head"]], "首")
+    add("上半身2", positions[_J["spine3"]], "上半身")
+    add("首", positions[_J["neck"]], "上半身2")
+    add("頭", positions[_J["head"]], "首")
     add("下半身", waist, "腰")
     for mark, side in (("左", "left"), ("右", "right")):
         for name, joint, parent in (
@@ -83,11 +83,13 @@ def standard_model() -> MmdModel:
             ("ひじ", "elbow", "腕捩"),
             ("手首", "wrist", "手捩"),
         ):
-            add(mark + name, places[_J[f"{side}_{joint}"]], parent if parent in number else mark + parent)
+            add(mark + name, positions[_J[f"{side}_{joint}"]], parent if parent in number else mark + parent)
             twist = {"腕": ("腕捩", "elbow"), "ひじ": ("手捩", "wrist")}.get(name)
             if twist:  # half way down the limb, turned by keys of its own
                 add(
-                    mark + twist[0], (places[_J[f"{side}_{joint}"]] + places[_J[f"{side}_{twist[1]}"]]) / 2, mark + name
+                    mark + twist[0],
+                    (positions[_J[f"{side}_{joint}"]] + positions[_J[f"{side}_{twist[1]}"]]) / 2,
+                    mark + name,
                 )
         for name, joint, parent in (
             ("足", "hip", "下半身"),
@@ -95,8 +97,8 @@ def standard_model() -> MmdModel:
             ("足首", "ankle", "ひざ"),
             ("つま先", "foot", "足首"),
         ):
-            add(mark + name, places[_J[f"{side}_{joint}"]], parent if parent in number else mark + parent)
-        ankle, toe = places[_J[f"{side}_ankle"]], places[_J[f"{side}_foot"]]
+            add(mark + name, positions[_J[f"{side}_{joint}"]], parent if parent in number else mark + parent)
+        ankle, toe = positions[_J[f"{side}_ankle"]], positions[_J[f"{side}_foot"]]
         links = (MmdIkLink(number[mark + "ひざ"], *_KNEE), MmdIkLink(number[mark + "足"]))
         add(mark + "足IK親", ankle * [1, 0, 1], "全ての親", True)
         add(mark + "足ＩＫ", ankle, mark + "足IK親", True, MmdIk(number[mark + "足首"], 40, 2.0, links))
@@ -124,12 +126,12 @@ def standard_model() -> MmdModel:
 def _a_pose() -> np.ndarray:
     """Joints of the reference body with its hips where MMD has them and its arms hanging [m], shape (22, 3)."""
     joints = reference_body().joints.astype(float)
-    places = joints * _HIPS / joints[[_J["left_hip"], _J["right_hip"]], 1].mean()
-    places -= [0, 0, places[[_J["left_hip"], _J["right_hip"]], 2].mean()]
+    positions = joints * _HIPS / joints[[_J["left_hip"], _J["right_hip"]], 1].mean()
+    positions -= [0, 0, positions[[_J["left_hip"], _J["right_hip"]], 2].mean()]
     for side, sign in (("left", 1), ("right", -1)):
-        shoulder = places[_J[f"{side}_shoulder"]].copy()
+        shoulder = positions[_J[f"{side}_shoulder"]].copy()
         cos, sin = np.cos(_ARMS), -sign * np.sin(_ARMS)
         turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
         for part in ("elbow", "wrist"):
-            places[_J[f"{side}_{part}"]] = shoulder + turn @ (places[_J[f"{side}_{part}"]] - shoulder)
-    return places
+            positions[_J[f"{side}_{part}"]] = shoulder + turn @ (positions[_J[f"{side}_{part}"]] - shoulder)
+    return positions

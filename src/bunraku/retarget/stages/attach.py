@@ -100,7 +100,7 @@ def _between(vertices: np.ndarray, mass: np.ndarray, other: np.ndarray) -> np.nd
     return np.asarray(0.5 * (sides[0] + sides[1]))
 
 
-def refined_joints(character: Character, handles: Handles, joints: Joints, turns: np.ndarray) -> Joints:
+def refined_joints(character: Character, handles: Handles, joints: Joints, rotations: np.ndarray) -> Joints:
     """Joints as they are where the rest pose has been bent: estimates of `find_joints` rid of what the bend and the
     estimate add.
 
@@ -112,7 +112,7 @@ def refined_joints(character: Character, handles: Handles, joints: Joints, turns
         character: In its rest pose.
         handles: Its handles.
         joints: The estimate.
-        turns: Turn of each handle from the rest pose to the reference body's, shape (K, 3, 3).
+        rotations: Turn of each handle from the rest pose to the reference body's, shape (K, 3, 3).
     """
     body, estimated = reference_body(), estimated_reference_joints()
     centres = body.handles.positions
@@ -124,21 +124,21 @@ def refined_joints(character: Character, handles: Handles, joints: Joints, turns
         if not joints.present[handle] or parent != HANDLE_PARENTS[handle]:
             continue
         j = joints.positions[handle]
-        own = turns[handle] @ (h[handle] - j) + turns[parent] @ (j - h[parent])
+        own = rotations[handle] @ (h[handle] - j) + rotations[parent] @ (j - h[parent])
         size = float(np.linalg.norm(own) / np.linalg.norm(centres[handle] - centres[parent]))
         offset = (estimated.positions[handle] - body.joints[handle]) * size
-        unbent = _unbent(character, handles, areas, (handle, parent), turns, j)
+        unbent = _unbent(character, handles, areas, (handle, parent), rotations, j)
         if unbent is None:  # the parts do not overlap
-            positions[handle] -= 0.5 * (turns[handle] + turns[parent]).T @ offset
+            positions[handle] -= 0.5 * (rotations[handle] + rotations[parent]).T @ offset
             continue
         where, unbend, mass = unbent
         unbend *= (mass / mass.sum())[:, None, None]
         centre = np.einsum("vij,vj->i", unbend, character.vertices[where].astype(np.float64))
         positions[handle] = np.linalg.solve(unbend.sum(axis=0), centre - offset)
-    return replace(joints, positions=_bent_hips(positions, joints.present, h, turns))
+    return replace(joints, positions=_bent_hips(positions, joints.present, h, rotations))
 
 
-def _bent_hips(positions: np.ndarray, present: np.ndarray, h: np.ndarray, turns: np.ndarray) -> np.ndarray:
+def _bent_hips(positions: np.ndarray, present: np.ndarray, h: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """Joint positions with hips that are bent put most of the way to where the thigh, from its knee to its middle, says
     that they are, shape (K, 3).
 
@@ -150,9 +150,9 @@ def _bent_hips(positions: np.ndarray, present: np.ndarray, h: np.ndarray, turns:
     for side in ("left", "right"):
         hip, knee = HANDLE_NAMES.index(f"{side}_hip"), HANDLE_NAMES.index(f"{side}_knee")
         if present[[hip, knee]].all():
-            bend = np.degrees(np.linalg.norm(axis_angle_from_matrix(turns[hip])))
+            bend = np.degrees(np.linalg.norm(axis_angle_from_matrix(rotations[hip])))
             size = np.linalg.norm(h[hip] - positions[knee]) / np.linalg.norm(centres[hip] - body.joints[knee])
-            thigh = positions[knee] + turns[hip].T @ (body.joints[hip] - body.joints[knee]) * size
+            thigh = positions[knee] + rotations[hip].T @ (body.joints[hip] - body.joints[knee]) * size
             out[hip] += HIP_BY_THIGH * np.interp(bend, [30, 60], [0, 1]) * (thigh - positions[hip])
     return out
 
@@ -162,7 +162,7 @@ def _unbent(
     handles: Handles,
     areas: np.ndarray,
     pair: tuple[int, int],
-    turns: np.ndarray,
+    rotations: np.ndarray,
     joint: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """The vertices of which a handle and its parent both hold a share, shape (n,), what bends each of them back, shape
@@ -179,7 +179,9 @@ def _unbent(
     faces = character.faces[near[character.faces].any(axis=1)]
     touched = np.unique(faces)
     share[touched] = np.where(near[touched], share[touched], own[touched] > above[touched])
-    blend = (1 - share[touched])[:, None, None] * turns[parent].T + share[touched][:, None, None] * turns[handle].T
+    blend = (1 - share[touched])[:, None, None] * rotations[parent].T + share[touched][:, None, None] * rotations[
+        handle
+    ].T
     unbend = np.linalg.inv(blend + 1e-9 * np.eye(3))
     flat = np.zeros((len(own), 3))
     flat[touched] = np.einsum("vij,vj->vi", unbend, character.vertices[touched] - joint)

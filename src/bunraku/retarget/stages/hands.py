@@ -63,7 +63,7 @@ def keep_hands(
     character: Character,
     handles: Handles,
     joints: Joints,
-    turns: np.ndarray,
+    rotations: np.ndarray,
     arms: list[Leg],
     scale: float,
 ) -> HandleMotion:
@@ -75,7 +75,7 @@ def keep_hands(
         character: In its rest pose.
         handles: Its handles.
         joints: Where they meet.
-        turns: From its rest pose into the reference body's stance, shape (K, 3, 3).
+        rotations: From its rest pose into the reference body's stance, shape (K, 3, 3).
         arms: Its arms.
         scale: Its size over the reference body's.
     """
@@ -84,7 +84,7 @@ def keep_hands(
         return fitted
     body = reference_body()
     known = _parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
-    stance = _stance(handles, joints, turns)
+    stance = _stance(handles, joints, rotations)
     world, theirs = (
         fitted.transforms(handles.positions).astype(np.float64),
         motion.transforms(body.handles.positions).astype(np.float64),
@@ -94,7 +94,7 @@ def keep_hands(
     own = _parts(vertices[character.surface], handles.weights[character.surface], handles.played)
     palms = {wrist: _palm(body.vertices, body.handle_weights[:, [wrist, wrist + 2]].sum(axis=1)) for wrist in _WRISTS}
     shifts = np.zeros((len(fitted), len(arms), 3))
-    places = []  # of each arm: the reference's palm and the character's in each frame
+    positions = []  # of each arm: the reference's palm and the character's in each frame
     for number, arm in enumerate(arms):
         wrist = int(handles.played[arm.foot[0]])
         source = _applied(theirs[:, wrist], palms[wrist])
@@ -102,7 +102,7 @@ def keep_hands(
         near = arm.foot_area[away < PALM * arm.length]
         palm = character.vertices[near if len(near) else arm.foot_area].mean(axis=0).astype(np.float64)
         present = _applied(world[:, arm.foot[0]], palm)
-        places.append((wrist, source, present))
+        positions.append((wrist, source, present))
         total, want = np.zeros(len(fitted)), np.zeros((len(fitted), 3))
         closest = np.zeros(len(fitted))
         for name, part in known.items():
@@ -117,8 +117,8 @@ def keep_hands(
             total += share**4
             closest = np.maximum(closest, share)
         shifts[:, number] = want / np.maximum(total, 1e-9)[:, None] * closest[:, None]
-    if len(places) == 2 and {place[0] for place in places} == set(_WRISTS):
-        _joined(places, shifts, motion, fitted, scale)
+    if len(positions) == 2 and {place[0] for place in positions} == set(_WRISTS):
+        _joined(positions, shifts, motion, fitted, scale)
     for number, arm in enumerate(arms):
         off = np.linalg.norm(shifts[:, number], axis=1, keepdims=True)
         shifts[:, number] *= np.maximum(1 - CLOSE * scale / np.maximum(off, 1e-9), 0)
@@ -129,20 +129,20 @@ def keep_hands(
 
 
 def _joined(
-    places: list[tuple[int, np.ndarray, np.ndarray]],
+    positions: list[tuple[int, np.ndarray, np.ndarray]],
     shifts: np.ndarray,
     motion: HandleMotion,
     fitted: HandleMotion,
     scale: float,
 ) -> None:
     """Bring hands together that touch each other, in place: each goes half of the way."""
-    between = places[0][1] - places[1][1]
+    between = positions[0][1] - positions[1][1]
     share = smooth_step(
         np.linalg.norm(between, axis=1) - NEAR / 2, NEAR, TOUCHES
     )  # palms' middles are apart by two hands
     turn = fitted.root_rotation.astype(np.float64) @ np.swapaxes(motion.root_rotation, -1, -2)
     want = np.einsum("nij,nj->ni", turn, between) * scale
-    have = places[0][2] + shifts[:, 0] - places[1][2] - shifts[:, 1]
+    have = positions[0][2] + shifts[:, 0] - positions[1][2] - shifts[:, 1]
     half = 0.5 * share[:, None] * (want - have)
     shifts[:, 0] += half
     shifts[:, 1] -= half
@@ -174,9 +174,9 @@ def _parts(vertices: np.ndarray, weights: np.ndarray, played: np.ndarray) -> dic
     return out
 
 
-def _stance(handles: Handles, joints: Joints, turns: np.ndarray) -> np.ndarray:
+def _stance(handles: Handles, joints: Joints, to_reference: np.ndarray) -> np.ndarray:
     """Transforms of the handles from the rest pose into the stance, shape (K, 3, 4)."""
-    rotations, translations = attach_joints(turns[None].astype(np.float64), handles, joints)
+    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles, joints)
     still = HandleMotion(translations, rotations, np.zeros((1, 3)), np.eye(3)[None])
     return still.transforms(handles.positions)[0].astype(np.float64)
 

@@ -34,7 +34,7 @@ def rest_rotations(
 
     Arms, and the front legs of animals, are turned wholly: a forearm goes along with its upper arm and is then
     straightened, and hands follow their forearms. Legs of upright characters keep their stance, but do not sit or
-    crouch (see `_leg_turns`); hind legs of animals are left as they are. Everything else keeps the identity.
+    crouch (see `_leg_rotations`); hind legs of animals are left as they are. Everything else keeps the identity.
     """
     out = np.tile(np.eye(3), (len(handles.positions), 1, 1))
     stands = upright(handles)
@@ -85,7 +85,7 @@ def rest_rotations(
                     joints.positions[ankle] - joints.positions[hip],
                     reference_joints.positions[ankle] - reference_joints.positions[hip],
                 )
-            out[[hip, knee]] = _leg_turns(thigh, direction("knee", side), leg, armed)
+            out[[hip, knee]] = _leg_rotations(thigh, direction("knee", side), leg, armed)
     for name, lead in _FOLLOWERS.items():
         out[HANDLE_NAMES.index(name)] = out[HANDLE_NAMES.index(lead)]
     return out
@@ -101,7 +101,7 @@ def upright(handles: Handles) -> bool:
     return bool(spine[1] > abs(spine[2]))
 
 
-def _leg_turns(thigh: _Limb | None, shin: _Limb | None, leg: _Limb | None, armed: bool) -> np.ndarray:
+def _leg_rotations(thigh: _Limb | None, shin: _Limb | None, leg: _Limb | None, armed: bool) -> np.ndarray:
     """Turns of a thigh and a shin, shape (2, 3, 3), from where each and the whole leg point and where the reference
     body's do.
 

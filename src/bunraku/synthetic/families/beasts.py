@@ -201,16 +201,16 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
     leg, radius, neck, lift, head, snout, tail_long, tail_fat = (u(*limits) for limits in _KINDS[kind])
     neck *= neck_scale
     y, back, front = leg + 0.55 * radius, -0.5, 0.5
-    places = [np.array([0, y + 0.35 * radius, back + 0.1])]
+    positions = [np.array([0, y + 0.35 * radius, back + 0.1])]
     rise = u(-0.15, 0.15) * radius
-    places += [
+    positions += [
         np.array([0, y + 0.3 * radius + rise * s, back + 0.1 + 0.9 * s])
         for s in (u(0.22, 0.32), u(0.48, 0.58), u(0.76, 0.88))
     ]
     names = ["Hips", "Spine", "Spine1", "Spine2"]
-    for name, parent, at in zip(names, ["", *names], places, strict=False):
+    for name, parent, at in zip(names, ["", *names], positions, strict=False):
         m.bone(name, parent, at)
-    trunk = Chain(names, places)
+    trunk = Chain(names, positions)
     rump, belly, chest = radius * u(0.75, 1.1), radius * u(0.75, 1.15), radius * u(0.85, 1.2)
     flat = (u(0.75, 1.05), 1.0, 1.0)
     m.limb(
@@ -317,14 +317,14 @@ def frog(m: Model) -> None:
     u = m.u
     wide, high, lift = u(0.28, 0.45), u(0.16, 0.3), u(0.02, 0.25)
     y = lift + high
-    places = [np.array([0, y - 0.1, -0.4]), np.array([0, y, -0.12]), np.array([0, y + 0.06, 0.15])]
+    positions = [np.array([0, y - 0.1, -0.4]), np.array([0, y, -0.12]), np.array([0, y + 0.06, 0.15])]
     names = ["Hips", "Spine", "Neck"]
-    for name, parent, at in zip(names, ["", *names], places, strict=False):
+    for name, parent, at in zip(names, ["", *names], positions, strict=False):
         m.bone(name, parent, at)
     m.limb(
         [(0, y - 0.08, -0.3), (0, y, 0.1)],
         [wide * 0.75, wide],
-        Chain(names, places),
+        Chain(names, positions),
         "trunk",
         stretch=(1, high / wide, 1),
         blend=1.5,

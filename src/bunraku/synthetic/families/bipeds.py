@@ -34,10 +34,10 @@ def dinosaur(m: Model) -> None:
     way = np.array([0, np.sin(tilt), np.cos(tilt)])
     hips = np.array([0, leg + 0.1, 0])
     steps = (0, u(0.15, 0.25), u(0.32, 0.42), u(0.55, 0.65))
-    names, places = ["Hips", "Spine", "Spine1", "Spine2"], [hips + way * s for s in steps]
-    for name, parent, at in zip(names, ["", *names], places, strict=False):
+    names, positions = ["Hips", "Spine", "Spine1", "Spine2"], [hips + way * s for s in steps]
+    for name, parent, at in zip(names, ["", *names], positions, strict=False):
         m.bone(name, parent, at)
-    trunk = Chain(names, places)
+    trunk = Chain(names, positions)
     chest = hips + way * 0.65
     m.limb(
         [hips, hips + way * 0.35, chest],

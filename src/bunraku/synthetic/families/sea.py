@@ -18,13 +18,13 @@ def _spine(m: Model, marks: tuple[float, ...], tails: int) -> Chain:
     m.bone("Hips", "", hips)
     m.bone("Spine", "Hips", spine)
     m.bone("Head", "Spine", head)
-    names, places = ["Head", "Spine", "Hips"], [head, spine, hips]
+    names, positions = ["Head", "Spine", "Hips"], [head, spine, hips]
     for i in range(tails):
         at = end + (np.array([0, 0, marks[4] - 0.5]) - end) * i / tails
         m.bone(f"Tail{i + 1}", f"Tail{i}" if i else "Hips", at)
         names.append(f"Tail{i + 1}")
-        places.append(at)
-    return Chain(names, places)
+        positions.append(at)
+    return Chain(names, positions)
 
 
 def _fin(
@@ -215,20 +215,20 @@ def seahorse(m: Model) -> None:
     """A seahorse: upright, with a snout, a belly and a curled tail."""
     u = m.u
     names = ["Hips", "Spine", "Spine1", "Spine2", "Neck"]
-    places = [np.array([0, y, z]) for y, z in ((0.45, -0.02), (0.52, 0.0), (0.6, 0.02), (0.68, 0.02), (0.78, -0.02))]
-    for name, parent, at in zip(names, ["", *names], places, strict=False):
+    positions = [np.array([0, y, z]) for y, z in ((0.45, -0.02), (0.52, 0.0), (0.6, 0.02), (0.68, 0.02), (0.78, -0.02))]
+    for name, parent, at in zip(names, ["", *names], positions, strict=False):
         m.bone(name, parent, at)
     fat, head = u(0.06, 0.14), u(0.07, 0.14)
     m.limb(
         [(0, 0.42, -0.02), (0, 0.58, 0.03), (0, 0.75, 0.0)],
         [fat * 0.7, fat, fat * 0.7],
-        Chain(names[:4], places[:4]),
+        Chain(names[:4], positions[:4]),
         "body",
         stretch=(0.8, 1, 1),
         blend=1.0,
     )
     top = m.bone("Head", "Neck", (0, 0.86, 0.02))
-    m.limb([places[4] - [0, 0.03, 0], top], [fat * 0.6, head * 0.6], "Neck", "body")
+    m.limb([positions[4] - [0, 0.03, 0], top], [fat * 0.6, head * 0.6], "Neck", "body")
     m.lump(top + [0, 0.04, 0.02], head, "Head", "head")
     m.limb([top + [0, 0.02, 0.05], top + [0, -0.03, 0.1 + u(0.05, 0.2)]], [head * 0.45, head * 0.3], "Head", "head")
     eyes(m, top + [0, 0.04, 0.02], np.full(3, head), "Head")

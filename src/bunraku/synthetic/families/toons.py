@@ -23,10 +23,10 @@ def mascot(m: Model) -> None:
     low = y - half[1]
     marks = np.array([0.12, 0.3, 0.42, 0.5, 0.6, 0.68]) * 2 * half[1] + low
     names = ["Hips", "Spine", "Spine1", "Spine2", "Neck", "Head"]
-    places = [np.array([0, mark, 0]) for mark in marks]
-    for name, parent, at in zip(names, ["", *names], places, strict=False):
+    positions = [np.array([0, mark, 0]) for mark in marks]
+    for name, parent, at in zip(names, ["", *names], positions, strict=False):
         m.bone(name, parent, at)
-    body = Chain(names, places)
+    body = Chain(names, positions)
     shape = m.pick("egg", "pear", "box", "round", "tall", "slab")
     if shape == "box":
         m.block((0, y, 0), half, body, "body", exponent=m.pick(3.0, 5.0, 12.0))
@@ -148,10 +148,10 @@ def blob(m: Model) -> None:
         half *= [0.5, 1.1, 0.5]
     elif kind == "skull":
         marks = np.array([0.05, 0.12, 0.18, 0.24])
-    places = [np.array([0, mark * 2 * half[1], 0]) for mark in marks]
-    for name, parent, at in zip(names, ["", *names], places, strict=False):
+    positions = [np.array([0, mark * 2 * half[1], 0]) for mark in marks]
+    for name, parent, at in zip(names, ["", *names], positions, strict=False):
         m.bone(name, parent, at)
-    body = Chain(names, places, 1.5)
+    body = Chain(names, positions, 1.5)
     top = 2 * half[1]
     if kind == "slime":
         m.limb(
@@ -233,14 +233,14 @@ def flyer(m: Model) -> None:
             m.lump(points[-1] + [s * r, 0, 0], r * np.array([1.4, 1.2, 1.6]), f"{side}Hand", f"arm {side}")
         return
     names = ["Hips", "Spine", "Neck", "Head"]
-    places = [middle + [0, t * half[1], 0] for t in (-0.6, -0.3, 0.0, 0.15)]
-    for name, parent, at in zip(names, ["", *names], places, strict=False):
+    positions = [middle + [0, t * half[1], 0] for t in (-0.6, -0.3, 0.0, 0.15)]
+    for name, parent, at in zip(names, ["", *names], positions, strict=False):
         m.bone(name, parent, at)
     if m.chance(0.5):
-        m.lump(middle, half, Chain(names, places), "body")
+        m.lump(middle, half, Chain(names, positions), "body")
         face, size = middle + [0, 0.3 * half[1], 0], half * [0.95, 0.7, 0.95]
     else:  # a head on a small body
-        m.lump(middle - [0, 0.5 * half[1], 0], half * [0.55, 0.7, 0.5], Chain(names[:2], places[:2]), "body")
+        m.lump(middle - [0, 0.5 * half[1], 0], half * [0.55, 0.7, 0.5], Chain(names[:2], positions[:2]), "body")
         face, size = middle + [0, 0.55 * half[1], 0.1], half * u(0.6, 0.9)
         m.lump(face, size, "Head", "head")
         m.limb([middle, face], [0.3 * half[0], 0.3 * half[0]], "Neck", "head")

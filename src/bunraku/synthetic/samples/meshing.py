@@ -75,9 +75,9 @@ def marched(field: Field, spacing: float, half: bool) -> tuple[np.ndarray, np.nd
     cells = np.argwhere((number > 0) & (number < 8))
     corners = np.ravel_multi_index((cells[:, None] + _CORNERS).reshape(-1, 3).T, samples.shape)
     used, cubes = np.unique(corners, return_inverse=True)
-    places = np.stack(np.unravel_index(used, samples.shape), axis=1) * spacing + low
+    positions = np.stack(np.unravel_index(used, samples.shape), axis=1) * spacing + low
     vertices, faces, _ = igl.marching_cubes(
-        samples.reshape(-1)[used].astype(float), places, cubes.reshape(-1, 8).astype(np.int64), 0.0
+        samples.reshape(-1)[used].astype(float), positions, cubes.reshape(-1, 8).astype(np.int64), 0.0
     )
     return np.asarray(vertices), np.asarray(faces, np.int64)
 

@@ -22,19 +22,19 @@ class _Front:
         middle = figure.skull[0][2]
         self.corners = corners[(normal[:, 2] > 0) & (corners[:, :, 2].mean(axis=1) > middle)]
 
-    def at(self, places: np.ndarray) -> np.ndarray:
+    def at(self, positions: np.ndarray) -> np.ndarray:
         """Z of the skin at X and Y, shape (V,)."""
         a, b, c = (self.corners[:, i] for i in range(3))
         u, v = (b - a)[:, :2], (c - a)[:, :2]
         det = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
         det = np.where(np.abs(det) < 1e-12, 1e-12, det)
-        w = places[:, None, :] - a[None, :, :2]
+        w = positions[:, None, :] - a[None, :, :2]
         s = (w[..., 0] * v[:, 1] - w[..., 1] * v[:, 0]) / det
         t = (u[:, 0] * w[..., 1] - u[:, 1] * w[..., 0]) / det
         depth = a[None, :, 2] + s * (b - a)[None, :, 2] + t * (c - a)[None, :, 2]
         inside = (s >= -1e-6) & (t >= -1e-6) & (s + t <= 1 + 1e-6)
         found = np.where(inside, depth, -np.inf).max(axis=1)
-        near = np.argmin(np.square(places[:, None] - self.corners.mean(axis=1)[None, :, :2]).sum(axis=2), axis=1)
+        near = np.argmin(np.square(positions[:, None] - self.corners.mean(axis=1)[None, :, :2]).sum(axis=2), axis=1)
         return np.asarray(np.where(np.isfinite(found), found, self.corners[near].mean(axis=1)[:, 2]))
 
 
@@ -56,11 +56,11 @@ def add_face(costume: Costume, figure: Figure, rng: np.random.Generator) -> None
     def lay(
         points: np.ndarray, faces: np.ndarray, center: tuple[float, float], step: int, material: str, bulge: float = 0.0
     ) -> None:
-        places = points + center
-        z = front.at(places)
+        positions = points + center
+        z = front.at(positions)
         ahead = front.at(np.array([center]))[0]
         z = np.maximum(z, ahead - 0.25 * size) if bulge else z
-        costume.add(np.column_stack([places, z + level * (1 + 0.7 * step) + 0.002]), faces, bone, 1, material)
+        costume.add(np.column_stack([positions, z + level * (1 + 0.7 * step) + 0.002]), faces, bone, 1, material)
 
     slant = float(u(-0.08, 0.12))
     for side in (1, -1):

@@ -147,7 +147,7 @@ def _tail(
     knee = root + way * out
     drop = np.array([np.sin(turn), 0, np.cos(turn)])
     heights = np.linspace(knee[1] - 0.6 * out, end, 6)
-    places = [root, knee]
+    positions = [root, knee]
     start = knee + 0.35 * out * drop
     far = float((start - [scalp.center[0], 0, scalp.center[2]]) @ drop)
     axis = scalp.center[[0, 2]]
@@ -156,11 +156,11 @@ def _tail(
         band = 0.04 * figure.height
         body = (figure.rim if behind else figure.profile)(float(height), np.array([turn]), center=axis, band=band)[0]
         far = max(far, min(float(body), far + 0.1 * figure.height) + 1.15 * fat)
-        places.append(
+        positions.append(
             np.array([axis[0] + drop[0] * far, height, axis[1] + drop[2] * far - (0.0 if behind else 0.35 * size)])
         )
     links = int(np.clip(round((root[1] - end) / (0.085 * figure.height)), 3, 6))
-    curve = curve_through(np.array(places), links + 1)
+    curve = curve_through(np.array(positions), links + 1)
     hang = Hang(
         mass=0.8,
         damping=(0.9, 0.99),
@@ -176,14 +176,14 @@ def _tail(
     )
     chains = add_chains(costume, [name], curve[None], drop[None], costume.place("頭"), hang, cross=False)
     rows = max(round(3.2 * links * fine), links + 3)
-    fine_curve = curve_through(np.array(places), rows)
+    fine_curve = curve_through(np.array(positions), rows)
     t = np.linspace(0, 1, rows)
     widths = fat * np.interp(
         t, [0, 0.06, 0.25, 0.6, 0.9, 1], [0.35, 0.6, 1.0, float(u(0.7, 1.05)), float(u(0.25, 0.6)), 0.03]
     )
     points, faces, place = strand(fine_curve, drop, 1.15 * widths, 0.85 * widths, max(round(10 * fine), 6))
     costume.add(points, faces, *chains.weights(place / (rows - 1) * links), colors[0])
-    tie = curve_through(np.array(places), 40)[1:5]
+    tie = curve_through(np.array(positions), 40)[1:5]
     points, faces, _ = strand(tie, drop, 0.6 * fat, 0.52 * fat, 8)
     costume.add(points, faces, costume.place("頭"), 1, colors[1])
 
@@ -203,7 +203,7 @@ def _side_locks(
             last - [0, length * share, 0] + np.array([side * 0.05, 0, 0.12]) * share * scalp.half[0]
             for share in (0.4, 0.75, 1.0)
         ]
-        places = np.concatenate([top, np.array(drops)])
+        positions = np.concatenate([top, np.array(drops)])
         links = 2
         hung = np.concatenate([top[-1:], np.array(drops)])
         out = np.array([np.sin(turn), 0, np.cos(turn)])
@@ -223,13 +223,13 @@ def _side_locks(
         chain = curve_through(hung, links + 1)
         chains = add_chains(costume, [f"{mark}横髪"], chain[None], out[None], costume.place("頭"), hang, cross=False)
         rows = max(round(14 * fine), 8)
-        curve = curve_through(places, rows)
+        curve = curve_through(positions, rows)
         t = np.linspace(0, 1, rows)
         width = fat * np.interp(t, [0, 0.2, 0.6, 0.9, 1], [0.3, 0.9, 1.0, 0.55, 0.04])
         points, faces, place = strand(curve, out, width, 0.5 * width, max(round(7 * fine), 5))
         begin = float(
-            np.linalg.norm(np.diff(places[:3], axis=0), axis=1).sum()
-            / max(np.linalg.norm(np.diff(places, axis=0), axis=1).sum(), 1e-9)
+            np.linalg.norm(np.diff(positions[:3], axis=0), axis=1).sum()
+            / max(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum(), 1e-9)
         )
         along = (place / (rows - 1) - begin) / (1 - begin) * links
         bones, shares = chains.weights(np.maximum(along, -0.5))
@@ -290,9 +290,9 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
     outer = np.concatenate([above, smooth])
     along = np.concatenate([np.full(3, -0.5), t[:, 0] * links])
     across = np.linspace(0, count - 1, columns)
-    for points, places, faces in (
+    for points, positions, faces in (
         (outer, along, sheet_faces(rows + 3, columns)),
         (inner, t[:, 0] * links, sheet_faces(rows, columns)[:, ::-1]),
     ):
-        bones, shares = chains.weights(np.repeat(places, columns), np.tile(across, len(places)))
+        bones, shares = chains.weights(np.repeat(positions, columns), np.tile(across, len(positions)))
         costume.add(points.reshape(-1, 3), faces, bones, shares, material)

@@ -17,7 +17,7 @@ from torch import Tensor
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.diffusion.features import ROOT_SIZE
 from bunraku.geometry.rotations import matrix_from_6d
-from bunraku.retarget.batched_fit import Fitted, fit_locals, handle_places
+from bunraku.retarget.batched_fit import Fitted, fit_locals, posed_positions
 from bunraku.retarget.character_bank import CharacterBank
 from bunraku.training.losses.adversarial_loss import (
     ARM_VERTICES,
@@ -143,9 +143,9 @@ class MeshLearning:
         bank, row = self.bank, draw.characters
         # in the reference body's metres, so that the spring of a giant is that of a child
         scale = bank.scale[row][:, None, None]
-        places = handle_places(fitted, bank, offset)[1] / scale[:, None]
+        positions = posed_positions(fitted, bank, offset)[1] / scale[:, None]
         springs = springs_present(bank.present[row], bank.roles[row])
-        spring = spring_loss(places, bank.handles[row] / scale, springs, self.sigma).mean()
+        spring = spring_loss(positions, bank.handles[row] / scale, springs, self.sigma).mean()
         fake = handle_driven(fitted, bank, draw.picked, offset)
         if learns:
             adversarial = torch.zeros((), device=delta.device)

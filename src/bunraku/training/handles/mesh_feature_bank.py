@@ -31,9 +31,9 @@ def has_human_shape(character: TrainingCharacter) -> bool:
     head = HANDLE_NAMES.index("head")
     if (share[[*_LIMBS, head]] < LEAST).any():
         return False
-    places = handle_positions(character.vertices, character.target, character.areas)
-    hips = places[[HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")]].mean(axis=0)
-    spine = places[head] - (places[0] if share[0] >= LEAST else hips)
+    positions = handle_positions(character.vertices, character.target, character.areas)
+    hips = positions[[HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")]].mean(axis=0)
+    spine = positions[head] - (positions[0] if share[0] >= LEAST else hips)
     return bool(spine[1] > UPRIGHT * np.linalg.norm(spine))
 
 

@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.retarget.batched_fit import Fitted, bone_places, handle_places, move_points
+from bunraku.retarget.batched_fit import Fitted, bone_positions, move_points, posed_positions
 from bunraku.retarget.character_bank import CharacterBank
 
 __all__ = [
@@ -105,13 +105,18 @@ def handle_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor, delta: Te
         delta: Adaptation [m of the reference body], shape (B, N, K, 3).
     """
     row = fitted.row
-    translations, places = handle_places(fitted, bank, delta)
+    translations, positions = posed_positions(fitted, bank, delta)
     rest, index, weights = (
         _take(values[row], picked) for values in (bank.arm_points, bank.arm_index, bank.arm_weights)
     )
     points = move_points(rest, index, weights, fitted.rotations, bank.handles[row], translations)
     return _seen_from_chest(
-        points, rest, fitted.rotations[:, :, _CHEST], places[:, :, _CHEST], bank.handles[row, _CHEST], bank.extent[row]
+        points,
+        rest,
+        fitted.rotations[:, :, _CHEST],
+        positions[:, :, _CHEST],
+        bank.handles[row, _CHEST],
+        bank.extent[row],
     )
 
 
@@ -122,14 +127,14 @@ def skeleton_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor) -> Tens
     """
     row = fitted.row
     each = torch.arange(len(row), device=row.device)
-    rotations, places = bone_places(fitted, bank)
+    rotations, positions = bone_positions(fitted, bank)
     rest, index, weights = (
         _take(values[row], picked) for values in (bank.arm_points, bank.arm_bones, bank.arm_bone_weights)
     )
     joints, chest, anchor = bank.bone_joints[row], bank.chest_bone[row], bank.handles[row, _CHEST]
-    points = move_points(rest, index, weights, rotations, joints, places - joints[:, None])
+    points = move_points(rest, index, weights, rotations, joints, positions - joints[:, None])
     turn = rotations[each, :, chest]
-    place = torch.einsum("bnij,bj->bni", turn, anchor - joints[each, chest]) + places[each, :, chest]
+    place = torch.einsum("bnij,bj->bni", turn, anchor - joints[each, chest]) + positions[each, :, chest]
     return _seen_from_chest(points, rest, turn, place, anchor, bank.extent[row])
 
 

@@ -29,20 +29,20 @@ def springs_present(present: Tensor, roles: Tensor) -> Tensor:
     return own[..., first] & own[..., second]
 
 
-def spring_loss(places: Tensor, rest: Tensor, springs: Tensor, sigma: float = 0.0) -> Tensor:
+def spring_loss(positions: Tensor, rest: Tensor, springs: Tensor, sigma: float = 0.0) -> Tensor:
     """Spring Loss L_h of each row [TapMo 7], shape (B,).
 
     With E the distance of two adjacent handles, and frame 0 the rest pose, it is the sum over springs and frames of
     `exp(-(E_0 + sigma)) (E_n - E_0)^2 + (E_n - E_{n-1})^2`. Rigid motion changes no distance, so places may be local.
 
     Args:
-        places: Handle positions of each frame, h^1 to h^N, shape (B, N, K, 3).
+        positions: Handle positions of each frame, h^1 to h^N, shape (B, N, K, 3).
         rest: Handle positions of the rest pose, h^0, shape (B, K, 3), in the same unit.
         springs: Which of `LIMB_SPRINGS` count, shape (B, 12).
         sigma: The hyper-parameter that softens all springs.
     """
-    first, second = (torch.tensor(ends, device=places.device) for ends in zip(*LIMB_SPRINGS, strict=True))
-    frames = torch.cat([rest[:, None], places], dim=1)
+    first, second = (torch.tensor(ends, device=positions.device) for ends in zip(*LIMB_SPRINGS, strict=True))
+    frames = torch.cat([rest[:, None], positions], dim=1)
     distance = (frames[:, :, first] - frames[:, :, second]).square().sum(-1).add(1e-12).sqrt()
     still = distance[:, :1]
     stretch = torch.exp(-(still + sigma)) * (distance[:, 1:] - still).square()
