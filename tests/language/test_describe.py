@@ -13,10 +13,10 @@ from bunraku.datasets.motions.clips import load_clip, load_index
 from bunraku.diffusion.features import decode, encode, mirror
 from bunraku.geometry.rotations import matrix_y
 from bunraku.language.captions import mirror_words
-from bunraku.language.describe import chain, describe, inside, sentences
-from bunraku.language.events import find_punches, find_seats
+from bunraku.language.description.describe import chain, describe, inside, sentences
+from bunraku.language.description.events import find_punches, find_seats
+from bunraku.language.description.track import Phrase, Track, runs
 from bunraku.language.grammar import conjugate
-from bunraku.language.track import Phrase, Track, runs
 
 FPS = 20
 REST = reference_body().handles.positions

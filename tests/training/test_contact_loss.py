@@ -4,7 +4,7 @@ import torch
 
 from bunraku.body.reference import reference_body
 from bunraku.diffusion.features import FEATURE_SIZE, ROOT_SIZE, decode
-from bunraku.language.track import Track
+from bunraku.language.description.track import Track
 from bunraku.training.losses.contact_loss import UNIT, contact_loss, foot_points
 
 

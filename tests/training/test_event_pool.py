@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bunraku.diffusion.features import FeatureStatistics, decode
-from bunraku.language.track import Phrase
+from bunraku.language.description.track import Phrase
 from bunraku.training.diffusion.event_pool import ENOUGH, EventPool
 from bunraku.training.diffusion.training_clip import TrainingClip
 

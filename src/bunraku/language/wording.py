@@ -17,7 +17,7 @@ from bunraku.language.captions import (
     mirror_words,
     person_phrases,
 )
-from bunraku.language.describe import Phrase, joined
+from bunraku.language.description.describe import Phrase, joined
 from bunraku.language.grammar import conjugate, fill, is_stative, sentence_forms
 
 __all__ = ["all_variants", "borrowed_sentence", "can_do", "clauses", "computed_sentence", "creature_subjects", "verbs"]
@@ -144,7 +144,7 @@ def computed_sentence(
     step, but not what anybody would say.
 
     Args:
-        found: What is true in the row, from `motion_words.inside`.
+        found: What is true in the row, from `describe.inside`.
         labels: Phrases of the label, from `clauses`, of each clip that the row joins.
         frames: Length of the row.
         random: Chooses.

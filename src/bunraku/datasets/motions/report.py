@@ -16,7 +16,7 @@ import numpy as np
 from bunraku.datasets.motions.clips import load_clip, load_index, load_lowest
 from bunraku.geometry.heading import heading
 from bunraku.language.actions import main_actions
-from bunraku.language.track import Track
+from bunraku.language.description.track import Track
 
 __all__ = ["ActionRow", "motion_report", "report_text"]
 

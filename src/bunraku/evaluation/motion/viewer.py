@@ -20,7 +20,7 @@ from bunraku.core.skinning import skin
 from bunraku.evaluation.motion.seams import posed_positions
 from bunraku.geometry.extremes import part_extremes
 from bunraku.geometry.heading import heading
-from bunraku.language.track import SIDES, Track, runs
+from bunraku.language.description.track import SIDES, Track, runs
 
 __all__ = [
     "DOERS", "Wave", "floating", "heading_drift", "kicking_side", "lowest_points", "moving_speed", "punching_side",

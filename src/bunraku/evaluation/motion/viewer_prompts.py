@@ -21,7 +21,7 @@ from bunraku.evaluation.motion.blocks import Bar
 from bunraku.evaluation.motion.seams import measure_seams
 from bunraku.evaluation.motion.table import MotionEvalConfig, Report
 from bunraku.language.actions import main_actions
-from bunraku.language.track import SIDES
+from bunraku.language.description.track import SIDES
 
 __all__ = ["VIEWER_BARS", "Captured", "captured_clips", "viewer_figures"]
 

@@ -14,9 +14,9 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FeatureStatistics, decode, feature_weights, mirror
 from bunraku.language.captions import caption_group, mirror_words
-from bunraku.language.describe import describe, inside
+from bunraku.language.description.describe import describe, inside
+from bunraku.language.description.track import Phrase
 from bunraku.language.stretches import goes_on, joined_sentence
-from bunraku.language.track import Phrase
 from bunraku.language.wording import borrowed_sentence, can_do, computed_sentence, creature_subjects, verbs
 from bunraku.training.diffusion.clip_data import MIN_FRAMES
 from bunraku.training.diffusion.event_pool import EventPool

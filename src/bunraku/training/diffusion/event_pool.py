@@ -12,8 +12,8 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.language.captions import mirror_words
-from bunraku.language.events import find_punches, find_seats
-from bunraku.language.track import Phrase, Track
+from bunraku.language.description.events import find_punches, find_seats
+from bunraku.language.description.track import Phrase, Track
 from bunraku.training.diffusion.training_clip import TrainingClip
 
 __all__ = ["EventPool"]

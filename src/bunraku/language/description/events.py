@@ -12,7 +12,7 @@ import re
 import numpy as np
 from scipy.signal import find_peaks
 
-from bunraku.language.track import SIDES, Phrase, Track, runs, smooth
+from bunraku.language.description.track import SIDES, Phrase, Track, runs, smooth
 
 __all__ = ["find_arms", "find_bends", "find_jumps", "find_kicks", "find_punches", "find_seats", "find_stillness"]
 

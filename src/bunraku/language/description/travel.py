@@ -1,6 +1,6 @@
 """Rules that find how a motion goes over the ground: turns, directions, gaits, speeds, curves and circles.
 
-As in `motion_events`, each rule says nothing where it is not sure, and treats left and right alike.
+As in `events`, each rule says nothing where it is not sure, and treats left and right alike.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import find_peaks
 
-from bunraku.language.track import SIDES, Phrase, Track, runs, smooth
+from bunraku.language.description.track import SIDES, Phrase, Track, runs, smooth
 
 __all__ = ["find_gaits", "find_turns"]
 

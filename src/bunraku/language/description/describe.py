@@ -1,6 +1,6 @@
 """Sentences computed from a motion itself: "turns left twice, then runs forward".
 
-`describe` finds phrases with the frames in which they hold (`motion_travel` and `motion_events` have the rules), so a
+`describe` finds phrases with the frames in which they hold (`travel` and `events` have the rules), so a
 crop of the motion gets only words that are true in it; `sentences` puts them in order.
 """
 
@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bunraku.core.motion import HandleMotion
-from bunraku.language.events import find_arms, find_bends, find_jumps, find_kicks, find_stillness
+from bunraku.language.description.events import find_arms, find_bends, find_jumps, find_kicks, find_stillness
+from bunraku.language.description.track import Phrase, Track
+from bunraku.language.description.travel import find_gaits, find_turns
 from bunraku.language.grammar import conjugate
-from bunraku.language.track import Phrase, Track
-from bunraku.language.travel import find_gaits, find_turns
 
 __all__ = ["chain", "describe", "inside", "joined", "sentences"]
 
