@@ -17,14 +17,14 @@ __all__ = ["PartTrack"]
 
 @dataclass(frozen=True)
 class PartTrack:
-    """A second time line for a motion in which something happens at the same time: it hears the gestures, and moves as
-    the first one else.
+    """A second time line for a motion in which something happens at the same time: it is conditioned on the gestures,
+    and moves as the first one else.
 
     The first does not see the second: a walk whose arms wave would soon stand still, as people do who wave.
 
     Args:
         motion: Which motion of the batch it belongs to.
-        sentences: What it hears, a sentence for each of the motion's.
+        sentences: What it is conditioned on, a sentence for each of the motion's.
         handles: The handles that are its own, shape (K,), bool.
     """
 
@@ -33,10 +33,10 @@ class PartTrack:
     handles: np.ndarray
 
     @classmethod
-    def of(cls, motion: int, heard: Sequence[tuple[BodyPartPrompt, ...]]) -> PartTrack | None:
-        """The second time line of a motion with these voices for each sentence; None where all have one."""
-        own = [voice.handles for some in heard for voice in some[1:] if voice.handles is not None]
-        return cls(motion, tuple(some[-1].sentence for some in heard), np.any(own, axis=0)) if own else None
+    def of(cls, motion: int, prompts: Sequence[tuple[BodyPartPrompt, ...]]) -> PartTrack | None:
+        """The second time line of a motion with these prompts for each sentence; None where all have one."""
+        own = [prompt.handles for some in prompts for prompt in some[1:] if prompt.handles is not None]
+        return cls(motion, tuple(some[-1].sentence for some in prompts), np.any(own, axis=0)) if own else None
 
     def follow(self, first: Tensor, second: Tensor) -> Tensor:
         """The second time line's features, shape (N, 271), with all that is not its own as in the first."""

@@ -224,8 +224,8 @@ class AnchorBlock(nn.Module):
             .reshape(count, 3, self.heads, width // self.heads)
             .permute(1, 2, 0, 3)
         )
-        heard = nn.functional.scaled_dot_product_attention(q[None], k[None], v[None])[0]
-        tokens = tokens + self.merge(heard.transpose(0, 1).reshape(count, width))
+        mixed = nn.functional.scaled_dot_product_attention(q[None], k[None], v[None])[0]
+        tokens = tokens + self.merge(mixed.transpose(0, 1).reshape(count, width))
         result: torch.Tensor = tokens + self.mix(self.norm_mix(tokens))
         return result
 
@@ -249,7 +249,7 @@ class GraphLayer(nn.Module):
         self.norm = nn.LayerNorm(width_out)
 
     def coarse(self, x: torch.Tensor, graph: MeshGraph) -> torch.Tensor:
-        """Features of the anchors after they have heard of one another, shape (M, width_out)."""
+        """Features of the anchors after they have attended to one another, shape (M, width_out)."""
         tokens: torch.Tensor = self.enter(torch.cat([graph.gather @ x.float(), graph.anchors], dim=-1))
         for block in self.blocks:
             tokens = block(tokens)

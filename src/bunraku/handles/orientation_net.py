@@ -119,8 +119,8 @@ class _Layer(nn.Module):
             .reshape(count, length, 3, self.heads, width // self.heads)
             .permute(2, 0, 3, 1, 4)
         )
-        heard = nn.functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).reshape(count, length, width)
-        x = x + self.merge(heard)
+        mixed = nn.functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).reshape(count, length, width)
+        x = x + self.merge(mixed)
         out: torch.Tensor = x + self.mix(x)
         return out
 

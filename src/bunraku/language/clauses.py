@@ -1,8 +1,8 @@
 """What happens one after the other in a sentence: "a person walks, then waves" is "a person walks" and "a person
 waves".
 
-Each clause is generated from its own words, as the prompts of a sequence are: the network hears "then" but often does
-only one of both. Words that say order part a sentence, and commas between verbs; "walks and waves" is for
+Each clause is generated from its own words, as the prompts of a sequence are: conditioned on "then", the network often
+does only one of both. Words that say order part a sentence, and commas between verbs; "walks and waves" is for
 `body_part_prompts`.
 """
 

@@ -1,25 +1,21 @@
 """What happens at the same time in a sentence: "walks while waving" is walking, and arms that wave.
 
 Hardly any capture shows a gesture of the arms or the head on the way, so the network does one of both. Where a sentence
-joins a movement of the legs and one of the arms or the head, two motions are denoised side by side. The first hears of
-the legs. The second hears of the gesture and is given all but the gesture's handles by the first, at each step, as an
-edit that keeps them is (section A.3 of TapMo).
+joins a movement of the legs and one of the arms or the head, two motions are denoised side by side. The first is
+conditioned on the legs' words, the second on the gesture's; at each step the second is given all but the gesture's
+handles by the first, as an edit that keeps them is (section A.3 of TapMo).
 """
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bunraku.body.parts import kept_handles
 from bunraku.language.clauses import subject_of, with_subject
 from bunraku.language.grammar import conjugate
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["BodyPartPrompt", "body_part_prompts"]
 
@@ -42,7 +38,7 @@ class BodyPartPrompt:
 
     Args:
         sentence: In English.
-        handles: Shape (K,), bool; None for all that no other voice of the sentence has.
+        handles: Shape (K,), bool; None for all that no other prompt of the sentence has.
     """
 
     sentence: str
