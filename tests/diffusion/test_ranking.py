@@ -3,9 +3,10 @@ import pytest
 import torch
 
 from bunraku.diffusion.features import encode
-from bunraku.diffusion.generate import _APART, generate_motions, load_generator
+from bunraku.diffusion.generate import _APART, generate_motions
 from bunraku.diffusion.matching import RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences
-from bunraku.diffusion.ranking import best_of, load_ranker, script_scores
+from bunraku.diffusion.ranking import Drawn, choose, load_ranker, script_scores
+from bunraku.language.encoders import text_encoder
 
 
 @pytest.fixture
@@ -34,16 +35,48 @@ def test_long_parts_are_looked_at_in_pieces_and_what_is_too_short_counts_nothing
     assert script_scores(ranker, encoder, [long[:4]], [[("waves", 4)]]) == pytest.approx([0.0])
 
 
-def test_the_best_of_each_row_is_taken():
-    assert best_of(np.array([0.1, 0.3, 0.2, 0.9, 0.0, 0.5]), 3) == [1, 3]
-    assert best_of(np.array([0.4, 0.2]), 1) == [0, 1]
+def drawn(agreement, number):
+    return Drawn(np.full((1, 1), number, np.float32), np.zeros((1, 1, 3)), [("a", 1)], agreement)
+
+
+def chosen(told, candidates=2):
+    """Which candidates of motions are chosen by their (cosine, agreement), and how many were drawn."""
+    asked = []
+
+    def draw(rows, places):
+        asked.extend(zip(rows, places, strict=True))
+        return [drawn(told[row][place][1], 100 * row + place) for row, place in zip(rows, places, strict=True)]
+
+    def score(some):
+        return np.array([told[int(one.motion[0, 0]) // 100][int(one.motion[0, 0]) % 100][0] for one in some])
+
+    return [int(one.motion[0, 0]) for one in choose(draw, len(told), candidates, score)], len(asked)
+
+
+def test_the_best_of_each_motion_is_taken():
+    assert chosen([[(0.1, None), (0.3, None)], [(0.9, None), (0.5, None)]]) == ([1, 100], 4)
+
+
+def test_what_a_sentence_plainly_says_weighs_more_than_the_ranker():
+    assert chosen([[(0.5, -1.0), (0.3, 0.9)]]) == ([1], 2)
+
+
+def test_more_are_drawn_of_the_motion_that_none_agrees_for():
+    """The second motion's first two have the wrong side; the third is right, and the fourth is liked less."""
+    wrong = [(0.9, -1.0), (0.8, -1.0), (0.4, 1.0), (0.3, 1.0)]
+    assert chosen([[(0.2, 1.0), (0.1, 1.0)], wrong]) == ([0, 102], 6)
+
+
+def test_after_three_attempts_the_least_wrong_is_taken():
+    never = [(0.1 * place, -1.0) for place in range(5)] + [(0.1, 0.0)]
+    assert chosen([never]) == ([5], 6)
 
 
 def test_what_is_chosen_is_the_candidate_with_the_best_score():
-    script = [[("a person kicks with the left leg", 2.0)]]
+    script = [[("a person claps", 2.0)]]
     drawn = [generate_motions(script, seeds=[(5, place * _APART)], steps=4)[0] for place in range(3)]
     scores = script_scores(
-        load_ranker(), load_generator()[1], [encode(motion) for motion in drawn], [[(script[0][0][0], 40)]] * 3
+        load_ranker(), text_encoder(), [encode(motion) for motion in drawn], [[(script[0][0][0], 40)]] * 3
     )
     (chosen,) = generate_motions(script, seeds=[5], steps=4, candidates=3)
     apart = [float(np.abs(chosen.rotations - motion.rotations).max()) for motion in drawn]

@@ -15,13 +15,14 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FeatureStatistics, decode
 from bunraku.errors import OptionError
-from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.language.encoders import TextEncoder, encoder_of, text_encoder
 from bunraku.language.prompts import check_prompt
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from bunraku.diffusion.denoiser import Denoiser
+    from bunraku.diffusion.ranking import Drawn
 
 __all__ = ["GUIDANCE", "STEPS", "Sampling", "adapt", "generate_motion", "generate_motions", "load_generator"]
 
@@ -43,7 +44,8 @@ class Sampling:
         progress: Called with a stage's name and the share done.
         checkpoint: Weights in place of the shipped ones.
         candidates: How many motions are drawn for each that is given back: the one that the ranker likes best
-            (`diffusion.ranking`), 1 to 16. The first has the noise that it has alone.
+            (`diffusion.ranking`), 1 to 16. The first has the noise that it has alone. Where none has the side, the turn
+            or the direction that the sentence says, as many are drawn again, twice at the most.
 
     Raises:
         OptionError: A setting is outside what can be done.
@@ -131,20 +133,61 @@ def generate_motions(
     if not scripts:
         return []
 
-    import torch
-
-    from bunraku.diffusion.composition import PartTrack
-    from bunraku.diffusion.windows import drawn_noise, plan_windows, sample_plans
-    from bunraku.language.concurrent import body_part_prompts
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.diffusion.windows import drawn_noise
 
     if how.progress:
         how.progress("generate", 0.0)
     model, encoder = load_generator(how.checkpoint)
     noise = drawn_noise(seeds, len(scripts))
+
+    def draw(rows: list[int], places: list[int]) -> list[Drawn]:
+        pairs = [(noise[row][0], noise[row][1] + _APART * place) for row, place in zip(rows, places, strict=True)]
+        again = how if not any(place >= how.candidates for place in places) else replace(how, progress=None)
+        return _draw(model, encoder, [scripts[row] for row in rows], pairs, again, loop)
+
+    rows = list(range(len(scripts)))
     if how.candidates > 1:
-        scripts = [script for script in scripts for _ in range(how.candidates)]
-        noise = [(seed, row + _APART * place) for seed, row in noise for place in range(how.candidates)]
+        from bunraku.diffusion.ranking import choose
+
+        found = choose(draw, len(scripts), how.candidates, _ranked(model, encoder))
+    else:
+        found = draw(rows, [0] * len(rows))
+    native = how.native(model)
+    return [adapt(replace(decode(one.motion, model.config.fps), native=native), one.adaptation) for one in found]
+
+
+def _ranked(model: Denoiser, encoder: TextEncoder) -> Callable[[Sequence[Drawn]], np.ndarray]:
+    """What the ranker says of candidates, with the encoder that it was trained with."""
+    from bunraku.diffusion.ranking import load_ranker, script_scores
+    from bunraku.nn.threads import fitting_threads
+
+    ranker = load_ranker()
+    own = encoder_of(ranker.config.text_encoder, encoder)
+
+    def score(drawn: Sequence[Drawn]) -> np.ndarray:
+        with fitting_threads(model):
+            return script_scores(ranker, own, [one.motion for one in drawn], [one.script for one in drawn])
+
+    return score
+
+
+def _draw(
+    model: Denoiser,
+    encoder: TextEncoder,
+    scripts: Sequence[Sequence[tuple[str, float]]],
+    noise: list[tuple[int, int]],
+    how: Sampling,
+    loop: bool,
+) -> list[Drawn]:
+    """One candidate for each script from its own noise, all in one batch."""
+    import torch
+
+    from bunraku.diffusion.composition import PartTrack
+    from bunraku.diffusion.ranking import Drawn, script_agreement
+    from bunraku.diffusion.windows import plan_windows, sample_plans
+    from bunraku.language.concurrent import body_part_prompts
+    from bunraku.nn.threads import fitting_threads
+
     lengths = [frames_of([seconds for _, seconds in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
     prompts = [[body_part_prompts(prompt) for prompt, _ in script] for script in scripts]
@@ -153,7 +196,7 @@ def generate_motions(
     text = encoder.encode(sentences + [sentence for track in tracks for sentence in track.sentences])
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     plans += [plans[track.motion] for track in tracks]
-    noise += [noise[track.motion] for track in tracks]
+    noise = noise + [noise[track.motion] for track in tracks]
     sizes = [plan.frames for plan in plans]
 
     def refine(values: Tensor) -> Tensor:
@@ -173,25 +216,14 @@ def generate_motions(
         )
     for track, own in zip(tracks, found[len(scripts) :], strict=True):
         found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
-    rows = list(range(len(scripts)))
-    if how.candidates > 1:
-        from bunraku.diffusion.ranking import best_of, load_ranker, script_scores
-
-        drawn = [statistics.restore(found[row].values.cpu().numpy()[: sum(lengths[row])]) for row in rows]
-        parts = [
-            [(prompt, length) for (prompt, _), length in zip(script, own, strict=True)]
-            for script, own in zip(scripts, lengths, strict=True)
-        ]
-        with fitting_threads(model):
-            rows = best_of(script_scores(load_ranker(), encoder, drawn, parts), how.candidates)
-    motions = []
-    for row in rows:
-        part = found[row]
-        frames = np.arange(sum(lengths[row]) + loop) % len(part.values)
+    drawn = []
+    for part, script, own_lengths in zip(found, scripts, lengths, strict=False):
+        frames = np.arange(sum(own_lengths) + loop) % len(part.values)
         features = statistics.restore(part.values.cpu().numpy()[frames])
-        made = replace(decode(features, model.config.fps), native=how.native(model))
-        motions.append(adapt(made, part.adaptation.cpu().numpy()[frames]))
-    return motions
+        timed = [(prompt, length) for (prompt, _), length in zip(script, own_lengths, strict=True)]
+        said = script_agreement(features, timed) if how.candidates > 1 else None
+        drawn.append(Drawn(features, part.adaptation.cpu().numpy()[frames], timed, said))
+    return drawn
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:

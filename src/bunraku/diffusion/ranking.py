@@ -1,25 +1,52 @@
-"""The best of several candidates, by a network that was trained apart from the judge of the tables.
+"""The best of several candidates, by a network that was trained apart from the judge of the tables, and by rule.
 
 Each sentence of a script is compared with its own part of the motion; a motion's score is the mean of their cosines.
+What a sentence plainly says (`language.description.agreement`) weighs more: a punch with the wrong hand is no choice.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from bunraku.diffusion.features import decode
 from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, embed_motions, embed_sentences, load_extractor
+from bunraku.language.description.agreement import agreement
 from bunraku.language.encoders import TextEncoder
 from bunraku.nn.checkpoints import shipped_checkpoint
 
-__all__ = ["best_of", "load_ranker", "script_scores"]
+__all__ = ["Drawn", "choose", "load_ranker", "script_agreement", "script_scores"]
 
+WEIGHT = 0.5
+"""Of what is plainly said beside a cosine; candidates' cosines differ by a tenth."""
+ENOUGH = 0.25
+"""Agreement below which a motion is drawn again."""
+ATTEMPTS = 3
+"""How often candidates are drawn at the most."""
 LONGEST = 196
 """Frames that the ranker looks at at once; longer parts are looked at in pieces."""
 SHORTEST = 8
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One candidate.
+
+    Args:
+        motion: Features of each frame, shape (N, 271).
+        adaptation: Offsets of local translations [m], shape (N, K, 3).
+        script: Its sentences with the frames that each lasts.
+        agreement: How far it does what they plainly say; None where they say nothing of the kind.
+    """
+
+    motion: np.ndarray
+    adaptation: np.ndarray
+    script: Sequence[tuple[str, int]]
+    agreement: float | None = None
 
 
 def load_ranker(path: str | Path | None = None) -> Extractor:
@@ -75,7 +102,51 @@ def script_scores(
     return total / np.maximum(weight, 1)
 
 
-def best_of(scores: np.ndarray, candidates: int) -> list[int]:
-    """The place of the best candidate of each motion, where candidates of a motion follow each other."""
-    rows = scores.reshape(-1, candidates)
-    return [row * candidates + int(best) for row, best in enumerate(rows.argmax(axis=1))]
+def script_agreement(motion: np.ndarray, script: Sequence[tuple[str, int]]) -> float | None:
+    """How far a motion does what its sentences plainly say: the `agreement` of the one that holds least.
+
+    Args:
+        motion: Features, shape (N, 271).
+        script: Its sentences with the frames that each lasts.
+    """
+    found, start = [], 0
+    for sentence, frames in script:
+        part = motion[start : start + frames]
+        start += frames
+        score = agreement(sentence, decode(part)) if len(part) >= SHORTEST else None
+        if score is not None:
+            found.append(score)
+    return min(found, default=None)
+
+
+def choose(
+    draw: Callable[[list[int], list[int]], list[Drawn]],
+    motions: int,
+    candidates: int,
+    score: Callable[[Sequence[Drawn]], np.ndarray],
+) -> list[Drawn]:
+    """The best candidate of each motion; where not even that does what is plainly said, more are drawn.
+
+    Args:
+        draw: Draws candidates: asked for motions and, for each, which of its candidates.
+        motions: How many there are.
+        candidates: Of each, at a time.
+        score: What the ranker says of them, shape (M,).
+
+    Returns:
+        One for each motion, the same whatever motions stand beside it.
+    """
+    best: dict[int, tuple[float, Drawn]] = {}
+    wanted = list(range(motions))
+    for attempt in range(ATTEMPTS):
+        rows = [motion for motion in wanted for _ in range(candidates)]
+        places = [attempt * candidates + place for _ in wanted for place in range(candidates)]
+        drawn = draw(rows, places)
+        for motion, one, cosine in zip(rows, drawn, score(drawn).tolist(), strict=True):
+            total = cosine + WEIGHT * (one.agreement or 0.0)
+            if motion not in best or total > best[motion][0]:
+                best[motion] = (total, one)
+        wanted = [motion for motion in wanted if (said := best[motion][1].agreement) is not None and said < ENOUGH]
+        if not wanted:
+            break
+    return [best[motion][1] for motion in range(motions)]

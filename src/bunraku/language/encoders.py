@@ -22,7 +22,16 @@ from torch import Tensor
 from bunraku.errors import MissingExtraError, WeightsError
 from bunraku.language.cues import CUES, sentence_cues
 
-__all__ = ["TEXT_LENGTH", "CLIPEncoder", "CuedEncoder", "MiniLMEncoder", "TextBatch", "TextEncoder", "text_encoder"]
+__all__ = [
+    "TEXT_LENGTH",
+    "CLIPEncoder",
+    "CuedEncoder",
+    "MiniLMEncoder",
+    "TextBatch",
+    "TextEncoder",
+    "encoder_of",
+    "text_encoder",
+]
 
 TEXT_LENGTH = 30
 
@@ -286,3 +295,15 @@ def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = Non
             f"these weights were trained with the text encoder '{name}' but {folder} holds '{encoder.name}'"
         )
     return encoder
+
+
+def encoder_of(name: str, known: TextEncoder) -> TextEncoder:
+    """The encoder of this name: the one that is loaded, or the one inside it, where they are that.
+
+    Raises:
+        WeightsError: As `text_encoder`.
+    """
+    inside = getattr(known, "inner", None)
+    if known.name == name:
+        return known
+    return inside if inside is not None and inside.name == name else text_encoder(name)
