@@ -1,6 +1,6 @@
 import pytest
 
-from bunraku.language.clauses import split_clauses, timed_clauses
+from bunraku.language.clauses import of_creature, split_clauses, timed_clauses
 
 
 @pytest.mark.parametrize(
@@ -83,3 +83,18 @@ def test_what_is_done_once_gets_its_time_and_what_goes_on_the_rest():
     assert sum(time for _, time in jumps) == pytest.approx(9.0) and jumps[0][1] / jumps[1][1] == pytest.approx(0.8)
     hurried = timed_clauses("walks, then jumps", 3.0)
     assert sum(time for _, time in hurried) == pytest.approx(3.0) and min(time for _, time in hurried) >= 1
+
+
+@pytest.mark.parametrize(
+    ("clause", "expected"),
+    [
+        ("a person walks", "it walks"),
+        ("someone is walking slowly", "it is walking slowly"),
+        ("walks forward", "it walks forward"),
+        ("jumping", "it is jumping"),
+        ("a dog runs", "a dog runs"),
+        ("walk", "walk"),
+    ],
+)
+def test_what_a_person_does_said_of_a_creature(clause, expected):
+    assert of_creature(clause) == expected

@@ -15,7 +15,15 @@ from bunraku.language.actions import actions_of
 from bunraku.language.captions import known_clauses, known_verbs
 from bunraku.language.grammar import conjugate
 
-__all__ = ["SHORTEST_CLAUSE", "clause_verbs", "split_clauses", "subject_of", "timed_clauses", "with_subject"]
+__all__ = [
+    "SHORTEST_CLAUSE",
+    "clause_verbs",
+    "of_creature",
+    "split_clauses",
+    "subject_of",
+    "timed_clauses",
+    "with_subject",
+]
 
 ONCE = {
     "jump": 2.0, "long jump": 2.3, "kick": 2.0, "reach": 2.2, "sword": 1.6, "pick up": 3.2, "put down": 2.7,
@@ -67,6 +75,12 @@ _ADVERBS = r"(?:(?:\w+ly|also|again)\s+)*"
 def clause_verbs() -> frozenset[str]:
     """Verbs that a clause may begin with, plain."""
     return known_verbs() | frozenset(_MORE_VERBS)
+
+
+_PEOPLE = re.compile(
+    r"(an? |the |this |that )?(old |young |tired |happy |sad )?"
+    r"(person|someone|somebody|man|woman|boy|girl|guy|human|character|figure|he|she|they|people|body)"
+)
 
 
 @functools.cache
@@ -132,6 +146,17 @@ def subject_of(clause: str) -> tuple[str, str]:
     """Its subject, "" where it has none, and the rest."""
     found = _patterns()["subject"].match(clause)
     return (found["subject"].strip(), clause[found.end() :]) if found else ("", clause)
+
+
+def of_creature(clause: str) -> str:
+    """What is said of a person, or of nobody, said of the creature that does it: "a person walks" as "it walks".
+
+    Conditioned on a person's words, the network lets a dog walk as people do. A creature that is named stays.
+    """
+    subject, rest = subject_of(clause)
+    if not subject:
+        return with_subject(clause, "it")
+    return f"it {rest}" if _PEOPLE.fullmatch(subject.lower()) else clause
 
 
 def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:

@@ -12,9 +12,11 @@ from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import OptionError
+from bunraku.language.clauses import of_creature
 from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of
 from bunraku.pipelines.together import check_together
 from bunraku.retarget.fit import Stages
+from bunraku.retarget.stages.rest_pose import upright
 
 __all__ = ["animate", "animate_each", "generate", "rig"]
 
@@ -203,7 +205,8 @@ def animate(
     Args:
         character: Any mesh, +Y up and facing +Z.
         prompt: What it does, in English or a language of `language.words`; or several sentences in a row with their
-            seconds: "walks:4; jumps:2; waves:3".
+            seconds: "walks:4; jumps:2; waves:3". A body that is no person's does it as its own kind does, whoever is
+            named: "a person walks" makes a dog walk on four legs.
         seconds: Length [s], 0.5 to 120; what sentences without seconds of their own share.
         seed: The same seed and version give the same animation.
         steps: Sampling steps; None takes the default.
@@ -274,6 +277,8 @@ def animate_each(
         if not isinstance(handles, Handles):
             handles = rig(character, handles=handles or "predict", progress=progress)
         feature = handles.features
+        if not upright(handles):
+            scripts = [[(of_creature(clause), length) for clause, length in script] for script in scripts]
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
     how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": feature, "progress": progress}
     for start in range(0, len(scripts), AT_ONCE):
