@@ -10,9 +10,9 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.datasets.motions.clips import write_clip
 from bunraku.errors import FormatError
+from bunraku.evaluation.motion.classifier import action_features
 from bunraku.evaluation.motion.creatures import (
     CLASSES,
-    action_features,
     creature_accuracy,
     load_cases,
     main_action,

@@ -17,6 +17,7 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.datasets.motions.clips import load_clip, load_index
 from bunraku.evaluation.motion import viewer
+from bunraku.evaluation.motion.action_test import SENTENCES, action_clips, by_turns, captured_classifier, named
 from bunraku.evaluation.motion.blocks import Bar
 from bunraku.evaluation.motion.seams import measure_seams
 from bunraku.evaluation.motion.table import MotionEvalConfig, Report
@@ -34,6 +35,9 @@ SHORTEST = 20  # frames of a captured clip that is compared with
 Make = Callable[[Sequence[tuple[str, float]]], list[HandleMotion]]
 
 VIEWER_BARS = (
+    Bar(
+        "action_accuracy_over_real", "40 actions named by a classifier of captured clips, over the same on those", 0.85
+    ),
     Bar("turn_side_degrees", "turns left or right: degrees to that side, median", 60, 130),
     Bar("turn_side_share", "- share of 45 to 150 degrees to that side", 0.7),
     Bar("turn_around_degrees", "turns around: degrees, median", 150, 210),
@@ -147,8 +151,8 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
         report: Called with a stage's name and the share done.
 
     Returns:
-        By key; a figure that could not be measured is None. Tables: "side_accuracy_by_action", "speed_by_action" and
-        "jitter_by_action".
+        By key; a figure that could not be measured is None. Tables: "action_accuracy_by_action",
+        "side_accuracy_by_action", "speed_by_action" and "jitter_by_action".
 
     Raises:
         FormatError: The data are missing or damaged.
@@ -170,6 +174,7 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
         return found
 
     blocks: dict[str, Callable[[], dict[str, Any]]] = {
+        "actions": lambda: _actions(make, config.data, 1 if quick else 3),
         "turns": lambda: _turns(make, 6 if quick else 20),
         "waves": lambda: _waves(make, 6 if quick else 20),
         "sides": lambda: _sides(make, 2 if quick else 5),
@@ -183,6 +188,21 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
         result |= block()
     report("viewer", 1.0)
     return result
+
+
+def _actions(make: Make, data: Path, seeds: int) -> dict[str, Any]:
+    """The action test on motions of 4 s."""
+    clips = action_clips(data)
+    captured = named([clip.action for clip in clips], by_turns(clips))
+    asked = [(action, sentence) for action, both in SENTENCES.items() for sentence in both for _ in range(seeds)]
+    motions = make([(sentence, 4.0) for _, sentence in asked])
+    found = named([action for action, _ in asked], captured_classifier(clips).predict(motions))
+    return {
+        "action_accuracy": found["accuracy"],
+        "action_accuracy_captured": captured["accuracy"],
+        "action_accuracy_over_real": found["accuracy"] / captured["accuracy"],
+        "action_accuracy_by_action": found["by_action"],
+    }
 
 
 def _turns(make: Make, seeds: int) -> dict[str, Any]:

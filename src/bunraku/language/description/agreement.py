@@ -21,7 +21,8 @@ __all__ = ["agreement"]
 _HITS = r"\b(punch\w*|jabs?|jabbing|hits?|hitting|throw\w*|toss\w*|push\w*|slap\w*|uppercuts?|hooks?)\b"
 _ON_LEG = r"\b(stand\w*|hop\w*|balanc\w*|jump\w*) (\w+ )?on\b"
 _LEG_UP = r"\b(kick\w*|lift\w*|rais\w+|swing\w*|stretch\w*)\b"
-_ARM_UP = r"\b(rais\w+|lift\w*|wav\w+|salut\w+|point\w*|reach\w*|stretch\w*|greet\w*)\b"
+_ARM_UP = r"\b(rais\w+|lift\w*|wav\w+|salut\w+|greet\w*)\b"
+_ARM_OUT = r"\b(point\w*|reach\w*|stretch\w*)\b"
 _ASIDE = (
     r"\b(side ?-?step\w*|step\w*|shuffl\w*|slid\w+|strafe\w*|mov\w+|walk\w* sideways|hop\w*|jump\w*)"
     r"( \w+){0,3} (left|right)\b"
@@ -29,6 +30,7 @@ _ASIDE = (
 _GOES = r"\b(walk\w*|run\w*|jog\w*|march\w*|step\w*|mov\w+|sprint\w*|strid\w*|stroll\w*|shuffl\w*|sneak\w*)\b"
 _WINDING = r"\b(turn\w*|spin\w*|circl\w*|curv\w*|around|round|danc\w*|zigzag\w*|corner|loop|eight|twirl\w*|arc|back)\b"
 _CIRCLE = r"\b(circles?|circling|spin\w*|twirl\w*|pirouett\w*|several|twice|two|double|times)\b"
+_LEVEL = 0.15  # m below the shoulder, from where on a hand is up
 _RISES = 0.15  # m; a hand or foot that is so much higher than the other is the one that is meant
 _FAST = 1.0  # m/s
 _STEP = 0.3  # m
@@ -78,12 +80,12 @@ def _arm(text: str, said: set[str], track: Track) -> float | None:
     if not side or "lower" in text:
         return None
     if _pattern(_HITS).search(text):
-        pace = [float(np.diff(track.relative(f"{name}_wrist")[:, 2]).max()) * track.fps for name in SIDES]
-        return side * (pace[0] - pace[1]) / _FAST
+        own, other = (float(np.diff(track.relative(f"{name}_wrist")[:, 2]).max()) * track.fps for name in SIDES[::side])
+        return min((own - other) / _FAST, (own - _FAST) / _FAST)
+    own, other = (np.quantile(_over(track, f"{name}_wrist", f"{name}_shoulder"), 0.9) for name in SIDES[::side])
     if _pattern(_ARM_UP).search(text):
-        left, right = (np.quantile(_over(track, f"{name}_wrist", f"{name}_shoulder"), 0.9) for name in SIDES)
-        return side * float(left - right) / _RISES
-    return None
+        return float(min(own + _LEVEL, -_LEVEL - other) / _RISES)  # one hand is up and the other is not
+    return float(own - other) / _RISES if _pattern(_ARM_OUT).search(text) else None
 
 
 def _over(track: Track, one: str, other: str) -> np.ndarray:
