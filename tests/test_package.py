@@ -18,7 +18,6 @@ HEAVY = (
     "transformers",
     "diffusers",
     "trimesh",
-    "numba",
     "moderngl",
     "av",
     "scipy",
@@ -47,7 +46,7 @@ def test_command_line_import_is_light():
 
 
 def test_core_types_do_not_load_the_networks():
-    heavy = {"torch", "transformers", "diffusers", "moderngl", "av", "numba", "trimesh"}
+    heavy = {"torch", "transformers", "diffusers", "moderngl", "av", "trimesh"}
     assert not loaded_after("import bunraku\nbunraku.Character, bunraku.Animation, bunraku.HandleMotion").intersection(
         heavy
     )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -39,6 +41,8 @@ class Backend(NamedTuple):
 
 @cache
 def _probe() -> Backend:
+    if not _has_card():  # asking EGL costs a quarter of a second
+        return Backend("software", "there is no graphics card")
     try:
         from bunraku.render.opengl import open_context
     except ImportError:
@@ -54,6 +58,12 @@ def _probe() -> Backend:
             "software", f"OpenGL runs on the CPU here ({device}); the built-in renderer is as good and starts faster"
         )
     return Backend("opengl", device)
+
+
+def _has_card() -> bool:
+    """Whether the system shows a graphics card; where only EGL can tell, yes."""
+    nodes = ("dri/renderD*", "nvidia[0-9]*", "dxg", "kfd", "mali*", "pvr*")
+    return sys.platform != "linux" or any(next(Path("/dev").glob(node), None) for node in nodes)
 
 
 def backend() -> Backend:

@@ -117,7 +117,7 @@ class Framing:
         """Measure one frame: vertices [m], shape (V, 3), float32, contiguous."""
         from bunraku.render.kernels import measure
 
-        measure(vertices, self.axes, self._slopes, self.bounds[frame], self._support[frame])
+        self.bounds[frame], self._support[frame] = measure(vertices, self.axes, self._slopes)
 
     @property
     def extent(self) -> float:

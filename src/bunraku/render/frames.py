@@ -12,9 +12,10 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.skinning import skin_basis
 from bunraku.errors import OptionError
-from bunraku.render.backends import open_renderer
+from bunraku.render.backends import Renderer, open_renderer
 from bunraku.render.camera import YAW, Camera, Framing, view_axes
 from bunraku.render.palette import handle_colors
+from bunraku.render.side_by_side import draw_side_by_side
 from bunraku.render.stage import Background, set_stage
 from bunraku.render.surface import build_surface
 
@@ -24,6 +25,8 @@ SIZE = (640, 480)
 MOST_FACES = 120_000
 KEPT_FACES = 60_000
 CHUNK_BYTES = 32 << 20
+KEPT_BYTES = 96 << 20
+"""Posed frames that are kept between measuring and drawing; more are posed twice."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,7 @@ def _take(animation: Animation, times: np.ndarray, color: str) -> _Take:
         raise OptionError(f"color must be 'texture' or 'handles', not {color!r}")
     character, motion = animation.character, animation.motion
     colors = character.colors if color == "texture" else handle_colors(animation.handles)
-    rest, faces, colors, origin = _simplified(character.vertices, character.faces, colors)
+    rest, faces, colors, origin = _simplified(character.vertices, character.faces, colors, animation.handles.weights)
     weights = animation.handles.weights if origin is None else animation.handles.weights[origin]
     transforms = motion.transforms(animation.handles.positions)
     at = np.clip(times * motion.fps, 0, len(motion) - 1)
@@ -176,22 +179,52 @@ def _take(animation: Animation, times: np.ndarray, color: str) -> _Take:
 
 
 def _simplified(
-    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None, weights: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """The mesh itself, or for a large one fewer faces, with the vertex of the original that each new vertex takes
-    after.
+    """The mesh as it is drawn, or for a large one fewer faces, with the vertex of the original that each new vertex
+    takes after; None where all are as they were.
 
-    Vertices without faces are left out: they are not seen, and would draw the camera away.
+    Vertices without faces are left out: they are not seen, and would draw the camera away. Copies of a vertex that
+    look and move alike, as files keep them at seams and STL for every face, are drawn as one.
     """
+    kept, faces = _welded(vertices, faces, colors, weights)
+    if len(kept) < len(vertices):
+        tints = colors if colors is None or colors.ndim == 1 else colors[kept]
+        rest, small, tints, origin = _fewer(np.ascontiguousarray(vertices[kept]), faces, tints)
+        return rest, small, tints, kept if origin is None else kept[origin]
+    return _fewer(vertices, faces, colors)
+
+
+def _welded(
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None, weights: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """One vertex of each group of equal ones that has faces, ascending, and the faces that name those."""
+    parts = [vertices, weights, colors if colors is not None and colors.ndim == 2 else None]
+    columns = [np.ascontiguousarray(part, np.float32).view(np.uint32) for part in parts if part is not None]
+    # A hash of 64 bits a vertex: equal vertices have equal ones, and others do not by all odds.
+    odd = np.random.default_rng(0).integers(0, 1 << 63, sum(part.shape[1] for part in columns), np.uint64) * 2 + 1
+    mixed, start = np.zeros(len(vertices), np.uint64), 0
+    for part in columns:
+        for column in part.T:
+            mixed = (mixed ^ column) * odd[start]
+            mixed ^= mixed >> np.uint64(29)
+            start += 1
     used = np.zeros(len(vertices), bool)
     used[faces] = True
-    if not used.all():
-        kept = np.flatnonzero(used)
-        tints = colors if colors is None or colors.ndim == 1 else colors[kept]
-        rest, small, tints, origin = _simplified(
-            np.ascontiguousarray(vertices[kept]), (np.cumsum(used) - 1)[faces], tints
-        )
-        return rest, small, tints, kept if origin is None else kept[origin]
+    at = np.flatnonzero(used)
+    _, first, group = np.unique(mixed[at], return_index=True, return_inverse=True)
+    order = np.argsort(first)  # as they came
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    new = np.zeros(len(vertices), np.int64)
+    new[at] = rank[group]
+    return at[first[order]], new[faces]
+
+
+def _fewer(
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """What `_simplified` gives, for a mesh without loose vertices."""
     if len(faces) <= MOST_FACES and len(vertices) <= MOST_FACES:
         return vertices, faces, colors, None
     import fast_simplification
@@ -227,19 +260,18 @@ def _draw(
     if not (16 <= width <= 4096 and 16 <= height <= 4096):
         raise OptionError(f"a picture has 16 to 4096 pixels a side, not {width} x {height}")
     framing = Framing(take.count, (width, height), fps, axes if camera is None else camera.axes, floor=take.floor)
+    kept: list[np.ndarray] | None = [] if 12 * len(take.rest) * take.count <= KEPT_BYTES else None
     for index, posed in enumerate(take.frames()):
         framing.add(index, posed)
+        if kept is not None:
+            kept.append(posed)
     stage = set_stage(framing, background)
     offsets = framing.offsets() if camera is None else np.zeros((take.count, 3))
     view = framing.camera() if camera is None else camera
     surface = build_surface(take.rest, take.faces, take.colors)
 
-    def pictures() -> Iterator[np.ndarray]:
-        drawer = open_renderer((width, height), surface, stage, renderer)
-        try:
-            for posed, offset in zip(take.frames(), offsets, strict=True):
-                yield drawer.draw(posed, view.moved(offset), offset)
-        finally:
-            drawer.close()
+    def opened() -> Renderer:
+        return open_renderer((width, height), surface, stage, renderer)
 
-    return pictures()
+    frames = take.frames() if kept is None else iter(kept)
+    return draw_side_by_side(opened, ((posed, view.moved(o), o) for posed, o in zip(frames, offsets, strict=True)))

@@ -1,187 +1,125 @@
-"""The loops of the software renderer, compiled by numba: measuring, normals, shadows and rasterising."""
+"""The loops of the renderers: compiled from `kernels.c` where there is a C compiler, in numpy where there is none
+(`reference.py`, where each is described).
 
-# mypy: disable-error-code="no-untyped-def"
-# numba infers the types of the compiled loops.
+The compiled ones let other threads go on, so that frames are drawn side by side.
+"""
+
 from __future__ import annotations
 
-from collections.abc import Callable
+import ctypes
 from typing import Any
 
-import numba
 import numpy as np
 
-__all__ = ["accumulate_normals", "compiled", "drop_shadow", "measure", "project", "rasterise"]
+from bunraku.render import reference
+from bunraku.render.native import native
+
+__all__ = ["accumulate_normals", "draw_grid", "drop_shadow", "measure", "project", "rasterise", "shade", "soften"]
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function compiled at its first call, and kept in the cache beside its module for the next process."""
-    # Infinities mark empty texels, so of the fast-math rules only those that respect them.
-    options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "fastmath": {"contract", "arcp", "nsz"}}
-    try:
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # no folder for the cache can be written: compile in each process
-        return numba.njit(**options)(function)
+def _call(name: str, *arguments: Any) -> bool:
+    """Call a compiled loop; False where there is none.
 
-
-# Four samples a pixel on a rotated grid, as graphics cards place them.
-SAMPLES_X = (0.375, 0.875, 0.125, 0.625)
-SAMPLES_Y = (0.125, 0.375, 0.625, 0.875)
-
-
-@compiled
-def measure(vertices, axes, slopes, bounds, support):
-    """Bounds (2, 3) of vertices (V, 3), and the four support values that `Framing` needs."""
-    for axis in range(3):
-        bounds[0, axis] = np.inf
-        bounds[1, axis] = -np.inf
-    support[0] = support[2] = -np.inf
-    support[1] = support[3] = np.inf
-    for v in range(len(vertices)):
-        px, py, pz = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        bounds[0, 0], bounds[1, 0] = min(bounds[0, 0], px), max(bounds[1, 0], px)
-        bounds[0, 1], bounds[1, 1] = min(bounds[0, 1], py), max(bounds[1, 1], py)
-        bounds[0, 2], bounds[1, 2] = min(bounds[0, 2], pz), max(bounds[1, 2], pz)
-        x = axes[0, 0] * px + axes[0, 1] * py + axes[0, 2] * pz
-        y = axes[1, 0] * px + axes[1, 1] * py + axes[1, 2] * pz
-        z = axes[2, 0] * px + axes[2, 1] * py + axes[2, 2] * pz
-        support[0] = max(support[0], x + slopes[0] * z)
-        support[1] = min(support[1], x - slopes[0] * z)
-        support[2] = max(support[2], y + slopes[1] * z)
-        support[3] = min(support[3], y - slopes[2] * z)
-
-
-@compiled
-def accumulate_normals(vertices, faces, clusters, count):
-    """Unit normals (count, 3) of the smooth clusters: area-weighted sums over the faces whose corners belong to
-    them.
+    Args:
+        name: The function in `kernels.c`.
+        arguments: Arrays of the types that it reads, contiguous; numbers.
     """
-    out = np.zeros((count, 3), np.float32)
-    for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        for corner in range(3):
-            k = clusters[f, corner]
-            out[k, 0] += nx
-            out[k, 1] += ny
-            out[k, 2] += nz
-    for k in range(count):
-        length = np.sqrt(out[k, 0] ** 2 + out[k, 1] ** 2 + out[k, 2] ** 2)
-        if length > 0:
-            out[k, 0] /= length
-            out[k, 1] /= length
-            out[k, 2] /= length
+    library = native().library
+    if library is None:
+        return False
+    words: list[Any] = []
+    for value in arguments:
+        if isinstance(value, np.ndarray):
+            if not value.flags.c_contiguous:
+                raise ValueError(f"{name}: an array is not contiguous")
+            words.append(ctypes.c_void_p(value.ctypes.data))
         else:
-            out[k, 1] = 1.0
-    return out
+            words.append(ctypes.c_double(value) if isinstance(value, float) else ctypes.c_int64(value))
+    getattr(library, name)(*words)
+    return True
 
 
-@compiled
-def project(vertices, axes, eye, focal, width, height):
-    """Column, row and inverse distance of each vertex, shape (V, 3), float32; inverse distance 0 is behind the eye."""
-    out = np.empty((len(vertices), 3), np.float32)
-    for v in range(len(vertices)):
-        px, py, pz = vertices[v, 0] - eye[0], vertices[v, 1] - eye[1], vertices[v, 2] - eye[2]
-        x = axes[0, 0] * px + axes[0, 1] * py + axes[0, 2] * pz
-        y = axes[1, 0] * px + axes[1, 1] * py + axes[1, 2] * pz
-        z = -(axes[2, 0] * px + axes[2, 1] * py + axes[2, 2] * pz)
-        if z > 1e-6:
-            out[v, 0] = 0.5 * width + focal * x / z
-            out[v, 1] = 0.5 * height - focal * y / z
-            out[v, 2] = 1.0 / z
-        else:
-            out[v] = 0.0
-    return out
+def _floats(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32)
 
 
-@compiled
-def rasterise(screen, faces, depth, ids):
-    """Write the nearest face of each sample to `ids` and its inverse distance to `depth`, both (H, W, 4)."""
-    height, width = depth.shape[0], depth.shape[1]
-    for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        za, zb, zc = float(screen[a, 2]), float(screen[b, 2]), float(screen[c, 2])
-        if za <= 0 or zb <= 0 or zc <= 0:
-            continue
-        ax, ay = float(screen[a, 0]), float(screen[a, 1])
-        bx, by = screen[b, 0] - ax, screen[b, 1] - ay
-        cx, cy = screen[c, 0] - ax, screen[c, 1] - ay
-        area = bx * cy - by * cx
-        if area == 0:
-            continue
-        left, right = ax + min(0.0, bx, cx), ax + max(0.0, bx, cx)
-        top, bottom = ay + min(0.0, by, cy), ay + max(0.0, by, cy)
-        if right < 0 or bottom < 0 or left >= width or top >= height:
-            continue
-        # Samples lie between 1/8 and 7/8 of a pixel.
-        x0, x1 = int(max(left + 0.125, 0.0)), int(min(right - 0.125, width - 1.0))
-        y0, y1 = int(max(top + 0.125, 0.0)), int(min(bottom - 0.125, height - 1.0))
-        ux, uy = cy / area, -cx / area
-        vx, vy = -by / area, bx / area
-        # How far a pixel's samples reach inside each edge, seen from its corner: a whole pixel outside is skipped at
-        # once.
-        reach_u = 0.875 * (max(ux, 0.0) + max(uy, 0.0))
-        reach_v = 0.875 * (max(vx, 0.0) + max(vy, 0.0))
-        reach_w = 1 + 0.875 * (max(-ux - vx, 0.0) + max(-uy - vy, 0.0))
-        zb -= za
-        zc -= za
-        for y in range(y0, y1 + 1):
-            row_u = ux * (x0 - ax) + uy * (y - ay)
-            row_v = vx * (x0 - ax) + vy * (y - ay)
-            for x in range(x0, x1 + 1):
-                if row_u + reach_u >= 0 and row_v + reach_v >= 0 and row_u + row_v <= reach_w:
-                    for s in range(4):
-                        u = row_u + ux * SAMPLES_X[s] + uy * SAMPLES_Y[s]
-                        v = row_v + vx * SAMPLES_X[s] + vy * SAMPLES_Y[s]
-                        if u >= 0 and v >= 0 and u + v <= 1:
-                            z = za + u * zb + v * zc
-                            if z > depth[y, x, s]:
-                                depth[y, x, s] = z
-                                ids[y, x, s] = f
-                row_u += ux
-                row_v += vx
+def _doubles(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float64)
 
 
-@compiled
-def drop_shadow(vertices, faces, slope_x, slope_z, ground, left, near, texel, lowest, heights):
-    """Project faces to the floor along (-slope_x, -1, -slope_z); keep the highest (or lowest) height of each texel (R,
-    R).
+def measure(vertices: np.ndarray, axes: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    bounds, support = np.empty((2, 3), np.float32), np.empty(4)
+    points = _floats(vertices)
+    if _call("measure", len(points), points, _doubles(axes), _doubles(slopes), bounds, support):
+        return bounds, support
+    return reference.measure(vertices, axes, slopes)
 
-    Heights are above the floor [m]; texels that nothing covers keep what they held.
-    """
-    size = len(heights)
-    for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ha, hb, hc = vertices[a, 1] - ground, vertices[b, 1] - ground, vertices[c, 1] - ground
-        ax, ay = (vertices[a, 0] - slope_x * ha - left) / texel, (vertices[a, 2] - slope_z * ha - near) / texel
-        bx, by = (
-            (vertices[b, 0] - slope_x * hb - left) / texel - ax,
-            (vertices[b, 2] - slope_z * hb - near) / texel - ay,
-        )
-        cx, cy = (
-            (vertices[c, 0] - slope_x * hc - left) / texel - ax,
-            (vertices[c, 2] - slope_z * hc - near) / texel - ay,
-        )
-        area = bx * cy - by * cx
-        if area == 0:
-            continue
-        x0, x1 = (
-            int(max(np.ceil(ax + min(0.0, bx, cx) - 0.5), 0.0)),
-            int(min(np.floor(ax + max(0.0, bx, cx) - 0.5), size - 1.0)),
-        )
-        y0, y1 = (
-            int(max(np.ceil(ay + min(0.0, by, cy) - 0.5), 0.0)),
-            int(min(np.floor(ay + max(0.0, by, cy) - 0.5), size - 1.0)),
-        )
-        for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                px, py = x + 0.5 - ax, y + 0.5 - ay
-                u = (cy * px - cx * py) / area
-                v = (bx * py - by * px) / area
-                if u >= 0 and v >= 0 and u + v <= 1:
-                    h = ha + u * (hb - ha) + v * (hc - ha)
-                    if lowest:
-                        heights[y, x] = min(heights[y, x], max(h, 0.0))
-                    else:
-                        heights[y, x] = max(heights[y, x], h)
+
+def accumulate_normals(vertices: np.ndarray, faces: np.ndarray, clusters: np.ndarray, count: int) -> np.ndarray:
+    out = np.empty((count, 3), np.float32)
+    if _call("accumulate_normals", _floats(vertices), len(faces), faces, clusters, count, out):
+        return out
+    return reference.accumulate_normals(vertices, faces, clusters, count)
+
+
+def project(points: np.ndarray, axes: np.ndarray, eye: np.ndarray, focal: float, width: int, height: int) -> np.ndarray:
+    out = np.empty((len(points), 3), np.float32)
+    if _call("project", len(points), _floats(points), _doubles(axes), _doubles(eye), focal, width, height, out):
+        return out
+    return reference.project(points, axes, eye, focal, width, height)
+
+
+def rasterise(screen: np.ndarray, faces: np.ndarray, depth: np.ndarray, ids: np.ndarray) -> tuple[int, int, int, int]:
+    height, width = depth.shape[:2]
+    window = np.zeros(4, np.int32)
+    if not _call("rasterise", screen, len(faces), faces, width, height, depth, ids, window):
+        return reference.rasterise(screen, faces, depth, ids)
+    left, top, right, bottom = window.tolist()
+    return left, top, right, bottom
+
+
+def drop_shadow(
+    vertices: np.ndarray, faces: np.ndarray, slopes: tuple[float, float], ground: float, corner: tuple[float, float],
+    texel: float, lowest: bool, heights: np.ndarray,
+) -> None:  # fmt: skip
+    if not _call(
+        "drop_shadow", vertices, len(faces), faces, *map(float, (*slopes, ground, *corner, texel)), int(lowest),
+        len(heights), heights,
+    ):  # fmt: skip
+        reference.drop_shadow(vertices, faces, slopes, ground, corner, texel, lowest, heights)
+
+
+def soften(image: np.ndarray, width: int) -> np.ndarray:
+    out, size = np.empty_like(image), len(image)
+    if _call("box", size, width, image, out, np.empty_like(image), np.empty(size)):
+        return out
+    return reference.soften(image, width)
+
+
+def draw_grid(
+    floor: np.ndarray, offset: np.ndarray, cell: float, color: np.ndarray, base: np.ndarray, plain: np.ndarray
+) -> None:
+    (height, width), thickness = base.shape[:2], reference.LINE_WIDTH * cell
+    if not _call(
+        "draw_grid", width, height, floor, _doubles(offset), float(cell), float(thickness), _doubles(color), base,
+        plain,
+    ):  # fmt: skip
+        reference.draw_grid(floor, offset, cell, color, base, plain)
+
+
+def shade(
+    window: tuple[int, int, int, int], screen: np.ndarray, faces: np.ndarray, points: np.ndarray, normals: np.ndarray,
+    colors: np.ndarray, ids: np.ndarray, base: np.ndarray, axes: np.ndarray, eye: np.ndarray, focal: float,
+    ground: float, light: np.ndarray, lights: np.ndarray, heights: np.ndarray, floor_shadow: np.ndarray,
+    corner: tuple[float, float], texel: float, encode: np.ndarray, out: np.ndarray,
+) -> None:  # fmt: skip
+    height, width = ids.shape[:2]
+    if not _call(
+        "shade", width, height, np.array(window, np.int32), screen, faces, points, normals, colors, ids, base,
+        _doubles(axes), _doubles(eye), focal, float(ground), _doubles(light), _doubles(lights), heights, floor_shadow,
+        len(heights), *map(float, (*corner, texel)), encode, len(encode) - 1, out,
+    ):  # fmt: skip
+        reference.shade(
+            window, screen, faces, points, normals, colors, ids, base, axes, eye, focal, ground, light, lights, heights,
+            floor_shadow, corner, texel, encode, out,
+        )  # fmt: skip

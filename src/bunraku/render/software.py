@@ -1,18 +1,19 @@
-"""The renderer that always works: numba on one core, four samples a pixel."""
+"""The renderer that always works: on the processor, four samples a pixel."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from bunraku.render.backdrop import Backdrop, build_backdrop
 from bunraku.render.camera import Camera
-from bunraku.render.stage import Stage, cast_shadows
+from bunraku.render.stage import Shadows, Stage, cast_shadows
 from bunraku.render.surface import Surface, compress_highlights, srgb_from_linear
 
 __all__ = ["SoftwareRenderer"]
 
 
 class SoftwareRenderer:
-    """Draws frames of one surface on one stage.
+    """Draws frames of one surface on one stage; of one thread at a time.
 
     Faces that reach behind the eye are left out whole; a fitted camera has none.
 
@@ -27,11 +28,14 @@ class SoftwareRenderer:
     def __init__(self, size: tuple[int, int], surface: Surface, stage: Stage):
         width, height = size
         self._surface, self._stage = surface, stage
-        self._depth = np.empty((height, width, 4), np.float32)
-        self._ids = np.empty((height, width, 4), np.int32)
-        self._base = np.empty((height, width, 3), np.float32)
+        self._depth = np.zeros((height, width, 4), np.float32)
+        self._ids = np.full((height, width, 4), -1, np.int32)
         self._encode = srgb_from_linear(compress_highlights(np.linspace(0, 2, 8193, dtype=np.float32)))
-        self._seen: tuple[bytes, ...] = ()
+        self._seen: tuple[float, ...] = ()
+        self._base, self._plain = np.empty((height, width, 3), np.float32), np.empty((height, width, 3), np.uint8)
+        self._backdrop: Backdrop | None = None
+        self._behind: tuple[float, ...] = ()
+        self._floor = slice(0, 0)
 
     def draw(self, vertices: np.ndarray, camera: Camera, offset: np.ndarray) -> np.ndarray:
         """One picture, shape (H, W, 3), uint8.
@@ -41,38 +45,68 @@ class SoftwareRenderer:
             camera: Where it is seen from.
             offset: How far the lit part of the floor has moved [m], shape (3,).
         """
-        from bunraku.render import kernels, shading
+        from bunraku.render import kernels
 
         stage, surface = self._stage, self._surface
         height, width = self._ids.shape[:2]
         focal = camera.focal(height)
-        seen = (
-            camera.position.tobytes(),
-            camera.axes.tobytes(),
-            np.float64(focal).tobytes(),
-            np.asarray(offset, np.float64).tobytes(),
-        )
-        if seen != self._seen:
-            shading.backdrop(
-                camera.axes, camera.position, focal, stage.centre + offset, stage.ground, stage.radius, stage.cell,
-                stage.top, stage.bottom, stage.floor, stage.line, self._base,
-            )  # fmt: skip
-            self._seen = seen
+        self._draw_backdrop(camera, focal, offset)
         points, normals = surface.pose(vertices)
         shadows = cast_shadows(stage, surface, vertices)
         screen = kernels.project(points, camera.axes, camera.position, focal, width, height)
-        self._depth.fill(0)
-        self._ids.fill(-1)
-        kernels.rasterise(screen, surface.triangles, self._depth, self._ids)
-        out = np.empty((height, width, 3), np.uint8)
-        shading.shade(
+        left, top, right, bottom = kernels.rasterise(screen, surface.triangles, self._depth, self._ids)
+        dark = self._darkened(shadows, camera)
+        out: np.ndarray = self._plain.copy()
+        kernels.shade(
+            (min(left, dark[0]), min(top, dark[1]), max(right, dark[2]), max(bottom, dark[3])),
             screen, surface.triangles, points, normals, surface.colors, self._ids, self._base, camera.axes,
-            camera.position, focal,
-            stage.ground, stage.light, stage.lights, shadows.heights, shadows.floor, shadows.left, shadows.near,
-            shadows.texel,
-            self._encode, out,
+            camera.position, focal, stage.ground, stage.light, stage.lights, shadows.heights, shadows.floor,
+            (shadows.left, shadows.near), shadows.texel, self._encode, out,
         )  # fmt: skip
+        self._depth[top:bottom, left:right] = 0
+        self._ids[top:bottom, left:right] = -1
         return out
+
+    def _draw_backdrop(self, camera: Camera, focal: float, offset: np.ndarray) -> None:
+        """Fill `base` and `plain`, where the camera is not where it was."""
+        from bunraku.render import kernels
+
+        seen = (*camera.position.tolist(), *camera.axes.ravel().tolist(), focal, *np.asarray(offset).tolist())
+        if seen == self._seen:
+            return
+        stage = self._stage
+        height, width = self._ids.shape[:2]
+        behind = (*(camera.position - offset).round(9).tolist(), *seen[3:13], camera.position[1])
+        if self._backdrop is None or behind != self._behind:
+            self._backdrop, self._behind = build_backdrop((width, height), camera, stage, offset), behind
+            rows = np.flatnonzero(self._backdrop.floor[..., 4].any(axis=1))
+            self._floor = slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0, 0)
+        backdrop, floor = self._backdrop, self._floor
+        np.copyto(self._base, backdrop.base)
+        np.copyto(self._plain, backdrop.plain)
+        kernels.draw_grid(
+            backdrop.floor[floor], camera.position[[0, 2]], stage.cell, stage.line, self._base[floor],
+            self._plain[floor],
+        )  # fmt: skip
+        self._seen = seen
+
+    def _darkened(self, shadows: Shadows, camera: Camera) -> tuple[int, int, int, int]:
+        """The rectangle of the picture outside which no shadow lies on the floor: first column and row, and those
+        after the last.
+        """
+        height, width = self._ids.shape[:2]
+        rows, columns = (np.flatnonzero((shadows.floor > 0).any(axis=axis)) for axis in (1, 0))
+        if not len(rows):
+            return width, height, 0, 0
+        x = shadows.left + shadows.texel * np.array([columns[0] - 1, columns[-1] + 2])
+        z = shadows.near + shadows.texel * np.array([rows[0] - 1, rows[-1] + 2])
+        corners = np.array([[across, self._stage.ground, along] for across in x for along in z])
+        seen = camera.project(corners, (width, height))
+        if (seen[:, 2] <= 0).any():
+            return 0, 0, width, height
+        first = np.clip(np.floor(seen[:, :2].min(axis=0)) - 1, 0, (width, height)).astype(int)
+        last = np.clip(np.ceil(seen[:, :2].max(axis=0)) + 1, 0, (width, height)).astype(int)
+        return int(first[0]), int(first[1]), int(last[0]), int(last[1])
 
     def close(self) -> None:
         """Nothing to give back."""

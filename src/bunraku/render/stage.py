@@ -131,12 +131,10 @@ def set_stage(framing: Framing, background: Background = "studio") -> Stage:
 
 def cast_shadows(stage: Stage, surface: Surface, vertices: np.ndarray) -> Shadows:
     """The shadows of one frame: vertices [m], shape (V, 3), float32, contiguous."""
-    from scipy.ndimage import uniform_filter
-
-    from bunraku.render.kernels import drop_shadow
+    from bunraku.render.kernels import drop_shadow, measure, soften
 
     texel = 2 * stage.reach / TEXELS
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    low, high = measure(vertices, np.eye(3), np.zeros(3))[0]
     slope_x, slope_z = stage.light[0] / stage.light[1], stage.light[2] / stage.light[1]
     # Half a shadow's length towards where it falls; whole texels, so that edges do not swim.
     rise = max(float(high[1]) - stage.ground, 0.0)
@@ -144,17 +142,18 @@ def cast_shadows(stage: Stage, surface: Surface, vertices: np.ndarray) -> Shadow
         [0.5 * (low[0] + high[0]) - 0.5 * slope_x * rise, 0.5 * (low[2] + high[2]) - 0.5 * slope_z * rise]
     )
     left, near = (np.floor(middle / texel) * texel - stage.reach).tolist()
+    corner = (left, near)
     heights = np.full((TEXELS, TEXELS), -np.inf, np.float32)
-    drop_shadow(vertices, surface.faces, slope_x, slope_z, stage.ground, left, near, texel, False, heights)
+    drop_shadow(vertices, surface.faces, (slope_x, slope_z), stage.ground, corner, texel, False, heights)
     lowest = np.full((TEXELS // 2, TEXELS // 2), np.inf, np.float32)
-    drop_shadow(vertices, surface.faces, 0.0, 0.0, stage.ground, left, near, 2 * texel, True, lowest)
+    drop_shadow(vertices, surface.faces, (0.0, 0.0), stage.ground, corner, 2 * texel, True, lowest)
 
-    def soften(image: np.ndarray, radius: float) -> np.ndarray:
-        size = 2 * max(round(radius), 1) + 1
-        return uniform_filter(uniform_filter(image, size, mode="constant"), size, mode="constant")
+    def blurred(image: np.ndarray, radius: float) -> np.ndarray:
+        width = 2 * max(round(radius), 1) + 1
+        return soften(soften(image, width), width)
 
-    key = soften((heights > -np.inf).astype(np.float32), 0.012 * stage.extent / texel)
-    contact = soften(np.exp(lowest / np.float32(-0.12 * stage.extent)), 0.015 * stage.extent / texel)
-    contact = uniform_filter(np.repeat(np.repeat(contact, 2, axis=0), 2, axis=1), 3, mode="constant")
+    key = blurred((heights > -np.inf).astype(np.float32), 0.012 * stage.extent / texel)
+    contact = blurred(np.exp(lowest / np.float32(-0.12 * stage.extent)), 0.015 * stage.extent / texel)
+    contact = soften(np.repeat(np.repeat(contact, 2, axis=0), 2, axis=1), 3)
     floor = (1 - (1 - 0.24 * key) * (1 - 0.42 * contact)).astype(np.float32)
     return Shadows(heights, floor, left, near, texel)

@@ -61,7 +61,7 @@ class Surface:
         from bunraku.render.kernels import accumulate_normals
 
         normals = accumulate_normals(vertices, self.faces, self.clusters, self.normal_count)
-        return vertices[self.point_vertex], normals[self.point_cluster]
+        return vertices.take(self.point_vertex, axis=0), normals.take(self.point_cluster, axis=0)
 
 
 def build_surface(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None) -> Surface:
@@ -74,13 +74,15 @@ def build_surface(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | 
             files without materials come as, is drawn in the colour of clay.
 
     Raises:
-        OptionError: The colours are of another number than the vertices.
+        OptionError: The colours are of another number than the vertices, or a face names a vertex that is not there.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     vertices = np.asarray(vertices, np.float32)
     faces = np.ascontiguousarray(faces, np.int32)
+    if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < len(vertices):
+        raise OptionError(f"faces must name vertices 0 to {len(vertices) - 1}")
     tint = np.asarray(CLAY if colors is None else colors, np.uint8)
     if tint.shape not in ((3,), vertices.shape):
         raise OptionError(f"colours must have shape (3,) or {vertices.shape}, not {tint.shape}")

@@ -17,7 +17,7 @@ from bunraku.cli.evaluate.report import size_text
 
 __all__ = ["Doctor", "Finding"]
 
-PACKAGES = ("torch", "numpy", "scipy", "transformers", "numba", "libigl", "fast-simplification", "moderngl", "av")
+PACKAGES = ("torch", "numpy", "scipy", "transformers", "libigl", "fast-simplification", "moderngl", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
@@ -144,6 +144,14 @@ def _preview() -> Iterator[Finding]:
 
     chosen = backend()
     yield Finding("preview", "ok", f"{chosen.name} renderer: {chosen.reason}")
+    from bunraku.render.native import native
+
+    loops = native()
+    if loops.library is not None:
+        yield Finding("preview loops", "ok", f"compiled: {loops.reason}")
+    else:
+        cost = "previews are the same pictures, and take about ten times as long; install a C compiler such as gcc"
+        yield Finding("preview loops", "optional", f"in numpy: {loops.reason}", cost)
 
 
 def _weights() -> Iterator[Finding]:
