@@ -96,20 +96,20 @@ def _forms() -> tuple[str, str, str]:
 
 
 @functools.cache
-def _patterns() -> dict[str, re.Pattern[str]]:
+def _begins(what: str) -> re.Pattern[str]:
     """What begins a clause: a "subject", a verb in the "third" person, as a "gerund" or "plain", any "clause", or a
-    "finite" one.
+    "finite" one. Each is compiled when it is asked for first: with all verbs in them that takes a tenth of a second.
     """
     third, gerund, plain = _forms()
-    texts = {
+    text = {
         "subject": rf"(?P<subject>{_NOUN})(?={_ADVERBS}(?:{third}|{gerund}|is\s+|are\s+))",
         "third": rf"{_ADVERBS}{third}",
         "gerund": rf"{_ADVERBS}{gerund}",
         "clause": rf"(?:{_NOUN})?{_ADVERBS}(?:{third}|{gerund}|{plain}|is\s|are\s)",
         "plain": rf"{_ADVERBS}{plain}",
         "finite": rf"{_NOUN}{_ADVERBS}(?:{third}|is\s|are\s)",
-    }
-    return {name: re.compile(text, re.IGNORECASE) for name, text in texts.items()}
+    }[what]
+    return re.compile(text, re.IGNORECASE)
 
 
 def split_clauses(sentence: str) -> list[str]:
@@ -144,7 +144,7 @@ def split_clauses(sentence: str) -> list[str]:
 
 def subject_of(clause: str) -> tuple[str, str]:
     """Its subject, "" where it has none, and the rest."""
-    found = _patterns()["subject"].match(clause)
+    found = _begins("subject").match(clause)
     return (found["subject"].strip(), clause[found.end() :]) if found else ("", clause)
 
 
@@ -189,13 +189,12 @@ def _time_of(clause: str) -> float:
 
 def _hinged(piece: str) -> list[str]:
     """A piece parted at "before" and "after", in the order in which things happen."""
-    clause = _patterns()
     found = _AFTER_FIRST.match(piece)
-    if found and clause["gerund"].match(found["earlier"]) and clause["clause"].match(found["later"]):
+    if found and _begins("gerund").match(found["earlier"]) and _begins("clause").match(found["later"]):
         return [found["earlier"], *_hinged(found["later"])]
     for found in re.finditer(_HINGE, piece):
         rest = found["rest"]
-        if found.start() and (clause["gerund"].match(rest) or clause["finite"].match(rest)):
+        if found.start() and (_begins("gerund").match(rest) or _begins("finite").match(rest)):
             head = piece[: found.start()]
             return [head, *_hinged(rest)] if found["word"].lower() == "before" else [*_hinged(rest), head]
     return [piece]
@@ -212,7 +211,7 @@ def _listed(piece: str, ordered: bool) -> list[str]:
         return [piece]
     begin = subject_of(_OPENING.sub("", first))[1]
     for form in ("third", "gerund", "plain") if others else ():
-        verb = _patterns()[form]
+        verb = _begins(form)
         if all(verb.match(item) for item in (begin, *others)):
             head, _, last = others[-1].rpartition(" and ")
             return [first, *others[:-1], head, last] if head and verb.match(last) else [first, *others]
@@ -225,6 +224,6 @@ def with_subject(clause: str, subject: str) -> str:
     """
     if not subject:
         return clause
-    if _patterns()["third"].match(clause):
+    if _begins("third").match(clause):
         return f"{subject} {clause}"
-    return f"{subject} is {clause}" if _patterns()["gerund"].match(clause) else clause
+    return f"{subject} is {clause}" if _begins("gerund").match(clause) else clause
