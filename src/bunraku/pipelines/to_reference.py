@@ -21,8 +21,15 @@ from bunraku.core.skinning import posed_points
 from bunraku.errors import CharacterError, MotionError
 from bunraku.geometry.rotations import nearest_rotation
 from bunraku.io.motions import Motion
+from bunraku.retarget.creatures.motion import (
+    CreatureMotion,
+    motion_of_handles,
+    motion_of_rig,
+    motion_of_skeleton,
+)
+from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["bone_rotations", "reference_motion"]
+__all__ = ["bone_rotations", "creature_motion", "reference_motion"]
 
 _CHUNK = 200  # frames registered at once: bounds memory
 
@@ -58,6 +65,31 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
     return resample(known, fps)
 
 
+def creature_motion(
+    motion: Motion, *, fps: float = 20.0, names: Mapping[str, str] | None = None
+) -> CreatureMotion | None:
+    """The motion of a body on four legs and more, or on none; None of people and of others on two legs.
+
+    Arguments and errors are those of `reference_motion`.
+    """
+    found: CreatureMotion | None = None
+    if isinstance(motion, SkeletalMotion):
+        return motion_of_skeleton(motion, fps, names)
+    if isinstance(motion, RigAnimation | Animation):
+        character, rig = motion.character, motion.character.rig
+        own = len(motion.handles.positions)
+        if isinstance(motion, Animation) and own == HANDLE_COUNT and (rig is None or own != len(rig.names) + 1):
+            found = motion_of_handles(motion.motion, character, motion.handles)
+        elif rig is not None and (isinstance(motion, RigAnimation) or own == len(rig.names) + 1):
+            world = motion.world() if isinstance(motion, RigAnimation) else bone_rotations(motion)
+            try:
+                character, rotations, positions = _facing(character, *world)
+                found = motion_of_rig(RigParts.of(character), rotations, positions, motion.motion.fps)
+            except CharacterError:  # names that say nothing
+                return None
+    return None if found is None else found.at(fps)
+
+
 def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | None) -> HandleMotion:
     from bunraku.core.resample import resample_motion
     from bunraku.retarget.body_motion import body_handle_motion
@@ -87,10 +119,18 @@ def _of_animation(animation: Animation) -> HandleMotion:
 
 
 def _of_rig(character: Character, rotations: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
+    from bunraku.retarget.rig_motion import rig_to_reference
+
+    character, rotations, positions = _facing(character, rotations, positions)
+    return rig_to_reference(RigParts.of(character), rotations, positions, fps, native=True)
+
+
+def _facing(
+    character: Character, rotations: np.ndarray, positions: np.ndarray
+) -> tuple[Character, np.ndarray, np.ndarray]:
+    """A character and the motion of its bones, turned to face +Z by what its rig says."""
     from bunraku.formats.turning import turned
     from bunraku.geometry.axes import upright_rotation
-    from bunraku.retarget.rig_motion import rig_to_reference
-    from bunraku.retarget.rig_parts import RigParts
     from bunraku.skeletons.rig_axes import rig_axes
 
     rig = character.rig
@@ -103,7 +143,7 @@ def _of_rig(character: Character, rotations: np.ndarray, positions: np.ndarray, 
             turn @ rotations @ turn.T,
             positions @ turn.T,
         )
-    return rig_to_reference(RigParts.of(character), rotations, positions, fps, native=True)
+    return character, rotations, positions
 
 
 def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:

@@ -1,7 +1,8 @@
 """`transfer`: motion that exists already, put on any character.
 
 Every motion becomes one of the reference body first (`to_reference`). From there it goes to the handles of the
-character (TapMo, section 3.2) or to its own rig.
+character (TapMo, section 3.2) or to its own rig. What four legs or none carry is no motion of a person: it goes from
+how the one body stands to how the other does (`retarget.creatures`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, OptionError
 from bunraku.io.motions import Motion, load_motion
-from bunraku.pipelines.to_reference import bone_rotations, reference_motion
+from bunraku.pipelines.to_reference import bone_rotations, creature_motion, reference_motion
+from bunraku.retarget.creatures.fit import fit_creature, fit_creature_rig
+from bunraku.retarget.creatures.motion import CreatureMotion
 from bunraku.retarget.fit import Stages, fit_motion
 
 __all__ = ["RATE", "TRANSFER_STAGES", "Source", "apply_transfer", "played_by_mmd", "same_skeleton", "transfer"]
@@ -60,6 +63,11 @@ class Source:
         return (
             load_motion(self.given, fps=self.fps, clip=self.clip) if isinstance(self.given, str | Path) else self.given
         )
+
+    @cached_property
+    def creature(self) -> CreatureMotion | None:
+        """The motion of a body on four legs or more, or on none; None where it is one of the reference body."""
+        return creature_motion(self.motion, fps=self.fps, names=self.names)
 
     @cached_property
     def reference(self) -> HandleMotion:
@@ -103,7 +111,8 @@ def transfer(
 
     Raises:
         OptionError: `onto` is none of the three, or `fps` is not from 1 to 240.
-        CharacterError: The rig is to be moved, and there is none, or the names of its bones do not tell their parts.
+        CharacterError: The rig is to be moved, and there is none, or the names of its bones do not tell their parts;
+            or the motion is of four legs, or of none, and the character is not carried so.
         MotionError: No pelvis and legs are found in the skeleton.
         FormatError: The file cannot be read.
     """
@@ -127,7 +136,7 @@ def transfer(
         result = None if source.path is None else played_by_mmd(character, source.path, source.fps)
         result = result or same_skeleton(character, source.motion)
     if result is None:
-        reference = source.reference
+        reference = source.creature or source.reference
         progress("read", 1.0)
         result = apply_transfer(character, reference, onto=onto, handles=handles, stages=stages, progress=progress)
     return with_apparel(result, apparel, progress)
@@ -135,21 +144,21 @@ def transfer(
 
 def apply_transfer(
     character: Character,
-    reference: HandleMotion,
+    reference: HandleMotion | CreatureMotion,
     *,
     onto: Literal["auto", "handles", "rig"] = "auto",
     handles: Handles | Literal["predict", "rig"] = "predict",
     stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> Animation | RigAnimation:
-    """`transfer` of what `reference_motion` gives; arguments are those of `transfer`."""
+    """`transfer` of what `reference_motion` or `creature_motion` gives; arguments are those of `transfer`."""
     from bunraku.retarget.rig_parts import RigParts
     from bunraku.retarget.to_rig import fit_rig
     from bunraku.retarget.treadmill import is_treadmill
 
     progress = progress or (lambda stage, done: None)
     stages = stages or TRANSFER_STAGES
-    if stages.feet and is_treadmill(reference):
+    if stages.feet and isinstance(reference, HandleMotion) and is_treadmill(reference):
         stages = replace(stages, feet=False)  # feet that are held would carry the character away
     parts = None
     if onto == "rig":
@@ -161,15 +170,23 @@ def apply_transfer(
         except CharacterError:
             parts = None
     progress("fit", 0.0)
-    reference = replace(reference, native=False)  # generated for another body, or for none
+    if isinstance(reference, HandleMotion):
+        reference = replace(reference, native=False)  # generated for another body, or for none
     if parts is not None:
-        result: Animation | RigAnimation = fit_rig(reference, parts, stages)
+        result: Animation | RigAnimation = (
+            fit_rig(reference, parts, stages)
+            if isinstance(reference, HandleMotion)
+            else fit_creature_rig(reference, parts, stages)
+        )
     else:
         if not isinstance(handles, Handles):
             from bunraku.pipelines.animate import rig
 
             handles = rig(character, handles=handles, progress=progress)
-        result = Animation(character, handles, fit_motion(reference, character, handles, stages), reference)
+        if isinstance(reference, HandleMotion):
+            result = Animation(character, handles, fit_motion(reference, character, handles, stages), reference)
+        else:
+            result = fit_creature(reference, character, handles, stages)
     progress("fit", 1.0)
     return result
 

@@ -72,8 +72,12 @@ class RigParts:
     still: np.ndarray
 
     @classmethod
-    def of(cls, character: Character) -> RigParts:
+    def of(cls, character: Character, known: np.ndarray | None = None) -> RigParts:
         """Read a rig.
+
+        Args:
+            character: Facing +Z.
+            known: Handle of each bone, -1 for none, shape (J,); by the file and the bones' names when None.
 
         Raises:
             CharacterError: There is none, or the names of its bones do not tell which is the pelvis.
@@ -85,7 +89,7 @@ class RigParts:
             )
         areas = character.areas
         mass = np.bincount(rig.indices.ravel(), (rig.weights * areas[:, None]).ravel(), minlength=len(rig.names))
-        parts = _avatar_parts(character)
+        parts = _avatar_parts(character) if known is None else known.copy()
         if parts is None:
             handles, parts = rig_handles(character), handle_of_joints(rig.names, rig.parents, rig.positions, mass)
         else:

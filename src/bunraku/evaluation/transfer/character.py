@@ -25,7 +25,7 @@ from bunraku.geometry.axes import AXES, axis_vector, upright_rotation
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["Source", "facing_character", "limb_angles", "measure_character"]
+__all__ = ["Source", "carried_heads", "facing_character", "limb_angles", "measure_character"]
 
 SECONDS = 8.0  # of each motion
 STRIDE = 4  # frames from one that is measured to the next
@@ -119,7 +119,7 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
             if humanoid:
                 assert parts is not None
                 on_handles.append(
-                    float(limb_angles(parts, _carried_heads(parts, result, frames), source.joints[frames]).mean())
+                    float(limb_angles(parts, carried_heads(parts, result, frames), source.joints[frames]).mean())
                 )
                 moved = apply_transfer(character, source.motion, onto="rig")
                 assert isinstance(moved, RigAnimation)
@@ -179,7 +179,7 @@ def _rig_heads(parts: RigParts, animation: RigAnimation, frames: np.ndarray) -> 
     return np.asarray(animation.world()[1][frames][:, np.maximum(parts.leads, 0)])
 
 
-def _carried_heads(parts: RigParts, animation: Animation | RigAnimation, frames: np.ndarray) -> np.ndarray:
+def carried_heads(parts: RigParts, animation: Animation | RigAnimation, frames: np.ndarray) -> np.ndarray:
     """Where the skinning of an animation takes a rig's joints: as it takes the vertices that both parts of the joint
     hold, in the mean.
     """

@@ -1,0 +1,60 @@
+"""The motion of one creature on another: from how the one stands to how the other stands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Handles
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.retarget.creatures.motion import CreatureMotion
+from bunraku.retarget.creatures.plan import check_plans, plan_of
+from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.reference import motion_to_reference
+from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.stages.attach import find_joints
+from bunraku.retarget.to_rig import fit_rig
+
+__all__ = ["fit_creature", "fit_creature_rig"]
+
+
+def _own_stages(stages: Stages) -> Stages:
+    """The stages, without those that compare with a person: both bodies stand in their rest poses."""
+    return replace(stages, rest_pose=False, hands=False)
+
+
+def fit_creature(source: CreatureMotion, character: Character, handles: Handles, stages: Stages) -> Animation:
+    """A creature's motion on the handles of a character.
+
+    Args:
+        source: The motion.
+        character: Facing +Z, standing.
+        handles: Its handles, K = 30 with the reference body's meaning.
+        stages: Which stages run.
+
+    Raises:
+        CharacterError: The character lacks what carries the source (see `check_plans`).
+    """
+    check_plans(source.plan, plan_of(character, handles, find_joints(character, handles)), character.name)
+    fitted = fit_motion(source.motion, character, handles, _own_stages(stages))
+    return Animation(character, handles, fitted, motion_to_reference(fitted, character, handles, native=True))
+
+
+def fit_creature_rig(source: CreatureMotion, parts: RigParts, stages: Stages) -> RigAnimation:
+    """A creature's motion on the bones of a character.
+
+    Args:
+        source: The motion.
+        parts: The character's rig.
+        stages: Which stages run.
+
+    Raises:
+        CharacterError: The character lacks what carries the source (see `check_plans`).
+    """
+    plan = plan_of(parts.character, parts.handles, parts.joints)
+    check_plans(source.plan, plan, parts.character.name)
+    still = replace(parts, turns=np.tile(np.eye(3), (len(parts.turns), 1, 1)))
+    moved = fit_rig(source.motion, still, _own_stages(stages))
+    return replace(moved, reference=None)

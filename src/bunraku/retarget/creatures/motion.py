@@ -1,0 +1,143 @@
+"""Motion of a body that is no person, relative to the pose in which that body stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.core.resample import resample, resample_motion
+from bunraku.errors import MotionError
+from bunraku.retarget.creatures.plan import BodyPlan, plan_of
+from bunraku.retarget.creatures.stance import find_limbs, find_stance
+from bunraku.retarget.creatures.sticks import stick_character
+from bunraku.retarget.rig_motion import bones_to_handles
+from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.stages.attach import Joints, attach_joints, downwards, find_joints, reference_joints
+from bunraku.retarget.stages.ground import lowest
+from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints
+
+__all__ = ["CreatureMotion", "motion_of_handles", "motion_of_rig", "motion_of_skeleton"]
+
+_AS_PEOPLE = ("person", "two legs")  # these go by way of the reference body
+STANDS = 0.05  # share of frames whose lowest point may be under the ground
+
+
+@dataclass(frozen=True, eq=False)
+class CreatureMotion:
+    """Motion of a body that is no person.
+
+    Args:
+        motion: Of 30 handles with the reference body's meaning. Rotations are relative to the pose in which the body
+            stands, and not to the T-pose; what the body lacks moves with its parents; joints hold. The root's path is
+            in the scale of the reference body, whose pelvis is as high above the ground as the body's root is.
+        plan: What the body stands and moves with.
+    """
+
+    motion: HandleMotion
+    plan: BodyPlan
+
+    def at(self, fps: float) -> CreatureMotion:
+        """The same at another rate [1/s]."""
+        return replace(self, motion=resample(self.motion, fps))
+
+
+def motion_of_skeleton(
+    motion: SkeletalMotion, fps: float, names: Mapping[str, str] | None = None
+) -> CreatureMotion | None:
+    """The motion of an animal's skeleton; None where no four legs are seen to carry a level trunk, as of people.
+
+    Args:
+        motion: Of any skeleton, +Y up [m].
+        fps: Frames a second of the result [1/s].
+        names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
+    """
+    skeleton = motion.skeleton
+    parts = _parts(motion, names)
+    limbs = find_limbs(parts, skeleton.parents)
+    stance = None if limbs is None else find_stance(motion, limbs, parts)
+    if stance is None:
+        return None
+    character = stick_character("source", skeleton.names, skeleton.parents, stance.positions, parts != NO_HANDLE)
+    rig = RigParts.of(character, parts)
+    motion = resample_motion(motion, fps)
+    world, positions = motion.world()
+    turns = world.astype(np.float64) @ np.swapaxes(stance.turns, -1, -2)
+    return motion_of_rig(rig, turns, positions.astype(np.float64), fps)
+
+
+def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarray:
+    """Handle of each joint, -1 for none, shape (J,): by its name, by people's conventions, or as given."""
+    from bunraku.skeletons.skeleton_map import map_skeleton
+
+    skeleton = motion.skeleton
+    parts = handle_of_joints(skeleton.names, skeleton.parents)
+    try:
+        found = map_skeleton(skeleton, names)
+    except MotionError:
+        if names:
+            raise
+        return parts
+    for part, (joint, how) in enumerate(zip(found.joints, found.how, strict=True)):
+        if joint >= 0 and (parts[joint] == NO_HANDLE or how == "given") and (how == "given" or part not in parts):
+            parts[parts == part] = NO_HANDLE
+            parts[joint] = part
+    for name, own in (names or {}).items():
+        if not own and name in JOINT_NAMES:
+            parts[parts == JOINT_NAMES.index(name)] = NO_HANDLE
+    return parts
+
+
+def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float) -> CreatureMotion | None:
+    """The motion of a rig that stands in its rest pose; None of a person and of whoever else walks on two legs.
+
+    Args:
+        rig: Facing +Z.
+        turns: World turn of each bone from the rest pose, shape (N, J, 3, 3).
+        positions: Where its head is [m], shape (N, J, 3).
+        fps: Frames a second [1/s].
+    """
+    plan = plan_of(rig.character, rig.handles, rig.joints)
+    if plan.kind in _AS_PEOPLE:
+        return None
+    motion = bones_to_handles(rig, turns, positions, fps)
+    return CreatureMotion(_of_reference(motion, rig.character, rig.handles, rig.joints), plan)
+
+
+def motion_of_handles(motion: HandleMotion, character: Character, handles: Handles) -> CreatureMotion | None:
+    """A motion of a character's handles; None of a person and of whoever else walks on two legs.
+
+    Args:
+        motion: Of its handles, K = 30 with the reference body's meaning.
+        character: In the pose that the motion is relative to, facing +Z.
+        handles: Its handles.
+    """
+    joints = find_joints(character, handles)
+    plan = plan_of(character, handles, joints)
+    if plan.kind in _AS_PEOPLE or len(handles.positions) != HANDLE_COUNT:
+        return None
+    return CreatureMotion(_of_reference(motion, character, handles, joints), plan)
+
+
+def _of_reference(motion: HandleMotion, character: Character, handles: Handles, joints: Joints) -> HandleMotion:
+    """A motion in the words of `CreatureMotion`."""
+    own = joints.present & (handles.played == np.arange(len(handles.positions)))
+    rotations = motion.rotations.astype(np.float64).copy()
+    for handle in downwards(HANDLE_PARENTS)[1:]:
+        if not own[handle]:
+            rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
+    body = reference_body()
+    rotations, translations = attach_joints(rotations, body.handles, reference_joints())
+    seen = character.vertices[character.surface]
+    ground = lowest(seen, handles.weights[character.surface], motion, handles.positions)
+    floor = float(seen[:, 1].min())
+    path = motion.root_translation.astype(np.float64)
+    path[:, 1] -= np.quantile(ground, STANDS) - floor
+    height = max(float(handles.positions[0, 1]) - floor, 0.02 * character.height)
+    path *= float(body.handles.positions[0, 1]) / height
+    return replace(motion, rotations=rotations, translations=translations, root_translation=path, native=True)

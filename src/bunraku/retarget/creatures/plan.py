@@ -1,0 +1,115 @@
+"""What a body stands and moves with: which motions of other bodies it can take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.character import Character, Handles
+from bunraku.errors import CharacterError
+from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.retarget.legs import find_legs
+from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.stages.rest_pose import upright
+
+__all__ = ["BodyPlan", "check_plans", "plan_of"]
+
+_HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
+_ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("shoulder", "elbow")]
+_WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
+_TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
+
+
+@dataclass(frozen=True)
+class BodyPlan:
+    """What a body stands and moves with.
+
+    Args:
+        hind: How many legs play those of a person.
+        front: How many legs play the arms of a person.
+        upright: Whether the head is over the hips.
+        arms: Whether two arms are there, standing or not.
+        wings: Whether two wings are there.
+        tail: Whether a tail is there.
+    """
+
+    hind: int
+    front: int
+    upright: bool
+    arms: bool
+    wings: bool
+    tail: bool
+
+    @property
+    def legs(self) -> int:
+        """How many legs it stands on."""
+        return self.hind + self.front
+
+    @property
+    def kind(self) -> str:
+        """ "person", "two legs", "four legs", "many legs" or "no legs"."""
+        if self.legs > 4:
+            return "many legs"
+        if self.legs > 2 and not self.upright:
+            return "four legs"
+        if self.upright and self.arms and not self.wings:
+            return "person"
+        return "two legs" if self.legs else "no legs"
+
+    @property
+    def words(self) -> str:
+        """The same in words."""
+        known = {
+            "person": "an upright body with arms",
+            "two legs": "a body on two legs",
+            "four legs": "a body on four legs",
+            "many legs": f"a body on {self.legs} legs",
+            "no legs": "a body without legs",
+        }
+        more = [name for name, there in (("wings", self.wings), ("a tail", self.tail)) if there]
+        return known[self.kind] + (f", with {' and '.join(more)}" if more else "")
+
+
+def plan_of(character: Character, handles: Handles, joints: Joints) -> BodyPlan:
+    """The plan of a body in the pose that it stands in.
+
+    Args:
+        character: In its rest pose, facing +Z.
+        handles: Its handles, K = 30 with the reference body's meaning.
+        joints: Where they meet.
+    """
+    legs = find_legs(character, handles, joints)
+    hind = sum(int(handles.played[leg.upper]) in _HIND for leg in legs)
+    own = joints.present & (handles.played == np.arange(len(handles.positions)))
+    there = {name: bool(own[parts].all()) for name, parts in (("arms", _ARMS), ("wings", _WINGS))}
+    return BodyPlan(
+        hind=hind, front=len(legs) - hind, upright=upright(handles), tail=bool(own[_TAIL].any()),
+        arms=there["arms"], wings=there["wings"],
+    )  # fmt: skip
+
+
+def check_plans(source: BodyPlan, target: BodyPlan, name: str) -> None:
+    """Refuse a motion that the limbs of a character cannot make.
+
+    Args:
+        source: Of the body that moves.
+        target: Of the character.
+        name: Of the character.
+
+    Raises:
+        CharacterError: What carries the source is missing, or what carries the character would not be moved.
+    """
+    has, needs = target.kind, source.kind
+    if needs in ("four legs", "many legs") and has not in ("four legs", "many legs"):
+        seen = "no legs" if has == "no legs" else "two legs, and no front legs that reach the ground"
+        raise CharacterError(
+            f"{name}: the motion is of {source.words}, and {seen} are found on this character; give it the motion of "
+            "a body of its own kind, or look at `bunraku inspect` if it was set up wrongly"
+        )
+    if needs == "no legs" and has != "no legs":
+        raise CharacterError(
+            f"{name}: the motion is of {source.words}, and nothing in it moves the {max(target.legs, 2)} legs that "
+            "this character stands on; give it the motion of a body with legs"
+        )
