@@ -34,6 +34,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
+from bunraku.retarget.creatures.gait import stepping
 from bunraku.retarget.decimate import decimated
 from bunraku.retarget.legs import find_arms, find_legs
 from bunraku.retarget.limbs import by_limb
@@ -81,6 +82,7 @@ def fit_motion(
     handles: Handles,
     stages: Stages | None = None,
     rest: tuple[np.ndarray, Joints] | None = None,
+    heights: np.ndarray | None = None,
 ) -> HandleMotion:
     """A handle motion of the reference body, fitted to a character.
 
@@ -93,6 +95,8 @@ def fit_motion(
         stages: Which stages run; all but `hands` and `shape` when None.
         rest: What a rig tells of the rest pose: its turns into the reference body's, shape (K, 3, 3), and its joints.
             None measures them.
+        heights: Of the lowest point of the body that moves, where that is not the reference body, in its scale [m],
+            shape (N,).
 
     Returns:
         The motion for the character, its root path scaled by the height of the root handle above the floor.
@@ -111,7 +115,7 @@ def fit_motion(
         motion = smooth(motion)
     whole = character, handles
     character, handles = decimated(character, handles)
-    rotations = motion.rotations[:, handles.played].astype(np.float64)
+    rotations = stepping(motion, handles)
     if stages.rest_pose:
         turns, joints = rest or rest_to_reference(character, handles)
         rotations = rotations @ turns
@@ -144,10 +148,10 @@ def fit_motion(
     fitted = replace(motion, rotations=rotations, translations=translations, root_translation=path)
     if stages.rest_pose and not motion.native and not upright(handles):
         fitted = replace(fitted, root_rotation=_levelled(motion.root_rotation, motion.fps))
-    if stages.ground and motion.native:  # it brings its own height: a bird stays in the air
+    if stages.ground and motion.native and heights is None:  # it brings its own height: a bird stays in the air
         fitted = settle_hovering(fitted, character, handles, stands)
     elif stages.ground:
-        fitted = set_on_ground(motion, fitted, character, handles, scale, stands)
+        fitted = set_on_ground(motion, fitted, character, handles, scale, stands, heights)
     if stages.feet or stages.floor or stages.hands:
         legs, contacts = find_legs(character, handles, joints), None
         arms = find_arms(character, handles, joints, legs)

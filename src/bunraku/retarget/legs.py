@@ -117,17 +117,18 @@ def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int
     upper, lower, *foot = chain
     weight = handles.weights[:, foot or [lower]].sum(axis=1)
     own = np.flatnonzero(character.surface & (weight > 0.5))
+    blurred = bool(foot) and len(own) < 3  # a foot that holds no vertex mainly
+    if blurred:
+        own = np.flatnonzero(character.surface & (handles.weights[:, [lower, *foot]].sum(axis=1) > 0.5))
     if len(own) < 3 or float(handles.weights[:, lower].max()) < OWN:
         return None
     points = character.vertices[own].astype(np.float64)
     hip, knee = joints.positions[upper], joints.positions[lower]
-    if foot:
-        ankle = joints.positions[foot[0]]
-    else:
+    if blurred or not foot:
         far = np.linalg.norm(points - knee, axis=1)
         near_end = far > (1 - SOLE) * far.max()
         own, points = own[near_end], points[near_end]
-        ankle = points.mean(axis=0)
+    ankle = joints.positions[foot[0]] if foot else points.mean(axis=0)
     found = np.stack([hip, knee, ankle])
     length = float(np.linalg.norm(np.diff(found, axis=0), axis=1).sum() + max(ankle[1] - points[:, 1].min(), 0))
     return Leg(upper, lower, tuple(foot), found, own[extreme_points(points)], own, length)

@@ -14,7 +14,7 @@ from bunraku.core.character import Handles
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.retarget.stages.attach import Joints
 
-__all__ = ["LimbView", "by_limb", "limb_views", "reference_parts"]
+__all__ = ["LimbView", "by_limb", "further_limbs", "limb_views", "reference_parts"]
 
 TOUCH = 1e-3  # least overlap of two parts of one limb, over that of the outer one with itself
 
@@ -42,7 +42,7 @@ def _limb_of(role: int) -> list[int]:
     return next((limb for limb in _LIMBS if role in limb), [role])
 
 
-def _further_limbs(handles: Handles) -> list[list[int]]:
+def further_limbs(handles: Handles) -> list[list[int]]:
     """The handles of each further limb, from the body outwards; a part belongs to the limb that its weights touch
     most.
     """
@@ -67,7 +67,7 @@ def limb_views(handles: Handles) -> list[LimbView]:
     count = len(handles.positions)
     plain = np.where(handles.played == np.arange(count), np.arange(count), -1)
     views = [_view(handles, plain, np.flatnonzero(plain >= 0).tolist())]
-    for limb in _further_limbs(handles):
+    for limb in further_limbs(handles):
         members, roles = plain.copy(), handles.played[limb]
         members[_limb_of(int(roles[0]))] = -1
         members[roles] = limb

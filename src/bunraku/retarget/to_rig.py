@@ -25,13 +25,19 @@ from bunraku.skeletons.bone_names import NO_HANDLE
 __all__ = ["fit_rig"]
 
 
-def fit_rig(motion: HandleMotion, character: Character | RigParts, stages: Stages | None = None) -> RigAnimation:
+def fit_rig(
+    motion: HandleMotion,
+    character: Character | RigParts,
+    stages: Stages | None = None,
+    heights: np.ndarray | None = None,
+) -> RigAnimation:
     """A handle motion of the reference body on the rig of a character.
 
     Args:
         motion: Motion of the reference body's handles, feet on y = 0.
         character: The character, facing +Z, or its `RigParts`.
         stages: Which stages run; all when None. `shape` never does: bones keep their lengths.
+        heights: See `fit_motion`.
 
     Raises:
         CharacterError: There is no rig, or its bones' names do not tell which parts they move.
@@ -43,6 +49,7 @@ def fit_rig(motion: HandleMotion, character: Character | RigParts, stages: Stage
         parts.handles,
         replace(stages or Stages(), shape=False),
         rest=(parts.rotations, parts.joints),
+        heights=heights,
     )
     rotations, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
     return _with_helpers(RigAnimation.of_world(parts.character, rotations, positions, motion.fps, motion), parts)

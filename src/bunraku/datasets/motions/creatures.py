@@ -33,7 +33,7 @@ from bunraku.retarget.reference import WayBack
 
 __all__ = [
     "HELD_OUT_SPECIES", "CreatureBody", "CreatureClip", "add_creatures", "clip_vertices", "creature_body",
-    "creature_clips", "creature_split",
+    "creature_clips", "creature_split", "known_plan",
     "reference_motion",
 ]  # fmt: skip
 
@@ -138,6 +138,16 @@ def creature_clips(file: str, labels: list[str]) -> list[CreatureClip]:
             CreatureClip(file, label, name, entry["action"], plan, species, person, texts, known.get("weight", 1.0)),
         )
     return list(out.values())
+
+
+def known_plan(file: str) -> str | None:
+    """The body plan of a character of the archive, such as "quadruped" or "fish"; None of one that is not in the table.
+
+    Args:
+        file: Path in the archive without suffix.
+    """
+    known = _table()["characters"].get(file)
+    return None if known is None else str(known["plan"])
 
 
 def creature_split(clip: CreatureClip) -> str:

@@ -17,10 +17,12 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.motion import SkeletalMotion, Skeleton, local_rotations
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.datasets.motions.creatures import known_plan
 from bunraku.errors import BunrakuError
 from bunraku.evaluation.transfer.character import carried_heads, facing_character
 from bunraku.geometry.rotations import nearest_rotation, rotation_between
-from bunraku.retarget.creatures.plan import plan_of
+from bunraku.retarget.legs import find_legs
 from bunraku.retarget.rig_parts import RigParts
 
 __all__ = ["CapturedAnimal", "captured_animal", "measure_quadrupeds"]
@@ -32,11 +34,7 @@ _NAMES = {
     "collar": "Shoulder", "shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand", "hip": "UpLeg", "knee": "Leg",
     "ankle": "Foot", "foot": "ToeBase", "tail": "Tail", "tail_tip": "Tail1",
 }  # fmt: skip
-_LIMBS = [
-    (HANDLE_NAMES.index(f"{side}_{top}"), HANDLE_NAMES.index(f"{side}_{end}"))
-    for side in ("left", "right")
-    for top, end in (("hip", "ankle"), ("shoulder", "wrist"))
-]
+_LIMBS = [HANDLE_NAMES.index(f"{side}_{top}") for side in ("left", "right") for top in ("hip", "shoulder")]
 _HIND = [HANDLE_NAMES.index(f"{side}_ankle") for side in ("left", "right")]
 _BACK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3")]
 
@@ -47,30 +45,31 @@ class CapturedAnimal:
 
     Args:
         motion: Of its skeleton.
-        limbs: Where its four limbs point, from the hip to the ankle and from the shoulder to the wrist, shape (N, 4,
-            3): left hind, left front, right hind, right front.
+        limbs: Where its four limbs point, from the hip or the shoulder to the paw, shape (N, 4, 3): left hind, left
+            front, right hind, right front.
     """
 
     motion: SkeletalMotion
     limbs: np.ndarray
 
 
-def captured_animal(animation: Animation, parts: RigParts, flat: bool = True) -> CapturedAnimal:
+def captured_animal(animation: Animation | RigAnimation, parts: RigParts, flat: bool = True) -> CapturedAnimal:
     """A clip of a rigged animal as a skeleton of the parts that its bones' names tell.
 
     Args:
-        animation: Of its bones; it faces as `parts` do.
+        animation: Of its bones; it faces as `parts` do, +Z.
         parts: Of its character.
         flat: All bones of the rest pose lie along one axis; otherwise it is the rig's.
     """
     from bunraku.pipelines.to_reference import bone_rotations
 
-    turns, places = bone_rotations(animation)
+    turns, places = animation.world() if isinstance(animation, RigAnimation) else bone_rotations(animation)
     handles = [handle for handle in range(len(HANDLE_NAMES)) if parts.leads[handle] >= 0 and _name(handle)]
     handles.sort(key=lambda handle: _depth(handle, parts))
     place = {handle: number for number, handle in enumerate(handles)}
     parents = np.array([place.get(_above(handle, parts, place), -1) for handle in handles])
-    rest = parts.joints.positions[handles]
+    assert parts.character.rig is not None
+    rest = parts.character.rig.positions[parts.leads[handles]]
     world = nearest_rotation(turns[:, parts.leads[handles]])
     offsets = rest.copy()
     offsets[1:] -= rest[parents[1:]]
@@ -85,9 +84,20 @@ def captured_animal(animation: Animation, parts: RigParts, flat: bool = True) ->
     skeleton = Skeleton(tuple(_name(handle) for handle in handles), parents, offsets)
     root = places[:, parts.leads[0]]
     motion = SkeletalMotion(skeleton, local_rotations(world, parents), root, animation.fps)
-    heads = motion.world()[1].astype(np.float64)
-    limbs = [heads[:, place[end]] - heads[:, place[top]] for top, end in _LIMBS]
-    return CapturedAnimal(motion, np.stack(limbs, axis=1))
+    heads = places[:, np.maximum(parts.leads, 0)]
+    return CapturedAnimal(motion, _limbs(parts, heads, animation.vertices()))
+
+
+def _limbs(parts: RigParts, heads: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """Where the four limbs of a rigged animal point, shape (N, 4, 3).
+
+    Args:
+        parts: Of its rig.
+        heads: Where the joints of its 30 handles are [m], shape (N, 30, 3).
+        vertices: Of its mesh [m], shape (N, V, 3).
+    """
+    legs = {leg.upper: leg for leg in find_legs(parts.character, parts.handles, parts.joints)}
+    return np.stack([vertices[:, legs[top].sole].mean(axis=1) - heads[:, top] for top in _LIMBS], axis=1)
 
 
 def _name(handle: int) -> str:
@@ -113,17 +123,18 @@ def _above(handle: int, parts: RigParts, place: Mapping[int, int]) -> int:
     return above
 
 
-def _four_legged(character: Character) -> RigParts | None:
-    """The rig of a character that stands on four legs whose bones' names tell all parts of its limbs; None of
-    others.
+def _four_legged(character: Character, name: str) -> RigParts | None:
+    """The rig of a character that stands on four legs, by the archive's table of body plans or by the rig; None of
+    others, and where the bones' names do not tell all four.
     """
+    if (known_plan(name) or "quadruped") != "quadruped":
+        return None
     try:
         parts = RigParts.of(character)
     except BunrakuError:
         return None
-    known = (parts.leads[[handle for limb in _LIMBS for handle in limb]] >= 0).all()
-    plan = plan_of(character, parts.handles, parts.joints) if known else None
-    return parts if plan is not None and plan.kind == "four legs" else None
+    legs = find_legs(character, parts.handles, parts.joints)
+    return parts if sorted(leg.upper for leg in legs) == sorted(_LIMBS) else None
 
 
 def measure_quadrupeds(
@@ -144,8 +155,8 @@ def measure_quadrupeds(
 
     Returns:
         `quadruped_limbs_degrees`, the mean angle between limbs of the source and of the result, None where no animal
-        brings a clip; `quadruped_ground`, the largest share of the height by which the lowest point of a frame is off
-        the ground; `quadruped_hind_above_back`, the share of frames in which a hind foot is above the back; and
+        brings a clip; `quadruped_ground`, the mean share of the height by which the lowest point of a frame is off the
+        ground; `quadruped_hind_above_back`, the share of frames in which a hind foot is above the back; and
         `quadrupeds` with a row for each pair.
     """
     from bunraku.io.play import clip_names, load_animation
@@ -159,7 +170,7 @@ def measure_quadrupeds(
     for name, path in characters.items():
         try:
             character = facing_character(path, name)
-            parts = _four_legged(character)
+            parts = _four_legged(character, name)
             if parts is None:
                 continue
             targets[name] = character, parts
@@ -169,13 +180,16 @@ def measure_quadrupeds(
                 clips[name] = captured_animal(load_animation(path, found, FPS), parts)
         except BunrakuError:
             continue
+    nothing = ("quadruped_limbs_degrees", "quadruped_ground", "quadruped_hind_above_back")
+    if not clips:
+        return {**dict.fromkeys(nothing), "quadrupeds": []}
     dog = sample_character("dog", rigged=True)
     targets["sample dog"] = dog, RigParts.of(dog)
     chosen = [list(clips)[number] for number in np.unique(np.linspace(0, len(clips) - 1, sources).round().astype(int))]
     rows: list[dict[str, Any]] = []
     for number, (name, (character, parts)) in enumerate(targets.items()):
         handles = rig(character)
-        for source in chosen if clips else []:
+        for source in chosen:
             if source != name:
                 row: dict[str, Any] = {"source": source, "target": name}
                 try:
@@ -192,31 +206,29 @@ def measure_quadrupeds(
         if progress:
             progress("quadrupeds", (number + 1) / len(targets))
     done = [row for row in rows if "failed" not in row]
-    return {
-        "quadruped_limbs_degrees": float(np.mean([row["degrees"] for row in done])) if done else None,
-        "quadruped_ground": float(max(row["ground"] for row in done)) if done else None,
-        "quadruped_hind_above_back": float(np.mean([row["above_back"] for row in done])) if done else None,
-        "quadrupeds": rows,
-    }
+    means = [
+        float(np.mean([row[key] for row in done])) if done else None for key in ("degrees", "ground", "above_back")
+    ]
+    return {**dict(zip(nothing, means, strict=True)), "quadrupeds": rows}
 
 
 def _measured(result: Animation, parts: RigParts, source: CapturedAnimal) -> dict[str, float]:
     count = min(len(result.motion), len(source.limbs))
     frames = np.arange(0, min(count, round(SECONDS * result.fps)))
     heads = carried_heads(parts, result, frames)
-    own = np.stack([heads[:, end] - heads[:, top] for top, end in _LIMBS], axis=1)
-    want = source.limbs[frames]
+    vertices = result.vertices(frames)
+    own, want = _limbs(parts, heads, vertices), source.limbs[frames]
     scale = np.linalg.norm(own, axis=-1) * np.linalg.norm(want, axis=-1)
     angles = np.degrees(np.arccos(np.clip((own * want).sum(axis=-1) / np.maximum(scale, 1e-12), -1, 1)))
     seen = result.character.surface
     floor = float(result.character.vertices[seen, 1].min())
-    lowest = result.vertices(frames)[:, seen, 1].min(axis=1) - floor
+    lowest = vertices[:, seen, 1].min(axis=1) - floor
     present = [handle for handle in _BACK if parts.leads[handle] >= 0] or [0]
     back = heads[:, present, 1].mean(axis=1)
     return {
         "degrees": float(angles.mean()),
         "degrees_hind": float(angles[:, [0, 2]].mean()),
         "degrees_front": float(angles[:, [1, 3]].mean()),
-        "ground": float(np.abs(lowest).max() / result.character.height),
+        "ground": float(np.abs(lowest).mean() / result.character.height),
         "above_back": float((heads[:, _HIND, 1].max(axis=1) > back).mean()),
     }

@@ -14,6 +14,7 @@ import numpy as np
 from bunraku.errors import FormatError
 from bunraku.evaluation.transfer.character import Source, facing_character, measure_character
 from bunraku.evaluation.transfer.mmd import measure_soles
+from bunraku.evaluation.transfer.quadrupeds import measure_quadrupeds
 from bunraku.evaluation.transfer.speed import MANY, bvh_again, times
 
 __all__ = ["BARS", "KINDS", "Bar", "evaluate_transfer", "pick_motions"]
@@ -43,6 +44,9 @@ BARS: dict[str, Bar] = {
     "finished": Bar("pairs of character and motion that finished", 1.0, True),
     "angle_rig": Bar("limb directions on rigs, mean", 5.0, unit=" deg"),
     "angle_handles": Bar("limb directions on handles, mean", 8.0, unit=" deg"),
+    "quadruped_limbs_degrees": Bar("captured animals on four-legged handles: limbs, mean", 15.0, unit=" deg"),
+    "quadruped_ground": Bar("the same: lowest point off the ground, over the height, mean", None),
+    "quadruped_hind_above_back": Bar("the same: frames with a hind foot above the back", 0.0),
     "back": Bar("a character's clip to the reference body and back, over the height, mean", 0.005),
     "back_median": Bar("the same, median", None),
     "back_copied": Bar("a character's clip copied to the same skeleton, over the height", 0.005),
@@ -158,6 +162,8 @@ def evaluate_transfer(
     result["back_median"] = float(np.median(found["back"])) if found["back"] else None
     result["bvh_degrees"] = bvh_again(picked["walk"])
     failed = {f"{row['name']} {kind}".rstrip(): reason for row in rows for kind, reason in row["failed"].items()}
+    result |= measure_quadrupeds({names[path]: path for path in files}, progress=progress)
+    failed |= {f"{row['target']} as {row['source']}": row["failed"] for row in result["quadrupeds"] if "failed" in row}
     result |= measure_soles(mmd, failed)
     if speed:
         humanoids = [

@@ -25,6 +25,11 @@ def _own_stages(stages: Stages) -> Stages:
     return replace(stages, rest_pose=False, hands=False)
 
 
+def _heights(source: CreatureMotion) -> np.ndarray | None:
+    """How high what stands is over the ground; None of what swims or slides, which keeps the height of its path."""
+    return source.heights if source.plan.legs else None
+
+
 def fit_creature(source: CreatureMotion, character: Character, handles: Handles, stages: Stages) -> Animation:
     """A creature's motion on the handles of a character.
 
@@ -38,7 +43,7 @@ def fit_creature(source: CreatureMotion, character: Character, handles: Handles,
         CharacterError: The character lacks what carries the source (see `check_plans`).
     """
     check_plans(source.plan, plan_of(character, handles, find_joints(character, handles)), character.name)
-    fitted = fit_motion(source.motion, character, handles, _own_stages(stages))
+    fitted = fit_motion(source.motion, character, handles, _own_stages(stages), heights=_heights(source))
     return Animation(character, handles, fitted, motion_to_reference(fitted, character, handles, native=True))
 
 
@@ -55,6 +60,6 @@ def fit_creature_rig(source: CreatureMotion, parts: RigParts, stages: Stages) ->
     """
     plan = plan_of(parts.character, parts.handles, parts.joints)
     check_plans(source.plan, plan, parts.character.name)
-    still = replace(parts, turns=np.tile(np.eye(3), (len(parts.turns), 1, 1)))
-    moved = fit_rig(source.motion, still, _own_stages(stages))
+    still = replace(parts, rotations=np.tile(np.eye(3), (len(parts.rotations), 1, 1)))
+    moved = fit_rig(source.motion, still, _own_stages(stages), heights=_heights(source))
     return replace(moved, reference=None)

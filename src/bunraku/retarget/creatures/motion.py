@@ -13,6 +13,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.resample import resample, resample_motion
 from bunraku.errors import MotionError
+from bunraku.geometry.resampling import Resampling
 from bunraku.retarget.creatures.plan import BodyPlan, plan_of
 from bunraku.retarget.creatures.stance import find_limbs, find_stance
 from bunraku.retarget.creatures.sticks import stick_character
@@ -37,14 +38,17 @@ class CreatureMotion:
             stands, and not to the T-pose; what the body lacks moves with its parents; joints hold. The root's path is
             in the scale of the reference body, whose pelvis is as high above the ground as the body's root is.
         plan: What the body stands and moves with.
+        heights: Of its lowest point over the ground, in the same scale [m], shape (N,).
     """
 
     motion: HandleMotion
     plan: BodyPlan
+    heights: np.ndarray
 
     def at(self, fps: float) -> CreatureMotion:
         """The same at another rate [1/s]."""
-        return replace(self, motion=resample(self.motion, fps))
+        heights = Resampling.of(len(self.heights), self.motion.fps, fps).linear(self.heights)
+        return replace(self, motion=resample(self.motion, fps), heights=heights)
 
 
 def motion_of_skeleton(
@@ -106,7 +110,7 @@ def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: 
     if plan.kind in _AS_PEOPLE:
         return None
     motion = bones_to_handles(rig, turns, positions, fps)
-    return CreatureMotion(_of_reference(motion, rig.character, rig.handles, rig.joints), plan)
+    return _creature(motion, rig.character, rig.handles, rig.joints, plan)
 
 
 def motion_of_handles(motion: HandleMotion, character: Character, handles: Handles) -> CreatureMotion | None:
@@ -121,11 +125,13 @@ def motion_of_handles(motion: HandleMotion, character: Character, handles: Handl
     plan = plan_of(character, handles, joints)
     if plan.kind in _AS_PEOPLE or len(handles.positions) != HANDLE_COUNT:
         return None
-    return CreatureMotion(_of_reference(motion, character, handles, joints), plan)
+    return _creature(motion, character, handles, joints, plan)
 
 
-def _of_reference(motion: HandleMotion, character: Character, handles: Handles, joints: Joints) -> HandleMotion:
-    """A motion in the words of `CreatureMotion`."""
+def _creature(
+    motion: HandleMotion, character: Character, handles: Handles, joints: Joints, plan: BodyPlan
+) -> CreatureMotion:
+    """A motion of a character's handles in the words of `CreatureMotion`."""
     own = joints.present & (handles.played == np.arange(len(handles.positions)))
     rotations = motion.rotations.astype(np.float64).copy()
     for handle in downwards(HANDLE_PARENTS)[1:]:
@@ -137,7 +143,8 @@ def _of_reference(motion: HandleMotion, character: Character, handles: Handles, 
     ground = lowest(seen, handles.weights[character.surface], motion, handles.positions)
     floor = float(seen[:, 1].min())
     path = motion.root_translation.astype(np.float64)
-    path[:, 1] -= np.quantile(ground, STANDS) - floor
-    height = max(float(handles.positions[0, 1]) - floor, 0.02 * character.height)
-    path *= float(body.handles.positions[0, 1]) / height
-    return replace(motion, rotations=rotations, translations=translations, root_translation=path, native=True)
+    rise = float(np.quantile(ground, STANDS))
+    path[:, 1] -= rise - floor
+    scale = float(body.handles.positions[0, 1]) / max(float(handles.positions[0, 1]) - floor, 0.02 * character.height)
+    moved = replace(motion, rotations=rotations, translations=translations, root_translation=path * scale, native=True)
+    return CreatureMotion(moved, plan, (ground - rise) * scale)

@@ -73,21 +73,37 @@ def lowest(vertices: np.ndarray, weights: np.ndarray, motion: HandleMotion, posi
 
 
 def set_on_ground(
-    motion: HandleMotion, fitted: HandleMotion, character: Character, handles: Handles, scale: float, stands: np.ndarray
+    motion: HandleMotion,
+    fitted: HandleMotion,
+    character: Character,
+    handles: Handles,
+    scale: float,
+    stands: np.ndarray,
+    heights: np.ndarray | None = None,
 ) -> HandleMotion:
     """The fitted motion with its lowest point as high over the floor, that of its rest pose, as the reference body's is
     over y = 0.
 
     The reference body's own drift off the ground is taken out first. Nobody stays in the air for a second, so the
     lowest height within 0.75 s of a frame is where the ground is for that frame.
+
+    Args:
+        motion: Of the reference body.
+        fitted: Of the character.
+        character: In its rest pose.
+        handles: Its handles.
+        scale: Its size over the reference body's.
+        stands: What may stand on the ground, shape (V,), bool.
+        heights: Of the lowest point of another body than the reference body, in the reference body's scale [m], shape
+            (N,).
     """
     body = reference_body()
-    want = lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
+    want = lowest(body.vertices, body.handle_weights, motion, body.handles.positions) if heights is None else heights
     window = 2 * round(0.75 * motion.fps) + 1
     drift = gaussian_filter1d(minimum_filter1d(want, window, mode="nearest"), 0.25 * motion.fps, mode="nearest")
     have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions)
     seen = character.surface
-    if stands.sum() < seen.sum():
+    if heights is None and stands.sum() < seen.sum():
         feet = standing(body.character(), body.handles)
         hands_down = (
             lowest(body.vertices[feet], body.handle_weights[feet], motion, body.handles.positions) > want + 0.01

@@ -20,6 +20,7 @@ _SITS, _CROUCHES = (
     ([30, 40], [0, 1]),
 )  # how far a thigh takes its shin with it; without arms and with them
 WIDE = 30.0  # legs that point farther outwards are turned down [degrees]
+ALL_FOURS = 0.5  # arms that end lower than this share of the hips' height over the legs' ends stand, as front legs do
 SHORTEST = 0.02  # limbs shorter than this share of the height have no direction worth a turn
 
 
@@ -93,12 +94,23 @@ def rest_rotations(
 
 def upright(handles: Handles) -> bool:
     """Whether the head is over the hips rather than before them; never of who has further limbs, and so many legs to
-    stand on.
+    stand on, nor of who carries the head high on a level trunk over four legs, as a llama does.
     """
     if handles.roles is not None:
         return False
     spine = handles.positions[HANDLE_NAMES.index("head")] - handles.positions[0]
-    return bool(spine[1] > abs(spine[2]))
+    return bool(spine[1] > abs(spine[2])) and not _on_all_fours(handles)
+
+
+def _on_all_fours(handles: Handles) -> bool:
+    """Whether the arms lie before the legs rather than over them, and end about as low."""
+    places = {
+        part: np.mean([handles.positions[HANDLE_NAMES.index(f"{side}_{part}")] for side in ("left", "right")], axis=0)
+        for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    }
+    trunk = places["shoulder"] - places["hip"]
+    arms, legs = (min(places[part][1] for part in limb) for limb in (("elbow", "wrist"), ("knee", "ankle")))
+    return bool(trunk[2] > abs(trunk[1]) and arms - legs < ALL_FOURS * (handles.positions[0, 1] - legs))
 
 
 def _leg_rotations(thigh: _Limb | None, shin: _Limb | None, leg: _Limb | None, armed: bool) -> np.ndarray:

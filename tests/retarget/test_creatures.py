@@ -1,0 +1,167 @@
+"""Animals' motions: what is seen to stand on four legs, and how it arrives on another body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bunraku
+from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import SkeletalMotion, Skeleton, local_rotations
+from bunraku.errors import CharacterError
+from bunraku.evaluation.transfer.quadrupeds import captured_animal
+from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y, rotation_between
+from bunraku.pipelines.to_reference import creature_motion
+from bunraku.retarget.creatures.plan import BodyPlan, check_plans, plan_of
+from bunraku.retarget.fit import Stages
+from bunraku.retarget.rig_parts import RigParts
+from bunraku.synthetic.samples import sample_character
+
+BARE = Stages(feet=False, floor=False, smooth=False, ground=False, hands=False)
+SWING = 0.4
+
+
+@pytest.fixture(scope="module")
+def dog():
+    return sample_character("dog", rigged=True)
+
+
+def dog_skeleton(dog) -> Skeleton:
+    rig = dog.rig
+    offsets = rig.positions.copy()
+    offsets[1:] -= rig.positions[rig.parents[1:]]
+    return Skeleton(rig.names, rig.parents, offsets)
+
+
+def trot(dog, frames: int = 31, fps: float = 30.0, heading: float = 0.0, flat: bool = False) -> SkeletalMotion:
+    """Diagonal legs swing by SWING about the hips and shoulders; the dog goes ahead at 1 m/s."""
+    skeleton = dog_skeleton(dog)
+    names, parents = skeleton.names, skeleton.parents
+    angles = np.zeros((frames, len(names), 3))
+    phase = 2 * np.pi * np.arange(frames) / 20
+    for name, sign in (("LeftArm", 1), ("RightArm", -1), ("LeftUpLeg", -1), ("RightUpLeg", 1)):
+        angles[:, names.index(name), 0] = sign * SWING * np.sin(phase)
+    angles[:, 0, 1] = heading
+    world = np.array(matrix_from_axis_angle(angles))
+    for joint in range(1, len(names)):
+        world[:, joint] = world[:, parents[joint]] @ world[:, joint]
+    ahead = matrix_y(np.array(heading)) @ [0, 0, 1.0]
+    path = skeleton.positions[0] + np.arange(frames)[:, None] / fps * ahead
+    if flat:  # all bones of the rest pose along +X, as captured animals come
+        rest = skeleton.positions.astype(np.float64)
+        axes = np.tile(np.eye(3), (len(names), 1, 1))
+        for joint in range(len(names)):
+            below = np.flatnonzero(parents == joint)
+            bone = rest[below[0]] - rest[joint] if len(below) else axes[parents[joint]][:, 0]
+            axes[joint] = rotation_between(np.array([1.0, 0, 0]), bone)
+        offsets = skeleton.offsets.astype(np.float64)
+        offsets[1:] = np.einsum("jba,jb->ja", axes[parents[1:]], offsets[1:])
+        skeleton, world = Skeleton(names, parents, offsets), world @ axes
+    return SkeletalMotion(skeleton, local_rotations(world, parents), path, fps)
+
+
+def person(flat_crawl: bool = False) -> SkeletalMotion:
+    """The reference body swinging its legs, or on its hands and knees."""
+    body = reference_body()
+    angles = np.zeros((12, 22, 3))
+    root = np.tile(body.joints[0], (12, 1))
+    if flat_crawl:
+        angles[:, 0, 0] = np.pi / 2
+        for side in ("left", "right"):
+            angles[:, JOINT_NAMES.index(f"{side}_hip"), 0] = -np.pi / 2
+            angles[:, JOINT_NAMES.index(f"{side}_knee"), 0] = np.pi / 2
+        angles[:, JOINT_NAMES.index("left_shoulder"), 1] = -np.pi / 2
+        angles[:, JOINT_NAMES.index("right_shoulder"), 1] = np.pi / 2
+    else:
+        angles[:, JOINT_NAMES.index("left_hip"), 0] = np.linspace(-0.5, 0.5, 12)
+    return SkeletalMotion(body.skeleton, matrix_from_axis_angle(angles), root, 20.0)
+
+
+def limb(animation, dog, handle_name: str) -> np.ndarray:
+    """Where the mesh of a lower leg is from the mesh of the upper one in each frame, shape (N, 3)."""
+    parts = RigParts.of(dog)
+    vertices = animation.vertices()
+    upper, lower = (HANDLE_NAMES.index(name) for name in handle_name.split(">"))
+    weights = parts.handles.weights * dog.areas[:, None]
+    place = [np.einsum("v,nvi->ni", weights[:, some] / weights[:, some].sum(), vertices) for some in (upper, lower)]
+    return place[1] - place[0]
+
+
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_four_legs_under_a_level_trunk_are_seen_in_the_rest_pose_or_in_the_clip(dog, flat, heading):
+    found = creature_motion(trot(dog, frames=40, heading=heading, flat=flat), fps=30.0)
+    assert found is not None and found.plan.kind == "four legs" and found.plan.tail and not found.plan.upright
+    turn = found.motion.root_rotation[0] @ [0, 0, 1.0]
+    assert turn == pytest.approx([np.sin(heading), 0, np.cos(heading)], abs=0.05)
+
+
+def test_people_are_no_animals_even_on_hands_and_knees():
+    assert creature_motion(person()) is None
+    assert creature_motion(person(flat_crawl=True)) is None
+
+
+@pytest.mark.parametrize("onto", ["rig", "handles"])
+@pytest.mark.parametrize("flat", [False, True])
+def test_legs_swing_about_the_rest_pose_of_the_target(dog, onto, flat):
+    motion = trot(dog, frames=41, flat=flat)  # two whole cycles, so that the mean of the clip is how the dog stands
+    kept = {} if onto == "rig" else {"handles": RigParts.of(dog).handles}
+    result = bunraku.transfer(dog, motion, onto=onto, stages=BARE, **kept)
+    rest = limb(result, replace(dog), "left_hip>left_knee")[[0, 10, 20]]
+    for frame, ahead in ((5, -1), (15, 1)):
+        got = limb(result, dog, "left_hip>left_knee")[frame]
+        want = matrix_from_axis_angle(np.array([ahead * SWING, 0, 0])) @ rest[0]
+        angle = np.degrees(np.arccos(got @ want / np.linalg.norm(got) / np.linalg.norm(want)))
+        assert angle < 6
+    ahead = np.diff(result.vertices().mean(axis=1), axis=0).mean(axis=0) * 30
+    assert ahead[2] == pytest.approx(1.0, rel=0.1) and abs(ahead[0]) < 0.05
+
+
+def test_the_predicted_handles_of_a_dog_keep_all_feet_down_and_the_trunk_level(dog):
+    bare = sample_character("dog")
+    result = bunraku.transfer(bare, trot(dog, frames=41, flat=True))
+    assert isinstance(result, bunraku.Animation) and result.reference is not None and result.reference.native
+    vertices = result.vertices()
+    rise = 0.5 * (1 - np.cos(SWING))  # of legs half a metre long that swing together, and so of the source itself
+    low = vertices[..., 1].min(axis=1)
+    assert low.max() < rise + 0.01 * bare.height and low.min() > -0.01 * bare.height
+    head = result.character.vertices[:, 1].argmax()
+    assert vertices[:, head, 1].min() > 0.8 * bare.height  # nothing stands on its front paws
+
+
+def test_what_cannot_be_is_refused_with_what_is_missing(dog):
+    body = reference_body()
+    with pytest.raises(CharacterError, match=r"four legs.*no front legs that reach the ground"):
+        bunraku.transfer(body.character(), trot(dog))
+    fish = BodyPlan(hind=0, front=0, upright=False, arms=True, wings=False, tail=True)
+    four = BodyPlan(hind=2, front=2, upright=False, arms=True, wings=False, tail=True)
+    with pytest.raises(CharacterError, match=r"dog: .*without legs.*4 legs"):
+        check_plans(fish, four, "dog")
+    with pytest.raises(CharacterError, match=r"tuna: .*no legs"):
+        check_plans(four, fish, "tuna")
+    check_plans(four, four, "dog")
+    check_plans(fish, fish, "tuna")
+
+
+def test_plans_of_samples(dog):
+    parts = RigParts.of(dog)
+    assert plan_of(dog, parts.handles, parts.joints).words == "a body on four legs, with a tail"
+    body = RigParts.of(reference_body().character())
+    assert plan_of(body.character, body.handles, body.joints).kind == "person"
+
+
+def test_a_clip_written_as_a_captured_skeleton_has_the_same_paws(dog):
+    """The skeleton of the evaluation moves its joints as the rig's bones move, whatever its rest pose is."""
+    rig = bunraku.transfer(dog, trot(dog, frames=21), onto="rig", stages=BARE)
+    assert isinstance(rig, bunraku.RigAnimation)
+    parts, bones = RigParts.of(dog), rig.world()[1]
+    plain = captured_animal(rig, parts, flat=False)
+    flat = captured_animal(rig, parts, flat=True)
+    for one in (plain, flat):
+        for name, bone in (("LeftForeArm", "LeftForeArm"), ("RightFoot", "RightFoot"), ("Head", "Head")):
+            joint = one.motion.skeleton.names.index(name)
+            assert one.motion.world()[1][:, joint] == pytest.approx(bones[:, dog.rig.names.index(bone)], abs=1e-4)
+    assert np.abs(np.linalg.norm(flat.motion.skeleton.offsets[:, 1:], axis=1)).min() < 1e-6  # bones along +X
