@@ -12,7 +12,7 @@ import pytest
 from gltf_files import CUBE, CUBE_FACES, Maker, cube_glb
 from PIL import Image
 
-from bunraku.formats.gltf.document import open_document
+from bunraku.formats.gltf.container.open import open_document
 from bunraku.io import load_character
 
 LOADED = """

