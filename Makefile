@@ -3,6 +3,7 @@
 #   make demo      a sample character walks: a GLB and an MP4 in demo/
 #   make test      the tests
 #   make fuzz      broken files for all readers: COUNT=100000 of them, from seed FIRST=0 on
+#   make studio    build the studio's page again (needs npm; who changes nothing there needs neither)
 #   make lint      ruff and mypy
 #   make format    let ruff rewrite the sources
 #   make install   only the set-up
@@ -20,7 +21,7 @@ BIN := .venv/bin
 READY := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test fuzz lint format wheel clean
+.PHONY: help install demo studio test fuzz lint format wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -46,7 +47,7 @@ demo: $(READY)
 	@echo "animation: demo/$(SAMPLE)-animated.glb"
 	@echo "video:     demo/$(SAMPLE)-animated.mp4"
 
-test: $(READY) .venv/.validator
+test: $(READY) .venv/.validator .venv/.browser
 	$(BIN)/python -m pytest $(ARGS)
 
 # The Khronos validator checks every GLB that the tests write, and three.js opens some. Both come from npm; without npm those tests are skipped and
@@ -55,6 +56,20 @@ test: $(READY) .venv/.validator
 	@if command -v npm >/dev/null; then for folder in tests/formats/validator tools/check_viewers; do \
 		npm install --silent --no-audit --no-fund --no-package-lock --prefix $$folder || echo "npm install failed in $$folder; its tests are skipped"; \
 		done; fi
+	@touch $@
+
+# The page is committed as it is built, so a wheel needs no node; `tests/studio` builds it again where there is npm.
+studio: studio/node_modules/.package-lock.json
+	cd studio && npm run --silent build
+
+studio/node_modules/.package-lock.json: studio/package.json studio/package-lock.json
+	@cd studio && npm ci --silent
+
+# The studio's page is tested in Chromium where there is one; without it those tests are skipped and say so.
+.venv/.browser: $(READY) studio/package-lock.json
+	@if command -v chromium >/dev/null; then $(BIN)/python -m pip install --quiet --disable-pip-version-check 'playwright>=1.50' \
+		|| echo "playwright could not be installed; the tests in a browser are skipped"; fi
+	@if command -v npm >/dev/null; then (cd studio && npm ci --silent) || echo "npm ci failed in studio; building its page is not tested"; fi
 	@touch $@
 
 fuzz: $(READY)

@@ -16,8 +16,8 @@ SOURCES = ROOT / "src"
 LAYERS = (
     "errors", "geometry", "core", "body", "skeletons", "formats", "nn", "language", "handles", "synthetic", "render",
     "retarget", "apparel",
-    "physics", "diffusion", "io", "pipelines", "bunraku", "baselines", "datasets", "training", "evaluation", "cli",
-    "__main__",
+    "physics", "diffusion", "io", "pipelines", "bunraku", "baselines", "datasets", "training", "evaluation", "studio",
+    "cli", "__main__",
 )  # fmt: skip
 """Rooms from the ground up. "bunraku" is the package's own face."""
 MOST = 16

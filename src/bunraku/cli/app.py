@@ -26,6 +26,7 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("rig",): ("verbs.rig", "Rig", "give a character its 30 handles as a skin, without motion"),
     ("inspect",): ("verbs.inspect", "Inspect", "tell what a file holds"),
     ("render",): ("verbs.render", "Render", "make a video or a picture of an animated file, a character or a motion"),
+    ("studio",): ("verbs.studio", "Studio", "open a page: drop a character, type a sentence, watch it move"),
     ("samples",): ("verbs.samples", "Samples", "write the sample characters"),
     ("doctor",): ("verbs.doctor", "Doctor", "tell what this installation has, what is missing, and what that costs"),
     ("data", "motions"): ("data.samples", "Motions", "turn a motion archive into handle motions to train on"),

@@ -65,37 +65,19 @@ def stand_up(character: Character, path: Path, up: str = "auto", front: str = "a
 
 
 def settle_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[Settled, str]:
-    """How a character of a file is taken to stand, and what there is to say about it.
+    """How a character of a file is taken to stand (`pipelines.standing`), and what there is to say about it."""
+    from bunraku.pipelines.standing import file_standing
 
-    Where the format has a rule and no option says otherwise, the rule holds as long as its bones agree, or where there
-    are none, as long as the guess is not sure of something else.
-    """
-    from bunraku.handles.orientation import Settled, settle
-    from bunraku.handles.orientation_evidence import has_rule
-
-    settled = settle(character, up, front)
-    unsaid = up.strip().lower() == front.strip().lower() == "auto"
-    rule = has_rule(getattr(character.source, "suffix", "")) and unsaid
-    bones = _front_of_bones(character) if rule else ""
-    if not bones:
-        return settled, said_axes(settled, up, front, rule)
-    settled = Settled("+y", "+z", settled.guess)
-    if bones == "+z":
-        return settled, ""
+    found = file_standing(character, up, front)
+    if not found.bones:
+        return found.settled, said_axes(found.settled, up, front, found.rule)
+    if found.bones == "+z":
+        return found.settled, ""
     return (
-        settled,
-        f"its bones face {bones.upper()}, if left and right are named rightly; left as it is. Type --up +y --front "
-        f"{bones} to turn it.",
+        found.settled,
+        f"its bones face {found.bones.upper()}, if left and right are named rightly; left as it is. Type --up +y "
+        f"--front {found.bones} to turn it.",
     )
-
-
-def _front_of_bones(character: Character) -> str:
-    """The horizontal axis that a rig with +Y up faces; "" where there is none or the bones do not say."""
-    from bunraku.skeletons.rig_axes import rig_axes
-
-    rig = character.rig
-    axes = None if rig is None else rig_axes(rig.names, rig.parents, rig.positions)
-    return axes[1] if axes and axes[0] == "+y" else ""
 
 
 def said_axes(settled: Settled, up: str = "auto", front: str = "auto", rule: bool = False) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 
-__all__ = ["closed_loop", "follow", "in_place", "moved", "placed_at", "put_back", "repeated"]
+__all__ = ["closed_loop", "follow", "in_place", "moved", "placed_at", "put_back", "put_back_runs", "repeated"]
 
 SWAY = 0.5  # s; what the root does faster than this stays in a motion on the spot
 
@@ -204,6 +205,32 @@ def put_back(
         elif handles[0]:
             array[:] = getattr(original, name)
     return HandleMotion(**arrays, fps=original.fps, native=made.native)
+
+
+def put_back_runs(
+    made: HandleMotion,
+    original: HandleMotion,
+    handles: np.ndarray,
+    runs: Sequence[tuple[int, int]],
+    fade: int = FADE,
+) -> HandleMotion:
+    """`put_back` of several spans: frames outside of all of them are kept.
+
+    Args:
+        made: N frames.
+        original: N frames.
+        handles: Handles that are kept in all frames, shape (K,), bool.
+        runs: First frame of each span and the one after its last, in order.
+        fade: As in `put_back`.
+    """
+    whole = original
+    for first, after in runs:
+        piece = put_back(made, original, handles, first, after, fade)
+        arrays = {name: np.array(getattr(whole, name)) for name in HandleMotion.arrays}
+        for name, array in arrays.items():
+            array[first:after] = getattr(piece, name)[first:after]
+        whole = HandleMotion(**arrays, fps=original.fps, native=made.native)
+    return whole
 
 
 def _fade(length: int) -> np.ndarray:

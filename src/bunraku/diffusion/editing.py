@@ -18,7 +18,7 @@ import numpy as np
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.body.parts import kept_handles
 from bunraku.core.motion import HandleMotion
-from bunraku.core.travel import FADE, _fade, placed_at, put_back
+from bunraku.core.travel import FADE, _fade, placed_at, put_back, put_back_runs
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_mask
 from bunraku.diffusion.generate import Sampling, adapt, frames_of, load_generator
 from bunraku.diffusion.root_path import arrive
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from bunraku.diffusion.denoiser import Denoiser
 
-__all__ = ["continue_motion", "edit_motion", "span_frames"]
+__all__ = ["continue_motion", "edit_motion", "generated_runs", "pose_frames", "span_frames"]
 
 AROUND = 60  # kept frames on either side of a span that the model sees
 HISTORY = 20  # frames of another clip that its continuation is made to follow
@@ -55,12 +55,31 @@ def span_frames(span: tuple[float, float], frames: int, fps: float) -> tuple[int
     return first, after
 
 
+def pose_frames(poses: Sequence[float], frames: int, fps: float) -> list[int]:
+    """The frames of poses that stay, in order.
+
+    Raises:
+        OptionError: A time is outside the motion.
+    """
+    for time in poses:
+        if not (math.isfinite(time) and 0 <= time <= frames / fps):
+            raise OptionError(f"a pose that stays is at a second of the motion, 0 to {frames / fps:g}, not {time:g}")
+    return sorted({min(round(time * fps), frames - 1) for time in poses})
+
+
+def generated_runs(first: int, after: int, kept: Sequence[int]) -> list[tuple[int, int]]:
+    """Runs of frames from `first` to before `after` that are generated between single frames that are kept."""
+    bounds = [first - 1, *(frame for frame in kept if first <= frame < after), after]
+    return [(low + 1, high) for low, high in zip(bounds, bounds[1:], strict=False) if high > low + 1]
+
+
 def edit_motion(
     motion: HandleMotion,
     prompt: str,
     *,
     keep: str | Sequence[str] = (),
     span: tuple[float, float] | None = None,
+    poses: Sequence[float] = (),
     seed: int = 0,
     **sampling: Any,
 ) -> HandleMotion:
@@ -71,11 +90,13 @@ def edit_motion(
         prompt: What it does instead, in English.
         keep: Parts or handles that stay as they are.
         span: Seconds from and to which is generated; all of the motion by default. The frames outside stay as they are.
+        poses: Seconds of single frames in it that stay too: what is between them is generated.
         seed: The same seed and version give the same motion.
         sampling: See `Sampling`.
 
     Returns:
-        As many frames; those outside the span, and the handles that are kept, hold the arrays of `motion` bit for bit.
+        As many frames; those outside the span, those of `poses`, and the handles that are kept, hold the arrays of
+        `motion` bit for bit.
 
     Raises:
         OptionError: Nothing is kept, or everything; or the prompt or a setting is outside what can be done.
@@ -85,22 +106,26 @@ def edit_motion(
     prompt, how = check_prompt(prompt), Sampling(**sampling)
     handles = kept_handles(keep) if keep else np.zeros(HANDLE_COUNT, bool)
     first, after = (0, len(motion)) if span is None else span_frames(span, len(motion), motion.fps)
-    if not handles.any() and after - first == len(motion):
+    runs = generated_runs(first, after, pose_frames(poses, len(motion), motion.fps))
+    if not handles.any() and runs == [(0, len(motion))]:
         raise OptionError(
-            "nothing is kept of the motion; name what stays with keep (such as 'legs'), or the span of seconds that "
-            "changes"
+            "nothing is kept of the motion; name what stays with keep (such as 'legs'), the span of seconds that "
+            "changes, or the times of poses that stay"
         )
     model, _ = load_generator(how.checkpoint)
     _check(motion, model)
     low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
     part = motion.take(slice(low, high))
-    made = _generate(part, first - low, after - low, handles, prompt, [high - low], seed, how)
-    anchor = high - low - 1 if first == low and after < high else 0  # a kept frame where there is one
+    made = _generate(
+        part, [(start - low, stop - low) for start, stop in runs], handles, prompt, [high - low], seed, how
+    )
+    kept = np.setdiff1d(np.arange(low, high), np.concatenate([np.arange(*run) for run in runs]))
+    anchor = int(kept[0]) - low if len(kept) else 0  # a kept frame where there is one
     made = placed_at(made, anchor, part, anchor)
     whole = made.take(
         np.clip(np.arange(len(motion)) - low, 0, len(made) - 1)
     )  # what is kept beyond the part comes next
-    return replace(put_back(whole, motion, handles, first, after, fade=0), native=motion.native)
+    return replace(put_back_runs(whole, motion, handles, runs, fade=0), native=motion.native)
 
 
 def continue_motion(
@@ -132,7 +157,7 @@ def continue_motion(
     frames = np.minimum(np.arange(past - 1 + sum(lengths)), past - 1)
     still = history.take(frames)
     lengths[0] += past - 1
-    made = _generate(still, past, len(frames), np.zeros(HANDLE_COUNT, bool), prompts, lengths, seed, how)
+    made = _generate(still, [(past, len(frames))], np.zeros(HANDLE_COUNT, bool), prompts, lengths, seed, how)
     made = placed_at(made, past - 1, history, past - 1).take(slice(past - 1, len(made)))
     return put_back(made, still.take(slice(past - 1, len(still))), np.zeros(HANDLE_COUNT, bool), 1, len(made), fade=0)
 
@@ -149,15 +174,14 @@ def _check(motion: HandleMotion, model: Denoiser) -> None:
 
 def _generate(
     original: HandleMotion,
-    first: int,
-    after: int,
+    runs: Sequence[tuple[int, int]],
     handles: np.ndarray,
     prompts: str | list[str],
     lengths: list[int],
     seed: int,
     how: Sampling,
 ) -> HandleMotion:
-    """All frames of the original with frames first..after-1 made anew, but for the kept handles; the root's path from x
+    """All frames of the original with some runs of frames made anew, but for the kept handles; the root's path from x
     = z = 0 facing +Z.
     """
     import torch
@@ -174,22 +198,28 @@ def _generate(
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     features = encode(original)
     mask = np.zeros((plan.frames, FEATURE_SIZE), bool)
-    mask[:first] = mask[after:frames] = True
+    mask[:frames] = True
+    for first, after in runs:
+        mask[first:after] = False
     mask[:frames, feature_mask(handles)] = True
     values = np.zeros((plan.frames, FEATURE_SIZE), np.float32)
     values[:frames] = statistics.normalise(features)
     held, share = (torch.as_tensor(array.astype(np.float32), device=model.mean.device) for array in (values, mask))
-    edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < frames)
-    goal = _goal(features, first, after, model.config.fps) if len(edges) == 2 and not handles[0] else None
+    reaches = [_reach(first, after, frames) for first, after in runs]
+    goals = [
+        _goal(features, first, after, model.config.fps) if len(reach) == 2 and not handles[0] else None
+        for (first, after), reach in zip(runs, reaches, strict=True)
+    ]
 
     def refine(x0: Tensor) -> Tensor:
         x0 = x0.clone()
-        for edge, way in edges:
-            reach = edge + way * torch.arange(1, min(FADE, after - first) + 1, device=x0.device)
-            x0[reach] += torch.as_tensor(_fade(len(reach)), device=x0.device).to(x0)[:, None] * (held[edge] - x0[edge])
-        if goal is not None:
-            mean, std = model.mean[:3], model.std[:3]
-            x0[first:after, :3] = (arrive(x0[first:after, :3] * std + mean, model.config.fps, *goal) - mean) / std
+        mean, std = model.mean[:3], model.std[:3]
+        for (first, after), reach, goal in zip(runs, reaches, goals, strict=True):
+            for edge, near in reach:
+                fade = torch.as_tensor(_fade(len(near)), device=x0.device).to(x0)[:, None]
+                x0[torch.as_tensor(near)] += fade * (held[edge] - x0[edge])
+            if goal is not None:
+                x0[first:after, :3] = (arrive(x0[first:after, :3] * std + mean, model.config.fps, *goal) - mean) / std
         return x0
 
     with fitting_threads(model):
@@ -199,12 +229,20 @@ def _generate(
     made = statistics.restore(found.values[:frames].cpu().numpy())
     made[mask[:frames]] = features[mask[:frames]]
     adaptation = found.adaptation[:frames].cpu().numpy()
-    adaptation[:first] = adaptation[after:] = 0
-    for edge, way in edges:  # the adaptation sets in as smoothly as what it is added to
-        reach = edge + way * np.arange(1, min(FADE, after - first) + 1)
-        adaptation[reach] *= (1 - _fade(len(reach)))[:, None, None]
+    made_anew = np.zeros(frames, bool)
+    for (first, after), reach in zip(runs, reaches, strict=True):
+        made_anew[first:after] = True
+        for _, near in reach:  # the adaptation sets in as smoothly as what it is added to
+            adaptation[near] *= (1 - _fade(len(near)))[:, None, None]
+    adaptation[~made_anew] = 0
     adaptation[:, handles] = 0
     return adapt(replace(decode(made, model.config.fps), native=how.native(model)), adaptation)
+
+
+def _reach(first: int, after: int, frames: int) -> list[tuple[int, np.ndarray]]:
+    """The kept frames that a run meets, each with the frames of the run that are led to it, nearest first."""
+    edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < frames)
+    return [(edge, edge + way * np.arange(1, min(FADE, after - first) + 1)) for edge, way in edges]
 
 
 def _goal(features: np.ndarray, first: int, after: int, fps: float) -> tuple[float, tuple[float, float]]:

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bunraku.core.ground_path import GroundPath
 from bunraku.core.motion import HandleMotion
-from bunraku.diffusion.features import FeatureStatistics, decode
+from bunraku.core.travel import moved
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, root_velocities
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextEncoder, encoder_of, text_encoder
 from bunraku.language.prompts import check_prompt
@@ -109,6 +111,7 @@ def generate_motions(
     *,
     seeds: int | Sequence[int] = 0,
     loop: bool = False,
+    path: GroundPath | None = None,
     **sampling: Any,
 ) -> list[HandleMotion]:
     """Handle motions of the reference body, all in one batch, each from one sentence or several in a row.
@@ -117,6 +120,8 @@ def generate_motions(
         scripts: For each motion its sentences with the seconds that each lasts.
         seeds: One for each motion; a single number gives each motion noise of its own, the first as when it is alone.
         loop: Make loops: each motion's last frame is its first again, at another place where it travels.
+        path: What the root follows, in metres of the reference body; each motion then starts where the path does. Who
+            goes backwards in the first sentence looks back along it.
         sampling: See `Sampling`.
 
     Raises:
@@ -143,7 +148,7 @@ def generate_motions(
     def draw(rows: list[int], places: list[int]) -> list[Drawn]:
         pairs = [(noise[row][0], noise[row][1] + _APART * place) for row, place in zip(rows, places, strict=True)]
         again = how if not any(place >= how.candidates for place in places) else replace(how, progress=None)
-        return _draw(model, encoder, [scripts[row] for row in rows], pairs, again, loop)
+        return _draw(model, encoder, [scripts[row] for row in rows], pairs, again, loop, path)
 
     rows = list(range(len(scripts)))
     if how.candidates > 1:
@@ -153,7 +158,14 @@ def generate_motions(
     else:
         found = draw(rows, [0] * len(rows))
     native = how.native(model)
-    return [adapt(replace(decode(one.motion, model.config.fps), native=native), one.adaptation) for one in found]
+    motions = []
+    for one, script in zip(found, scripts, strict=True):
+        made = replace(decode(one.motion, model.config.fps), native=native)
+        if path is not None:
+            x, z, heading = _way(path, len(made), model.config.fps, script)[0]
+            made = moved(made, heading, np.array([x, 0, z]))
+        motions.append(adapt(made, one.adaptation))
+    return motions
 
 
 def _ranked(model: Denoiser, encoder: TextEncoder) -> Callable[[Sequence[Drawn]], np.ndarray]:
@@ -178,6 +190,7 @@ def _draw(
     noise: list[tuple[int, int]],
     how: Sampling,
     loop: bool,
+    path: GroundPath | None,
 ) -> list[Drawn]:
     """One candidate for each script from its own noise, all in one batch."""
     import torch
@@ -199,6 +212,15 @@ def _draw(
     noise = noise + [noise[track.motion] for track in tracks]
     sizes = [plan.frames for plan in plans]
 
+    ways = (
+        [_way(path, sum(lengths[row]), model.config.fps, script) for row, script in enumerate(scripts)] if path else []
+    )
+    held = (
+        _held_roots(ways + [ways[track.motion] for track in tracks], sizes, statistics, model.config.fps)
+        if path
+        else None
+    )
+
     def refine(values: Tensor) -> Tensor:
         parts = list(values.split(sizes))
         for place, track in enumerate(tracks, len(scripts)):
@@ -212,6 +234,7 @@ def _draw(
             plans,
             seeds=noise,
             refine=refine if loop or tracks else None,
+            known=held,
             **how.options(model, len(text.mask)),
         )
     for track, own in zip(tracks, found[len(scripts) :], strict=True):
@@ -221,9 +244,32 @@ def _draw(
         frames = np.arange(sum(own_lengths) + loop) % len(part.values)
         features = statistics.restore(part.values.cpu().numpy()[frames])
         timed = [(prompt, length) for (prompt, _), length in zip(script, own_lengths, strict=True)]
-        said = script_agreement(features, timed) if how.candidates > 1 else None
+        said = script_agreement(features, timed) if how.candidates > 1 and path is None else None
         drawn.append(Drawn(features, part.adaptation.cpu().numpy()[frames], timed, said))
     return drawn
+
+
+def _way(path: GroundPath, frames: int, fps: float, script: Sequence[tuple[str, float]]) -> np.ndarray:
+    """Place (x, z) [m] and heading [rad] of a root that follows a path in each frame, shape (N, 3)."""
+    back = "backward" in script[0][0].lower()
+    return np.column_stack([path.places(frames, fps), path.headings(frames, fps, back)])
+
+
+def _held_roots(
+    ways: Sequence[np.ndarray], sizes: Sequence[int], statistics: FeatureStatistics, fps: float
+) -> tuple[Tensor, Tensor]:
+    """Root velocities that are known beforehand, in network units, and which features these are: both (F, D)."""
+    import torch
+
+    values, share = (np.zeros((sum(sizes), FEATURE_SIZE), np.float32) for _ in range(2))
+    start = 0
+    for way, size in zip(ways, sizes, strict=True):
+        values[start : start + len(way), :3] = root_velocities(way, fps)
+        share[start : start + len(way), :3] = 1
+        start += size
+    return torch.from_numpy(np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)), torch.from_numpy(
+        share
+    )
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:

@@ -10,12 +10,14 @@ import numpy as np
 
 from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.character import Character, Handles
+from bunraku.core.ground_path import GroundPath
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import OptionError
 from bunraku.language.clauses import of_creature
-from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of
+from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of, reference_path
 from bunraku.pipelines.together import check_together
 from bunraku.retarget.fit import Stages
+from bunraku.retarget.stages.pins import Pin
 from bunraku.retarget.stages.rest_pose import upright
 
 __all__ = ["animate", "animate_each", "generate", "rig"]
@@ -92,6 +94,7 @@ def generate(
     mesh_feature: object | None = ...,
     loop: bool = ...,
     after: HandleMotion | None = ...,
+    path: GroundPath | None = ...,
     candidates: int = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
@@ -109,6 +112,7 @@ def generate(
     mesh_feature: object | None = ...,
     loop: bool = ...,
     after: HandleMotion | None = ...,
+    path: GroundPath | None = ...,
     candidates: int = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
@@ -125,6 +129,7 @@ def generate(
     mesh_feature: object | None = None,
     loop: bool = False,
     after: HandleMotion | None = None,
+    path: GroundPath | None = None,
     candidates: int = CANDIDATES,
     anyway: bool = False,
     progress: Progress | None = None,
@@ -142,6 +147,7 @@ def generate(
         mesh_feature: f_phi of the character, shape (448,); None generates for no mesh in particular.
         loop: Make a loop: the last frame is the first again, at another place where the motion travels.
         after: Motion of the reference body whose last pose is the first of the new motion.
+        path: What the root follows on the ground, in metres of the reference body.
         candidates: How many motions are drawn for each that is given back, the one that the ranker likes best, 1 to
             16. A motion that follows another is drawn once.
         anyway: Generate even where no movement of a sentence is understood.
@@ -155,9 +161,9 @@ def generate(
     """
     prompts = [prompt] if isinstance(prompt, str) else list(prompt)
     scripts = _scripts(prompts, seconds, anyway)
-    check_together("rigid", loop=loop, after=after is not None)
+    check_together("rigid", loop=loop, after=after is not None, path=path is not None)
     how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "progress": progress}
-    motions = _generated(scripts, seed, loop, after, candidates, how)
+    motions = _generated(scripts, seed, loop, after, path, candidates, how)
     return motions[0] if isinstance(prompt, str) else motions
 
 
@@ -166,6 +172,7 @@ def _generated(
     seed: int | Sequence[int],
     loop: bool,
     after: HandleMotion | None,
+    path: GroundPath | None,
     candidates: int,
     how: dict[str, Any],
 ) -> list[HandleMotion]:
@@ -173,7 +180,7 @@ def _generated(
     from bunraku.diffusion.generate import generate_motions
 
     if after is None:
-        return generate_motions(scripts, seeds=seed, loop=loop, candidates=candidates, **how)
+        return generate_motions(scripts, seeds=seed, loop=loop, path=path, candidates=candidates, **how)
     from bunraku.diffusion.editing import continue_motion
 
     seeds = [seed + index for index in range(len(scripts))] if isinstance(seed, int) else list(seed)
@@ -195,6 +202,8 @@ def animate(
     loop: bool = False,
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
+    path: GroundPath | None = None,
+    pins: Sequence[Pin] = (),
     stages: Stages | None = None,
     candidates: int = CANDIDATES,
     anyway: bool = False,
@@ -217,6 +226,8 @@ def animate(
         loop: Make a loop: the last pose is the first again, at another place where the motion travels.
         in_place: Take the way over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
+        path: What the root follows on the ground, in the character's metres; the clip starts where the path does.
+        pins: Where hands and feet are at some times, in the world of the clip.
         stages: Which stages fit the motion to the character; `pipelines.apply.GENERATED_STAGES` when None.
         candidates: How many motions are drawn, of which the ranker chooses the best, 1 to 16.
         anyway: Animate even where no movement of a sentence is understood.
@@ -227,7 +238,8 @@ def animate(
 
     Raises:
         OptionError: The prompt is empty, too long or not understood, the length is out of range, a loop is to follow
-            another clip, or simulated apparel is to be looped, to follow a clip, or to be moved by handles.
+            another clip, simulated apparel is to be looped, to follow a clip, or to be moved by handles, a path is to
+            be looped, walked on the spot or to follow a clip, or a pin cannot be met.
         CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """
@@ -235,7 +247,7 @@ def animate(
         animate_each(
             character, [prompt], seconds=seconds, seed=seed, steps=steps, guidance=guidance, handles=handles,
             apparel=apparel, loop=loop,
-            in_place=in_place, after=after, stages=stages, candidates=candidates, anyway=anyway,
+            in_place=in_place, after=after, path=path, pins=pins, stages=stages, candidates=candidates, anyway=anyway,
             progress=progress,
         )
     )  # fmt: skip
@@ -254,6 +266,8 @@ def animate_each(
     loop: bool = False,
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
+    path: GroundPath | None = None,
+    pins: Sequence[Pin] = (),
     stages: Stages | None = None,
     candidates: int = CANDIDATES,
     anyway: bool = False,
@@ -265,7 +279,10 @@ def animate_each(
     `animate`.
     """
     scripts = _scripts(prompts, seconds, anyway)
-    check_together(apparel, loop=loop, after=after is not None, handles=handles != "predict")
+    check_together(
+        apparel, loop=loop, after=after is not None, handles=handles != "predict", path=path is not None,
+        in_place=in_place, pins=bool(pins),
+    )  # fmt: skip
     simulated = apparel == "simulate"
     if simulated:
         from bunraku.handles.predict import mesh_feature
@@ -280,14 +297,15 @@ def animate_each(
         if not upright(handles):
             scripts = [[(of_creature(clause), length) for clause, length in script] for script in scripts]
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
+    way = path if isinstance(handles, str) else reference_path(path, character, handles)
     how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": feature, "progress": progress}
     for start in range(0, len(scripts), AT_ONCE):
         some = scripts[start : start + AT_ONCE]
-        for motion in _generated(some, [seed] * len(some), loop, before, candidates, how):
+        for motion in _generated(some, [seed] * len(some), loop, before, way, candidates, how):
             if simulated or not isinstance(handles, Handles):
                 yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
             else:
                 yield apply_motion(
-                    motion, character, handles, loop=loop, in_place=in_place, after=after, stages=stages,
-                    progress=progress
+                    motion, character, handles, loop=loop, in_place=in_place, after=after, path=path, pins=pins,
+                    stages=stages, progress=progress
                 )  # fmt: skip

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
+from bunraku.core.ground_path import GroundPath, bent_to_path
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.stages.pins import Pin, meet_pins
 
-__all__ = ["GENERATED_STAGES", "apply_motion", "apply_simulated", "fitted_motion", "reference_of"]
+__all__ = ["GENERATED_STAGES", "apply_motion", "apply_simulated", "fitted_motion", "reference_of", "reference_path"]
 
 Progress = Callable[[str, float], None]
 GENERATED_STAGES = Stages(shape=True)
@@ -27,6 +29,8 @@ def apply_motion(
     loop: bool = False,
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
+    path: GroundPath | None = None,
+    pins: Sequence[Pin] = (),
     stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> Animation:
@@ -39,6 +43,8 @@ def apply_motion(
         loop: Whether the motion is a loop.
         in_place: Take the way over the ground out.
         after: Start in the last pose of this; a motion of the reference body is one that `motion` already follows.
+        path: What the root follows [m]; `motion` was generated for it (`reference_path`).
+        pins: Where hands and feet are at some times.
         stages: Which stages fit the motion to the character; `GENERATED_STAGES` when None.
         progress: Called with a stage's name and the share done, 0 to 1.
     """
@@ -58,6 +64,9 @@ def apply_motion(
         from bunraku.core.travel import in_place as in_place_motion
 
         fitted = in_place_motion(fitted, loop)
+    if path is not None:
+        fitted = bent_to_path(fitted, path, size=float(handles.positions[0, 1] - character.vertices[:, 1].min()))
+    fitted = meet_pins(fitted, character, handles, pins)
     if progress:
         progress("fit", 1.0)
     return Animation(character, handles, fitted, motion)
@@ -97,6 +106,15 @@ def apply_simulated(
     moved = fit_rig(resample(motion, fps), character, stages)
     progress("fit", 1.0)
     return simulated(moved, progress)
+
+
+def reference_path(path: GroundPath | None, character: Character, handles: Handles) -> GroundPath | None:
+    """A path for a character as one for the reference body, whose strides have another length."""
+    if path is None:
+        return None
+    from bunraku.retarget.stride import stride_length
+
+    return path.moved(1 / stride_length(character, handles))
 
 
 def fitted_motion(

@@ -10,9 +10,10 @@ import numpy as np
 
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
-from bunraku.errors import MotionError
+from bunraku.errors import MotionError, OptionError
 from bunraku.pipelines.apply import fitted_motion, reference_of
 from bunraku.retarget.fit import Stages
+from bunraku.retarget.stages.pins import Pin, meet_pins
 
 __all__ = ["edit"]
 
@@ -25,6 +26,8 @@ def edit(
     *,
     keep: str | Sequence[str] = (),
     span: tuple[float, float] | None = None,
+    poses: Sequence[float] = (),
+    pins: Sequence[Pin] = (),
     seed: int = 0,
     steps: int | None = None,
     guidance: float | None = None,
@@ -40,6 +43,8 @@ def edit(
         keep: What stays as it is: root, legs, arms, left arm, upper body, lower body, head, torso, tail, wings, ... or
             single handles such as left_wrist; a list, or one text with commas.
         span: Seconds from and to which is generated; all of the clip by default.
+        poses: Seconds of single poses that stay as they are; what is between them is generated.
+        pins: Where hands and feet of an animation are at some times; what is kept is bent near them too.
         seed: The same seed and version give the same motion.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
@@ -52,26 +57,29 @@ def edit(
         `reference`.
 
     Raises:
-        OptionError: Nothing is kept, or everything; the prompt is empty, too long or not understood; or the span is
-            outside the clip.
+        OptionError: Nothing is kept, or everything; the prompt is empty, too long or not understood; the span or a
+            pose is outside the clip; or a pin cannot be met.
         MotionError: The motion is not that of 30 handles at 20 frames a second.
         WeightsError: The shipped weights are missing or broken.
     """
     from bunraku.body.parts import kept_handles
-    from bunraku.core.travel import put_back
-    from bunraku.diffusion.editing import edit_motion, span_frames
+    from bunraku.core.travel import put_back_runs
+    from bunraku.diffusion.editing import edit_motion, generated_runs, pose_frames, span_frames
     from bunraku.language.understood import english_of
 
     english = english_of(prompt, anyway)
     how: dict[str, Any] = {
         "keep": keep,
         "span": span,
+        "poses": poses,
         "seed": seed,
         "steps": steps,
         "guidance": guidance,
         "progress": progress,
     }
     if isinstance(clip, HandleMotion):
+        if pins:
+            raise OptionError("pins are places of a character's hands and feet; edit an animation of it")
         return cast(Clip, edit_motion(clip, english, **how))
     assert isinstance(clip, Animation)
     handles = clip.handles
@@ -92,7 +100,9 @@ def edit(
     if keep:
         kept = kept_handles(keep)[handles.played]  # a spare handle that plays a kept part is kept with it
     first, after = (0, len(made)) if span is None else span_frames(span, len(made), made.fps)
-    fitted = put_back(fitted_motion(made, clip.character, handles, stages), clip.motion, kept, first, after)
+    runs = generated_runs(first, after, pose_frames(poses, len(made), made.fps))
+    fitted = put_back_runs(fitted_motion(made, clip.character, handles, stages), clip.motion, kept, runs)
+    fitted = meet_pins(fitted, clip.character, handles, pins)
     if progress:
         progress("fit", 1.0)
     return cast(Clip, Animation(clip.character, clip.handles, fitted, made))

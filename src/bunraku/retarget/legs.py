@@ -15,7 +15,7 @@ from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.retarget.stages.attach import Joints
 from bunraku.retarget.stages.rest_pose import upright
 
-__all__ = ["Leg", "find_arms", "find_legs", "foot_points", "move_feet"]
+__all__ = ["Leg", "carry", "find_arms", "find_legs", "foot_points", "local_motion", "move_feet"]
 
 NEAR = 0.15  # a limb of a lying body is a leg if it ends so near to the lowest point, over the height
 SHORTEST = 0.12  # least length of a leg, over the height; shorter ones are fins and stubs
@@ -160,7 +160,7 @@ def move_feet(
     world = motion.transforms(handles.positions).astype(np.float64)
     for number in moved:
         _move_foot(world, legs[number], joints, shifts[:, number], motion)
-    return _local(world, motion, handles)
+    return local_motion(world, motion, handles)
 
 
 def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, motion: HandleMotion) -> None:
@@ -192,13 +192,13 @@ def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, m
         (leg.lower, knee, bent, ankle - knee, goal - bent),
     ):
         swung = np.einsum("nij,nj->ni", swing, _unit(before_turn))
-        _carry(world, handle, joints, pivot, target, _between(swung, _unit(after_turn)) @ swing)
+        carry(world, handle, joints, pivot, target, _between(swung, _unit(after_turn)) @ swing)
     level = np.tile(np.eye(3), (len(world), 1, 1))
     for handle in leg.foot:
-        _carry(world, handle, joints, ankle, goal, level)
+        carry(world, handle, joints, ankle, goal, level)
 
 
-def _carry(
+def carry(
     world: np.ndarray, handle: int, joints: Joints, pivot: np.ndarray, target: np.ndarray, turned: np.ndarray
 ) -> None:
     """Turn a handle, and absent ones that go along with it, about a pivot that moves to a target."""
@@ -243,7 +243,7 @@ def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return np.asarray(matrix_from_axis_angle(axis / np.maximum(sine, 1e-12)[:, None] * angle[:, None]))
 
 
-def _local(world: np.ndarray, motion: HandleMotion, handles: Handles) -> HandleMotion:
+def local_motion(world: np.ndarray, motion: HandleMotion, handles: Handles) -> HandleMotion:
     """A motion with the same root and other world transforms of its handles."""
     h = handles.positions.astype(np.float64)
     root = motion.root_rotation.astype(np.float64)

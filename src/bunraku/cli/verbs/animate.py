@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from bunraku.cli.checks import check_input, check_range, check_sequence, slug
+from bunraku.cli.directing import PathOption, PinOption, parse_path, parse_pin
 from bunraku.cli.ledger import fingerprint
 from bunraku.cli.options import GeneratingOptions
 from bunraku.cli.orientation import stand_up
@@ -67,6 +68,15 @@ class Animate(GeneratingOptions):
     """Take the way over the ground out: the character walks on the spot."""
     after: Path | None = None
     """A .glb or .npz clip of Bunraku: start in its last pose."""
+    path: PathOption = ""
+    """Points on the ground that the root passes, x and z in metres from where the clip starts to where it ends, such as
+    "0,0 1,2 3,2"; with "@SECONDS" behind each where times matter.
+    """
+    pin: PinOption = ()
+    """Where the wrist of a hand or the ankle of a foot is at a time, such as left_hand@2.0=0.3,1.4,0.2: left_hand,
+    right_hand, left_foot or right_foot, seconds (+ seconds for which it is held), x, y and z in metres. May be given
+    more than once.
+    """
 
     def run(self) -> None:
         prompts = self._prompts()
@@ -75,8 +85,10 @@ class Animate(GeneratingOptions):
         if self.after is not None:
             check_input(self.after)
         check_together(
-            self.apparel, loop=self.loop, after=self.after is not None, handles=self.handles != "predict", dashes="--"
-        )
+            self.apparel, loop=self.loop, after=self.after is not None, handles=self.handles != "predict",
+            path=bool(self.path), in_place=self.in_place, pins=bool(self.pin), dashes="--",
+        )  # fmt: skip
+        path, pins = parse_path(self.path), [parse_pin(pin) for pin in self.pin]
         fitting = fitting_stages(self.without, shape=True)
         check_range("--candidates", self.candidates, 1, 16)
         check_range("--takes", self.takes, 1, 100)
@@ -111,7 +123,8 @@ class Animate(GeneratingOptions):
             after = None if self.after is None or isinstance(handles, str) else _before(self.after, character, handles)
             how: dict[str, Any] = {
                 "seconds": self.seconds, "handles": handles, "apparel": self.apparel, "loop": self.loop,
-                "in_place": self.in_place, "after": after, "stages": fitting, "candidates": self.candidates,
+                "in_place": self.in_place, "after": after, "path": path, "pins": pins, "stages": fitting,
+                "candidates": self.candidates,
             }  # fmt: skip
             if todo:
                 animations = animate_each(character, [clip.prompt for clip in todo], **how, **self.sampling)

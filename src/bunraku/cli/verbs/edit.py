@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from bunraku.cli.checks import check_input, slug
+from bunraku.cli.directing import PinOption, parse_pin
 from bunraku.cli.options import GeneratingOptions
 from bunraku.cli.orientation import stand_up
 from bunraku.cli.outputs import check_outputs, fitting_stages, save_all
@@ -43,6 +44,12 @@ class Edit(GeneratingOptions):
     """
     span: Annotated[str, tyro.conf.arg(metavar="FROM:TO")] = ""
     """Seconds from and to which is generated, such as 1.0:3.0; all outside stays. Default: the whole clip."""
+    pose: Annotated[tuple[float, ...], tyro.conf.arg(metavar="TIME"), tyro.conf.UseAppendAction] = ()
+    """Seconds of a pose that stays; what is between such poses is generated. May be given more than once."""
+    pin: PinOption = ()
+    """Where the wrist of a hand or the ankle of a foot is at a time, such as left_hand@2.0=0.3,1.4,0.2. May be given
+    more than once.
+    """
     character: Path | None = None
     """The character that an .npz clip was made for; without it the clip is edited and given back as one of the
     reference body.
@@ -55,10 +62,12 @@ class Edit(GeneratingOptions):
         span = parse_span(self.span) if self.span else None
         if self.keep:
             kept_handles(self.keep)
-        elif span is None:
+        elif span is None and not self.pose:
             raise OptionError(
-                "nothing is kept of the clip; name what stays (--keep legs) or the seconds that change (--span 1.0:3.0)"
+                "nothing is kept of the clip; name what stays (--keep legs), the seconds that change (--span 1.0:3.0) "
+                "or poses that stay (--pose 1.5)"
             )
+        pins = [parse_pin(pin) for pin in self.pin]
         self.check()
         inputs = [self.clip] + ([self.character] if self.character else [])
         for path in inputs:
@@ -75,8 +84,9 @@ class Edit(GeneratingOptions):
             from bunraku.pipelines.edit import edit
 
             animation = edit(
-                clip, self.prompt, keep=self.keep, span=span, stages=fitting, progress=report, **self.sampling
-            )
+                clip, self.prompt, keep=self.keep, span=span, poses=self.pose, pins=pins, stages=fitting,
+                progress=report, **self.sampling,
+            )  # fmt: skip
             save_all(animation, outputs, self.preview, self.fps, report)
 
     def _animation(self, report: Report) -> Animation:

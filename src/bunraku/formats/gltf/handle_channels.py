@@ -12,7 +12,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.formats.gltf.builder import GltfBuilder
 from bunraku.geometry.rotations import quaternion_from_matrix
 
-__all__ = ["add_joints", "add_motion", "handle_names"]
+__all__ = ["add_joints", "add_motion", "handle_names", "joint_tracks"]
 
 
 def handle_names(handles: Handles) -> tuple[str, ...]:
@@ -49,10 +49,14 @@ def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:
     return list(range(first, first + len(h)))
 
 
-def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, motion: HandleMotion, name: str) -> None:
-    """Add an animation: a translation and a rotation channel for each joint, constant ones as one key.
+def joint_tracks(positions: np.ndarray, motion: HandleMotion) -> tuple[np.ndarray, np.ndarray]:
+    """What the nodes of `add_joints` do: translations [m] (N, K, 3) and rotations (N, K, 4), quaternions xyzw, float64.
 
     The root node gets translation h_0 + t_g and rotation R_g; joint k, its child, gets h_k + t_k - h_0 and R_k (Eq. 3).
+
+    Args:
+        positions: Handle positions h in the rest pose [m], shape (K, 3).
+        motion: N frames of K handles.
     """
     h = positions.astype(np.float64)
     translations = h + motion.translations
@@ -64,7 +68,13 @@ def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, m
     rotations[1:] *= np.cumprod(flips, axis=0)[
         ..., None
     ]  # an interpolated quaternion must not change its sign on the way
+    return translations, rotations
 
+
+def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, motion: HandleMotion, name: str) -> None:
+    """Add an animation: a translation and a rotation channel for each joint, constant ones as one key."""
+    translations, rotations = joint_tracks(positions, motion)
+    h = positions.astype(np.float64)
     times = (np.arange(len(motion)) / motion.fps).astype(np.float32)[:, None]
     every = builder.array(times, bounds=True)
     single: int | None = None

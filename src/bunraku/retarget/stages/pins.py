@@ -1,0 +1,269 @@
+"""Pins: a hand or a foot that is at a place, and turned as is asked, at a time.
+
+A limb is bent so that its end is where it should be, by two-bone inverse kinematics as feet are held; what is out of
+its reach the root goes the rest of the way, and feet stay where they were. The correction sets in before the pin and
+fades after it, so a clip with pins is the clip as it was elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.errors import OptionError
+from bunraku.geometry.easing import smooth_step
+from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.retarget.decimate import decimated
+from bunraku.retarget.legs import Leg, carry, find_arms, find_legs, local_motion, move_feet
+from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.stance import rest_to_reference
+
+__all__ = ["PINNED", "LimbEnd", "Pin", "end_places", "limb_ends", "meet_pins"]
+
+PINNED = ("left_hand", "right_hand", "left_foot", "right_foot")
+"""Parts that can be pinned; of further limbs of a kind the first."""
+_PART_OF = {"wrist": "hand", "elbow": "hand", "fingers": "hand", "ankle": "foot", "knee": "foot", "foot": "foot"}
+LEAD = 0.4
+"""Seconds before and after a pin over which a limb goes there and back."""
+ROOT_LEAD = 0.8
+"""The same for the root where a limb does not reach."""
+ROUNDS = 12
+CLOSE = 5e-4
+"""Error over the character's height at which a pin is met."""
+MISSED = 5e-3
+"""Error over the height from which on it is not."""
+
+
+@dataclass(frozen=True)
+class Pin:
+    """Where a hand or a foot is at a time.
+
+    Args:
+        part: One of `PINNED`.
+        time: Seconds from the start of the clip.
+        position: Where the wrist or ankle is [m], shape (3,), in the clip's world: +Y up.
+        rotation: Turn of the hand or foot from the rest pose in the world, shape (3, 3); None leaves it as it is.
+        hold: Seconds for which it stays there.
+
+    Raises:
+        OptionError: There is no such part, or a number makes no sense.
+    """
+
+    part: str
+    time: float
+    position: tuple[float, float, float]
+    rotation: np.ndarray | None = None
+    hold: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.part not in PINNED:
+            raise OptionError(f"'{self.part}' cannot be pinned; there are {', '.join(PINNED)}")
+        numbers = (self.time, self.hold, *self.position)
+        if len(self.position) != 3 or not all(math.isfinite(number) for number in numbers):
+            raise OptionError(f"the pin of {self.part} needs a time and three coordinates that are numbers")
+        if self.time < 0 or self.hold < 0:
+            raise OptionError(f"the pin of {self.part} cannot be before the start, nor be held for less than no time")
+        if self.rotation is not None:
+            turn = np.asarray(self.rotation, np.float64)
+            if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
+                raise OptionError(f"the turn of {self.part} is no rotation")
+            object.__setattr__(self, "rotation", turn)
+
+    def frames(self, count: int, fps: float) -> np.ndarray:
+        """The frames in which it is held.
+
+        Raises:
+            OptionError: It is after the end of the clip.
+        """
+        first = round(self.time * fps)
+        if first >= count:
+            raise OptionError(
+                f"the pin of {self.part} at {self.time:g} s is after the end of the clip, {count / fps:g} s"
+            )
+        return np.arange(first, min(first + round(self.hold * fps), count - 1) + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class LimbEnd:
+    """The end of a limb that can be pinned.
+
+    Args:
+        part: One of `PINNED`.
+        handle: The handle that it moves with.
+        point: The wrist or ankle in the rest pose [m], shape (3,).
+        limb: The limb.
+    """
+
+    part: str
+    handle: int
+    point: np.ndarray
+    limb: Leg
+
+
+def limb_ends(character: Character, handles: Handles) -> list[LimbEnd]:
+    """The hands and feet of a character that can be pinned; none where it has no limbs or no handles of a body."""
+    if len(handles.positions) != len(HANDLE_NAMES):
+        return []
+    return _ends(character, handles)[0]
+
+
+def _ends(character: Character, handles: Handles) -> tuple[list[LimbEnd], Joints]:
+    light, own = decimated(character, handles)
+    _, joints = rest_to_reference(light, own)
+    legs = find_legs(light, own, joints)
+    out: dict[str, LimbEnd] = {}
+    for limb in (*legs, *find_arms(light, own, joints, legs)):
+        side, _, name = HANDLE_NAMES[int(own.played[limb.end])].partition("_")
+        part = f"{side}_{_PART_OF.get(name, '')}"
+        if part in PINNED and part not in out:
+            out[part] = LimbEnd(part, limb.end, limb.joints[2], limb)
+    return [out[part] for part in PINNED if part in out], joints
+
+
+def end_places(motion: HandleMotion, handles: Handles, ends: Sequence[LimbEnd]) -> np.ndarray:
+    """Where ends of limbs are [m], shape (N, L, 3), float64."""
+    world = motion.transforms(handles.positions).astype(np.float64)
+    places = [world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3] for end in ends]
+    return np.stack(places, axis=1) if places else np.zeros((len(motion), 0, 3))
+
+
+def meet_pins(motion: HandleMotion, character: Character, handles: Handles, pins: Sequence[Pin]) -> HandleMotion:
+    """The motion of a character with its pins met.
+
+    Args:
+        motion: Of the character, N frames.
+        character: In its rest pose.
+        handles: Its 30 handles.
+        pins: At most one of a part at a time.
+
+    Raises:
+        OptionError: A part is not there, a pin is after the end, or pins of one time are too far apart for the body.
+    """
+    if not pins:
+        return motion
+    ends, joints = _ends(character, handles)
+    known = {end.part: number for number, end in enumerate(ends)}
+    for pin in pins:
+        if pin.part not in known:
+            there = ", ".join(known) or "none"
+            raise OptionError(
+                f"{character.name} has no {pin.part.replace('_', ' ')} to pin; of its limbs there are {there}"
+            )
+    given, reach = motion, np.zeros(len(motion), bool)
+    goals = np.full((len(motion), len(ends), 3), np.nan)
+    for pin in pins:
+        goals[pin.frames(len(motion), motion.fps), known[pin.part]] = pin.position
+    asked = ~np.isnan(goals[..., 0])
+    limbs, height = [end.limb for end in ends], character.height
+    feet = [number for number, end in enumerate(ends) if end.part.endswith("foot")]
+    planted = end_places(motion, handles, ends)
+    for _ in range(ROUNDS):
+        off = np.where(asked[..., None], goals - end_places(motion, handles, ends), 0)
+        if np.abs(off).max() <= CLOSE * height:
+            break
+        shifts = np.stack(
+            [spread(asked[:, number], off[:, number], LEAD * motion.fps) for number in range(len(ends))], axis=1
+        )
+        reach |= np.abs(shifts).max(axis=(1, 2)) > 0
+        motion = move_feet(motion, handles, joints, limbs, shifts)
+        off = np.where(asked[..., None], goals - end_places(motion, handles, ends), 0)
+        if np.abs(off).max() <= CLOSE * height:
+            break
+        frames = asked.any(axis=1)  # what the limbs do not reach
+        rest = off.sum(axis=1) / np.maximum(asked.sum(axis=1), 1)[:, None]
+        step = spread(frames, rest, ROOT_LEAD * motion.fps)
+        reach |= np.abs(step).max(axis=1) > 0
+        motion = replace(motion, root_translation=motion.root_translation + step)
+        stay = np.zeros_like(shifts)
+        for number in feet:  # the root moved, and feet that nobody asked for stay where they were
+            free = 1 - spread(asked[:, number], np.ones((len(motion), 1)), LEAD * motion.fps)
+            stay[:, number] = free * (planted - end_places(motion, handles, ends))[:, number]
+        motion = move_feet(motion, handles, joints, limbs, stay)
+    off = np.where(asked[..., None], goals - end_places(motion, handles, ends), 0)
+    worst = np.linalg.norm(off, axis=-1)
+    if worst.max() > MISSED * height:
+        frame, missed = (int(place) for place in np.unravel_index(int(worst.argmax()), worst.shape))
+        raise OptionError(
+            f"the pin of {ends[missed].part.replace('_', ' ')} at {frame / motion.fps:g} s is missed by "
+            f"{worst.max():.2f} m: the pins of that time are too far apart for this body; move them together"
+        )
+    turned = [pin for pin in pins if pin.rotation is not None]
+    for pin in turned:
+        reach |= np.abs(spread(_asked(pin, motion), np.ones((len(motion), 1)), LEAD * motion.fps))[:, 0] > 0
+    met = _turned(motion, handles, joints, ends, turned)
+    arrays = {
+        name: np.where(
+            reach.reshape(-1, *[1] * (getattr(met, name).ndim - 1)), getattr(met, name), getattr(given, name)
+        )
+        for name in HandleMotion.arrays
+    }
+    return replace(met, **arrays)  # what no pin reaches stays bit for bit
+
+
+def _asked(pin: Pin, motion: HandleMotion) -> np.ndarray:
+    asked = np.zeros(len(motion), bool)
+    asked[pin.frames(len(motion), motion.fps)] = True
+    return asked
+
+
+def _turned(
+    motion: HandleMotion, handles: Handles, joints: Joints, ends: list[LimbEnd], pins: list[Pin]
+) -> HandleMotion:
+    """The motion with hands and feet turned about their joints where pins say so."""
+    if not pins:
+        return motion
+    world = motion.transforms(handles.positions).astype(np.float64)
+    for end in ends:
+        own = [pin for pin in pins if pin.part == end.part]
+        if not own:
+            continue
+        if not end.limb.foot:
+            raise OptionError(f"the {end.part.replace('_', ' ')} of this character has no handle to turn it by")
+        turns, asked = np.zeros((len(motion), 3)), np.zeros(len(motion), bool)
+        for pin in own:
+            frames = pin.frames(len(motion), motion.fps)
+            turns[frames] = axis_angle_from_matrix(
+                np.asarray(pin.rotation) @ np.swapaxes(world[frames, end.handle, :, :3], -1, -2)
+            )
+            asked[frames] = True
+        turned = matrix_from_axis_angle(spread(asked, turns, LEAD * motion.fps))
+        pivot = world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3]
+        for handle in end.limb.foot:
+            carry(world, handle, joints, pivot, pivot, turned)
+    return local_motion(world, motion, handles)
+
+
+def spread(asked: np.ndarray, values: np.ndarray, lead: float) -> np.ndarray:
+    """A smooth curve through values in the frames that ask for one, which comes from zero before and goes to it after.
+
+    Args:
+        asked: Which frames ask, shape (N,), bool.
+        values: What for, shape (N, D).
+        lead: Frames over which it comes and goes; frames that ask and are nearer than twice that are joined.
+
+    Returns:
+        Shape (N, D).
+    """
+    out = np.zeros(values.shape)
+    frames = np.flatnonzero(asked)
+    if not len(frames):
+        return out
+    count, time = len(values), np.arange(len(values))
+    knots: list[tuple[float, np.ndarray]] = [(frames[0] - lead, np.zeros(values.shape[1]))]
+    for place, frame in enumerate(frames):
+        knots.append((float(frame), values[frame]))
+        after = frames[place + 1] if place + 1 < len(frames) else count + 4 * lead
+        if after - frame > 2 * lead:
+            knots.append((frame + lead, np.zeros(values.shape[1])))
+            knots.append((after - lead, np.zeros(values.shape[1])))
+    for (start, low), (end, high) in zip(knots, knots[1:], strict=False):
+        span = (time >= start) & (time <= end)
+        out[span] = low + smooth_step(time[span], start, max(end, start + 1e-9))[:, None] * (high - low)
+    out[frames] = values[frames]
+    return out

@@ -1,0 +1,1 @@
+"""The studio: a page on the user's own machine, its server, and the process that does the work."""

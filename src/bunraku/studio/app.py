@@ -1,0 +1,109 @@
+"""The studio as a web application: its routes, its gate, its page."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from bunraku.errors import BunrakuError
+from bunraku.studio.answers import sentence_of
+from bunraku.studio.desk import Desk
+from bunraku.studio.routes import characters, files, general, studies, takes
+from bunraku.studio.safety import Guard, Keys
+from bunraku.studio.store import NotThere, Store
+from bunraku.studio.uploads import TooLarge
+
+__all__ = ["STATIC", "studio_app"]
+
+STATIC = Path(__file__).parent / "static"
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None, warm: bool = True) -> Starlette:
+    """The application.
+
+    Args:
+        folder: Where it keeps its things.
+        keys: Who is let in.
+        study: The folder of a blind study that is shown.
+        warm: Start the worker with the application, and the sample where there is nothing yet.
+
+    Raises:
+        FormatError: The folder cannot be used, or the study is broken.
+    """
+    keys = keys or Keys()
+    desk = Desk(Store(folder), study)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        if warm:
+            desk.start()
+        try:
+            yield
+        finally:
+            desk.stop()
+
+    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *files.ROUTES, *studies.ROUTES]
+    app = Starlette(
+        routes=[
+            Mount(
+                "/api", routes=[Route(path, _told(handler), methods=list(methods)) for path, methods, handler in api]
+            ),
+            Route("/", _page),
+            Mount("/", app=StaticFiles(directory=STATIC)),
+        ],
+        middleware=[Middleware(Guard, keys=keys)],
+        lifespan=lifespan,
+        exception_handlers={HTTPException: _no_such_page},
+    )
+    app.state.desk, app.state.keys = desk, keys
+    return app
+
+
+async def _page(request: Request) -> Response:
+    return FileResponse(STATIC / "index.html")
+
+
+async def _no_such_page(request: Request, error: Exception) -> Response:
+    status = error.status_code if isinstance(error, HTTPException) else 500
+    return JSONResponse({"error": "there is nothing at this address", "kind": "NotThere"}, status)
+
+
+def _told(handler: Callable[[Request], Any]) -> Callable[[Request], Any]:
+    """A route whose errors are sentences."""
+
+    async def route(request: Request) -> Response:
+        try:
+            answer = await handler(request)
+        except Exception as error:
+            return _answer(error)
+        return answer if isinstance(answer, Response) else JSONResponse(answer)
+
+    return route
+
+
+def _answer(error: Exception) -> Response:
+    if isinstance(error, NotThere):
+        status = 404
+    elif isinstance(error, TooLarge):
+        status = 413
+    elif isinstance(error, BunrakuError):
+        status = 507 if "no space left" in str(error) else 429 if "are waiting already" in str(error) else 400
+    elif isinstance(error, OSError) and error.errno in _FULL:
+        status = 507
+    else:
+        logging.getLogger(__name__).error("a request failed", exc_info=error)
+        status = 500
+    return JSONResponse({"error": sentence_of(error), "kind": type(error).__name__}, status)

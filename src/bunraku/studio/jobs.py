@@ -1,0 +1,327 @@
+"""The queue: jobs one after the other in a process that can be killed and comes back, and what is told about them.
+
+A thread of the server feeds the process and reads what it says. Whoever listens (`events`) gets what happened since a
+number, so a page that was away misses nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import multiprocessing
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any
+
+from bunraku.errors import BunrakuError, FormatError, OptionError
+from bunraku.studio.store import NotThere, Store
+from bunraku.studio.worker import work
+
+__all__ = ["Jobs"]
+
+_log = logging.getLogger(__name__)
+MOST_WAITING = 64
+"""Jobs in the queue; more are refused."""
+REMEMBERED = 500
+"""Events, and finished jobs, that are kept for pages that were away."""
+PATIENCE = 4.0
+"""Seconds after which a job that was cancelled and does not stop is stopped by force."""
+KILLED = (
+    "the process that does the work was stopped in the middle of this, by you or for lack of memory; everything else is"
+    " safe, so try again, with a smaller mesh or fewer seconds if it happens twice"
+)
+OPEN_STATES = ("waiting", "running")
+
+Job = dict[str, Any]
+Finish = Callable[[Job, str, dict[str, Any]], None]
+"""Called with a job, "partly", "done", "failed" or "cancelled", and what the worker said."""
+
+
+class Jobs:
+    """The queue and its process.
+
+    Args:
+        store: Where jobs that wait are written down.
+        finish: Takes in what the worker made.
+    """
+
+    def __init__(self, store: Store, finish: Finish):
+        self.store = store
+        self._finish = finish
+        self._context = multiprocessing.get_context("spawn")
+        self._lock = threading.RLock()
+        self._wake = threading.Condition(self._lock)
+        self._waiting: deque[str] = deque()
+        self._jobs: dict[str, Job] = {}
+        self._events: deque[tuple[int, str, dict[str, Any]]] = deque(maxlen=REMEMBERED)
+        self._count = 0
+        self._listeners: set[Callable[[], None]] = set()
+        self._process: Any = None
+        self._pipe: Connection | None = None
+        self._bell: Connection | None = None
+        self.warm = False
+        self._cancelled_at = 0.0
+        self._stopping = False
+        self._thread: threading.Thread | None = None
+        for record in store.all("jobs"):  # of a run that ended before they did
+            self._jobs[record["id"]] = {**record, "state": "interrupted", "done": 0.0, "error": "interrupted; again?"}
+
+    def start(self) -> None:
+        """Start the process and the thread that feeds it."""
+        self._spawn()
+        self._thread = threading.Thread(target=self._serve, name="studio jobs", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the process; what waits is written down and offered again by the next run."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify_all()
+        self._kill()
+        if self._thread is not None:
+            self._thread.join(5)
+
+    @property
+    def process_id(self) -> int | None:
+        """The id of the process that does the work."""
+        return None if self._process is None else self._process.pid
+
+    def all(self) -> list[Job]:
+        """All jobs that are known, oldest first."""
+        with self._lock:
+            return sorted(self._jobs.values(), key=lambda job: float(job["created"]))
+
+    def get(self, name: str) -> Job:
+        """A job.
+
+        Raises:
+            NotThere: There is none.
+        """
+        with self._lock:
+            if name not in self._jobs:
+                raise NotThere("there is no such job any more; reload the page")
+            return self._jobs[name]
+
+    def submit(self, kind: str, title: str, params: dict[str, Any], about: dict[str, Any] | None = None) -> Job:
+        """Put a job at the end of the queue.
+
+        Args:
+            kind: A task of `tasks.TASKS`.
+            title: What a person reads.
+            params: What the task takes.
+            about: Which things it is about, for those that listen.
+
+        Raises:
+            OptionError: Too many wait.
+            FormatError: It cannot be written down.
+        """
+        with self._wake:
+            if len(self._waiting) >= MOST_WAITING:
+                raise OptionError(f"{MOST_WAITING} jobs are waiting already; let some finish or cancel them")
+            record = {"kind": kind, "title": title, "params": params, "about": about or {}}
+            job = {**self.store.new("jobs", record), "state": "waiting", "stage": "", "done": 0.0, "error": ""}
+            self._jobs[job["id"]] = job
+            self._waiting.append(job["id"])
+            self._tell("job", public(job))
+            self._wake.notify_all()
+            return job
+
+    def again(self, name: str) -> Job:
+        """Put a job that failed or was interrupted into the queue again."""
+        job = self.get(name)
+        if job["state"] in (*OPEN_STATES, "done"):
+            raise OptionError("this job needs no second try; it runs or is done")
+        with self._lock:
+            self._jobs.pop(name, None)
+        self.store.drop("jobs", name)
+        return self.submit(job["kind"], job["title"], job["params"], job["about"])
+
+    def cancel(self, name: str) -> Job:
+        """Take a job out of the queue, or stop it."""
+        with self._wake:
+            job = self.get(name)
+            if job["state"] == "waiting":
+                self._waiting.remove(name)
+                self._end(job, "cancelled", {})
+            elif job["state"] == "running":
+                self._cancelled_at = time.monotonic()
+                with suppress(OSError, AttributeError):  # a process that is gone needs no bell
+                    self._bell.send(name)  # type: ignore[union-attr]
+            elif job["state"] == "interrupted":
+                self._end(job, "cancelled", {})
+            return job
+
+    def tell(self, what: str, record: dict[str, Any]) -> None:
+        """Tell all listeners that a thing has changed."""
+        with self._lock:
+            self._tell(what, record)
+
+    async def events(self, after: int) -> AsyncIterator[tuple[int, str, dict[str, Any]] | None]:
+        """What happened after event number `after`, and then as it happens; None now and then, to keep the line open.
+
+        A number that this run never gave gets what is remembered of it.
+        """
+        loop, fresh = asyncio.get_running_loop(), asyncio.Event()
+
+        def wake() -> None:
+            loop.call_soon_threadsafe(fresh.set)
+
+        with self._lock:
+            after = after if after <= self._count else 0
+            self._listeners.add(wake)
+        try:
+            while not self._stopping:
+                fresh.clear()
+                with self._lock:
+                    news = [event for event in self._events if event[0] > after]
+                for event in news:
+                    after = event[0]
+                    yield event
+                if not news:
+                    try:
+                        await asyncio.wait_for(fresh.wait(), 10)
+                    except TimeoutError:
+                        yield None
+        finally:
+            with self._lock:
+                self._listeners.discard(wake)
+
+    @property
+    def last_event(self) -> int:
+        """The number of the latest event."""
+        return self._count
+
+    def _tell(self, what: str, record: dict[str, Any]) -> None:
+        self._count += 1
+        self._events.append((self._count, what, record))
+        for wake in list(self._listeners):
+            try:
+                wake()
+            except RuntimeError:  # its loop is closed
+                self._listeners.discard(wake)
+
+    def _spawn(self) -> None:
+        ours, theirs = self._context.Pipe()
+        heard, bell = self._context.Pipe(duplex=False)
+        process = self._context.Process(
+            target=work, args=(str(self.store.folder), theirs, heard), name="bunraku studio worker", daemon=True
+        )
+        process.start()
+        theirs.close()
+        heard.close()
+        self._process, self._pipe, self._bell = process, ours, bell
+        self.warm = False
+        self.tell("worker", {"warm": False, "process": process.pid})
+
+    def _kill(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.join(5)
+        for end in (self._pipe, self._bell):
+            if end is not None:
+                end.close()
+        self._pipe = self._bell = None
+
+    def _serve(self) -> None:
+        while True:
+            with self._wake:
+                while not self._waiting and not self._stopping:
+                    self._wake.wait(1.0)
+                    self._look_after()
+                if self._stopping:
+                    return
+                job = self._jobs[self._waiting.popleft()]
+                self._cancelled_at = 0.0
+                job.update(state="running", started=time.time())
+                self._tell("job", public(job))
+            self._run(job)
+
+    def _look_after(self) -> None:
+        """While nothing waits: hear that the process is warm, and bring it back where somebody killed it."""
+        if self._process is None or self._pipe is None or self._stopping:
+            return
+        with suppress(EOFError, OSError):
+            if not self.warm and self._pipe.poll() and self._pipe.recv()[1] == "warm":
+                self._warmed()
+        if not self._process.is_alive():
+            self._kill()
+            self._spawn()  # so that the next job finds it warm
+
+    def _run(self, job: Job) -> None:
+        try:
+            if self._process is None or not self._process.is_alive():
+                self._kill()
+                self._spawn()
+            assert self._pipe is not None
+            self._pipe.send((job["id"], job["kind"], job["params"]))
+            while True:
+                if self._pipe.poll(0.2):
+                    if self._heard(job, *self._pipe.recv()):
+                        return
+                elif self._cancelled_at and time.monotonic() - self._cancelled_at > PATIENCE:
+                    self._kill()
+                    self._end(job, "cancelled", {})
+                    self._spawn()
+                    return
+                elif not self._process.is_alive():
+                    raise EOFError
+        except (EOFError, OSError, AttributeError, AssertionError):  # gone, or taken away by `stop`
+            if self._stopping:
+                return
+            self._kill()
+            self._end(job, "failed", {"error": KILLED, "kind": "WorkerKilled"})
+            self._spawn()
+
+    def _warmed(self) -> None:
+        with self._lock:
+            self.warm = True
+            self._tell("worker", {"warm": True, "process": self.process_id})
+
+    def _heard(self, job: Job, name: str, what: str, said: dict[str, Any]) -> bool:
+        """Take in one message; whether it was the last one of the job."""
+        if what == "warm":
+            self._warmed()
+        if name != job["id"]:
+            return False
+        if what == "progress":
+            with self._lock:
+                job.update(said)
+                self._tell("job", public(job))
+            return False
+        if what == "partly":
+            self._finish(job, what, said)
+            return False
+        self._end(job, what, said)
+        return True
+
+    def _end(self, job: Job, state: str, said: dict[str, Any]) -> None:
+        with self._lock:
+            job.update(state=state, done=1.0 if state == "done" else job["done"], error=said.get("error", ""))
+            try:
+                self._finish(job, state, said)
+            except NotThere:
+                pass  # deleted meanwhile
+            except BunrakuError as error:
+                job.update(state="failed", error=str(error))
+            except Exception as error:
+                _log.exception("a result could not be taken in")
+                job.update(state="failed", error=f"this is a fault of Bunraku: {type(error).__name__}: {error}")
+            if job["state"] in ("done", "cancelled"):
+                self.store.drop("jobs", job["id"])
+            elif job["id"] in {record["id"] for record in self.store.all("jobs")}:
+                with suppress(FormatError):  # the disk is full; it is in memory
+                    self.store.change("jobs", job["id"], failed=True)
+            finished = [one for one in self._jobs.values() if one["state"] not in OPEN_STATES]
+            for old in sorted(finished, key=lambda one: float(one["created"]))[:-REMEMBERED]:
+                self._jobs.pop(old["id"], None)
+            self._tell("job", public(job))
+
+
+def public(job: Job) -> dict[str, Any]:
+    """What pages are told of a job: all but what its task is given."""
+    return {name: value for name, value in job.items() if name != "params"}

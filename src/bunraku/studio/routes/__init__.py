@@ -1,0 +1,1 @@
+"""What the page asks for, by what it is about."""

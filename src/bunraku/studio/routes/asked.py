@@ -1,0 +1,100 @@
+"""What a request holds, checked: JSON within bounds, numbers within ranges, words of a list."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from starlette.requests import Request
+
+from bunraku.errors import OptionError
+from bunraku.studio.desk import Desk
+
+__all__ = ["body_of", "choice", "desk_of", "number", "text", "things"]
+
+MOST_JSON = 4 << 20
+
+
+def desk_of(request: Request) -> Desk:
+    """The state behind the routes."""
+    desk = request.app.state.desk if hasattr(request.app.state, "desk") else request.scope["app"].state.desk
+    assert isinstance(desk, Desk)
+    return desk
+
+
+async def body_of(request: Request) -> dict[str, Any]:
+    """The JSON object of a request.
+
+    Raises:
+        OptionError: It is none, or too large.
+    """
+    data = bytearray()
+    async for chunk in request.stream():
+        data += chunk
+        if len(data) > MOST_JSON:
+            raise OptionError(f"a request of more than {MOST_JSON >> 20} MiB is not taken")
+    try:
+        found = json.loads(bytes(data) or b"{}")
+    except (ValueError, RecursionError):
+        raise OptionError("the request is no JSON") from None
+    if not isinstance(found, dict):
+        raise OptionError("the request is no JSON object")
+    return found
+
+
+def number(body: dict[str, Any], name: str, low: float, high: float, default: float | None = None) -> Any:
+    """A number of a request, or the default where it says nothing.
+
+    Raises:
+        OptionError: It is no number, or out of range.
+    """
+    value = body.get(name)
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise OptionError(f"{name} must be a number")
+    if not low <= value <= high:
+        raise OptionError(f"{name} must be from {low:g} to {high:g}, not {value:g}")
+    return value
+
+
+def text(body: dict[str, Any], name: str, most: int, default: str = "") -> str:
+    """A text of a request.
+
+    Raises:
+        OptionError: It is no text, or too long.
+    """
+    value = body.get(name, default)
+    if not isinstance(value, str):
+        raise OptionError(f"{name} must be a text")
+    if len(value) > most:
+        raise OptionError(f"{name} has more than {most} characters")
+    return value
+
+
+def choice(body: dict[str, Any], name: str, known: Sequence[str], default: str) -> str:
+    """One of some words.
+
+    Raises:
+        OptionError: It is none of them.
+    """
+    value = body.get(name, default)
+    if value not in known:
+        raise OptionError(f"{name} is one of {', '.join(known)}")
+    return str(value)
+
+
+def things(body: dict[str, Any], name: str, most: int) -> list[Any]:
+    """A list of a request.
+
+    Raises:
+        OptionError: It is no list, or too long.
+    """
+    value = body.get(name) or []
+    if not isinstance(value, list):
+        raise OptionError(f"{name} must be a list")
+    if len(value) > most:
+        raise OptionError(f"{name} has more than {most} entries")
+    return value

@@ -1,0 +1,136 @@
+"""About the studio, its jobs, what happens, and what is understood of a sentence."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+from collections.abc import AsyncIterator
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+
+from bunraku.errors import BunrakuError
+from bunraku.studio.jobs import public
+from bunraku.studio.routes.asked import body_of, desk_of, text
+from bunraku.studio.uploads import CHARACTERS, MOST_BYTES, MOTIONS, PROJECTS
+
+__all__ = ["ROUTES"]
+
+
+async def about(request: Request) -> Any:
+    """What this installation can do, and all that there is."""
+    from bunraku import __version__
+    from bunraku.synthetic.samples import sample_names
+
+    desk = desk_of(request)
+    return {
+        "version": __version__,
+        "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
+        "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
+        "writes": _writes(),
+        "samples": list(sample_names()),
+        "study": desk.study is not None,
+        "folder": desk.store.folder.name,
+        "worker": {"warm": desk.jobs.warm, "process": desk.jobs.process_id},
+        "event": desk.jobs.last_event,
+        "characters": desk.store.all("characters"),
+        "takes": desk.store.all("takes"),
+        "projects": desk.store.all("projects"),
+        "jobs": [public(job) for job in desk.jobs.all() if job["state"] in ("waiting", "running", "interrupted")],
+    }
+
+
+def _writes() -> list[str]:
+    import importlib.util
+
+    from bunraku.formats.fbx.export import check_available
+
+    found = ["glb", "bvh", "vrma", "vmd", "npz"]
+    try:
+        check_available()
+        found.append("fbx")
+    except BunrakuError:
+        pass
+    if importlib.util.find_spec("pxr") is not None:
+        found.append("usdz")
+    return found
+
+
+async def login(request: Request) -> Any:
+    """The token, for who knows the password."""
+    keys = request.app.state.keys
+    given = text(await body_of(request), "password", 200)
+    await asyncio.sleep(1)  # slow enough that nobody tries them all
+    if not keys.password or not hmac.compare_digest(given.encode(), keys.password.encode()):
+        return JSONResponse({"error": "this is not the password", "kind": "Refused"}, 401)
+    return {"token": keys.token}
+
+
+async def understand(request: Request) -> Any:
+    """What is understood of a sentence, with the places of words that are not."""
+    from bunraku.language.understood import understood
+
+    found = await run_in_threadpool(understood, text(await body_of(request), "text", 1000))
+    return {
+        "ok": found.ok,
+        "language": found.language,
+        "english": found.english,
+        "unknown": [{"word": one.word, "start": one.start, "stop": one.stop} for one in found.unknown],
+        "corrected": [list(pair) for pair in found.corrected],
+        "nearest": list(found.nearest),
+        "notes": list(found.notes),
+    }
+
+
+async def events(request: Request) -> Response:
+    """What happens, as server-sent events; `Last-Event-ID`, or `?after=`, says from where on."""
+    desk = desk_of(request)
+    given = request.headers.get("last-event-id") or request.query_params.get("after", "")
+    after = int(given) if given.isdecimal() else desk.jobs.last_event
+
+    async def lines() -> AsyncIterator[bytes]:
+        yield b": open\n\n"
+        async for event in desk.jobs.events(after):
+            if event is None:
+                yield b": still there\n\n"
+            else:
+                data = json.dumps(event[2], ensure_ascii=False)
+                yield f"id: {event[0]}\nevent: {event[1]}\ndata: {data}\n\n".encode()
+
+    return StreamingResponse(lines(), media_type="text/event-stream", headers={"x-accel-buffering": "no"})
+
+
+async def jobs(request: Request) -> Any:
+    """All jobs that are known."""
+    return {"jobs": [public(job) for job in desk_of(request).jobs.all()]}
+
+
+async def job(request: Request) -> Any:
+    """One job; DELETE cancels it."""
+    desk, name = desk_of(request), request.path_params["name"]
+    if request.method == "DELETE":
+        return public(await run_in_threadpool(desk.jobs.cancel, name))
+    return public(desk.jobs.get(name))
+
+
+async def again(request: Request) -> Any:
+    """Make what was interrupted or failed again."""
+    desk = desk_of(request)
+    old = desk.jobs.get(request.path_params["name"])
+    made = await run_in_threadpool(desk.jobs.again, old["id"])
+    desk.revive(old["about"])
+    return public(made)
+
+
+ROUTES = [
+    ("/about", ("GET",), about),
+    ("/login", ("POST",), login),
+    ("/understand", ("POST",), understand),
+    ("/events", ("GET",), events),
+    ("/jobs", ("GET",), jobs),
+    ("/jobs/{name}", ("GET", "DELETE"), job),
+    ("/jobs/{name}/again", ("POST",), again),
+]

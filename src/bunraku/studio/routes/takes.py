@@ -1,0 +1,283 @@
+"""Takes: made from sentences, changed, carried over from motions, shown, written as files."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+
+from bunraku.errors import FormatError, OptionError
+from bunraku.studio.desk import Desk
+from bunraku.studio.routes.asked import body_of, choice, desk_of, number, text, things
+from bunraku.studio.uploads import CHARACTERS, MOTIONS, plain_name, receive
+
+__all__ = ["ROUTES"]
+
+SUFFIXES = ("glb", "bvh", "vrma", "vmd", "npz", "fbx", "usdz", "usdc", "mp4", "gif")
+MOST_SEEDS = 8
+
+
+def _sampling(body: dict[str, Any]) -> dict[str, Any]:
+    """How takes are drawn, checked."""
+    seeds = things(body, "seeds", MOST_SEEDS) or [0]
+    for seed in seeds:
+        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**53:
+            raise OptionError("seeds are whole numbers from 0 on")
+    return {
+        "seeds": seeds,
+        "steps": number(body, "steps", 1, 200),
+        "guidance": number(body, "guidance", 0, 20),
+        "candidates": number(body, "candidates", 1, 16, 3),
+        "anyway": bool(body.get("anyway")),
+        "without": [str(word) for word in things(body, "without", 10)],
+        "pins": _pins(body),
+    }
+
+
+def _pins(body: dict[str, Any]) -> list[dict[str, Any]]:
+    pins = []
+    for pin in things(body, "pins", 100):
+        if not isinstance(pin, dict):
+            raise OptionError("a pin has a part, a time and a position")
+        place = [number({"x": value}, "x", -1e4, 1e4) for value in things(pin, "position", 3)]
+        if len(place) != 3 or None in place:
+            raise OptionError("the position of a pin is three numbers")
+        turn = pin.get("rotation")
+        if turn is not None:
+            rows = (
+                [[number({"x": value}, "x", -1, 1) for value in row] for row in turn] if isinstance(turn, list) else []
+            )
+            if [len(row) for row in rows] != [3, 3, 3]:
+                raise OptionError("the rotation of a pin is a matrix of three rows")
+            turn = rows
+        pins.append(
+            {
+                "part": text(pin, "part", 40),
+                "time": number(pin, "time", 0, 120, 0),
+                "position": place,
+                "rotation": turn,
+                "hold": number(pin, "hold", 0, 120, 0),
+            }
+        )
+    return pins
+
+
+def _script(body: dict[str, Any]) -> tuple[str, float]:
+    """The sentences of a request as a sequence, and how long all of it is [s].
+
+    Raises:
+        OptionError: A sentence is empty, or a length out of range.
+    """
+    from bunraku.language.sequence import parse_sequence, timed_sequence
+
+    parts = []
+    for part in things(body, "script", 20):
+        if not isinstance(part, dict):
+            raise OptionError("a script is a list of texts with seconds")
+        words = text(part, "text", 1000).replace(";", ",").replace("\n", " ").strip()
+        parts.append(f"{words}:{number(part, 'seconds', 0.5, 120, 4):g}")
+    if not parts:
+        raise OptionError("type what the character does, such as: walks forward, then waves")
+    script = "; ".join(parts)
+    timed = timed_sequence(parse_sequence(script), 6.0)
+    return script, sum(seconds for _, seconds in timed)
+
+
+def _ready(desk: Desk, name: str) -> dict[str, Any]:
+    record = desk.store.get("characters", name)
+    if record["state"] != "ready":
+        raise OptionError(f"{record['name']} is not open yet ({record['error'] or record['state']}); wait for it")
+    return record
+
+
+async def takes(request: Request) -> Any:
+    """The takes of a character; POST makes some from a script."""
+    desk, owner = desk_of(request), request.path_params["name"]
+    if request.method == "GET":
+        desk.store.get("characters", owner)
+        return {"takes": [take for take in desk.store.all("takes") if take["character"] == owner]}
+    body = await body_of(request)
+    return JSONResponse(await run_in_threadpool(_make, desk, owner, body), 202)
+
+
+def _make(desk: Desk, owner: str, body: dict[str, Any]) -> Any:
+    from bunraku.language.sequence import parse_sequence
+    from bunraku.language.understood import check_understood
+
+    _ready(desk, owner)
+    script, seconds = _script(body)
+    how = _sampling(body)
+    for sentence, _ in parse_sequence(script):
+        check_understood(sentence, how["anyway"])
+    params = {
+        **how, "script": script, "seconds": seconds, "draft": body.get("draft", True) is not False,
+        "loop": bool(body.get("loop")), "in_place": bool(body.get("in_place")),
+        "apparel": choice(body, "apparel", ("rigid", "simulate"), "rigid"), "path": _path(body),
+        "after": body["after"] if body.get("after") else None,
+    }  # fmt: skip
+    if params["after"] is not None:
+        before = desk.store.get("takes", params["after"])
+        if before["character"] != owner or before["state"] != "done" or before.get("skin") != "handles":
+            raise OptionError("what is followed must be a finished take of handles of the same character")
+    asked = {
+        name: params[name] for name in ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "path", "pins")
+    }
+    made = desk.new_takes(
+        owner, len(how["seeds"]), how="animate", script=body["script"], asked=asked, seeds=how["seeds"]
+    )
+    return desk.make("animate", script, owner, made, params)
+
+
+def _path(body: dict[str, Any]) -> list[list[float]] | None:
+    points = things(body, "path", 200)
+    found = []
+    for point in points:
+        if not isinstance(point, list) or len(point) != 2:
+            raise OptionError("a path is a list of points, each with x and z")
+        found.append([number({"x": value}, "x", -500, 500) for value in point])
+    return found or None
+
+
+async def take(request: Request) -> Any:
+    """One take; PATCH stars or names it; DELETE gives it up, which PATCH with `deleted` false takes back."""
+    desk, name = desk_of(request), request.path_params["name"]
+    record = desk.store.get("takes", name)
+    if request.method == "DELETE":
+        return desk.change("takes", name, deleted=True)
+    if request.method == "PATCH":
+        body = await body_of(request)
+        values: dict[str, Any] = {key: bool(body[key]) for key in ("star", "deleted") if key in body}
+        if "title" in body:
+            values["title"] = text(body, "title", 80)
+        return desk.change("takes", name, **values) if values else record
+    return record
+
+
+async def clip(request: Request) -> Response:
+    """What the joints of a take do (`clips.packed_clip`): of its draft while there is no more."""
+    desk, name = desk_of(request), request.path_params["name"]
+    file = "clip.bin" if desk.store.get("takes", name)["state"] == "done" else "draft.bin"
+    return FileResponse(desk.store.file("takes", name, file), media_type="application/octet-stream")
+
+
+async def change(request: Request) -> Any:
+    """New takes from one: parts or poses kept and the rest generated, or bent to pins with nothing generated."""
+    desk, name = desk_of(request), request.path_params["name"]
+    body = await body_of(request)
+    return JSONResponse(await run_in_threadpool(_change, desk, name, body), 202)
+
+
+def _change(desk: Desk, name: str, body: dict[str, Any]) -> Any:
+    from bunraku.language.understood import check_understood
+
+    parent = desk.store.get("takes", name)
+    if parent["state"] != "done":
+        raise OptionError("this take is not finished; wait for it")
+    _ready(desk, parent["character"])
+    how = _sampling(body)
+    prompt = text(body, "prompt", 1000).strip()
+    params: dict[str, Any] = {**how, "parent": name, "prompt": prompt}
+    if not prompt:
+        if not how["pins"]:
+            raise OptionError("type what is done instead, or pin a hand or a foot")
+        made = desk.new_takes(
+            parent["character"], 1, how="bend", parent=name, script=parent["script"], asked={"pins": how["pins"]}
+        )
+        return desk.make("bend", "bend to the pins", parent["character"], made, params)
+    check_understood(prompt, how["anyway"])
+    keep = [str(part) for part in things(body, "keep", 40)]
+    if keep:
+        from bunraku.body.parts import kept_handles
+
+        kept_handles(keep)
+    span = [number({"span": value}, "span", 0, 120) for value in things(body, "span", 2)]
+    if len(span) == 1 or None in span:
+        raise OptionError("a span is two seconds, from and to")
+    poses = []
+    for pose in things(body, "poses", 100):
+        if not isinstance(pose, dict):
+            raise OptionError("a pose has a time")
+        time = number(pose, "time", 0, 120, 0)
+        source = pose.get("take")
+        if source is not None and desk.store.get("takes", source)["character"] != parent["character"]:
+            raise OptionError("a pose must be of a take of the same character")
+        poses.append({"time": time, "take": source, "at": number(pose, "at", 0, 120, time)})
+    if not keep and not span and not poses:
+        raise OptionError("nothing is kept: select a span of time, keep parts of the body, or pin poses")
+    params |= {"keep": keep, "span": span or None, "poses": poses}
+    asked = {key: params[key] for key in ("seeds", "keep", "span", "poses", "pins", "prompt")}
+    made = desk.new_takes(
+        parent["character"], len(how["seeds"]), how="edit", parent=name, script=parent["script"], asked=asked,
+        seeds=how["seeds"],
+    )  # fmt: skip
+    return desk.make("edit", prompt, parent["character"], made, params)
+
+
+async def transfer(request: Request) -> Any:
+    """A take from a motion file of any kind, in the body."""
+    desk, owner = desk_of(request), request.path_params["name"]
+    _ready(desk, owner)
+    title, suffix = plain_name(request.query_params.get("name", ""))
+    if suffix not in (*MOTIONS, *CHARACTERS):
+        raise FormatError(f"{title}{suffix}", f"this is no format of motions; they are {', '.join(MOTIONS)} and .fbx")
+    apparel = choice(dict(request.query_params), "apparel", ("rigid", "simulate"), "rigid")
+    onto = choice(dict(request.query_params), "onto", ("auto", "handles"), "handles")
+    (made,) = desk.new_takes(owner, 1, how="transfer", script=[{"text": title, "seconds": 0}], asked={"file": title})
+    try:
+        file = desk.store.place("takes", made["id"]) / f"motion-source{suffix}"
+        await receive(request, file)
+    except BaseException:
+        desk.drop("takes", made["id"])
+        raise
+    params = {"file": file.name, "apparel": apparel, "onto": onto}
+    return JSONResponse(desk.make("transfer", f"transfer {title}", owner, [made], params), 202)
+
+
+async def export(request: Request) -> Any:
+    """Write a take as a file of another program; the job's event says when it is there."""
+    desk, name = desk_of(request), request.path_params["name"]
+    record = desk.store.get("takes", name)
+    body = await body_of(request)
+    suffix = choice(body, "format", SUFFIXES, "glb")
+    fps = number(body, "fps", 1, 120, 30)
+    if record["state"] != "done":
+        raise OptionError("this take is not finished; wait for it")
+    title = desk.store.get("characters", record["character"])["name"]
+    words = "-".join("".join(c if c.isalnum() else " " for c in record["script"][0]["text"][:40]).split()) or "take"
+    made = desk.store.new("exports", {"file": f"take.{suffix}", "title": f"{title}-{words}.{suffix}"})
+    try:
+        job = desk.jobs.submit(
+            "export",
+            f"write {made['title']}",
+            {
+                "export": made["id"], "file": made["file"], "take": name, "character": record["character"], "fps": fps,
+            },
+            {"export": made["id"], "take": name},
+        )  # fmt: skip
+    except BaseException:
+        desk.store.drop("exports", made["id"])
+        raise
+    return JSONResponse({"job": job["id"], "export": made["id"], "title": made["title"]}, 202)
+
+
+async def exported(request: Request) -> Response:
+    """The file of an export."""
+    desk, name = desk_of(request), request.path_params["name"]
+    record = desk.store.get("exports", name)
+    return FileResponse(
+        desk.store.file("exports", name, record["file"]), filename=record["title"],
+        media_type="application/octet-stream",
+    )  # fmt: skip
+
+
+ROUTES = [
+    ("/characters/{name}/takes", ("GET", "POST"), takes),
+    ("/characters/{name}/transfer", ("POST",), transfer),
+    ("/takes/{name}", ("GET", "PATCH", "DELETE"), take),
+    ("/takes/{name}/clip", ("GET",), clip),
+    ("/takes/{name}/change", ("POST",), change),
+    ("/takes/{name}/exports", ("POST",), export),
+    ("/exports/{name}", ("GET",), exported),
+]

@@ -1,0 +1,114 @@
+"""Start the studio: a socket of this machine, the server, and the browser."""
+
+from __future__ import annotations
+
+import secrets
+import socket
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+from typing import Any
+
+from bunraku.errors import BunrakuError, MissingExtraError, OptionError
+
+__all__ = ["serve"]
+
+WEAKEST = 8
+"""Letters of a password at the least."""
+
+
+def serve(
+    folder: Path,
+    *,
+    port: int = 8734,
+    host: str = "127.0.0.1",
+    password: str = "",
+    browser: bool = True,
+    study: Path | None = None,
+) -> None:
+    """Serve the studio until Ctrl-C.
+
+    Args:
+        folder: Where it keeps its things.
+        port: Where it listens; the next free one where that is taken; 0 for any.
+        host: Address to listen at; all but this machine's own needs a password.
+        password: What others type.
+        browser: Open the page.
+        study: The folder of a blind study to show.
+
+    Raises:
+        MissingExtraError: Starlette or uvicorn is not installed.
+        OptionError: Others are to be let in without a password.
+        FormatError: The folder cannot be used.
+    """
+    try:
+        import uvicorn
+    except ImportError:
+        raise MissingExtraError("uvicorn", "studio", "the studio") from None
+    try:
+        from bunraku.studio.app import STATIC, studio_app
+        from bunraku.studio.safety import LOCAL, Keys
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] == "starlette":
+            raise MissingExtraError("starlette", "studio", "the studio") from None
+        raise
+    local = host in LOCAL
+    if not local and len(password) < WEAKEST:
+        raise OptionError(
+            f"--host {host} lets others in, so it needs a password of at least {WEAKEST} letters: set the variable "
+            "BUNRAKU_STUDIO_PASSWORD"
+        )
+    if not (STATIC / "index.html").is_file():
+        raise BunrakuError("the studio's page is not in this installation; install Bunraku again, or run `make studio`")
+    keys = Keys(password=password, hosts=LOCAL if local else (), token=secrets.token_urlsafe(24))
+    app = studio_app(folder, keys, study)
+    listener = _listen(host, port)
+    port = listener.getsockname()[1]
+    address = f"http://{'localhost' if local else host}:{port}/#token={keys.token}"
+    print(f"studio: {address}")
+    print(f"folder: {folder}")
+    print("press Ctrl-C to end it", flush=True)
+
+    class Server(uvicorn.Server):
+        """Opens the page when it is up."""
+
+        async def startup(self, sockets: list[Any] | None = None) -> None:
+            await super().startup(sockets)
+            if browser:
+                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
+    config = uvicorn.Config(
+        app, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=2, lifespan="on"
+    )
+    try:
+        Server(config).run(sockets=[listener])
+    except KeyboardInterrupt:  # how it is meant to end
+        print("ended")
+    finally:
+        listener.close()
+        sys.stdout.flush()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """A listening socket at a port, or at the next free one after it.
+
+    Raises:
+        OptionError: None of twenty is free, or the address is not this machine's.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    last: OSError | None = None
+    for number in range(port, port + 20 if port else 1):
+        listener = socket.socket(family, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((host, number))
+            listener.listen(128)
+            return listener
+        except OSError as error:
+            last = error
+            listener.close()
+    assert last is not None
+    raise OptionError(
+        f"--port {port}: nothing can listen there ({(last.strerror or str(last)).lower()}); choose another"
+    )

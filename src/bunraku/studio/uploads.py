@@ -1,0 +1,117 @@
+"""Files that come from a page: streamed to disk within a bound, under a name of ours; ZIPs opened within bounds."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from pathlib import Path, PurePosixPath
+
+from starlette.requests import ClientDisconnect, Request
+
+from bunraku.errors import BunrakuError, FormatError
+from bunraku.formats.files import inside, writing
+from bunraku.io.table import FORMATS
+
+__all__ = ["CHARACTERS", "MOST_BYTES", "MOTIONS", "PROJECTS", "TooLarge", "plain_name", "receive", "unpack"]
+
+MOST_BYTES = 200 << 20
+"""Bytes of an upload."""
+MOST_UNPACKED = 600 << 20
+MOST_ENTRIES = 2000
+CHARACTERS = tuple(suffix for one in FORMATS if one.character and one.title != "RigNet" for suffix in one.suffixes)
+"""Suffixes of what becomes a character."""
+MOTIONS = (".bvh", ".vmd", ".vrma", ".npz", ".npy")
+"""Suffixes of what is a motion and nothing else."""
+PROJECTS = (".bunraku",)
+_BESIDE = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".dds", ".webp", ".sph", ".spa", ".bin", ".mtl", *CHARACTERS)
+
+
+class TooLarge(BunrakuError):
+    """More bytes than are taken."""
+
+
+def plain_name(name: str) -> tuple[str, str]:
+    """A title and a suffix of a client's file name, without its folders; the suffix is lower case."""
+    path = PurePosixPath(name.replace("\\", "/"))
+    title = re.sub(r"[^\w .()-]+", " ", path.stem).strip(" .")[:80] or "character"
+    suffix = path.suffix.lower()
+    return title, suffix if re.fullmatch(r"\.[a-z0-9]{1,8}", suffix) else ""
+
+
+async def receive(request: Request, path: Path, most: int | None = None) -> int:
+    """Write the body of a request to a file and return its size; a file that did not come whole is removed.
+
+    Raises:
+        TooLarge: It has more bytes than are taken.
+        FormatError: The connection broke, there was nothing, or it cannot be written.
+    """
+    most = MOST_BYTES if most is None else most
+    told = request.headers.get("content-length", "")
+    if told.isdecimal() and int(told) > most:
+        raise TooLarge(f"{path.name}: {int(told) >> 20} MiB are too many, at most {most >> 20} are taken; simplify it")
+    size, whole = 0, False
+    try:
+        with writing(path), path.open("wb") as file:
+            async for chunk in request.stream():
+                size += len(chunk)
+                if size > most:
+                    raise TooLarge(f"{path.name}: more than {most >> 20} MiB are not taken; simplify it")
+                file.write(chunk)
+        if not size:
+            raise FormatError(path.name, "the file is empty; export it again")
+        if told.isdecimal() and size != int(told):
+            raise FormatError(path.name, "it did not come whole; drop it again")
+        whole = True
+    except ClientDisconnect:
+        raise FormatError(path.name, "it did not come whole; drop it again") from None
+    finally:
+        if not whole:
+            path.unlink(missing_ok=True)
+    return size
+
+
+def unpack(archive: Path, folder: Path) -> str:
+    """Unpack the character of a ZIP with what lies beside it, and give back its file, relative to the folder.
+
+    Raises:
+        FormatError: The ZIP is broken, unpacks to too much, names a place outside, or holds no character.
+    """
+    try:
+        with zipfile.ZipFile(archive) as opened:
+            entries = [entry for entry in opened.infolist() if not entry.is_dir()]
+            if len(entries) > MOST_ENTRIES or sum(entry.file_size for entry in entries) > MOST_UNPACKED:
+                raise FormatError(archive.name, f"it unpacks to too much, at most {MOST_UNPACKED >> 20} MiB are taken")
+            found: list[str] = []
+            for entry in entries:
+                name = _decoded(entry)
+                target = inside(folder, name)
+                if target is None:
+                    raise FormatError(archive.name, "a file in it is to lie outside of its folder; pack it again")
+                if target.suffix.lower() not in _BESIDE:
+                    continue
+                with writing(target):
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                with opened.open(entry) as source, writing(target), target.open("wb") as out:
+                    left = MOST_UNPACKED
+                    while chunk := source.read(1 << 20):
+                        left -= len(chunk)
+                        if left < 0:
+                            raise FormatError(archive.name, "it unpacks to more than it says; pack it again")
+                        out.write(chunk)
+                if target.suffix.lower() in CHARACTERS:
+                    found.append(target.relative_to(folder.resolve()).as_posix())
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError):
+        raise FormatError(archive.name, "the ZIP is broken or has a password; pack it again") from None
+    if not found:
+        raise FormatError(archive.name, f"there is no character in it; characters are {', '.join(CHARACTERS)}")
+    return min(found, key=lambda name: (name.count("/"), CHARACTERS.index(Path(name).suffix.lower()), name))
+
+
+def _decoded(entry: zipfile.ZipInfo) -> str:
+    """The name of an entry; ZIPs of MMD models are packed in Japan, whose names are in Shift JIS."""
+    if entry.flag_bits & 0x800:
+        return entry.filename
+    try:
+        return entry.filename.encode("cp437").decode("shift_jis")
+    except UnicodeError:
+        return entry.filename

@@ -1,0 +1,99 @@
+"""What the worker works with: the latest characters in memory, takes from disk, and how they are put back."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import OrderedDict
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from bunraku.core.character import Character, Handles
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import BunrakuError, OptionError
+from bunraku.formats.files import atomic_write
+from bunraku.studio.clips import Take, load_handles, load_take, packed_clip, save_take
+from bunraku.studio.opened import Settings, opened_character
+
+__all__ = ["Workshop"]
+
+KEPT = 4
+"""Characters that stay in memory."""
+
+
+class Workshop:
+    """The latest characters, and the files of all things.
+
+    Args:
+        folder: The studio's.
+    """
+
+    def __init__(self, folder: str):
+        self.folder = Path(folder)
+        self._open: OrderedDict[tuple[str, int], tuple[Character, Handles]] = OrderedDict()
+
+    def warm_up(self) -> None:
+        """Load the networks, so that the first user does not wait for them."""
+        from bunraku.pipelines.animate import generate, rig
+        from bunraku.pipelines.apply import apply_motion
+        from bunraku.synthetic.samples import sample_character
+
+        try:
+            character = sample_character("person")
+            handles = rig(character)
+            motion = generate("walks", seconds=2, steps=2, candidates=2, mesh_feature=handles.features)
+            apply_motion(motion, character, handles)
+        except BunrakuError as error:  # it will be told where it matters
+            logging.getLogger(__name__).warning("%s", error)
+
+    def place(self, kind: str, name: str) -> Path:
+        """The folder of a thing; names are those that the store gave."""
+        return self.folder / kind / name
+
+    def character(self, name: str) -> tuple[Character, Handles]:
+        """A character that was opened, with its handles."""
+        place = self.place("characters", name)
+        handles_file = place / "handles.npz"
+        try:
+            stamp = handles_file.stat().st_mtime_ns
+            record = json.loads((place / "record.json").read_text(encoding="utf-8"))
+        except OSError:
+            raise OptionError("this character is not open; open its file again") from None
+        key = (name, stamp)
+        if key not in self._open:
+            character, _ = opened_character(place / record["file"], Settings(**record["settings"]))
+            self._open[key] = replace(character, name=record["name"][:60]), load_handles(handles_file)
+            while len(self._open) > KEPT:
+                self._open.popitem(last=False)
+        self._open.move_to_end(key)
+        return self._open[key]
+
+    def take(self, name: str, owner: str) -> Take:
+        """A take that is finished, of a character."""
+        path = self.place("takes", name) / "motion.npz"
+        if not path.is_file():
+            raise OptionError("that take is not finished, or is gone; choose another one")
+        return load_take(path, *self.character(owner))
+
+    def keep(self, take: Take, name: str, owner: str, draft: bool = False) -> dict[str, Any]:
+        """Write a take's files; what its record learns."""
+        place = self.place("takes", name)
+        clip = "draft.bin" if draft else "clip.bin"
+        with atomic_write(place / clip) as file:
+            file.write(packed_clip(take))
+        skin = "bones" if isinstance(take, RigAnimation) else "handles"
+        if not draft:
+            save_take(take, place / "motion.npz")
+            mesh = self.place("characters", owner) / "bones.glb"
+            if skin == "bones" and not mesh.is_file():
+                from bunraku.io import save_character
+
+                save_character(take.character, mesh, take.handles)
+        return {
+            "clip": clip,
+            "skin": skin,
+            "fps": float(take.fps),
+            "frames": len(take.motion),
+            "seconds": round(len(take.motion) / take.fps, 4),
+        }

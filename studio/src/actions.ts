@@ -1,0 +1,340 @@
+// What the user does: open files, make takes, change them, choose, delete; each can be undone.
+
+import { bytes, send, upload } from "./api";
+import {
+  about, attempt, change, character, characters, comparing, doc, ended, ownTakes, remember, say, take, takes, time,
+  uploading,
+} from "./state";
+import type { Character, Doc, Settings, Take } from "./types";
+
+interface Made {
+  job: string;
+  takes: string[];
+}
+
+/** What generating is told, of the document. */
+export function asked(now: Doc): Record<string, unknown> {
+  const seeds = Array.from({ length: now.count }, (_, number) => now.seed + number);
+  return {
+    script: now.script,
+    seeds,
+    steps: now.steps,
+    guidance: now.guidance,
+    loop: now.loop,
+    in_place: now.inPlace,
+    apparel: now.apparel,
+    path: now.path.length > 1 ? now.path : [],
+    pins: now.apparel === "rigid" ? now.pins.filter((pin) => pin.time < now.script.reduce((sum, part) => sum + part.seconds, 0)) : [],
+  };
+}
+
+/** Takes that were made: shown, and undone by giving them up. */
+function settle(name: string, made: Made): void {
+  const before = doc.value;
+  const first = made.takes[0] ?? null;
+  doc.value = { ...doc.value, take: first };
+  comparing.value = made.takes.length > 1;
+  const after = doc.value;
+  remember({
+    name,
+    undo: async () => {
+      doc.value = before;
+      comparing.value = false;
+      await Promise.all(made.takes.map((id) => send("DELETE", `/takes/${id}`).catch(() => undefined)));
+    },
+    redo: async () => {
+      await Promise.all(made.takes.map((id) => send("PATCH", `/takes/${id}`, { deleted: false })));
+      doc.value = after;
+    },
+  });
+}
+
+export async function generate(anyway = false): Promise<void> {
+  const now = doc.value;
+  if (!now.character) {
+    say("drop a character first, or choose a sample", true);
+    return;
+  }
+  await attempt(async () => {
+    const made = await send<Made>("POST", `/characters/${now.character}/takes`, { ...asked(now), anyway });
+    settle("generate", made);
+    time.value = 0;
+  });
+}
+
+/** Generate a part of the take anew: a span, what is not kept, what is between poses. */
+export async function regenerate(prompt: string): Promise<void> {
+  const now = doc.value;
+  if (!now.take) {
+    return;
+  }
+  const seeds = Array.from({ length: now.count }, (_, number) => now.seed + number);
+  await attempt(async () => {
+    const made = await send<Made>("POST", `/takes/${now.take}/change`, {
+      prompt,
+      seeds,
+      steps: now.steps,
+      guidance: now.guidance,
+      keep: now.keep,
+      span: now.span ?? [],
+      poses: now.poses,
+      pins: now.pins,
+    });
+    settle("change a part", made);
+  });
+}
+
+/** Bend the take to the pins, with nothing generated; a bent take is bent from the one before it was. */
+export async function bend(): Promise<void> {
+  const now = doc.value;
+  const one = take.value;
+  if (!one || one.state !== "done" || !now.pins.length) {
+    return;
+  }
+  const parent = one.how === "bend" && one.parent ? one.parent : one.id;
+  await attempt(async () => {
+    const made = await send<Made>("POST", `/takes/${parent}/change`, { prompt: "", pins: now.pins });
+    settle("bend to the pins", made);
+    if (one.how === "bend") {
+      await send("DELETE", `/takes/${one.id}`);
+    }
+  });
+}
+
+export function choose(id: string): void {
+  if (id !== doc.value.take) {
+    change("", { take: id });
+  }
+}
+
+export async function star(one: Take): Promise<void> {
+  const set = (value: boolean): Promise<unknown> => send("PATCH", `/takes/${one.id}`, { star: value });
+  await attempt(async () => {
+    await set(!one.star);
+    remember({ name: "star", undo: () => set(one.star), redo: () => set(!one.star) });
+  });
+}
+
+async function giveUp(kind: "takes" | "characters", id: string, name: string): Promise<void> {
+  const before = doc.value;
+  await attempt(async () => {
+    await send("DELETE", `/${kind}/${id}`);
+    if (kind === "takes" && doc.value.take === id) {
+      doc.value = { ...doc.value, take: ownTakes.value.find((one) => one.id !== id)?.id ?? null };
+    }
+    if (kind === "characters" && doc.value.character === id) {
+      switchTo(characters.value.find((one) => one.id !== id)?.id ?? null);
+    }
+    const after = doc.value;
+    remember({
+      name,
+      undo: async () => {
+        await send("PATCH", `/${kind}/${id}`, { deleted: false });
+        doc.value = before;
+      },
+      redo: async () => {
+        await send("DELETE", `/${kind}/${id}`);
+        doc.value = after;
+      },
+    });
+  });
+}
+
+export const deleteTake = (id: string): Promise<void> => giveUp("takes", id, "delete a take");
+export const deleteCharacter = (id: string): Promise<void> => giveUp("characters", id, "delete a character");
+
+function switchTo(id: string | null): void {
+  const first = takes.value.filter((one) => one.character === id).sort((one, other) => other.created - one.created)[0];
+  doc.value = { ...doc.value, character: id, take: first?.id ?? null, pins: [], poses: [], path: [], span: null };
+  comparing.value = false;
+  time.value = 0;
+}
+
+export function select(id: string): void {
+  const before = doc.value;
+  if (before.character === id) {
+    return;
+  }
+  switchTo(id);
+  const after = doc.value;
+  remember({ name: "choose a character", undo: () => void (doc.value = before), redo: () => void (doc.value = after) });
+}
+
+/** Turn a character, change its unit or where its handles come from. */
+export async function mend(one: Character, values: Partial<Settings>): Promise<void> {
+  const before = one.settings;
+  const set = (settings: Partial<Settings>): Promise<unknown> => send("PATCH", `/characters/${one.id}`, settings);
+  await attempt(async () => {
+    await set(values);
+    remember({ name: "mend a character", undo: () => set(before), redo: () => set({ ...before, ...values }) });
+  });
+}
+
+interface Opened {
+  character: Character;
+  job: string;
+}
+
+async function opened(made: Opened): Promise<void> {
+  characters.value = [...characters.value.filter((one) => one.id !== made.character.id), made.character];
+  select(made.character.id);
+  await ended(made.job);
+}
+
+/** Open a sample and let it move. */
+export async function sample(name: string): Promise<void> {
+  await attempt(async () => {
+    await opened(await send<Opened>("POST", `/characters?sample=${encodeURIComponent(name)}`));
+    await generate();
+  });
+}
+
+function suffixOf(name: string): string {
+  return /\.[a-z0-9]+$/i.exec(name)?.[0].toLowerCase() ?? "";
+}
+
+/** Open a file of any kind: a character, a motion for the one that is shown, a project. */
+export async function open(file: File): Promise<void> {
+  const known = about.value?.reads;
+  const suffix = suffixOf(file.name);
+  const name = encodeURIComponent(file.name);
+  if (!known) {
+    return;
+  }
+  if (file.size > (about.value?.limits.bytes ?? Infinity)) {
+    say(`${file.name}: ${Math.round(file.size / 2 ** 20)} MiB are too many, at most 200 are taken; simplify it`, true);
+    return;
+  }
+  const told = (done: number): void => void (uploading.value = { name: file.name, done });
+  told(0);
+  await attempt(async () => {
+    if (known.projects.includes(suffix)) {
+      const found = await upload<{ character: string; takes: Record<string, string>; view: Partial<Doc> }>(
+        `/project-files?name=${name}`, file, told,
+      );
+      uploading.value = null;
+      const view = found.view;
+      change("open a project", {
+        ...view,
+        character: found.character,
+        take: (view.take && found.takes[view.take]) || Object.values(found.takes)[0] || null,
+        poses: (view.poses ?? []).map((one) => ({ ...one, take: found.takes[one.take] ?? one.take })),
+      });
+    } else if (known.motions.includes(suffix)) {
+      if (!character.value) {
+        throw new Error("drop a character first, then the motion that it is to make");
+      }
+      const made = await upload<Made>(`/characters/${character.value.id}/transfer?name=${name}`, file, told);
+      uploading.value = null;
+      settle("transfer a motion", made);
+      await ended(made.job);
+    } else if (known.characters.includes(suffix) || suffix === ".zip") {
+      const made = await upload<Opened>(`/characters?name=${name}`, file, told);
+      uploading.value = null;
+      await opened(made);
+      await generate();
+    } else {
+      throw new Error(
+        `${file.name}: '${suffix}' is not a format for this; characters are ${known.characters.join(", ")} and .zip, ` +
+          `motions ${known.motions.join(", ")}`,
+      );
+    }
+  });
+  uploading.value = null;
+}
+
+/** Take the motion of a file that also holds a character, such as a GLB with a clip or an FBX. */
+export async function openAsMotion(file: File): Promise<void> {
+  const one = character.value;
+  if (!one) {
+    return;
+  }
+  await attempt(async () => {
+    const made = await upload<Made>(`/characters/${one.id}/transfer?name=${encodeURIComponent(file.name)}`, file, () => undefined);
+    settle("transfer a motion", made);
+    await ended(made.job);
+  });
+}
+
+/** Write a take as a file of another program and hand it to the browser. */
+export async function download(one: Take, format: string): Promise<void> {
+  await attempt(async () => {
+    const made = await send<{ job: string; export: string; title: string }>("POST", `/takes/${one.id}/exports`, { format });
+    await ended(made.job);
+    hand(new Blob([await bytes(`/exports/${made.export}`)]), made.title);
+  });
+}
+
+export async function saveProject(): Promise<void> {
+  const one = character.value;
+  if (!one) {
+    return;
+  }
+  await attempt(async () => {
+    const data = await bytes(`/characters/${one.id}/project`, {
+      method: "POST",
+      body: JSON.stringify({ view: doc.value }),
+    });
+    hand(new Blob([data]), `${one.name}.bunraku`);
+  });
+}
+
+/** Give a file to the user as the browser does. */
+export function hand(file: Blob, name: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(file);
+  link.download = name;
+  document.body.append(link);
+  link.click();
+  link.remove();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+}
+
+interface Replay {
+  sample?: string;
+  character: string;
+  script: Doc["script"];
+  seed: number;
+  steps: number;
+  guidance: number;
+  loop: boolean;
+  inPlace: boolean;
+  path: Doc["path"];
+}
+
+/** The address that makes a take again from its sentences and its seed. */
+export function replayLink(one: Take): string {
+  const told = one.asked ?? {};
+  const replay: Replay = {
+    character: characters.value.find((each) => each.id === one.character)?.name ?? "",
+    script: one.script,
+    seed: one.seed,
+    steps: Number(told["steps"] ?? 20),
+    guidance: Number(told["guidance"] ?? 3),
+    loop: Boolean(told["loop"]),
+    inPlace: Boolean(told["in_place"]),
+    path: (told["path"] as Doc["path"] | null) ?? [],
+  };
+  const text = btoa(String.fromCharCode(...new TextEncoder().encode(JSON.stringify(replay))));
+  return `${location.origin}/#replay=${text.replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "")}`;
+}
+
+/** Make the take of a link: on the character of its name, on a sample of it, or on the one that is shown. */
+export async function replay(text: string): Promise<void> {
+  await attempt(async () => {
+    const raw = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
+    const told = JSON.parse(new TextDecoder().decode(Uint8Array.from(raw, (letter) => letter.charCodeAt(0)))) as Replay;
+    const own = characters.value.find((one) => one.name === told.character && one.state === "ready");
+    if (own) {
+      select(own.id);
+    } else if (about.value?.samples.includes(told.character)) {
+      await opened(await send<Opened>("POST", `/characters?sample=${encodeURIComponent(told.character)}`));
+    }
+    change("replay a link", {
+      script: told.script.map((part) => ({ text: String(part.text), seconds: Number(part.seconds) })),
+      seed: told.seed, count: 1, steps: told.steps, guidance: told.guidance, loop: told.loop, inPlace: told.inPlace,
+      path: told.path, pins: [], poses: [], sentence: 0,
+    });
+    await generate();
+  });
+}

@@ -1,0 +1,217 @@
+// The page of the studio.
+
+import { effect } from "@preact/signals";
+import { render } from "preact";
+import { useEffect } from "preact/hooks";
+import { choose, replay, star } from "./actions";
+import { hashOf, send, setToken } from "./api";
+import { dropped } from "./drop";
+import { Header, Help, help, theme } from "./header";
+import { Characters, Takes } from "./panels";
+import { Prompt } from "./prompt";
+import { Stage, viewer } from "./stage";
+import {
+  about, attempt, change, character, comparing, doc, drawing, follow, locked, notice, ownTakes, playing, redo, start, take,
+  time, undo, warm,
+} from "./state";
+import { Study } from "./study";
+import { pinPose, Timeline } from "./timeline";
+import "./style.css";
+
+function keys(event: KeyboardEvent): void {
+  const target = event.target as HTMLElement;
+  const typing = target.matches("input:not([type=checkbox]):not([type=range]), textarea, select");
+  if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !typing) {
+    event.preventDefault();
+    void (event.shiftKey ? redo() : undo());
+    return;
+  }
+  if (typing || event.ctrlKey || event.metaKey || event.altKey) {
+    if (event.key === "Escape") {
+      target.blur();
+    }
+    return;
+  }
+  const number = Number(event.key);
+  const fps = take.value?.fps ?? 20;
+  const actions: Record<string, () => void> = {
+    " ": () => (playing.value = !playing.value),
+    ArrowLeft: () => ((playing.value = false), (time.value = Math.max(0, (Math.round(time.value * fps) - 1) / fps))),
+    ArrowRight: () => ((playing.value = false), (time.value = Math.min(take.value?.seconds ?? 0, (Math.round(time.value * fps) + 1) / fps))),
+    "/": () => document.getElementById("sentence")?.focus(),
+    c: () => (comparing.value = !comparing.value && ownTakes.value.length > 1),
+    i: pinPose,
+    p: () => (drawing.value = !drawing.value),
+    f: () => (follow.value = !follow.value),
+    s: () => void (take.value && star(take.value)),
+    "?": () => (help.value = !help.value),
+    Escape: () => ((help.value = false), (drawing.value = false), (notice.value = null)),
+  };
+  const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+  if (event.key === " " && target.matches("button, summary, [role=slider]")) {
+    return; // it presses what has the focus
+  }
+  if (action) {
+    event.preventDefault();
+    action();
+  } else if (number >= 1 && number <= 4) {
+    const one = ownTakes.value[number - 1];
+    if (one) {
+      choose(one.id);
+    }
+  }
+}
+
+function Lock() {
+  return (
+    <form
+      class="lock"
+      onSubmit={(event) => {
+        event.preventDefault();
+        const password = new FormData(event.currentTarget).get("password");
+        void attempt(async () => {
+          setToken((await send<{ token: string }>("POST", "/login", { password })).token);
+          location.reload();
+        });
+      }}
+    >
+      <h1>Bunraku studio</h1>
+      <p>
+        Open the address that <code>bunraku studio</code> printed: it holds a token that changes with every start. On
+        another machine, type the password.
+      </p>
+      <input name="password" type="password" autocomplete="current-password" aria-label="password" />
+      <button class="main">Open</button>
+      <p class="bad" role="alert">
+        {notice.value?.text}
+      </p>
+    </form>
+  );
+}
+
+function Notice() {
+  const said = notice.value;
+  return said ? (
+    <div class={`notice ${said.bad ? "bad" : ""}`} role={said.bad ? "alert" : "status"}>
+      <span>{said.text}</span>
+      <button class="icon" aria-label="dismiss" onClick={() => (notice.value = null)}>
+        ×
+      </button>
+    </div>
+  ) : null;
+}
+
+function App() {
+  useEffect(() => {
+    const over = (event: DragEvent): void => {
+      event.preventDefault();
+      document.body.classList.add("dropping");
+    };
+    const out = (event: DragEvent): void => {
+      if (!event.relatedTarget) {
+        document.body.classList.remove("dropping");
+      }
+    };
+    const drop = (event: DragEvent): void => {
+      event.preventDefault();
+      document.body.classList.remove("dropping");
+      if (event.dataTransfer) {
+        void attempt(() => dropped(event.dataTransfer as DataTransfer));
+      }
+    };
+    addEventListener("dragover", over);
+    addEventListener("dragleave", out);
+    addEventListener("drop", drop);
+    addEventListener("keydown", keys);
+    return () => {
+      removeEventListener("dragover", over);
+      removeEventListener("dragleave", out);
+      removeEventListener("drop", drop);
+      removeEventListener("keydown", keys);
+    };
+  }, []);
+  if (locked.value) {
+    return <Lock />;
+  }
+  if (about.value?.study) {
+    return (
+      <>
+        <Study />
+        <Notice />
+      </>
+    );
+  }
+  return (
+    <>
+      <Header />
+      <main>
+        <aside class="left">
+          <Characters />
+        </aside>
+        <Stage>
+          {!character.value && about.value && (
+            <p class="empty">Drop a character here, or choose a sample.</p>
+          )}
+          {character.value?.state === "opening" && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
+          {drawing.value && <p class="badge">drag on the floor where it goes; the sentence says how</p>}
+        </Stage>
+        <aside class="right">
+          <Takes />
+        </aside>
+      </main>
+      <footer>
+        <Prompt />
+        <Timeline />
+      </footer>
+      <Help />
+      <Notice />
+      <div class="veil" aria-hidden="true">
+        drop it anywhere
+      </div>
+    </>
+  );
+}
+
+const root = document.getElementById("app");
+if (root) {
+  if (matchMedia("(prefers-reduced-motion: reduce)").matches) {
+    playing.value = false;
+  }
+  const wanted = hashOf(location.hash).get("replay");
+  history.replaceState(null, "", location.pathname);
+  render(<App />, root);
+  effect(() => {
+    document.documentElement.dataset["theme"] = theme.value;
+    viewer?.theme(theme.value === "dark");
+  });
+  void attempt(async () => {
+    await start();
+    viewer?.theme(theme.value === "dark");
+    if (wanted) {
+      await replay(wanted);
+    }
+  });
+}
+
+declare global {
+  interface Window {
+    studio: unknown;
+  }
+}
+/** For tests: the state, and the view at a time of their choosing. */
+window.studio = {
+  doc,
+  take,
+  character,
+  takes: ownTakes,
+  notice,
+  playing,
+  time,
+  change,
+  view: () => viewer,
+  set: (seconds: number) => {
+    playing.value = false;
+    time.value = seconds;
+    viewer?.draw(true);
+  },
+};

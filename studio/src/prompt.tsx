@@ -1,0 +1,183 @@
+// The sentence: typed, underlined where it is not understood, made into takes.
+
+import { signal } from "@preact/signals";
+import { useEffect, useRef } from "preact/hooks";
+import { generate, regenerate } from "./actions";
+import { send } from "./api";
+import { change, character, doc, say, take } from "./state";
+import type { Understanding } from "./types";
+
+const understanding = signal<{ text: string; found: Understanding } | null>(null);
+export const changing = signal(false);
+export const instead = signal("waves with both hands");
+
+let timer = 0;
+function look(text: string): void {
+  clearTimeout(timer);
+  if (!text.trim()) {
+    understanding.value = null;
+    return;
+  }
+  timer = window.setTimeout(async () => {
+    try {
+      understanding.value = { text, found: await send<Understanding>("POST", "/understand", { text }) };
+    } catch {
+      understanding.value = null;
+    }
+  }, 180);
+}
+
+function Backdrop({ text }: { text: string }) {
+  const known = understanding.value;
+  if (!known || known.text !== text) {
+    return <div class="backdrop">{text}</div>;
+  }
+  const parts: preact.ComponentChildren[] = [];
+  let at = 0;
+  for (const one of known.found.unknown) {
+    parts.push(text.slice(at, one.start), <u key={one.start}>{text.slice(one.start, one.stop)}</u>);
+    at = one.stop;
+  }
+  return (
+    <div class="backdrop">
+      {parts}
+      {text.slice(at)}
+    </div>
+  );
+}
+
+function sentence(text: string): void {
+  const { script, sentence: number } = doc.value;
+  change("type", { script: script.map((part, place) => (place === number ? { ...part, text } : part)) });
+}
+
+export function Prompt() {
+  const box = useRef<HTMLInputElement>(null);
+  const now = doc.value;
+  const part = now.script[now.sentence] ?? now.script[0];
+  const text = changing.value ? instead.value : (part?.text ?? "");
+  useEffect(() => look(text), [text]);
+  const known = understanding.value?.text === text ? understanding.value.found : null;
+  const ready = character.value?.state === "ready";
+  const go = (): void => {
+    if (!ready) {
+      say(character.value ? "the character is still being opened" : "drop a character first, or choose a sample", true);
+    } else if (changing.value) {
+      void regenerate(text);
+    } else {
+      void generate();
+    }
+  };
+  const kept = now.span || now.keep.length || now.poses.length;
+  return (
+    <form
+      class="prompt"
+      onSubmit={(event) => {
+        event.preventDefault();
+        go();
+      }}
+    >
+      <div class="sentence">
+        <Backdrop text={text} />
+        <input
+          ref={box}
+          id="sentence"
+          value={text}
+          maxLength={1000}
+          autocomplete="off"
+          spellcheck={false}
+          aria-label={changing.value ? "what is done instead" : "what the character does"}
+          aria-describedby="understood"
+          placeholder="walks forward, then waves with the left hand"
+          onInput={(event) =>
+            changing.value ? (instead.value = event.currentTarget.value) : sentence(event.currentTarget.value)
+          }
+        />
+      </div>
+      {!changing.value && (
+        <label class="field small">
+          <input
+            type="number"
+            min={0.5}
+            max={120}
+            step={0.5}
+            value={part?.seconds}
+            aria-label="seconds of this sentence"
+            onInput={(event) => {
+              const length = Number(event.currentTarget.value);
+              if (length >= 0.5 && length <= 120) {
+                change("length", {
+                  script: now.script.map((one, place) => (place === now.sentence ? { ...one, seconds: length } : one)),
+                });
+              }
+            }}
+          />
+          <span>s</span>
+        </label>
+      )}
+      <label class="field small" title="the same seed gives the same motion">
+        <span>seed</span>
+        <input
+          type="number"
+          min={0}
+          step={1}
+          value={now.seed}
+          aria-label="seed"
+          onInput={(event) => change("seed", { seed: Math.max(0, Math.round(Number(event.currentTarget.value)) || 0) })}
+        />
+      </label>
+      <button
+        type="button"
+        class="icon"
+        title="another seed"
+        aria-label="another seed"
+        onClick={() => change("", { seed: Math.floor(Math.random() * 100000) })}
+      >
+        ⚂
+      </button>
+      <div class="choice" role="group" aria-label="how many takes">
+        {([1, 4] as const).map((count) => (
+          <button
+            type="button"
+            key={count}
+            aria-pressed={now.count === count}
+            onClick={() => change("", { count })}
+            title={`${count} take${count > 1 ? "s, by seed" : ""}`}
+          >
+            ×{count}
+          </button>
+        ))}
+      </div>
+      {take.value?.state === "done" && take.value.skin === "handles" && (
+        <label class="toggle" title="keep what is selected below and generate the rest anew">
+          <input type="checkbox" checked={changing.value} onChange={(event) => (changing.value = event.currentTarget.checked)} />
+          change the take
+        </label>
+      )}
+      <button class="main" disabled={!ready || (changing.value && !kept)} id="animate">
+        {changing.value ? "Generate anew" : "Animate"}
+      </button>
+      <p id="understood" class="understood" role="status">
+        {known && !known.ok && <b>No movement is understood. </b>}
+        {known?.unknown.length ? `not understood: ${known.unknown.map((one) => one.word).join(", ")}. ` : ""}
+        {known && known.english !== text && known.language !== "" ? `read as: ${known.english}. ` : ""}
+        {known && (known.unknown.length > 0 || !known.ok) && known.nearest.length > 0 && (
+          <>
+            try:{" "}
+            {known.nearest.map((one) => (
+              <button
+                type="button"
+                class="chip"
+                key={one}
+                onClick={() => (changing.value ? (instead.value = one) : sentence(one))}
+              >
+                {one}
+              </button>
+            ))}
+          </>
+        )}
+        {changing.value && !kept && "Select a span of time, keep parts of the body, or pin a pose. "}
+      </p>
+    </form>
+  );
+}

@@ -1,0 +1,240 @@
+// The viewport: loads what is chosen, plays it, and answers the pointer.
+
+import { effect } from "@preact/signals";
+import { useEffect, useRef } from "preact/hooks";
+import { bend } from "./actions";
+import { bytes } from "./api";
+import { parseClip, type Clip } from "./clip";
+import { colour, dispose, handleColour, loadModel, type Model } from "./model";
+import {
+  attempt, change, character, characters, colouring, comparing, doc, drawing, follow, ownTakes, playing, running, speed,
+  take, takes, time, warm, weightOf,
+} from "./state";
+import type { Take } from "./types";
+import { Viewer, type Pane } from "./viewer";
+
+export let viewer: Viewer | null = null;
+export let holder: HTMLElement | null = null;
+/** Set while a video is drawn: nothing else draws then. */
+export const filming = { on: false };
+
+const models = new Map<string, Promise<Model>>();
+const clips = new Map<string, Promise<Clip>>();
+const KEPT = 24;
+
+function model(owner: string, version: number, skin: string): Promise<Model> {
+  const key = `${owner}:${version}:${skin}`;
+  let found = models.get(key);
+  if (!found) {
+    found = bytes(`/characters/${owner}/mesh.glb?skin=${skin}`).then((data) => loadModel(key, data));
+    found.catch(() => models.delete(key));
+    models.set(key, found);
+    for (const [old, value] of [...models].slice(0, -4)) {
+      models.delete(old);
+      void value.then(dispose).catch(() => undefined);
+    }
+  }
+  return found;
+}
+
+function clip(one: Take): Promise<Clip> {
+  const key = `${one.id}:${one.state}`;
+  let found = clips.get(key);
+  if (!found) {
+    found = bytes(`/takes/${one.id}/clip`).then(parseClip);
+    found.catch(() => clips.delete(key));
+    clips.set(key, found);
+    for (const old of [...clips.keys()].slice(0, -KEPT)) {
+      clips.delete(old);
+    }
+  }
+  return found;
+}
+
+export const seconds = (): number => Math.max(0, ...(viewer?.panes ?? []).map((pane) => pane.clip?.seconds ?? 0));
+
+/** Takes that are shown side by side: the starred ones, or those of the latest batch. */
+export function compared(): Take[] {
+  const ready = ownTakes.value.filter((one) => one.state === "done" || one.state === "draft");
+  const starred = ready.filter((one) => one.star);
+  const chosen = take.value;
+  const batch = ready.filter((one) => chosen && Math.abs(one.created - chosen.created) < 1 && one.how === chosen.how);
+  const some = batch.length > 1 ? batch : starred.length > 1 ? starred : ready;
+  return some.slice(0, 4).sort((one, other) => one.seed - other.seed);
+}
+
+let shown = "";
+let framed = "";
+
+async function refresh(): Promise<void> {
+  const owner = character.value;
+  const view = viewer;
+  if (!view) {
+    return;
+  }
+  if (!owner || !owner.version) {
+    view.show([]);
+    shown = "";
+    return;
+  }
+  const one = take.value;
+  const several = comparing.value ? compared() : [];
+  const wanted = several.length > 1 ? several : one && one.state !== "waiting" && one.fps ? [one] : [];
+  const key = JSON.stringify([owner.id, owner.version, wanted.map((each) => [each.id, each.state, each.skin])]);
+  if (key === shown || owner.state !== "ready") {
+    return;
+  }
+  const before = shown;
+  shown = key;
+  await attempt(async () => {
+    try {
+      const panes: Pane[] = wanted.length
+        ? await Promise.all(
+            wanted.map(async (each) => ({
+              model: await model(owner.id, owner.version, each.skin ?? "handles"),
+              clip: await clip(each),
+              label: each.id,
+            })),
+          )
+        : [{ model: await model(owner.id, owner.version, "handles"), clip: null }];
+      if (key !== shown) {
+        return; // something else was chosen meanwhile
+      }
+      view.show(panes);
+      const frame = `${owner.id}:${owner.version}`;
+      if (frame !== framed) {
+        framed = frame;
+        view.frame(owner.bounds);
+      }
+      paint();
+    } catch (error) {
+      shown = before;
+      throw error;
+    }
+  });
+}
+
+function paint(): void {
+  for (const pane of new Set(viewer?.panes.map((each) => each.model) ?? [])) {
+    colour(pane, colouring.value, weightOf.value);
+  }
+  viewer?.touch();
+}
+
+export function Stage({ children }: { children?: preact.ComponentChildren }) {
+  const place = useRef<HTMLDivElement>(null);
+  useEffect(() => {
+    const here = place.current;
+    if (!here) {
+      return undefined;
+    }
+    holder = here;
+    const view = new Viewer(here);
+    viewer = view;
+    view.dragged = (part, position) => {
+      const at = Math.round(time.value * 100) / 100;
+      const rest = doc.value.pins.filter((pin) => !(pin.part === part && Math.abs(pin.time - at) < 0.05));
+      change("pin", { pins: [...rest, { part, time: at, position, hold: 0 }].sort((a, b) => a.time - b.time) });
+      void bend();
+    };
+    view.drew = (path) => {
+      drawing.value = false;
+      change("draw a path", { path });
+    };
+    view.chosen = (pane) => {
+      const label = view.panes[pane]?.label;
+      if (label) {
+        change("choose a take", { take: label });
+      }
+    };
+    const stops = [
+      effect(() => {
+        void [character.value, take.value, comparing.value, takes.value, characters.value];
+        void refresh();
+      }),
+      effect(() => {
+        void [colouring.value, weightOf.value];
+        paint();
+      }),
+      effect(() => {
+        const owner = character.value;
+        const one = take.value;
+        view.marks = {
+          ends: owner?.ends ?? [],
+          pins: doc.value.pins,
+          path: doc.value.path,
+          handles:
+            colouring.value === "none" || !owner?.positions || one?.skin === "bones"
+              ? []
+              : (owner.used ?? []).map((joint) => ({
+                  joint,
+                  place: owner.positions?.[joint] ?? [0, 0, 0],
+                  colour: handleColour(joint),
+                })),
+          ghosts: [],
+        };
+        view.directing = !playing.value && one?.state === "done" && one.skin !== "bones" && !comparing.value;
+        view.drawing = drawing.value;
+        view.follow = follow.value;
+        view.touch();
+      }),
+      effect(() => {
+        view.time = time.value;
+        view.touch();
+      }),
+    ];
+    let frame = 0;
+    let before = performance.now();
+    const tick = (now: number): void => {
+      frame = requestAnimationFrame(tick);
+      const passed = Math.min((now - before) / 1000, 0.25);
+      before = now;
+      if (filming.on || document.hidden) {
+        return;
+      }
+      const length = seconds();
+      if (playing.value && length > 0) {
+        time.value = (time.value + passed * speed.value) % length;
+      }
+      view.draw();
+    };
+    frame = requestAnimationFrame(tick);
+    return () => {
+      cancelAnimationFrame(frame);
+      stops.forEach((stop) => stop());
+    };
+  }, []);
+  return (
+    <div class="stage" ref={place}>
+      {children}
+      <Labels />
+    </div>
+  );
+}
+
+function Labels() {
+  const several = comparing.value ? compared() : [];
+  const now = take.value;
+  const waiting = now && (now.state === "waiting" || now.state === "draft") ? now : null;
+  const job = waiting && running.value.find((one) => one.about.takes?.includes(waiting.id));
+  return (
+    <>
+      {several.length > 1 && (
+        <div class={`labels grid-${several.length > 3 ? 2 : several.length}`} aria-hidden="true">
+          {several.map((one) => (
+            <span key={one.id} class={one.id === doc.value.take ? "chosen" : ""}>
+              seed {one.seed} {one.star ? "★" : ""} {one.state === "draft" ? "· draft" : ""}
+            </span>
+          ))}
+        </div>
+      )}
+      {waiting && several.length < 2 && (
+        <p class="badge" role="status">
+          {waiting.state === "draft" ? "draft · the full take is coming" : "making"}
+          {warm.value ? "" : " · the networks are being loaded, once"}
+          {job ? ` · ${Math.round(job.done * 100)} %` : ""}
+        </p>
+      )}
+    </>
+  );
+}

@@ -1,0 +1,223 @@
+// What the page knows and what the user has set, as signals; undo and redo of everything; saving it as it changes.
+
+import { batch, computed, effect, signal } from "@preact/signals";
+import { get, listen, send, ServerError } from "./api";
+import type { About, Character, Doc, Job, Take } from "./types";
+
+export const about = signal<About | null>(null);
+export const characters = signal<Character[]>([]);
+export const takes = signal<Take[]>([]);
+export const jobs = signal<Job[]>([]);
+export const online = signal(false);
+export const warm = signal(false);
+export const locked = signal(false);
+export const notice = signal<{ text: string; bad: boolean } | null>(null);
+export const uploading = signal<{ name: string; done: number } | null>(null);
+
+export const time = signal(0);
+export const playing = signal(true);
+export const speed = signal(1);
+export const follow = signal(true);
+export const colouring = signal<"none" | "handles" | "weights">("none");
+export const weightOf = signal(0);
+export const comparing = signal(false);
+export const drawing = signal(false);
+export const ghosts = signal(false);
+
+const EMPTY: Doc = {
+  character: null,
+  take: null,
+  script: [{ text: "walks forward, then waves with the left hand", seconds: 4 }],
+  sentence: 0,
+  seed: 0,
+  count: 1,
+  loop: false,
+  inPlace: false,
+  apparel: "rigid",
+  guidance: 3,
+  steps: 20,
+  pins: [],
+  poses: [],
+  path: [],
+  span: null,
+  keep: [],
+};
+export const doc = signal<Doc>(EMPTY);
+
+export const character = computed(() => characters.value.find((one) => one.id === doc.value.character) ?? null);
+export const take = computed(() => takes.value.find((one) => one.id === doc.value.take) ?? null);
+export const ownTakes = computed(() =>
+  takes.value
+    .filter((one) => one.character === doc.value.character && !one.deleted)
+    .sort((one, other) => other.created - one.created),
+);
+export const running = computed(() => jobs.value.filter((job) => ["waiting", "running"].includes(job.state)));
+export const interrupted = computed(() => jobs.value.filter((job) => job.state === "interrupted"));
+export const total = computed(() => doc.value.script.reduce((sum, part) => sum + part.seconds, 0));
+
+interface Step {
+  name: string;
+  undo: () => void | Promise<unknown>;
+  redo: () => void | Promise<unknown>;
+}
+const done = signal<Step[]>([]);
+const undone = signal<Step[]>([]);
+export const canUndo = computed(() => done.value.at(-1)?.name ?? null);
+export const canRedo = computed(() => undone.value.at(-1)?.name ?? null);
+let last = { name: "", at: 0 };
+
+export function remember(step: Step): void {
+  done.value = [...done.value.slice(-199), step];
+  undone.value = [];
+  last = { name: "", at: 0 };
+}
+
+/** Change the document; changes of one name in quick succession (typing, dragging) are one step. */
+export function change(name: string, values: Partial<Doc>): void {
+  const before = doc.value;
+  const after = { ...before, ...values };
+  doc.value = after;
+  const now = performance.now();
+  const top = done.value.at(-1);
+  if (top && last.name === name && now - last.at < 1200 && name !== "") {
+    done.value = [
+      ...done.value.slice(0, -1),
+      { name, undo: top.undo, redo: () => void (doc.value = after) },
+    ];
+    undone.value = [];
+  } else {
+    remember({ name, undo: () => void (doc.value = before), redo: () => void (doc.value = after) });
+  }
+  last = { name, at: now };
+}
+
+export async function undo(): Promise<void> {
+  const step = done.value.at(-1);
+  if (step) {
+    done.value = done.value.slice(0, -1);
+    undone.value = [...undone.value, step];
+    last = { name: "", at: 0 };
+    await attempt(async () => step.undo());
+  }
+}
+
+export async function redo(): Promise<void> {
+  const step = undone.value.at(-1);
+  if (step) {
+    undone.value = undone.value.slice(0, -1);
+    done.value = [...done.value, step];
+    last = { name: "", at: 0 };
+    await attempt(async () => step.redo());
+  }
+}
+
+export function say(text: string, bad = false): void {
+  notice.value = { text, bad };
+}
+
+/** Run something and say what goes wrong. */
+export async function attempt<T>(what: () => Promise<T>): Promise<T | undefined> {
+  try {
+    return await what();
+  } catch (error) {
+    if (error instanceof ServerError && error.status === 401) {
+      locked.value = true;
+    }
+    say(error instanceof Error ? error.message : String(error), true);
+    return undefined;
+  }
+}
+
+function placed<T extends { id: string; deleted?: boolean }>(list: T[], record: T): T[] {
+  const rest = list.filter((one) => one.id !== record.id);
+  return record.deleted ? rest : [...rest, record];
+}
+
+function heard(what: string, data: unknown): void {
+  batch(() => {
+    if (what === "character") {
+      characters.value = placed(characters.value, data as Character);
+    } else if (what === "take") {
+      takes.value = placed(takes.value, data as Take);
+    } else if (what === "gone") {
+      const { kind, id } = data as { kind: string; id: string };
+      if (kind === "takes") {
+        takes.value = takes.value.filter((one) => one.id !== id);
+      } else if (kind === "characters") {
+        characters.value = characters.value.filter((one) => one.id !== id);
+      }
+    } else if (what === "worker") {
+      warm.value = (data as { warm: boolean }).warm;
+    } else if (what === "job") {
+      const job = data as Job;
+      jobs.value = [...jobs.value.filter((one) => one.id !== job.id), job];
+      if (job.state === "failed") {
+        say(`${job.title}: ${job.error}`, true);
+      }
+      waiters.get(job.id)?.(job);
+    }
+  });
+}
+
+const waiters = new Map<string, (job: Job) => void>();
+
+/** Wait until a job has ended. */
+export function ended(id: string): Promise<Job> {
+  return new Promise((resolve, reject) => {
+    const look = (job: Job | undefined): void => {
+      if (job && !["waiting", "running"].includes(job.state)) {
+        waiters.delete(id);
+        if (job.state === "done") {
+          resolve(job);
+        } else {
+          reject(new Error(job.error || `${job.title}: ${job.state}`));
+        }
+      }
+    };
+    waiters.set(id, look);
+    look(jobs.value.find((job) => job.id === id));
+  });
+}
+
+let project = "";
+let saved = "";
+
+/** Fetch all that there is, go where the user was, and listen from there on. */
+export async function start(): Promise<void> {
+  const found = await get<About>("/about");
+  batch(() => {
+    about.value = found;
+    characters.value = found.characters;
+    takes.value = found.takes;
+    jobs.value = found.jobs;
+    locked.value = false;
+    warm.value = found.worker.warm;
+  });
+  const latest = found.projects.at(-1);
+  if (latest) {
+    project = latest.id;
+    doc.value = { ...EMPTY, ...latest.view };
+  } else {
+    project = (await send<{ id: string }>("POST", "/projects", { view: {} })).id;
+  }
+  if (!character.value || character.value.deleted) {
+    const first = found.characters[0];
+    doc.value = { ...doc.value, character: first?.id ?? null, take: null };
+  }
+  if (!take.value) {
+    doc.value = { ...doc.value, take: ownTakes.value[0]?.id ?? null };
+  }
+  saved = JSON.stringify(doc.value);
+  let timer = 0;
+  effect(() => {
+    const now = JSON.stringify(doc.value);
+    clearTimeout(timer);
+    if (now !== saved) {
+      timer = window.setTimeout(() => {
+        saved = now;
+        void attempt(() => send("PUT", `/projects/${project}`, { view: JSON.parse(now) as Doc }));
+      }, 400);
+    }
+  });
+  void listen(found.event, heard, (up) => (online.value = up));
+}

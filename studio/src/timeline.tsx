@@ -1,0 +1,329 @@
+// Time: sentences with edges to drag, the span that changes, pinned poses, hands and feet, and where we are.
+
+import { useRef } from "preact/hooks";
+import { bend } from "./actions";
+import { changing } from "./prompt";
+import { seconds as shownSeconds } from "./stage";
+import { change, character, doc, drawing, follow, playing, speed, take, time, total } from "./state";
+
+const PARTS: Record<string, string> = {
+  left_hand: "L hand",
+  right_hand: "R hand",
+  left_foot: "L foot",
+  right_foot: "R foot",
+};
+
+/** How long the line is [s]: the sentences, or the take where that is longer. */
+const length = (): number => Math.max(total.value, take.value?.seconds ?? 0, 0.5);
+const percent = (seconds: number): string => `${(100 * seconds) / length()}%`;
+const snapped = (seconds: number): number => Math.round(seconds * 20) / 20;
+
+export function clock(seconds: number): string {
+  const whole = Math.max(seconds, 0);
+  return `${Math.floor(whole / 60)}:${(whole % 60).toFixed(2).padStart(5, "0")}`;
+}
+
+/** Follow the pointer on a row until it is let go; `moved` hears the time under it. */
+function track(event: PointerEvent, row: HTMLElement, moved: (seconds: number) => void): void {
+  const box = row.getBoundingClientRect();
+  const at = (one: PointerEvent): number =>
+    Math.min(Math.max(((one.clientX - box.left) / box.width) * length(), 0), length());
+  const target = event.currentTarget as HTMLElement;
+  target.setPointerCapture(event.pointerId);
+  const move = (one: PointerEvent): void => moved(at(one));
+  const up = (): void => {
+    target.removeEventListener("pointermove", move);
+    target.removeEventListener("pointerup", up);
+  };
+  target.addEventListener("pointermove", move);
+  target.addEventListener("pointerup", up);
+  move(event);
+}
+
+function Sentences() {
+  const row = useRef<HTMLDivElement>(null);
+  const { script, sentence } = doc.value;
+  let start = 0;
+  return (
+    <div class="row" ref={row}>
+      {script.map((part, number) => {
+        const from = start;
+        start += part.seconds;
+        const set = (seconds: number): void => {
+          const limit = Math.min(Math.max(snapped(seconds), 0.5), 120);
+          change("length", {
+            script: doc.value.script.map((one, place) => (place === number ? { ...one, seconds: limit } : one)),
+          });
+        };
+        return (
+          <div
+            key={number}
+            class={`block ${number === sentence ? "chosen" : ""}`}
+            style={{ left: percent(from), width: percent(part.seconds) }}
+          >
+            <button
+              class="words"
+              aria-pressed={number === sentence}
+              onClick={() => {
+                changing.value = false;
+                change("", { sentence: number });
+                document.getElementById("sentence")?.focus();
+              }}
+            >
+              {part.text || "…"} <small>{part.seconds} s</small>
+            </button>
+            {script.length > 1 && (
+              <button
+                class="remove"
+                aria-label={`remove: ${part.text}`}
+                onClick={() => change("remove a sentence", { script: script.filter((_, place) => place !== number), sentence: 0 })}
+              >
+                ×
+              </button>
+            )}
+            <div
+              class="edge"
+              role="slider"
+              tabIndex={0}
+              aria-label={`seconds of: ${part.text}`}
+              aria-valuenow={part.seconds}
+              aria-valuemin={0.5}
+              aria-valuemax={120}
+              onPointerDown={(event) => row.current && track(event, row.current, (at) => set(at - from))}
+              onKeyDown={(event) => {
+                const step = { ArrowLeft: -0.5, ArrowRight: 0.5 }[event.key];
+                if (step) {
+                  event.preventDefault();
+                  event.stopPropagation();
+                  set(part.seconds + step);
+                }
+              }}
+            />
+          </div>
+        );
+      })}
+    </div>
+  );
+}
+
+function Keys({ part }: { part: string }) {
+  return (
+    <div class="row thin">
+      {doc.value.pins
+        .filter((pin) => pin.part === part)
+        .map((pin) => (
+          <button
+            key={pin.time}
+            class="key"
+            style={{ left: percent(pin.time) }}
+            title={`${PARTS[part]} pinned at ${pin.time} s; click goes there, Delete removes`}
+            aria-label={`${PARTS[part]} pinned at ${pin.time} seconds`}
+            onClick={() => (time.value = pin.time)}
+            onKeyDown={(event) => {
+              if (event.key === "Delete" || event.key === "Backspace") {
+                change("unpin", { pins: doc.value.pins.filter((one) => one !== pin) });
+                void bend();
+              }
+            }}
+          >
+            ◆
+          </button>
+        ))}
+    </div>
+  );
+}
+
+function Poses() {
+  return (
+    <div class="row thin">
+      {doc.value.poses.map((pose) => (
+        <button
+          key={pose.time}
+          class="key pose"
+          style={{ left: percent(pose.time) }}
+          title={`the pose at ${pose.time} s stays; click goes there, Delete removes`}
+          aria-label={`pose pinned at ${pose.time} seconds`}
+          onClick={() => (time.value = pose.time)}
+          onKeyDown={(event) => {
+            if (event.key === "Delete" || event.key === "Backspace") {
+              change("unpin", { poses: doc.value.poses.filter((one) => one !== pose) });
+            }
+          }}
+        >
+          ◆
+        </button>
+      ))}
+    </div>
+  );
+}
+
+function Span() {
+  const row = useRef<HTMLDivElement>(null);
+  const { span } = doc.value;
+  return (
+    <div
+      class="row thin span-row"
+      ref={row}
+      title="drag to select what is generated anew"
+      onPointerDown={(event) => {
+        if (!row.current || !take.value) {
+          return;
+        }
+        let first: number | null = null;
+        track(event, row.current, (at) => {
+          first ??= snapped(at);
+          const other = snapped(at);
+          if (Math.abs(other - first) >= 0.1) {
+            change("select a span", { span: [Math.min(first, other), Math.max(first, other)] });
+            changing.value = true;
+          }
+        });
+      }}
+    >
+      {span && (
+        <span class="span" style={{ left: percent(span[0]), width: percent(span[1] - span[0]) }}>
+          <button
+            class="remove"
+            aria-label="forget the span"
+            onPointerDown={(event) => event.stopPropagation()}
+            onClick={() => change("forget the span", { span: null })}
+          >
+            ×
+          </button>
+        </span>
+      )}
+    </div>
+  );
+}
+
+export function pinPose(): void {
+  const one = take.value;
+  if (!one || one.state !== "done") {
+    return;
+  }
+  const at = Math.round(time.value * 20) / 20;
+  const rest = doc.value.poses.filter((pose) => Math.abs(pose.time - at) > 0.02);
+  change("pin a pose", { poses: [...rest, { time: at, take: one.id, at }].sort((a, b) => a.time - b.time) });
+  changing.value = true;
+}
+
+export function Timeline() {
+  const lane = useRef<HTMLDivElement>(null);
+  const now = doc.value;
+  const ends = character.value?.ends ?? [];
+  const fps = take.value?.fps ?? 20;
+  const step = (frames: number): void => {
+    playing.value = false;
+    time.value = Math.min(Math.max((Math.round(time.value * fps) + frames) / fps, 0), Math.max(shownSeconds(), 0));
+  };
+  return (
+    <section class="timeline" aria-label="timeline">
+      <div class="transport">
+        <button class="icon" aria-label={playing.value ? "pause" : "play"} title="Space" onClick={() => (playing.value = !playing.value)}>
+          {playing.value ? "❚❚" : "▶"}
+        </button>
+        <button class="icon" aria-label="a frame back" title="←" onClick={() => step(-1)}>
+          ‹
+        </button>
+        <button class="icon" aria-label="a frame on" title="→" onClick={() => step(1)}>
+          ›
+        </button>
+        <output class="clock">
+          {clock(time.value)} / {clock(take.value?.seconds ?? total.value)}
+        </output>
+        <span class="muted">frame {Math.round(time.value * fps)}</span>
+        <label class="field small">
+          <span>speed</span>
+          <select value={String(speed.value)} onChange={(event) => (speed.value = Number(event.currentTarget.value))}>
+            {[0.25, 0.5, 1, 2].map((one) => (
+              <option key={one} value={String(one)}>
+                {one}×
+              </option>
+            ))}
+          </select>
+        </label>
+        <label class="toggle">
+          <input type="checkbox" checked={follow.value} onChange={(event) => (follow.value = event.currentTarget.checked)} /> follow
+        </label>
+        <label class="toggle">
+          <input type="checkbox" checked={now.loop} onChange={(event) => change("", { loop: event.currentTarget.checked, path: event.currentTarget.checked ? [] : now.path })} /> loop
+        </label>
+        <label class="toggle">
+          <input type="checkbox" checked={now.inPlace} onChange={(event) => change("", { inPlace: event.currentTarget.checked, path: event.currentTarget.checked ? [] : now.path })} /> in place
+        </label>
+        <span class="fill" />
+        <button onClick={() => change("add a sentence", { script: [...now.script, { text: "waves", seconds: 3 }], sentence: now.script.length })}>
+          + sentence
+        </button>
+        <button onClick={pinPose} disabled={take.value?.state !== "done"} title="I: this pose stays, the rest is generated">
+          ◆ pin pose
+        </button>
+        <button
+          aria-pressed={drawing.value}
+          onClick={() => {
+            drawing.value = !drawing.value;
+            if (drawing.value) {
+              change("", { loop: false, inPlace: false });
+            }
+          }}
+          title="P: drag on the floor where the character goes"
+        >
+          ✎ draw a path
+        </button>
+        {now.path.length > 1 && <button onClick={() => change("forget the path", { path: [] })}>× path</button>}
+      </div>
+      <div class="lanes">
+        <div class="names" aria-hidden="true">
+          <span>sentences</span>
+          <span class="thin">change</span>
+          <span class="thin">poses</span>
+          {ends.map((end) => (
+            <span class="thin" key={end.part}>
+              {PARTS[end.part] ?? end.part}
+            </span>
+          ))}
+        </div>
+        <div class="lane" ref={lane}>
+          <Sentences />
+          <Span />
+          <Poses />
+          {ends.map((end) => (
+            <Keys key={end.part} part={end.part} />
+          ))}
+          <div
+            class="playhead"
+            role="slider"
+            tabIndex={0}
+            aria-label="time"
+            aria-valuemin={0}
+            aria-valuemax={length()}
+            aria-valuenow={time.value}
+            aria-valuetext={clock(time.value)}
+            style={{ left: percent(Math.min(time.value, length())) }}
+            onPointerDown={(event) => {
+              playing.value = false;
+              if (lane.current) {
+                track(event, lane.current, (at) => (time.value = Math.min(at, Math.max(shownSeconds(), 0))));
+              }
+            }}
+          />
+          <div
+            class="ruler"
+            onPointerDown={(event) => {
+              playing.value = false;
+              if (lane.current) {
+                track(event, lane.current, (at) => (time.value = Math.min(at, Math.max(shownSeconds(), 0))));
+              }
+            }}
+          >
+            {Array.from({ length: Math.floor(length()) + 1 }, (_, second) => (
+              <span key={second} style={{ left: percent(second) }}>
+                {second}
+              </span>
+            ))}
+          </div>
+        </div>
+      </div>
+    </section>
+  );
+}

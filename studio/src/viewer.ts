@@ -1,0 +1,462 @@
+// The view: panes side by side with a character each, a floor, a camera that follows, gizmos for pins and the path.
+
+import {
+  AmbientLight,
+  BufferGeometry,
+  CircleGeometry,
+  Color,
+  DirectionalLight,
+  Fog,
+  GridHelper,
+  HemisphereLight,
+  Line,
+  LineBasicMaterial,
+  Mesh,
+  MeshBasicMaterial,
+  PCFShadowMap,
+  PerspectiveCamera,
+  Plane,
+  Raycaster,
+  Scene,
+  ShadowMaterial,
+  SphereGeometry,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { rootAt, type Clip } from "./clip";
+import { carried, pose, type Model } from "./model";
+import type { LimbEnd, Pin } from "./types";
+
+export interface Pane {
+  model: Model;
+  clip: Clip | null;
+  label?: string;
+}
+
+export interface Marks {
+  ends: LimbEnd[];
+  pins: Pin[];
+  path: [number, number][];
+  handles: { place: [number, number, number]; joint: number; colour: Color }[];
+  ghosts: number[];
+}
+
+const ACCENT = 0xd9622b;
+const FOV = 26; // degrees, that of the library's own renderer
+const MOST_PIXELS = 1.5;
+
+export class Viewer {
+  readonly renderer: WebGLRenderer;
+  readonly scene = new Scene();
+  readonly camera = new PerspectiveCamera(FOV, 1, 0.05, 400);
+  readonly controls: OrbitControls;
+  readonly canvas: HTMLCanvasElement;
+  panes: Pane[] = [];
+  marks: Marks = { ends: [], pins: [], path: [], handles: [], ghosts: [] };
+  time = 0;
+  follow = true;
+  dragged: ((part: string, place: [number, number, number]) => void) | null = null;
+  drew: ((path: [number, number][]) => void) | null = null;
+  chosen: ((pane: number) => void) | null = null;
+  drawing = false;
+  directing = false;
+  private dirty = true;
+  private readonly floor: Mesh;
+  private grid: GridHelper;
+  private readonly sun: DirectionalLight;
+  private readonly gizmos: Mesh[] = [];
+  private readonly dots: Mesh[] = [];
+  private line: Line | null = null;
+  private followed: [number, number] = [0, 0];
+  private held: { gizmo: Mesh; plane: Plane } | null = null;
+  private stroke: [number, number][] = [];
+  private readonly ray = new Raycaster();
+  private size = 1;
+
+  constructor(holder: HTMLElement) {
+    this.renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = PCFShadowMap;
+    this.canvas = this.renderer.domElement;
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", "the character in motion");
+    holder.prepend(this.canvas);
+    this.controls = new OrbitControls(this.camera, this.canvas);
+    this.controls.addEventListener("change", () => this.touch());
+    this.controls.maxPolarAngle = Math.PI * 0.52;
+    this.scene.add(new HemisphereLight(0xffffff, 0x8a8078, 1.5), new AmbientLight(0xffffff, 0.35));
+    this.sun = new DirectionalLight(0xffffff, 2.1);
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(1024, 1024);
+    this.sun.shadow.bias = -0.0005;
+    this.sun.shadow.normalBias = 0.02;
+    this.scene.add(this.sun, this.sun.target);
+    this.floor = new Mesh(new CircleGeometry(60, 48), new ShadowMaterial({ opacity: 0.25 }));
+    this.floor.rotation.x = -Math.PI / 2;
+    this.floor.receiveShadow = true;
+    this.grid = new GridHelper(60, 120);
+    this.scene.add(this.floor, this.grid);
+    this.theme(false);
+    new ResizeObserver(() => this.fit(holder)).observe(holder);
+    this.fit(holder);
+    this.canvas.addEventListener("pointerdown", (event) => this.down(event));
+    this.canvas.addEventListener("pointermove", (event) => this.move(event));
+    this.canvas.addEventListener("pointerup", (event) => this.up(event));
+  }
+
+  touch(): void {
+    this.dirty = true;
+  }
+
+  theme(dark: boolean): void {
+    this.scene.background = new Color(dark ? 0x1d1f23 : 0xe9e7e3);
+    this.scene.remove(this.grid);
+    this.grid.dispose();
+    this.grid = new GridHelper(60, 120, dark ? 0x4a4f58 : 0xa9a49b, dark ? 0x33373e : 0xc6c1b8);
+    this.grid.scale.copy(this.floor.scale);
+    this.scene.fog = new Fog(this.scene.background as Color, this.size * 5, this.size * 14);
+    this.scene.add(this.grid);
+    this.touch();
+  }
+
+  private fit(holder: HTMLElement): void {
+    const width = Math.max(holder.clientWidth, 50);
+    const height = Math.max(holder.clientHeight, 50);
+    this.renderer.setSize(width, height);
+    this.touch();
+  }
+
+  /** Look at a character of this extent from the front and aside. */
+  frame(bounds: [[number, number, number], [number, number, number]] | undefined): void {
+    const [low, high] = bounds ?? [
+      [-0.5, 0, -0.5],
+      [0.5, 1.8, 0.5],
+    ];
+    this.size = Math.max(high[0] - low[0], high[1] - low[1], high[2] - low[2], 1e-3);
+    const middle = new Vector3((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2);
+    const away = this.size * 3.1;
+    const yaw = 0.56;
+    const rise = 0.2;
+    this.camera.near = this.size / 100;
+    this.camera.far = this.size * 300;
+    const [x, z] = this.root();
+    this.followed = [x, z];
+    this.controls.target.set(middle.x + x, middle.y, middle.z + z);
+    this.camera.position
+      .set(Math.sin(yaw) * Math.cos(rise), Math.sin(rise), Math.cos(yaw) * Math.cos(rise))
+      .multiplyScalar(away)
+      .add(this.controls.target);
+    const unit = 10 ** Math.round(Math.log10(this.size / 2));
+    const spot = new Vector3(unit, unit, unit);
+    this.grid.scale.copy(spot);
+    this.floor.scale.copy(spot);
+    this.scene.fog = new Fog(this.scene.background as Color, this.size * 5, this.size * 14);
+    const reach = this.size * 1.6;
+    Object.assign(this.sun.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.01, far: reach * 6 });
+    this.sun.shadow.camera.updateProjectionMatrix();
+    this.controls.update();
+    this.touch();
+  }
+
+  private root(pane = this.panes[0]): [number, number] {
+    return pane?.clip ? rootAt(pane.clip, this.time) : [0, 0];
+  }
+
+  show(panes: Pane[]): void {
+    const models = new Set(panes.map((pane) => pane.model));
+    for (const { model } of this.panes) {
+      if (!models.has(model)) {
+        model.group.removeFromParent();
+      }
+    }
+    this.panes = panes;
+    for (const model of models) {
+      this.scene.add(model.group);
+    }
+    this.touch();
+  }
+
+  /** Draw what has changed; true where something was drawn. */
+  draw(force = false): boolean {
+    if (!this.dirty && !force) {
+      return false;
+    }
+    this.dirty = false;
+    const { width, height } = this.canvas;
+    const ratio = this.renderer.getPixelRatio();
+    this.render(width / ratio, height / ratio);
+    return true;
+  }
+
+  private render(width: number, height: number): void {
+    const count = this.panes.length;
+    const columns = count > 3 ? 2 : Math.max(count, 1);
+    const rows = Math.max(Math.ceil(count / columns), 1);
+    this.renderer.setScissorTest(count > 1);
+    if (count === 0) {
+      this.renderer.setViewport(0, 0, width, height);
+      this.renderer.render(this.scene, this.camera);
+      return;
+    }
+    const [x, z] = this.root();
+    if (this.follow) {
+      const step = new Vector3(x - this.followed[0], 0, z - this.followed[1]);
+      this.camera.position.add(step);
+      this.controls.target.add(step);
+    }
+    this.followed = [x, z];
+    const all = new Set(this.panes.map((pane) => pane.model));
+    this.panes.forEach((pane, number) => {
+      for (const model of all) {
+        model.group.visible = model === pane.model;
+      }
+      const column = number % columns;
+      const row = Math.floor(number / columns);
+      const wide = width / columns;
+      const high = height / rows;
+      this.camera.aspect = wide / high;
+      this.camera.updateProjectionMatrix();
+      pose(pane.model, pane.clip, this.time);
+      const own = this.follow ? this.root(pane) : [x, z];
+      const aside = new Vector3((own[0] ?? 0) - x, 0, (own[1] ?? 0) - z);
+      this.camera.position.add(aside);
+      this.camera.updateMatrixWorld();
+      this.light(x + aside.x, z + aside.z);
+      this.mark(pane, count === 1);
+      const left = column * wide;
+      const bottom = height - (row + 1) * high;
+      this.renderer.setViewport(left, bottom, wide, high);
+      this.renderer.setScissor(left, bottom, wide, high);
+      this.renderer.render(this.scene, this.camera);
+      this.camera.position.sub(aside);
+    });
+    this.camera.updateMatrixWorld();
+  }
+
+  private light(x: number, z: number): void {
+    this.sun.target.position.set(x, 0, z);
+    this.sun.position.set(x + this.size * 1.1, this.size * 2.6, z + this.size * 1.5);
+    this.floor.position.set(x, 0, z);
+    const step = this.grid.scale.x;
+    this.grid.position.set(Math.round(x / step) * step, 0.0005 * this.size, Math.round(z / step) * step);
+  }
+
+  private ball(list: Mesh[], number: number): Mesh {
+    let ball = list[number];
+    if (!ball) {
+      ball = new Mesh(new SphereGeometry(1, 16, 12), new MeshBasicMaterial({ depthTest: false, transparent: true }));
+      ball.renderOrder = 10;
+      list[number] = ball;
+      this.scene.add(ball);
+    }
+    ball.visible = true;
+    return ball;
+  }
+
+  private mark(pane: Pane, single: boolean): void {
+    for (const ball of [...this.gizmos, ...this.dots]) {
+      ball.visible = false;
+    }
+    if (single && this.directing) {
+      this.marks.ends.forEach((end, number) => {
+        const ball = this.ball(this.gizmos, number);
+        const pinned = this.marks.pins.some((pin) => pin.part === end.part && Math.abs(pin.time - this.time) < 0.03);
+        (ball.material as MeshBasicMaterial).color.set(pinned ? ACCENT : 0x2f7fd6);
+        (ball.material as MeshBasicMaterial).opacity = 0.85;
+        ball.scale.setScalar(this.size * 0.022);
+        ball.userData["part"] = end.part;
+        if (this.held?.gizmo !== ball) {
+          ball.position.copy(carried(pane.model, end.handle, end.point));
+        }
+      });
+    }
+    if (single) {
+      this.marks.handles.forEach((handle, number) => {
+        const ball = this.ball(this.dots, number);
+        const material = ball.material as MeshBasicMaterial;
+        material.color.copy(handle.colour);
+        material.opacity = 0.95;
+        ball.scale.setScalar(this.size * 0.012);
+        ball.position.copy(carried(pane.model, handle.joint, handle.place));
+      });
+    }
+    this.line?.removeFromParent();
+    const path = this.stroke.length > 1 ? this.stroke : this.marks.path;
+    if (path.length > 1) {
+      this.line?.geometry.dispose();
+      const points = path.map(([px, pz]) => new Vector3(px, 0.004 * this.size, pz));
+      this.line = new Line(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: ACCENT }));
+      this.scene.add(this.line);
+    }
+  }
+
+  private aim(event: PointerEvent): void {
+    const box = this.canvas.getBoundingClientRect();
+    const at = new Vector2(
+      ((event.clientX - box.left) / box.width) * 2 - 1,
+      -((event.clientY - box.top) / box.height) * 2 + 1,
+    );
+    this.ray.setFromCamera(at, this.camera);
+  }
+
+  private ground(event: PointerEvent): [number, number] | null {
+    this.aim(event);
+    const hit = this.ray.ray.intersectPlane(new Plane(new Vector3(0, 1, 0), 0), new Vector3());
+    return hit && hit.distanceTo(this.camera.position) < this.size * 60 ? [hit.x, hit.z] : null;
+  }
+
+  private down(event: PointerEvent): void {
+    if (event.button !== 0) {
+      return;
+    }
+    if (this.panes.length > 1) {
+      const box = this.canvas.getBoundingClientRect();
+      const columns = this.panes.length > 3 ? 2 : this.panes.length;
+      const rows = Math.ceil(this.panes.length / columns);
+      const column = Math.floor(((event.clientX - box.left) / box.width) * columns);
+      const row = Math.floor(((event.clientY - box.top) / box.height) * rows);
+      this.chosen?.(row * columns + column);
+      return;
+    }
+    if (this.drawing) {
+      const place = this.ground(event);
+      this.stroke = place ? [place] : [];
+      this.controls.enabled = false;
+      this.canvas.setPointerCapture(event.pointerId);
+      return;
+    }
+    if (!this.directing) {
+      return;
+    }
+    this.aim(event);
+    const near = this.gizmos.filter((gizmo) => gizmo.visible);
+    for (const gizmo of near) {
+      gizmo.geometry.computeBoundingSphere();
+    }
+    const hit = this.ray.intersectObjects(near)[0];
+    if (hit) {
+      const gizmo = hit.object as Mesh;
+      const normal = this.camera.getWorldDirection(new Vector3()).negate();
+      this.held = { gizmo, plane: new Plane().setFromNormalAndCoplanarPoint(normal, gizmo.position) };
+      this.controls.enabled = false;
+      this.canvas.setPointerCapture(event.pointerId);
+    }
+  }
+
+  private move(event: PointerEvent): void {
+    if (this.stroke.length) {
+      const place = this.ground(event);
+      const before = this.stroke.at(-1);
+      if (place && before && Math.hypot(place[0] - before[0], place[1] - before[1]) > this.size * 0.06) {
+        this.stroke.push(place);
+        this.touch();
+      }
+    } else if (this.held) {
+      this.aim(event);
+      const place = this.ray.ray.intersectPlane(this.held.plane, new Vector3());
+      if (place) {
+        this.held.gizmo.position.copy(place);
+        this.touch();
+      }
+    }
+  }
+
+  private up(event: PointerEvent): void {
+    if (this.stroke.length) {
+      const path = this.stroke;
+      this.stroke = [];
+      if (path.length > 2) {
+        this.drew?.(path.slice(0, 200).map(([x, z]) => [round(x), round(z)]));
+      }
+    } else if (this.held) {
+      const { gizmo } = this.held;
+      this.held = null;
+      this.dragged?.(String(gizmo.userData["part"]), [
+        round(gizmo.position.x),
+        round(gizmo.position.y),
+        round(gizmo.position.z),
+      ]);
+    } else {
+      return;
+    }
+    this.canvas.releasePointerCapture(event.pointerId);
+    this.controls.enabled = true;
+    this.touch();
+  }
+
+  /** A picture of a time at a size, without gizmos; the canvas shows it until the next frame. */
+  picture(time: number, width: number, height: number): HTMLCanvasElement {
+    const before = this.time;
+    const { directing, marks } = this;
+    this.directing = false;
+    this.marks = { ...marks, handles: [], path: [] };
+    this.time = time;
+    this.renderer.setPixelRatio(1);
+    this.renderer.setSize(width, height, false);
+    this.render(width, height);
+    Object.assign(this, { directing, marks });
+    this.time = before;
+    return this.canvas;
+  }
+
+  /** Give the canvas its size in the page back. */
+  restore(holder: HTMLElement): void {
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
+    this.fit(holder);
+  }
+
+  /** For checks: where the given camera sees something of the character at a time, one byte a pixel. */
+  silhouette(time: number, width: number, height: number, eye: number[], target: number[]): number[] {
+    const { background } = this.scene;
+    const { position, quaternion } = this.camera.clone();
+    const pane = this.panes[0];
+    const shown = this.scene.children.filter((child) => child !== pane?.model.group && child.visible);
+    for (const child of shown) {
+      child.visible = false;
+    }
+    const { fog } = this.scene;
+    this.scene.fog = null;
+    this.scene.background = new Color(0x00ff00);
+    const white = new MeshBasicMaterial({ color: 0xff00ff, side: 2 });
+    this.scene.overrideMaterial = white;
+    this.renderer.setPixelRatio(1);
+    this.renderer.setSize(width, height, false);
+    this.renderer.setScissorTest(false);
+    this.renderer.setViewport(0, 0, width, height);
+    this.camera.position.fromArray(eye);
+    this.camera.lookAt(new Vector3().fromArray(target));
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    if (pane) {
+      pose(pane.model, pane.clip, time);
+    }
+    this.renderer.render(this.scene, this.camera);
+    const flat = document.createElement("canvas");
+    flat.width = width;
+    flat.height = height;
+    const paper = flat.getContext("2d");
+    paper?.drawImage(this.canvas, 0, 0);
+    const pixels = paper?.getImageData(0, 0, width, height).data ?? new Uint8ClampedArray();
+    const out: number[] = [];
+    for (let place = 0; place < width * height; place += 1) {
+      out.push((pixels[place * 4] ?? 0) > 127 ? 1 : 0);
+    }
+    this.scene.overrideMaterial = null;
+    Object.assign(this.scene, { background, fog });
+    for (const child of shown) {
+      child.visible = true;
+    }
+    this.camera.position.copy(position);
+    this.camera.quaternion.copy(quaternion);
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
+    this.touch();
+    return out;
+  }
+}
+
+function round(value: number): number {
+  return Math.round(value * 1e4) / 1e4;
+}

@@ -1,0 +1,40 @@
+// The page of the studio. Names without hashes, so that a build gives the same files, and the licences of what is in it.
+import { readFileSync, readdirSync } from "node:fs";
+import { defineConfig } from "vite";
+
+const INSIDE = ["three", "preact", "@preact/signals", "@preact/signals-core", "mp4-muxer", "gifenc", "fflate"];
+
+function licences() {
+  return {
+    name: "licences",
+    generateBundle() {
+      const parts = INSIDE.map((name) => {
+        const folder = new URL(`node_modules/${name}/`, import.meta.url);
+        const { version, license } = JSON.parse(readFileSync(new URL("package.json", folder), "utf8"));
+        const file = readdirSync(folder).find((one) => /^licen[cs]e/i.test(one));
+        const text = file ? readFileSync(new URL(file, folder), "utf8").trim() : `License: ${license}`;
+        return `${name} ${version}\n\n${text}\n`;
+      });
+      this.emitFile({ type: "asset", fileName: "LICENSES.txt", source: parts.join(`\n${"-".repeat(80)}\n\n`) });
+    },
+  };
+}
+
+export default defineConfig({
+  base: "./",
+  plugins: [licences()],
+  build: {
+    outDir: "../src/bunraku/studio/static",
+    emptyOutDir: true,
+    target: "es2022",
+    modulePreload: false,
+    chunkSizeWarningLimit: 900,
+    rolldownOptions: {
+      output: {
+        entryFileNames: "studio.js",
+        chunkFileNames: "[name].js",
+        assetFileNames: "[name][extname]",
+      },
+    },
+  },
+});
