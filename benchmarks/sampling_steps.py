@@ -54,7 +54,7 @@ def main() -> None:
 
     from bunraku.diffusion.features import FeatureStatistics, decode
     from bunraku.diffusion.generate import load_generator
-    from bunraku.diffusion.sampler import sample
+    from bunraku.diffusion.sampling.sampler import sample
     from bunraku.evaluation.motion.seams import posed_positions
     from bunraku.nn.threads import fitting_threads
 

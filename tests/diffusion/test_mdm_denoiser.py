@@ -7,7 +7,7 @@ from bunraku.diffusion.checkpoint import build_denoiser, load_denoiser, save_den
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import PRESETS
 from bunraku.diffusion.mdm_denoiser import EncoderDenoiser
-from bunraku.diffusion.sampler import sample
+from bunraku.diffusion.sampling.sampler import sample
 
 
 @pytest.fixture

@@ -1,9 +1,9 @@
 import pytest
 import torch
 
-from bunraku.diffusion.sampler import GUIDED_FROM, Known, guided, sample, starting_noise, token_share
-from bunraku.diffusion.schedule import alphas_cumprod, sampling_steps
-from bunraku.diffusion.solvers import ancestral, dpm_solver
+from bunraku.diffusion.sampling.sampler import GUIDED_FROM, Known, guided, sample, starting_noise, token_share
+from bunraku.diffusion.sampling.schedule import alphas_cumprod, sampling_steps
+from bunraku.diffusion.sampling.solvers import ancestral, dpm_solver
 
 FEATURES = 6
 

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from bunraku.diffusion.schedule import TRAINING_STEPS, add_noise, alphas_cumprod, sampling_steps
+from bunraku.diffusion.sampling.schedule import TRAINING_STEPS, add_noise, alphas_cumprod, sampling_steps
 
 
 def test_the_curve_is_the_cosine_of_nichol_and_dhariwal():

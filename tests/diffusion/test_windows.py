@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from bunraku.diffusion.schedule import alphas_cumprod
-from bunraku.diffusion.windows import plan_windows, sample_plans
+from bunraku.diffusion.sampling.schedule import alphas_cumprod
+from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
 
 FEATURES = 6
 

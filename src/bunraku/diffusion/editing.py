@@ -19,8 +19,9 @@ from bunraku.body.layout import HANDLE_COUNT
 from bunraku.body.parts import kept_handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import FADE, _fade, placed_at, put_back, put_back_runs
+from bunraku.diffusion.drawing import Sampling, frames_of
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_mask
-from bunraku.diffusion.generate import Sampling, adapt, frames_of, load_generator
+from bunraku.diffusion.generate import adapt, load_generator
 from bunraku.diffusion.root_path import arrive
 from bunraku.errors import MotionError, OptionError
 from bunraku.language.prompts import check_prompt
@@ -186,7 +187,7 @@ def _generate(
     """
     import torch
 
-    from bunraku.diffusion.windows import plan_windows, sample_plans
+    from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
     from bunraku.nn.threads import fitting_threads
 
     if how.progress:

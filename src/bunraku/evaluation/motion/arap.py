@@ -142,7 +142,7 @@ def measure_adaptation(
     import torch
 
     from bunraku.diffusion.generate import GUIDANCE, STEPS, adapt, load_generator
-    from bunraku.diffusion.sampler import sample
+    from bunraku.diffusion.sampling.sampler import sample
     from bunraku.nn.threads import fitting_threads
 
     model, encoder = load_generator(checkpoint)

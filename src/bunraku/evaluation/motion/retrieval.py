@@ -18,7 +18,7 @@ import torch
 
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.diffusion.schedule import add_noise, alphas_cumprod
+from bunraku.diffusion.sampling.schedule import add_noise, alphas_cumprod
 from bunraku.errors import OptionError
 from bunraku.language.captions import caption_group, caption_variants
 from bunraku.language.encoders import TextEncoder

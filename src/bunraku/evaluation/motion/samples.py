@@ -103,7 +103,7 @@ def make_motions(
     """
     import torch
 
-    from bunraku.diffusion.sampler import sample
+    from bunraku.diffusion.sampling.sampler import sample
     from bunraku.nn.threads import fitting_threads
 
     longest = max((request.frames for request in requests), default=0)

@@ -16,7 +16,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.language.cues import CUES, sentence_cues
 from bunraku.language.description.track import SIDES, Track
 
-__all__ = ["agreement"]
+__all__ = ["agreement", "goes_straight"]
 
 _HITS = r"\b(punch\w*|jabs?|jabbing|hits?|hitting|throw\w*|toss\w*|push\w*|slap\w*|uppercuts?|hooks?)\b"
 _ON_LEG = r"\b(stand\w*|hop\w*|balanc\w*|jump\w*) (\w+ )?on\b"
@@ -70,6 +70,13 @@ def agreement(sentence: str, motion: HandleMotion) -> float | None:
     return float(np.clip(min(found), -1, 1)) if found else None
 
 
+def goes_straight(sentence: str) -> bool:
+    """Whether somebody is said to go forward, and nothing of a turn, a curve or a side."""
+    said = {cue for cue, value in zip(CUES, sentence_cues(sentence), strict=True) if value}
+    sided = any(cue.startswith(("left", "right")) for cue in said)
+    return "forward" in said and not sided and not _pattern(_WINDING).search(sentence.lower())
+
+
 def _side(said: set[str], place: str) -> int:
     """1 where the left of this place is spoken of, -1 where the right is, 0 for neither or both."""
     return int(f"left {place}" in said) - int(f"right {place}" in said)
@@ -111,7 +118,7 @@ def _turn(text: str, said: set[str], track: Track) -> float | None:
     if "left turn" in said and "right turn" in said:
         return None
     if not side and not ("turn" in text and {"half", "full", "quarter"} & said):
-        straight = "forward" in said and not _pattern(_WINDING).search(text)
+        straight = goes_straight(text)
         return 1 - max(abs(angle) - _SLACK, 0) / _SLACK if straight else None
     least, most = np.radians([50.0, 130.0])
     if _pattern(_CIRCLE).search(text):

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.schedule import add_noise, alphas_cumprod, sampling_steps
+from bunraku.diffusion.sampling.schedule import add_noise, alphas_cumprod, sampling_steps
 from bunraku.language.encoders import TextEncoder
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.retarget.character_bank import CharacterBank

@@ -14,7 +14,7 @@ from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.diffusion.schedule import TRAINING_STEPS, add_noise, alphas_cumprod
+from bunraku.diffusion.sampling.schedule import TRAINING_STEPS, add_noise, alphas_cumprod
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextBatch
 from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state

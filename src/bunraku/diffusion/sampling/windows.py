@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.sampler import Sample, Window, row_noise, sample_windows
+from bunraku.diffusion.sampling.sampler import Sample, Window, row_noise, sample_windows
 from bunraku.language.encoders import TextBatch
 
 __all__ = ["Plan", "drawn_noise", "plan_windows", "sample_plans"]

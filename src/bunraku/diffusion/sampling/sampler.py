@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.schedule import sampling_steps
-from bunraku.diffusion.solvers import ancestral, dpm_solver
+from bunraku.diffusion.sampling.schedule import sampling_steps
+from bunraku.diffusion.sampling.solvers import ancestral, dpm_solver
 from bunraku.language.encoders import TextBatch
 
 __all__ = [

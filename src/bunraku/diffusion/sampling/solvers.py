@@ -13,7 +13,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from bunraku.diffusion.schedule import alphas_cumprod
+from bunraku.diffusion.sampling.schedule import alphas_cumprod
 
 __all__ = ["ancestral", "dpm_solver"]
 

@@ -1,0 +1,205 @@
+"""Candidates drawn in one batch: scripts to windows, noise to features, paths and body parts kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bunraku.core.ground_path import GroundPath
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, root_velocities
+from bunraku.diffusion.finishing import steadied, straightened
+from bunraku.errors import OptionError
+from bunraku.language.encoders import TextEncoder
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from bunraku.diffusion.denoiser import Denoiser
+    from bunraku.diffusion.ranking import Drawn
+
+__all__ = ["GUIDANCE", "STEPS", "Sampling", "draw_candidates", "frames_of", "way_of"]
+
+STEPS = 20
+GUIDANCE = 3.0
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a motion is drawn.
+
+    Args:
+        steps: Sampling steps, 1 to 1,000; None takes 20.
+        guidance: Classifier-free guidance scale, 0 to 20; None takes 3.
+        mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
+            generate for no mesh in particular.
+        progress: Called with a stage's name and the share done.
+        checkpoint: Weights in place of the shipped ones.
+        candidates: How many motions are drawn for each that is given back: the one that the ranker likes best
+            (`diffusion.ranking`), 1 to 16. The first has the noise that it has alone. Where none has the side, the turn
+            or the direction that the sentence says, as many are drawn again, twice at the most.
+
+    Raises:
+        OptionError: A setting is outside what can be done.
+    """
+
+    steps: int | None = None
+    guidance: float | None = None
+    mesh_feature: object | None = None
+    progress: Callable[[str, float], None] | None = None
+    checkpoint: str | Path | None = None
+    candidates: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.candidates <= 16:
+            raise OptionError(f"a motion is the best of 1 to 16 candidates, not of {self.candidates}")
+        if self.steps is not None and not 1 <= self.steps <= 1000:
+            raise OptionError(f"sampling takes 1 to 1,000 steps, not {self.steps}")
+        if self.guidance is not None and not (math.isfinite(self.guidance) and 0 <= self.guidance <= 20):
+            raise OptionError(f"the guidance scale must be from 0 to 20, not {self.guidance:g}")
+
+    def native(self, model: Denoiser) -> bool:
+        """Whether what is drawn is a body's own motion: see `HandleMotion`."""
+        return self.mesh_feature is not None and bool(model.notes.get("creatures"))
+
+    def options(self, model: Denoiser, rows: int) -> dict[str, Any]:
+        """Options of `sample_windows` for this many sentences."""
+        import torch
+
+        mesh, progress = None, self.progress
+        if self.mesh_feature is not None and model.knows_meshes:
+            mesh = torch.as_tensor(np.asarray(self.mesh_feature, np.float32))
+            if mesh.shape != (model.config.mesh_features,) or not bool(torch.isfinite(mesh).all()):
+                raise OptionError(f"the mesh feature must be {model.config.mesh_features} finite numbers")
+            mesh = mesh.expand(rows, -1)
+        return {
+            "steps": STEPS if self.steps is None else self.steps,
+            "guidance": GUIDANCE if self.guidance is None else self.guidance,
+            "mesh_features": mesh,
+            "progress": (lambda done, total: progress("generate", done / total)) if progress else None,
+        }
+
+
+def draw_candidates(
+    model: Denoiser,
+    encoder: TextEncoder,
+    scripts: Sequence[Sequence[tuple[str, float]]],
+    noise: list[tuple[int, int]],
+    how: Sampling,
+    loop: bool,
+    path: GroundPath | None,
+) -> list[Drawn]:
+    """One candidate for each script from its own noise, all in one batch.
+
+    Args:
+        model: The denoiser.
+        encoder: Its text encoder.
+        scripts: Sentences with the seconds that each lasts.
+        noise: Seed and row of each (see `drawn_noise`).
+        how: How they are drawn.
+        loop: Make loops.
+        path: What the root follows, in metres of the reference body; None for its own way.
+    """
+    import torch
+
+    from bunraku.diffusion.composition import PartTrack
+    from bunraku.diffusion.ranking import Drawn, script_agreement
+    from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
+    from bunraku.language.concurrent import body_part_prompts
+    from bunraku.nn.threads import fitting_threads
+
+    lengths = [frames_of([seconds for _, seconds in script], model.config.fps) for script in scripts]
+    plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
+    prompts = [[body_part_prompts(prompt) for prompt, _ in script] for script in scripts]
+    tracks = [track for index, some in enumerate(prompts) if (track := PartTrack.of(index, some))]
+    sentences = [parts[0].sentence for some in prompts for parts in some]
+    text = encoder.encode(sentences + [sentence for track in tracks for sentence in track.sentences])
+    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
+    plans += [plans[track.motion] for track in tracks]
+    noise = noise + [noise[track.motion] for track in tracks]
+    sizes = [plan.frames for plan in plans]
+
+    ways, held = [], None
+    if path is not None:
+        ways = [way_of(path, sum(own), model.config.fps, script) for own, script in zip(lengths, scripts, strict=True)]
+        everyone = ways + [ways[track.motion] for track in tracks]
+        held = _held_roots(everyone, sizes, statistics, model.config.fps)
+
+    def refine(values: Tensor) -> Tensor:
+        parts = list(values.split(sizes))
+        for place, track in enumerate(tracks, len(scripts)):
+            parts[place] = track.follow(parts[track.motion], parts[place])
+        return torch.cat([closed(part, model) for part in parts] if loop else parts)
+
+    with fitting_threads(model):
+        found = sample_plans(
+            model,
+            text,
+            plans,
+            seeds=noise,
+            refine=refine if loop or tracks else None,
+            known=held,
+            **how.options(model, len(text.mask)),
+        )
+    for track, own in zip(tracks, found[len(scripts) :], strict=True):
+        found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
+    drawn = []
+    for part, script, own_lengths in zip(found, scripts, lengths, strict=False):
+        frames = np.arange(sum(own_lengths) + loop) % len(part.values)
+        timed = [(prompt, length) for (prompt, _), length in zip(script, own_lengths, strict=True)]
+        features = steadied(statistics.restore(part.values.cpu().numpy()), loop)
+        if not loop and path is None:
+            features = straightened(features, timed, model.config.fps)
+        features = features[frames]
+        said = script_agreement(features, timed) if how.candidates > 1 and path is None else None
+        drawn.append(Drawn(features, part.adaptation.cpu().numpy()[frames], timed, said))
+    return drawn
+
+
+def way_of(path: GroundPath, frames: int, fps: float, script: Sequence[tuple[str, float]]) -> np.ndarray:
+    """Place (x, z) [m] and heading [rad] of a root that follows a path in each frame, shape (N, 3)."""
+    back = "backward" in script[0][0].lower()
+    return np.column_stack([path.places(frames, fps), path.headings(frames, fps, back)])
+
+
+def _held_roots(
+    ways: Sequence[np.ndarray], sizes: Sequence[int], statistics: FeatureStatistics, fps: float
+) -> tuple[Tensor, Tensor]:
+    """Root velocities that are known beforehand, in network units, and which features these are: both (F, D)."""
+    import torch
+
+    values, share = (np.zeros((sum(sizes), FEATURE_SIZE), np.float32) for _ in range(2))
+    start = 0
+    for way, size in zip(ways, sizes, strict=True):
+        values[start : start + len(way), :3] = root_velocities(way, fps)
+        share[start : start + len(way), :3] = 1
+        start += size
+    return torch.from_numpy(np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)), torch.from_numpy(
+        share
+    )
+
+
+def frames_of(seconds: Sequence[float], fps: float) -> list[int]:
+    """Frames of each part, at least one, so that the parts end where the sum of their seconds says, whatever the
+    rounding.
+    """
+    ends = [round(float(end) * fps) for end in np.cumsum(seconds)]
+    out = [max(1, after - before) for before, after in zip([0, *ends], ends, strict=False)]
+    return out
+
+
+def closed(values: Tensor, model: Denoiser) -> Tensor:
+    """Values of a loop, shape (N, D) in network units, whose root ends facing as it starts, and where it starts if it
+    hardly travels.
+    """
+    import torch
+
+    from bunraku.diffusion.root_path import arrive
+
+    mean, std = model.mean[:3], model.std[:3]
+    root = arrive(values[:, :3] * std + mean, model.config.fps, None, None)
+    return torch.cat([(root - mean) / std, values[:, 3:]], -1)

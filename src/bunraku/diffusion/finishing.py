@@ -1,0 +1,53 @@
+"""What is mended in a drawn motion before anything else sees it: trembling, and a heading that wanders off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import convolve1d, gaussian_filter1d
+
+from bunraku.language.description.agreement import goes_straight
+
+__all__ = ["steadied", "straightened"]
+
+_SAVITZKY_GOLAY = np.array([-3, 12, 17, 12, -3]) / 35
+"""Least-squares parabolas through five frames (Savitzky & Golay 1964): nothing changes below 3 Hz, half goes at 6."""
+STRENGTH = 0.6
+SWAY = 1.0
+"""Deviation of the mean that counts as the course [s]; a stride sways within."""
+
+
+def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
+    """A motion with less of what is faster than people move; its way over the ground stays.
+
+    Args:
+        features: Features of each frame (see `diffusion.features`), shape (N, D).
+        loop: The last frame is followed by the first.
+
+    Returns:
+        Shape (N, D), float32.
+    """
+    pose = features[:, 3:]
+    smooth = convolve1d(pose, _SAVITZKY_GOLAY, axis=0, mode="wrap" if loop else "nearest")
+    return np.concatenate([features[:, :3], pose + STRENGTH * (smooth - pose)], axis=1).astype(np.float32)
+
+
+def straightened(features: np.ndarray, script: Sequence[tuple[str, int]], fps: float) -> np.ndarray:
+    """A motion that keeps its course wherever a sentence says "forward" and nothing of a turn.
+
+    Args:
+        features: Features of each frame, the root's yaw velocity [rad/s] first, shape (N, D).
+        script: Its sentences with the frames that each lasts.
+        fps: Frames a second [1/s].
+
+    Returns:
+        Shape (N, D), float32.
+    """
+    out, start = features.copy(), 0
+    for sentence, frames in script:
+        part = slice(start, start + frames)
+        start += frames
+        if goes_straight(sentence) and len(out[part]):
+            out[part, 0] -= gaussian_filter1d(out[part, 0], SWAY * fps, mode="nearest")
+    return out

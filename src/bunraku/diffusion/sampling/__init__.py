@@ -1,0 +1,1 @@
+"""From noise to motion: steps, solvers, guidance, and windows over long motions."""
