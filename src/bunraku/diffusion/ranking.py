@@ -23,7 +23,7 @@ __all__ = ["Drawn", "choose", "load_ranker", "script_agreement", "script_scores"
 
 WEIGHT = 0.5
 """Of what is plainly said beside a cosine; candidates' cosines differ by a tenth."""
-ENOUGH = 0.25
+ENOUGH = 0.5
 """Agreement below which a motion is drawn again."""
 ATTEMPTS = 3
 """How often candidates are drawn at the most."""

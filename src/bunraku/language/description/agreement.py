@@ -128,7 +128,7 @@ def _turn(text: str, said: set[str], track: Track) -> float | None:
     elif "half" in said:
         least, most = np.radians([145.0, 215.0])
     turned = side * angle if side else abs(angle)
-    return 1 - max(least - turned, turned - most, 0) / np.radians(60)
+    return 1 - max(least - turned, turned - most, 0) / np.radians(45)
 
 
 def _way(text: str, said: set[str], track: Track) -> float | None:
