@@ -27,6 +27,11 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("inspect",): ("verbs.inspect", "Inspect", "tell what a file holds"),
     ("render",): ("verbs.render", "Render", "make a video or a picture of an animated file, a character or a motion"),
     ("studio",): ("verbs.studio", "Studio", "open a page: drop a character, type a sentence, watch it move"),
+    ("blender-addon",): (
+        "verbs.blender_addon",
+        "BlenderAddon",
+        "write the add-on for Blender, which asks the studio",
+    ),
     ("samples",): ("verbs.samples", "Samples", "write the sample characters"),
     ("doctor",): ("verbs.doctor", "Doctor", "tell what this installation has, what is missing, and what that costs"),
     ("data", "motions"): ("data.samples", "Motions", "turn a motion archive into handle motions to train on"),
@@ -65,6 +70,8 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "EvaluatePhysics",
         "measure the simulated apparel of MMD and VRM characters",
     ),
+    ("evaluate", "study"): ("evaluate.study", "EvaluateStudy", "tell what people said in a blind study"),
+    ("study", "make"): ("study", "StudyMake", "make a blind study of what methods made of the same sentences"),
     ("evaluate", "retrieval"): (
         "evaluate.retrieval",
         "Retrieval",

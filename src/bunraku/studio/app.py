@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
+import os
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from starlette.staticfiles import StaticFiles
 from bunraku.errors import BunrakuError
 from bunraku.studio.answers import sentence_of
 from bunraku.studio.desk import Desk
+from bunraku.studio.jobs import QueueFull
 from bunraku.studio.routes import characters, files, general, studies, takes
 from bunraku.studio.safety import Guard, Keys
 from bunraku.studio.store import NotThere, Store
@@ -29,6 +31,7 @@ __all__ = ["STATIC", "studio_app"]
 
 STATIC = Path(__file__).parent / "static"
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_FULL_WORDS = tuple(os.strerror(number).lower() for number in _FULL)
 
 
 def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None, warm: bool = True) -> Starlette:
@@ -100,7 +103,8 @@ def _answer(error: Exception) -> Response:
     elif isinstance(error, TooLarge):
         status = 413
     elif isinstance(error, BunrakuError):
-        status = 507 if "no space left" in str(error) else 429 if "are waiting already" in str(error) else 400
+        full = any(word in str(error) for word in _FULL_WORDS)
+        status = 507 if full else 429 if isinstance(error, QueueFull) else 400
     elif isinstance(error, OSError) and error.errno in _FULL:
         status = 507
     else:

@@ -11,6 +11,7 @@ from bunraku.errors import OptionError
 from bunraku.studio.jobs import OPEN_STATES, Jobs
 from bunraku.studio.projects import unpack_project
 from bunraku.studio.store import NotThere, Store
+from bunraku.studio.study.show import Session
 
 __all__ = ["SAMPLE", "Desk"]
 
@@ -29,7 +30,7 @@ class Desk:
 
     def __init__(self, store: Store, study: Path | None = None):
         self.store = store
-        self.study = study
+        self.session = None if study is None else Session(study)
         self.jobs = Jobs(store, self._finish)
         for take in store.all("takes"):
             if take["state"] in ("waiting", "draft"):

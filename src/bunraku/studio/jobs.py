@@ -21,7 +21,7 @@ from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.studio.store import NotThere, Store
 from bunraku.studio.worker import work
 
-__all__ = ["Jobs"]
+__all__ = ["Jobs", "QueueFull", "public"]
 
 _log = logging.getLogger(__name__)
 MOST_WAITING = 64
@@ -37,6 +37,12 @@ KILLED = (
 OPEN_STATES = ("waiting", "running")
 
 Job = dict[str, Any]
+
+
+class QueueFull(BunrakuError):
+    """Too many jobs wait."""
+
+
 Finish = Callable[[Job, str, dict[str, Any]], None]
 """Called with a job, "partly", "done", "failed" or "cancelled", and what the worker said."""
 
@@ -116,12 +122,12 @@ class Jobs:
             about: Which things it is about, for those that listen.
 
         Raises:
-            OptionError: Too many wait.
+            QueueFull: Too many wait.
             FormatError: It cannot be written down.
         """
         with self._wake:
             if len(self._waiting) >= MOST_WAITING:
-                raise OptionError(f"{MOST_WAITING} jobs are waiting already; let some finish or cancel them")
+                raise QueueFull(f"{MOST_WAITING} jobs are waiting already; let some finish or cancel them")
             record = {"kind": kind, "title": title, "params": params, "about": about or {}}
             job = {**self.store.new("jobs", record), "state": "waiting", "stage": "", "done": 0.0, "error": ""}
             self._jobs[job["id"]] = job

@@ -32,7 +32,7 @@ async def about(request: Request) -> Any:
         "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
         "writes": _writes(),
         "samples": list(sample_names()),
-        "study": desk.study is not None,
+        "study": desk.session is not None,
         "folder": desk.store.folder.name,
         "worker": {"warm": desk.jobs.warm, "process": desk.jobs.process_id},
         "event": desk.jobs.last_event,

@@ -46,12 +46,10 @@ def _pins(body: dict[str, Any]) -> list[dict[str, Any]]:
             raise OptionError("the position of a pin is three numbers")
         turn = pin.get("rotation")
         if turn is not None:
-            rows = (
-                [[number({"x": value}, "x", -1, 1) for value in row] for row in turn] if isinstance(turn, list) else []
-            )
+            rows = [row for row in things(pin, "rotation", 3) if isinstance(row, list)]
             if [len(row) for row in rows] != [3, 3, 3]:
                 raise OptionError("the rotation of a pin is a matrix of three rows")
-            turn = rows
+            turn = [[number({"x": value}, "x", -1, 1, 0) for value in row] for row in rows]
         pins.append(
             {
                 "part": text(pin, "part", 40),

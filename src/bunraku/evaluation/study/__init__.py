@@ -1,0 +1,1 @@
+"""What people say: ranks of a blind study (TapMo, Table 3)."""

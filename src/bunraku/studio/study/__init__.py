@@ -1,0 +1,1 @@
+"""The blind study: made, and shown."""

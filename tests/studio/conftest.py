@@ -1,0 +1,155 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("starlette", reason="the studio needs starlette; install it with: pip install 'bunraku[studio]'")
+pytest.importorskip("uvicorn", reason="the studio needs uvicorn; install it with: pip install 'bunraku[studio]'")
+
+ROOT = Path(__file__).resolve().parents[2]
+SECONDS = 240  # that anything may take on a machine that does much else
+
+
+class Studio:
+    """A studio in a process of its own."""
+
+    def __init__(self, folder, *words, environment=None, limit=None):
+        self.folder = folder
+        log = Path(f"{folder}.log")
+        source = str(ROOT / "src")
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "bunraku", "studio", "--no-browser", "--port", "0", "--folder", str(folder), *words],
+            stdout=log.open("w"), stderr=subprocess.STDOUT, preexec_fn=limit,
+            env={**os.environ, "PYTHONPATH": source, "OMP_NUM_THREADS": "1", **(environment or {})},
+        )  # fmt: skip
+        self.log = log
+        self.address = self.until(self._address, "an address")
+        self.base, _, self.token = self.address.partition("/#token=")
+
+    def _address(self):
+        if self.process.poll() is not None:
+            raise AssertionError(self.log.read_text())
+        lines = [line for line in self.log.read_text().splitlines() if line.startswith("studio: ")]
+        return lines[0].split()[1] if lines else None
+
+    def until(self, look, what="it"):
+        end = time.monotonic() + SECONDS
+        while time.monotonic() < end:
+            found = look()
+            if found:
+                return found
+            time.sleep(0.05)
+        raise AssertionError(f"{what} did not come within {SECONDS} s")
+
+    def ask(self, method, path, body=None, data=None, headers=None, token=None):
+        """Status and JSON, or bytes where the answer is none."""
+        asked = urllib.request.Request(f"{self.base}{path}", method=method)
+        asked.add_header("authorization", f"Bearer {self.token if token is None else token}")
+        for name, value in (headers or {}).items():
+            asked.add_header(name, value)
+        if body is not None:
+            data = json.dumps(body).encode()
+        try:
+            with urllib.request.urlopen(asked, data=data, timeout=SECONDS) as answer:
+                status, content = answer.status, answer.read()
+        except urllib.error.HTTPError as error:
+            status, content = error.code, error.read()
+        try:
+            return status, json.loads(content)
+        except ValueError:
+            return status, content
+
+    def get(self, path):
+        status, body = self.ask("GET", path)
+        assert status == 200, body
+        return body
+
+    def post(self, path, body=None, data=None):
+        status, found = self.ask("POST", path, body if data is None else None, data)
+        assert status in (200, 201, 202), found
+        return found
+
+    def ended(self, job):
+        """The job when it has ended, however it did."""
+        return self.until(
+            lambda: (found := self.get(f"/api/jobs/{job}"))["state"] not in ("waiting", "running") and found,
+            f"job {job}",
+        )
+
+    def done(self, job):
+        found = self.ended(job)
+        assert found["state"] == "done", found
+        return found
+
+    def sample(self, name="mushroom"):
+        made = self.post(f"/api/characters?sample={name}", {})
+        self.done(made["job"])
+        return self.get(f"/api/characters/{made['character']['id']}")
+
+    def animate(self, character, text="waves", seconds=2, **how):
+        body = {"script": [{"text": text, "seconds": seconds}], "seeds": [0], "steps": 4, "candidates": 1, **how}
+        return self.post(f"/api/characters/{character}/takes", body)
+
+    def stop(self):
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(20)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait(20)
+
+
+@pytest.fixture(scope="session")
+def studio(tmp_path_factory):
+    """A studio that several tests share, with its sample."""
+    one = Studio(tmp_path_factory.mktemp("studio") / "folder")
+    yield one
+    one.stop()
+
+
+@pytest.fixture
+def own_studio(tmp_path):
+    """Start studios that end with the test."""
+    started = []
+
+    def start(*words, folder=None, **options):
+        started.append(Studio(folder or tmp_path / "folder", *words, **options))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.stop()
+
+
+@pytest.fixture
+def client(tmp_path):
+    """The application without its worker: what is queued stays queued."""
+    pytest.importorskip("httpx2", reason="Starlette's test client needs httpx2")
+    from starlette.testclient import TestClient
+
+    from bunraku.studio.app import studio_app
+    from bunraku.studio.safety import Keys
+
+    app = studio_app(tmp_path / "folder", Keys(token="secret"), warm=False)
+    with TestClient(app, base_url="http://localhost:8734", headers={"authorization": "Bearer secret"}) as found:
+        yield found
+
+
+@pytest.fixture
+def ready(client):
+    """A character that is open, by its record alone."""
+    desk = client.app.state.desk
+    record = desk.store.new(
+        "characters",
+        {"name": "one", "file": "source/one.glb", "state": "ready", "error": "", "version": 1,
+         "settings": {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"}},
+    )  # fmt: skip
+    return record["id"]

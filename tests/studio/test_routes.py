@@ -1,0 +1,228 @@
+import io
+import zipfile
+
+import pytest
+
+from bunraku.studio.uploads import plain_name
+
+
+def take(client, owner, **body):
+    return client.post(f"/api/characters/{owner}/takes", json={"script": [{"text": "walks", "seconds": 2}], **body})
+
+
+def test_about_tells_what_it_reads_and_writes(client):
+    about = client.get("/api/about").json()
+    assert {".glb", ".pmx", ".vrm", ".stl"} <= set(about["reads"]["characters"]) and ".bvh" in about["reads"]["motions"]
+    assert {"glb", "bvh", "vrma", "npz"} <= set(about["writes"]) and "dragon" in about["samples"]
+
+
+def test_a_take_is_queued_and_told(client, ready):
+    answer = take(client, ready, seeds=[3, 4, 5, 6])
+    assert answer.status_code == 202 and len(answer.json()["takes"]) == 4
+    records = client.get(f"/api/characters/{ready}/takes").json()["takes"]
+    assert [one["seed"] for one in records] == [3, 4, 5, 6] and {one["state"] for one in records} == {"waiting"}
+    (job,) = client.get("/api/jobs").json()["jobs"]
+    assert job["state"] == "waiting" and job["about"]["takes"] == answer.json()["takes"] and "params" not in job
+    assert client.delete(f"/api/jobs/{job['id']}").json()["state"] == "cancelled"
+    assert client.get(f"/api/characters/{ready}/takes").json()["takes"] == []
+
+
+@pytest.mark.parametrize(
+    ("body", "part"),
+    [
+        ({"script": []}, "type what the character does"),
+        ({"script": "walks"}, "script must be a list"),
+        ({"script": [{"text": "walks", "seconds": 500}]}, "seconds must be from 0.5 to 120"),
+        ({"script": [{"text": "walks", "seconds": "long"}]}, "seconds must be a number"),
+        ({"script": [{"text": "blorg zint", "seconds": 2}]}, "no movement is understood"),
+        ({"script": [{"text": "x" * 1001, "seconds": 2}]}, "more than 1000 characters"),
+        ({"seeds": [-1]}, "seeds are whole numbers"),
+        ({"seeds": [0.5]}, "seeds are whole numbers"),
+        ({"seeds": list(range(9))}, "more than 8 entries"),
+        ({"steps": 0}, "steps must be from 1"),
+        ({"steps": True}, "steps must be a number"),
+        ({"guidance": 21}, "guidance must be from 0 to 20"),
+        ({"apparel": "silk"}, "apparel is one of rigid, simulate"),
+        ({"after": "../../x"}, "no such take"),
+        ({"path": [[0]]}, "a path is a list of points"),
+        ({"path": [[0, 1e9]]}, "must be from -500 to 500"),
+        ({"pins": [{"part": "left_hand", "time": 1, "position": [0, 1]}]}, "three numbers"),
+        ({"pins": [{"part": "left_hand", "time": 1, "position": [0, 1, 2], "rotation": [1]}]}, "matrix of three"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_a_sentence(client, ready, body, part):
+    answer = take(client, ready, **body)
+    assert answer.status_code in (400, 404), answer.json()
+    assert part in answer.json()["error"]
+    assert (
+        client.get("/api/jobs").json()["jobs"] == []
+        and client.get(f"/api/characters/{ready}/takes").json()["takes"] == []
+    )
+
+
+@pytest.mark.parametrize("data", [b"{", b"[1]", b"\xff", b"[" * 100_000, b'{"a":' * 5000])
+def test_bodies_that_are_no_json_object(client, ready, data):
+    answer = client.post(f"/api/characters/{ready}/takes", content=data)
+    assert answer.status_code == 400 and "JSON" in answer.json()["error"]
+
+
+def test_bodies_have_a_bound(client, ready):
+    answer = client.post(f"/api/characters/{ready}/takes", content=b" " * (5 << 20))
+    assert answer.status_code == 400 and "4 MiB" in answer.json()["error"]
+
+
+def test_fifty_jobs_wait_and_too_many_are_refused(client, ready):
+    for number in range(64):
+        assert take(client, ready, seeds=[number]).status_code == 202
+    refused = take(client, ready, seeds=[99])
+    assert refused.status_code == 429 and "64 jobs are waiting" in refused.json()["error"]
+    assert len(client.get(f"/api/characters/{ready}/takes").json()["takes"]) == 64  # none without a job
+
+
+def test_uploads_have_a_bound_before_and_while_they_come(client, tmp_path):
+    told = client.post("/api/characters?name=a.glb", content=b"x", headers={"content-length": str(300 << 20)})
+    assert told.status_code == 413 and "200" in told.json()["error"]
+
+    def endless():
+        for _ in range(201):
+            yield bytes(1 << 20)
+
+    grown = client.post("/api/characters?name=a.glb", content=endless())
+    assert grown.status_code == 413
+    assert client.get("/api/characters").json()["characters"] == []
+    assert list((tmp_path / "folder" / "characters").iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a.exe", "a", "", "a.txt", "../../a.sh", "glb"])
+def test_formats_that_are_none(client, name):
+    answer = client.post("/api/characters", params={"name": name}, content=b"x")
+    assert answer.status_code == 400 and ".glb" in answer.json()["error"]
+
+
+def test_an_empty_file_leaves_nothing(client):
+    answer = client.post("/api/characters?name=a.glb", content=b"")
+    assert answer.status_code == 400 and "empty" in answer.json()["error"]
+    assert client.get("/api/characters").json()["characters"] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "title", "suffix"),
+    [
+        ("dragon.glb", "dragon", ".glb"),
+        ("../../etc/passwd.GLB", "passwd", ".glb"),
+        ("C:\\Users\\me\\a b.Vrm", "a b", ".vrm"),
+        ("初音ミク.pmx", "初音ミク", ".pmx"),
+        ("..", "character", ""),
+        ("\x00<script>.glb", "script", ".glb"),
+        ("x" * 500 + ".stl", "x" * 80, ".stl"),
+        ("a.b/c", "c", ""),
+    ],
+)
+def test_a_clients_name_is_only_a_title(name, title, suffix):
+    assert plain_name(name) == (title, suffix)
+
+
+def test_the_clients_path_is_used_nowhere(client, tmp_path):
+    answer = client.post("/api/characters", params={"name": "../../../../evil.glb"}, content=b"glTF")
+    assert answer.status_code == 202 and answer.json()["character"]["file"] == "source/evil.glb"
+    assert not list(tmp_path.glob("evil*")) and not list(tmp_path.parent.glob("evil*"))
+
+
+def packed(**files):
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name.replace("__", "/"), content)
+    return data.getvalue()
+
+
+def test_a_zip_is_a_character_with_its_textures(client, tmp_path):
+    data = packed(**{"model__tex__skin.png": b"png", "model__girl.pmx": b"PMX ", "model__readme.txt": b"no"})
+    made = client.post("/api/characters?name=girl.zip", content=data).json()["character"]
+    assert made["file"] == "source/model/girl.pmx"
+    place = tmp_path / "folder" / "characters" / made["id"] / "source"
+    found = sorted(path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file())
+    assert found == ["model/girl.pmx", "model/tex/skin.png"]
+
+
+@pytest.mark.parametrize(
+    ("data", "part"),
+    [
+        (b"PK\x03\x04 no", "broken"),
+        (packed(**{"..__..__evil.glb": b"x"}), "outside of its folder"),
+        (packed(**{"a.txt": b"x"}), "no character in it"),
+    ],
+)
+def test_zips_that_are_refused(client, tmp_path, data, part):
+    answer = client.post("/api/characters?name=a.zip", content=data)
+    assert answer.status_code == 400 and part in answer.json()["error"]
+    assert client.get("/api/characters").json()["characters"] == [] and not list(tmp_path.rglob("evil*"))
+
+
+def test_a_zip_that_unpacks_to_too_much(client, monkeypatch):
+    monkeypatch.setattr("bunraku.studio.uploads.MOST_UNPACKED", 1000)
+    answer = client.post("/api/characters?name=a.zip", content=packed(**{"a.glb": bytes(100_000)}))
+    assert answer.status_code == 400 and "unpacks to too much" in answer.json()["error"]
+
+
+@pytest.mark.parametrize("name", ["../x", "%2e%2e", "0123456789abcdef", "..%2f..%2fetc"])
+def test_ids_that_are_none(client, name):
+    for path in (
+        f"/api/takes/{name}",
+        f"/api/takes/{name}/clip",
+        f"/api/characters/{name}/mesh.glb",
+        f"/api/exports/{name}",
+    ):
+        assert client.get(path).status_code == 404
+
+
+def test_deleting_is_taken_back(client, ready):
+    name = take(client, ready).json()["takes"][0]
+    client.delete(f"/api/takes/{name}")
+    assert client.get(f"/api/characters/{ready}/takes").json()["takes"] == []
+    client.patch(f"/api/takes/{name}", json={"deleted": False, "star": True, "title": "best"})
+    (back,) = client.get(f"/api/characters/{ready}/takes").json()["takes"]
+    assert back["star"] and back["title"] == "best"
+
+
+def test_axes_that_cannot_be(client, ready):
+    answer = client.patch(f"/api/characters/{ready}", json={"up": "+z", "front": "-z"})
+    assert answer.status_code == 400 and "same axis" in answer.json()["error"]
+    assert client.patch(f"/api/characters/{ready}", json={"unit": "feet"}).status_code == 400
+
+
+def test_a_character_in_work_is_not_turned(client, ready):
+    take(client, ready)
+    answer = client.patch(f"/api/characters/{ready}", json={"up": "+z", "front": "-y"})
+    assert answer.status_code == 400 and "wait for it" in answer.json()["error"]
+    assert client.patch(f"/api/characters/{ready}", json={"name": "two"}).json()["name"] == "two"
+
+
+def test_what_is_understood_comes_with_places(client):
+    found = client.post("/api/understand", json={"text": "walks forward zorply"}).json()
+    assert (
+        found["ok"] and found["unknown"] == [{"word": "zorply", "start": 14, "stop": 20}] and len(found["nearest"]) == 3
+    )
+
+
+def test_projects_keep_how_the_page_stood(client):
+    made = client.post("/api/projects", json={"view": {"seed": 3}}).json()
+    client.put(f"/api/projects/{made['id']}", json={"view": {"seed": 4}})
+    assert client.get(f"/api/projects/{made['id']}").json()["view"] == {"seed": 4}
+    assert client.get("/api/about").json()["projects"][0]["view"] == {"seed": 4}
+    client.delete(f"/api/projects/{made['id']}")
+    assert client.get(f"/api/projects/{made['id']}").status_code == 404
+
+
+def test_changes_need_something_kept(client, ready):
+    desk = client.app.state.desk
+    one = desk.new_takes(ready, 1, how="animate", script=[{"text": "walks", "seconds": 2}], seeds=[0])[0]["id"]
+    ask = lambda **body: client.post(f"/api/takes/{one}/change", json=body)  # noqa: E731
+    assert "not finished" in ask(prompt="waves", keep=["legs"]).json()["error"]
+    desk.store.change("takes", one, state="done", skin="handles")
+    assert "nothing is kept" in ask(prompt="waves").json()["error"]
+    assert "type what is done instead" in ask().json()["error"]
+    assert ask(prompt="waves", keep=["wheels"]).status_code == 400
+    assert "a span is two seconds" in ask(prompt="waves", span=[1]).json()["error"]
+    assert ask(prompt="waves", keep=["legs"], span=[0.5, 1.5], poses=[{"time": 1}]).status_code == 202
+    assert ask(pins=[{"part": "left_hand", "time": 1, "position": [0, 1, 0]}]).status_code == 202
