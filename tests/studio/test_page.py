@@ -1,0 +1,396 @@
+"""The page in a real browser: the first minute, takes, directing, downloads, pictures."""
+
+import base64
+import importlib.util
+import json
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import CHROMIUM, Page, chromium
+from scipy.spatial import cKDTree
+
+from bunraku import load_character, save_character
+from bunraku.io.clips import load_clip_animation
+from bunraku.render import kernels
+from bunraku.render.camera import Camera
+from bunraku.retarget.stages.pins import end_places, limb_ends
+from bunraku.studio.clips import load_handles, load_take
+from bunraku.synthetic.samples import sample_character
+
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium; on Debian: apt-get install chromium"),
+    pytest.mark.skipif(
+        importlib.util.find_spec("playwright") is None, reason="playwright is not installed: pip install playwright"
+    ),
+]
+DATA = Path(os.environ.get("BUNRAKU_DATA", "runs/data"))
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def page(browser, studio):
+    for project in studio.get("/api/about")["projects"]:  # how another test left its page
+        studio.ask("DELETE", f"/api/projects/{project['id']}")
+    one = Page(browser, studio)
+    one.ready()
+    yield one
+    one.close()
+
+
+def test_a_character_moves_before_anybody_does_anything(page):
+    pictures = []
+    for moment in (0.3, 1.2):
+        page.set(moment)
+        pictures.append(page.value("studio.view().canvas.toDataURL()"))
+    assert pictures[0] != pictures[1]
+    assert page.page.title() == "Bunraku studio"
+
+
+def test_words_that_are_not_understood_are_underlined_and_a_chip_mends_them(page):
+    page.page.fill("#sentence", "walks forward zorply")
+    page.page.wait_for_selector(".backdrop u")
+    assert page.page.inner_text(".backdrop u") == "zorply" and "zorply" in page.page.inner_text("#understood")
+    page.page.click("#understood .chip")
+    assert "zorply" not in page.page.input_value("#sentence")
+    page.page.keyboard.press("Escape")
+    page.page.keyboard.press("Control+z")
+    assert page.page.input_value("#sentence") == "walks forward zorply"
+
+
+def test_a_sentence_four_takes_and_undo(page):
+    before = page.value("studio.takes.value.length")
+    page.page.click("text=×4")
+    page.type("jumps high")
+    page.until(f"studio.takes.value.filter((one) => one.state === 'done').length >= {before + 4}")
+    seeds = page.value("studio.takes.value.slice(0, 4).map((one) => one.seed).sort()")
+    assert seeds == [0, 1, 2, 3]
+    page.until("studio.view().panes.length === 4")
+    page.set(0.5)
+    page.page.keyboard.press("Escape")
+    page.page.click("#compare")
+    page.until("studio.view().panes.length === 1")
+    page.page.click(".takes li:first-child .icon >> nth=0")
+    page.until("studio.takes.value.some((one) => one.star)")
+    page.page.click("[aria-label=undo]")  # the star
+    page.until("studio.takes.value.every((one) => !one.star)")
+    page.page.click("[aria-label=undo]")  # the takes
+    page.until(f"studio.takes.value.length === {before}")
+    page.page.click("[aria-label=redo]")
+    page.until(f"studio.takes.value.length === {before + 4}")
+    page.page.click("text=×1")
+
+
+def stl(character, scale):
+    """A binary STL, as a printer's program writes it: millimetres, +Z up."""
+    corners = character.vertices[character.faces] @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32) * scale
+    rows = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+    rows["corners"] = corners
+    return bytes(80) + struct.pack("<I", len(corners)) + rows.tobytes()
+
+
+@pytest.mark.parametrize("kind", ["glb", "stl", "pmx", "vrm"])
+def test_characters_are_dropped(page, tmp_path, kind):
+    path = tmp_path / f"dropped.{kind}"
+    if kind == "glb":
+        save_character(sample_character("robot"), path)
+    elif kind == "stl":
+        path.write_bytes(stl(sample_character("person"), 1000))
+    elif kind == "pmx":
+        from bunraku.formats.mmd.pmx_write import save_pmx
+        from bunraku.synthetic.wardrobe import wardrobe_character
+
+        save_pmx(wardrobe_character(3), path)
+    else:
+        source = DATA / "apparel/vrm/Godette_vrm_v4.vrm"
+        if not source.is_file():
+            pytest.skip(f"there is no {source}; BUNRAKU_DATA names the data")
+        path.write_bytes(source.read_bytes())
+    page.drop(path)
+    page.until("studio.character.value?.name === 'dropped' && studio.character.value.state === 'ready'")
+    page.until("studio.take.value && studio.take.value.state === 'done'")  # it is animated by itself
+    page.shown()
+    page.set(1.0)
+    record = page.value("studio.character.value")
+    assert 0.5 < record["height"] < 3
+    if kind == "stl":
+        assert record["unit"]["unit"] == "mm" and record["axes"]["up"] == "+z"
+        page.page.click("text=/take as metres/")  # a chip mends a guess
+        page.until("studio.character.value.state === 'ready' && studio.character.value.height > 100")
+        page.page.click("[aria-label=undo]")
+        page.until("studio.character.value.state === 'ready' && studio.character.value.height < 3")
+    if kind in ("pmx", "vrm"):
+        assert record["physics"] and page.page.locator("#apparel").count() == 1
+    page.page.click("[aria-label='delete dropped']")
+    page.until("studio.character.value?.name !== 'dropped'")
+
+
+def test_a_motion_is_dropped(page, tmp_path):
+    path = tmp_path / "walk.bvh"
+    take, owner = page.value("[studio.take.value.id, studio.character.value.id]")
+    animation = take_of(page.studio, owner, take)
+    animation.save(path)
+    page.drop(path)
+    page.until("studio.take.value.how === 'transfer' && studio.take.value.state === 'done'")
+    page.shown()
+
+
+def test_what_cannot_be_opened_is_said(page, tmp_path):
+    path = tmp_path / "note.xyz"
+    path.write_text("hello")
+    page.drop(path)
+    page.until("studio.notice.value && studio.notice.value.bad")
+    assert ".xyz" in page.page.inner_text("[role=alert]") and ".glb" in page.page.inner_text("[role=alert]")
+
+
+def take_of(studio, owner, take):
+    """The animation of a take, from the studio's own files."""
+    place = studio.folder / "characters" / owner
+    character = load_character(next((place / "source").iterdir()))
+    return load_take(studio.folder / "takes" / take / "motion.npz", character, load_handles(place / "handles.npz"))
+
+
+def test_scrubbing_puts_the_mesh_where_the_library_has_it(page):
+    """Vertices as the page's own skinning has them, against `animation.vertices()`."""
+    take, owner = page.value("[studio.take.value.id, studio.character.value.id]")
+    animation = take_of(page.studio, owner, take)
+    page.set(2.0)
+    places = page.value(
+        """(() => {
+            const skin = studio.view().panes[0].model.skins[0];
+            const spot = skin.position.clone();
+            const out = [];
+            for (let vertex = 0; vertex < skin.geometry.attributes.position.count; vertex += 97) {
+                skin.getVertexPosition(vertex, spot);
+                spot.applyMatrix4(skin.matrixWorld);
+                out.push([spot.x, spot.y, spot.z]);
+            }
+            return out;
+        })()"""
+    )
+    posed = animation.vertices([40])[0]
+    scale = 1.7 / animation.character.height
+    off, _ = cKDTree(posed).query(np.array(places))
+    assert len(places) > 50 and off.max() * scale < 1e-4  # 0.1 mm at human size
+
+
+@pytest.mark.parametrize("sample", ["dragon", "person", "dog", "mushroom", "robot"])
+def test_the_pages_silhouette_is_the_renderers(page, sample):
+    if page.value("studio.character.value.name") != sample:
+        page.page.click(f".chips .chip:text-is('{sample}')")
+        page.until(f"studio.character.value?.name === '{sample}' && studio.character.value.state === 'ready'")
+        page.until("studio.take.value && studio.take.value.state === 'done'")
+        page.shown()
+    take, owner = page.value("[studio.take.value.id, studio.character.value.id]")
+    animation = take_of(page.studio, owner, take)
+    vertices = animation.vertices([20])
+    low, high = vertices[0].min(axis=0), vertices[0].max(axis=0)
+    target = (low + high) / 2
+    eye = target + np.array([0.5, 0.25, 1.0]) * np.ptp(vertices[0], axis=0).max() * 2.6
+    size = (400, 300)
+    flat = page.value(f"studio.view().silhouette(1.0, {size[0]}, {size[1]}, {eye.tolist()}, {target.tolist()})")
+    seen = np.array(flat, bool).reshape(size[1], size[0])
+    camera = Camera.looking_at(target, eye)
+    mask = silhouette(vertices[0], animation.character.faces, camera, size)
+    overlap = (seen & mask).sum() / (seen | mask).sum()
+    print(f"{sample}: overlap {overlap:.4f}")
+    assert mask.sum() > 2000 and overlap >= 0.97
+
+
+def silhouette(vertices, faces, camera, size):
+    """Where the library's rasteriser sees the mesh."""
+    width, height = size
+    depth, ids = np.zeros((height, width, 4), np.float32), np.full((height, width, 4), -1, np.int32)
+    points = np.ascontiguousarray(vertices, np.float32)
+    screen = kernels.project(points, camera.axes, camera.position, camera.focal(height), width, height)
+    kernels.rasterise(screen, np.ascontiguousarray(faces, np.int32), depth, ids)
+    return (ids >= 0).mean(axis=-1) >= 0.5
+
+
+def test_a_pin_is_dragged_and_a_span_is_made_anew(page):
+    page.set(1.0)
+    page.until("studio.view().directing")
+    page.value("studio.view().draw(true)")
+    start = page.value(
+        """(() => {
+            const view = studio.view();
+            const gizmo = view.scene.children.find((one) => one.userData.part === 'left_hand' && one.visible);
+            const spot = gizmo.position.clone().project(view.camera);
+            const box = view.canvas.getBoundingClientRect();
+            return [box.left + (spot.x + 1) / 2 * box.width, box.top + (1 - spot.y) / 2 * box.height];
+        })()"""
+    )
+    page.page.mouse.move(*start)
+    page.page.mouse.down()
+    page.page.mouse.move(start[0] + 15, start[1] - 20)
+    page.page.mouse.move(start[0] + 30, start[1] - 40)
+    page.page.mouse.up()
+    page.until(
+        "studio.doc.value.pins.length === 1 && studio.take.value.how === 'bend' && studio.take.value.state === 'done'"
+    )
+    page.shown()
+    page.set(1.0)
+    page.value("studio.view().draw(true)")
+    pin = page.value("studio.doc.value.pins[0]")
+    take, owner = page.value("[studio.take.value.id, studio.character.value.id]")
+    animation = take_of(page.studio, owner, take)
+    ends = limb_ends(animation.character, animation.handles)
+    place = end_places(animation.motion, animation.handles, ends)[round(pin["time"] * 20)]
+    number = [end.part for end in ends].index(pin["part"])
+    assert pin["part"] == "left_hand" and np.linalg.norm(place[number] - pin["position"]) < 0.01
+
+    row = page.page.locator(".span-row").bounding_box()
+    middle = row["y"] + row["height"] / 2
+    page.page.mouse.move(row["x"] + row["width"] * 0.25, middle)
+    page.page.mouse.down()
+    page.page.mouse.move(row["x"] + row["width"] * 0.5, middle)
+    page.page.mouse.move(row["x"] + row["width"] * 0.75, middle)
+    page.page.mouse.up()
+    assert page.value("studio.doc.value.span") == [1.0, 3.0]
+    page.type("turns around")
+    assert page.value("studio.take.value.how") == "edit"
+    new = take_of(page.studio, owner, page.value("studio.take.value.id"))
+    before = np.r_[0:5, 75:80]
+    np.testing.assert_array_equal(new.motion.rotations[before], animation.motion.rotations[before])
+    assert np.abs(new.motion.rotations[30:50] - animation.motion.rotations[30:50]).max() > 0.05
+
+
+def test_a_path_is_drawn(page):
+    page.page.keyboard.press("Escape")
+    page.page.click("text=draw a path")
+    box = page.page.locator(".stage canvas").bounding_box()
+    left, low = box["x"] + box["width"] * 0.3, box["y"] + box["height"] * 0.85
+    page.page.mouse.move(left, low)
+    page.page.mouse.down()
+    for step in range(1, 12):
+        page.page.mouse.move(left + step * 25, low - step * 6)
+    page.page.mouse.up()
+    page.until("studio.doc.value.path.length > 3")
+    page.type("walks")
+    path = np.array(page.value("studio.doc.value.path"))
+    take, owner = page.value("[studio.take.value.id, studio.character.value.id]")
+    animation = take_of(page.studio, owner, take)
+    root = animation.motion.root_translation[:, [0, 2]]
+    dense = np.concatenate([np.linspace(a, b, 50) for a, b in zip(path, path[1:], strict=False)])
+    away = np.linalg.norm(root[:, None] - dense, axis=-1).min(axis=1)
+    assert away.max() * 1.7 / animation.character.height < 0.10
+    page.page.click("text=× path")
+
+
+@pytest.mark.parametrize("format", ["GLB", "BVH", "bunraku", "GIF"])
+def test_downloads(page, tmp_path, format):
+    page.page.click("#export")
+    with page.page.expect_download(timeout=240_000) as found:
+        page.page.click(f"[role=menuitem]:has-text('{format}')")
+    path = tmp_path / found.value.suggested_filename
+    found.value.save_as(path)
+    data = path.read_bytes()
+    assert data.startswith({"GLB": b"glTF", "BVH": b"HIERARCHY", "bunraku": b"PK", "GIF": b"GIF8"}[format])
+    if format == "GLB":
+        assert len(load_clip_animation(path).motion) > 10
+    if format == "GIF":
+        from PIL import Image
+
+        with Image.open(path) as picture:
+            assert picture.n_frames > 20 and picture.size == (480, 360)
+
+
+def test_a_video_is_made_in_the_browser(page, tmp_path):
+    import av
+
+    page.page.click("#export")
+    with page.page.expect_download(timeout=240_000) as found:
+        page.page.click("[role=menuitem]:has-text('MP4')")
+    path = tmp_path / "take.mp4"
+    found.value.save_as(path)
+    with av.open(str(path)) as video:
+        frames = sum(1 for _ in video.decode(video=0))
+        assert frames == round(page.value("studio.view().panes[0].clip.seconds") * 30)
+        assert (video.streams.video[0].width, video.streams.video[0].height) == (1280, 720)
+
+
+def test_a_take_is_cancelled(page):
+    page.value("studio.change('', { script: [{ text: 'walks', seconds: 20 }], steps: 50, count: 1 })")
+    page.page.keyboard.press("Escape")
+    page.page.click("#animate")
+    page.page.wait_for_selector("[aria-label=cancel]", timeout=60_000)
+    page.page.click("[aria-label=cancel]")
+    page.until("!document.querySelector('[aria-label=cancel]')")
+    page.value("studio.change('', { script: [{ text: 'walks', seconds: 4 }], steps: 20 })")
+
+
+def test_a_reload_finds_everything(page):
+    before = page.value(
+        "JSON.stringify([studio.doc.value.character, studio.doc.value.script, studio.takes.value.length])"
+    )
+    page.page.wait_for_timeout(800)
+    page.page.goto(page.studio.address)
+    page.page.reload()
+    page.ready()
+    after = page.value(
+        "JSON.stringify([studio.doc.value.character, studio.doc.value.script, studio.takes.value.length])"
+    )
+    assert after == before
+
+
+def test_a_link_replays_a_take(browser, studio, page):
+    page.type("waves")
+    page.until("studio.take.value.how === 'animate'")
+    first = page.value("[studio.take.value.id, studio.character.value.id]")
+    told = {"character": page.value("studio.character.value.name"), "script": [{"text": "waves", "seconds": 4}],
+            "seed": 0, "steps": 20, "guidance": 3, "loop": False, "inPlace": False, "path": []}  # fmt: skip
+    text = base64.urlsafe_b64encode(json.dumps(told).encode()).decode().rstrip("=")
+    other = Page(browser, studio, path=f"replay={text}")
+    other.until(f"window.studio?.take.value && studio.take.value.id !== '{first[0]}'")
+    other.until("studio.take.value.script[0].text === 'waves' && studio.take.value.state === 'done'")
+    second = other.value("[studio.take.value.id, studio.character.value.id]")
+    other.close()
+    one, two = take_of(studio, first[1], first[0]), take_of(studio, second[1], second[0])
+    np.testing.assert_allclose(one.motion.rotations, two.motion.rotations, atol=1e-5)
+
+
+def test_the_keyboard_is_enough_and_everything_has_a_name(page):
+    page.page.keyboard.press("Escape")
+    page.page.keyboard.press("/")
+    assert page.value("document.activeElement.id") == "sentence"
+    page.page.keyboard.press("Escape")
+    before = page.value("studio.playing.value")
+    page.page.keyboard.press("Space")
+    assert page.value("studio.playing.value") != before
+    page.page.keyboard.press("ArrowRight")
+    assert page.value("studio.playing.value") is False
+    nameless = page.value(
+        """[...document.querySelectorAll('button, input, select, [role=slider]')].filter((one) => {
+            const label = one.getAttribute('aria-label') || one.textContent.trim() || one.title
+                || (one.labels && [...one.labels].map((each) => each.textContent).join('').trim()) || one.hidden;
+            return !label;
+        }).map((one) => one.outerHTML)"""
+    )
+    assert nameless == []
+
+
+@pytest.mark.parametrize("width", [1280, 800, 420])
+def test_nothing_is_cut_off_in_a_narrow_window(browser, studio, width):
+    one = Page(browser, studio, width=width)
+    one.ready()
+    assert one.value("document.documentElement.scrollWidth") <= width
+    assert one.page.locator("#animate").bounding_box()["x"] >= 0
+    box = one.page.locator(".stage canvas").bounding_box()
+    assert box["width"] > 150 and box["height"] > 150
+    one.close()
+
+
+def test_without_the_token_the_page_asks_for_it(browser, studio):
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(f"{studio.base}/")
+    page.wait_for_selector(".lock")
+    assert "bunraku studio" in page.inner_text(".lock")
+    context.close()

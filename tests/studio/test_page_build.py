@@ -1,0 +1,42 @@
+"""The committed page is what its sources give, and small enough."""
+
+import gzip
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+STATIC = ROOT / "src" / "bunraku" / "studio" / "static"
+
+
+def test_the_script_is_small():
+    total = sum(len(gzip.compress(path.read_bytes(), 9, mtime=0)) for path in STATIC.glob("*.js"))
+    assert 50_000 < total <= 250_000
+
+
+def test_the_page_names_no_other_host():
+    page = (STATIC / "index.html").read_text(encoding="utf-8")
+    assert "//" not in page and "<style" not in page and " onload=" not in page
+    assert "three 0." in (STATIC / "LICENSES.txt").read_text(encoding="utf-8")
+
+
+def test_the_lock_file_names_no_registry():
+    assert "resolved" not in (ROOT / "studio" / "package-lock.json").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(shutil.which("npm") is None, reason="there is no npm to build the studio's page with")
+@pytest.mark.skipif(
+    not (ROOT / "studio" / "node_modules" / "vite").is_dir(), reason="the page's tools are not installed: make studio"
+)
+def test_building_it_again_gives_the_same_bytes(tmp_path):
+    subprocess.run(["npx", "tsc", "--noEmit"], cwd=ROOT / "studio", check=True, capture_output=True)
+    subprocess.run(
+        ["npx", "vite", "build", "--outDir", str(tmp_path / "static"), "--emptyOutDir"],
+        cwd=ROOT / "studio", check=True, capture_output=True,
+    )  # fmt: skip
+    built = {path.name: path.read_bytes() for path in (tmp_path / "static").iterdir()}
+    committed = {path.name: path.read_bytes() for path in STATIC.iterdir()}
+    assert sorted(built) == sorted(committed)
+    assert [name for name in built if built[name] != committed[name]] == []

@@ -1,0 +1,132 @@
+"""Make the pictures of docs/studio.md: the studio's states, light and dark, wide and narrow.
+
+    python tools/make_studio_pictures.py [STATE ...]
+
+Needs Chromium and the package playwright. Each picture has at most 300 kB.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests" / "studio"))
+
+from browser import Page, chromium  # noqa: E402
+from conftest import Studio  # noqa: E402
+
+OUT = ROOT / "docs" / "studio"
+MOST = 300_000
+
+
+def shot(page: Page, name: str) -> None:
+    """Write a picture with as many colours as it may have."""
+    from io import BytesIO
+
+    from PIL import Image
+
+    page.value("studio.view()?.draw(true)")
+    picture = Image.open(BytesIO(page.page.screenshot())).convert("RGB")
+    path = OUT / f"{name}.png"
+    picture.quantize(255, dither=Image.Dither.NONE).save(path, optimize=True)
+    assert path.stat().st_size <= MOST, f"{path} has {path.stat().st_size} bytes"
+    print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+def first(page: Page) -> None:
+    """What somebody sees who starts it for the first time."""
+    page.set(1.6)
+
+
+def sentence(page: Page) -> None:
+    """A sentence with words that are not understood."""
+    page.set(1.0)
+    page.page.fill("#sentence", "walks forward and frobnicates")
+    page.page.wait_for_selector(".backdrop u")
+
+
+def takes(page: Page) -> None:
+    """Four takes side by side."""
+    page.page.click("text=×4")
+    page.type("kicks with the right leg")
+    page.until("studio.view().panes.length === 4")
+    page.until("studio.takes.value.slice(0, 4).every((one) => one.state === 'done')")
+    page.until("studio.view().panes.every((pane) => pane.clip)")
+    page.page.click(".takes li:nth-child(2) .icon >> nth=0")
+    page.set(1.5)
+    page.page.click("text=×1")
+
+
+def handles(page: Page) -> None:
+    """Handles in colour."""
+    page.page.select_option("#colouring", "handles")
+    page.set(0.8)
+
+
+def directing(page: Page) -> None:
+    """A timeline of sentences with a span, poses, pins and a path."""
+    page.page.click(".chips .chip:text-is('person')")
+    page.until("studio.character.value?.name === 'person' && studio.take.value?.state === 'done'")
+    page.shown()
+    page.value(
+        """studio.change('', {
+            script: [{ text: 'walks forward', seconds: 4 }, { text: 'jumps', seconds: 2 }],
+            path: [[0, 0], [0.4, 0.9], [1.2, 1.6], [2.4, 1.8], [3.4, 1.4]], sentence: 0 })"""
+    )
+    page.page.click("#animate")
+    page.until("studio.take.value.script.length === 2 && studio.take.value.state === 'done'")
+    page.shown()
+    page.set(1.0)
+    page.page.click("text=pin pose")
+    page.set(3.2)
+    page.page.click("text=pin pose")
+    page.value(
+        """studio.change('', { span: [1.5, 3.0], keep: ['legs'],
+            pins: [{ part: 'left_hand', time: 2.0, position: [0.6, 1.5, 1.4], hold: 0 }] })"""
+    )
+    page.set(2.0)
+
+
+def export(page: Page) -> None:
+    """The ways out."""
+    page.set(0.5)
+    page.page.click("#export")
+
+
+STATES = {
+    "first": (first, False, 1280),
+    "sentence": (sentence, False, 1280),
+    "takes": (takes, False, 1280),
+    "handles": (handles, True, 1280),
+    "directing": (directing, False, 1280),
+    "export": (export, True, 1280),
+    "dark": (first, True, 1280),
+    "narrow": (first, False, 800),
+    "narrow-dark": (sentence, True, 800),
+}
+
+
+def main(names: list[str]) -> None:
+    """Make them all, or those that are named."""
+    OUT.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+        studio = Studio(Path(folder) / "studio")
+        try:
+            for name in names or STATES:
+                act, dark, width = STATES[name]
+                for project in studio.get("/api/about")["projects"]:
+                    studio.ask("DELETE", f"/api/projects/{project['id']}")
+                page = Page(browser, studio, width=width, height=1100 if width < 900 else 800, dark=dark)
+                page.ready()
+                act(page)
+                page.page.wait_for_timeout(300)
+                shot(page, name)
+                page.close()
+        finally:
+            studio.stop()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
