@@ -1,4 +1,4 @@
-# Everything runs in .venv, which the first call makes. Needs Python 3.11 or newer and a C compiler.
+# Everything runs in .venv, which the first call makes. Needs Python 3.11 or newer.
 #
 #   make demo      a sample character walks: a GLB and an MP4 in demo/
 #   make test      the tests
@@ -6,27 +6,37 @@
 #   make studio    build the studio's page again (needs npm; who changes nothing there needs neither)
 #   make lint      ruff and mypy
 #   make format    let ruff rewrite the sources
-#   make install   only the set-up
+#   make install   the set-up for using Bunraku
+#   make develop   the set-up for working on it: also what tests, lint and trainings need
 #   make wheel     the package in dist/
 #   make clean     remove what the above wrote, but for .venv
 
 PYTHON ?= python3
 TORCH ?= torch==2.13.0
+# Which build of PyTorch: "auto" asks uv for the one that fits the graphics card that is there, and for the one without CUDA where there is none;
+# "cpu", or another name that uv knows, asks for that; "pip" takes what pip finds, as its own settings (an index of yours, say) tell it.
+TORCH_BACKEND ?= auto
 PROMPT ?= a person walks forward
 SAMPLE ?= person
 COUNT ?= 100000
 FIRST ?= 0
+MINUTES ?= 60
 
 BIN := .venv/bin
 READY := .venv/.installed
+DEVELOP := .venv/.developing
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo studio test fuzz lint format wheel clean
+PIP := .venv/bin/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: help install develop demo studio test fuzz lint format wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
 
 install: $(READY)
+
+develop: $(DEVELOP)
 
 # A broken or foreign .venv shows itself here and is made again.
 .venv/pyvenv.cfg:
@@ -34,11 +44,20 @@ install: $(READY)
 		echo "bunraku needs Python 3.11 or newer and '$(PYTHON)' is not; name one with: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 2; }
 	$(PYTHON) -m venv .venv || { echo "could not make .venv; on Debian and Ubuntu first install python3-venv" >&2; rm -rf .venv; exit 2; }
 
-# torch comes first and pinned: left to the resolver it may bring gigabytes of CUDA that a CPU never uses.
-$(READY): .venv/pyvenv.cfg pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check '$(TORCH)'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+# torch comes first and pinned: what PyPI has for Linux brings gigabytes of CUDA that a processor never uses.
+.venv/.torch: .venv/pyvenv.cfg
+	@if [ '$(TORCH_BACKEND)' != pip ] && $(PIP) 'uv>=0.7' && UV_HTTP_TIMEOUT=30 VIRTUAL_ENV='$(CURDIR)/.venv' \
+		$(BIN)/uv pip install --quiet --torch-backend='$(TORCH_BACKEND)' '$(TORCH)'; then :; else \
+		echo "taking the build of PyTorch that pip finds; without a setting of yours that is CUDA's on Linux" >&2; $(PIP) '$(TORCH)'; fi
 	@touch $@
+
+$(READY): .venv/.torch pyproject.toml
+	$(PIP) -e .
+	@touch $@
+
+$(DEVELOP): .venv/.torch pyproject.toml
+	$(PIP) -e '.[dev]'
+	@touch $@ $(READY)
 
 demo: $(READY)
 	@$(BIN)/bunraku samples $(SAMPLE) -o demo
@@ -47,12 +66,12 @@ demo: $(READY)
 	@echo "animation: demo/$(SAMPLE)-animated.glb"
 	@echo "video:     demo/$(SAMPLE)-animated.mp4"
 
-test: $(READY) .venv/.validator .venv/.browser
+test: $(DEVELOP) .venv/.validator .venv/.browser
 	$(BIN)/python -m pytest $(ARGS)
 
 # The Khronos validator checks every GLB that the tests write, and three.js opens some. Both come from npm; without npm those tests are skipped and
 # say so, as those with Blender are where there is none.
-.venv/.validator: $(READY) tests/formats/validator/package.json tools/check_viewers/package.json
+.venv/.validator: $(DEVELOP) tests/formats/validator/package.json tools/check_viewers/package.json
 	@if command -v npm >/dev/null; then for folder in tests/formats/validator tools/check_viewers; do \
 		npm install --silent --no-audit --no-fund --no-package-lock --prefix $$folder || echo "npm install failed in $$folder; its tests are skipped"; \
 		done; fi
@@ -66,25 +85,25 @@ studio/node_modules/.package-lock.json: studio/package.json studio/package-lock.
 	@cd studio && npm ci --silent
 
 # The studio's page is tested in Chromium where there is one; without it those tests are skipped and say so.
-.venv/.browser: $(READY) studio/package-lock.json
+.venv/.browser: $(DEVELOP) studio/package-lock.json
 	@if command -v chromium >/dev/null; then $(BIN)/python -m pip install --quiet --disable-pip-version-check 'playwright>=1.50' \
 		|| echo "playwright could not be installed; the tests in a browser are skipped"; fi
 	@if command -v npm >/dev/null; then (cd studio && npm ci --silent) || echo "npm ci failed in studio; building its page is not tested"; fi
 	@touch $@
 
-fuzz: $(READY)
+fuzz: $(DEVELOP)
 	$(BIN)/python -W ignore tests/fuzz/fuzz.py --count $(COUNT) --first $(FIRST)
 
-lint: $(READY)
+lint: $(DEVELOP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-format: $(READY)
+format: $(DEVELOP)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-wheel: $(READY)
+wheel: $(DEVELOP)
 	$(BIN)/python -m hatchling build -t wheel
 
 clean:

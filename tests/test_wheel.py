@@ -11,7 +11,7 @@ import pytest
 
 import bunraku
 
-pytest.importorskip("hatchling", reason="hatchling builds the wheel; make install brings it")
+pytest.importorskip("hatchling", reason="hatchling builds the wheel; make develop brings it")
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -36,7 +36,8 @@ def test_wheel_holds_every_file_of_the_package(wheel):
             assert path.relative_to(ROOT / "src").as_posix() in names
     assert all(name.startswith(("bunraku/", f"bunraku-{bunraku.__version__}.dist-info/")) for name in names)
     assert not any(name.endswith((".pyc", ".part", ".tmp")) for name in names)
-    assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert all(any(name.endswith(f"licenses/{text}") for name in names) for text in ("LICENSE", "NOTICE"))
+    assert wheel.stat().st_size < 96e6
 
 
 def test_unpacked_wheel_runs(wheel, tmp_path):

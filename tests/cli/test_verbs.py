@@ -120,7 +120,7 @@ def test_doctor_reports_in_words_and_in_json(capsys):
         "preview",
         "handles weights",
         "diffusion weights",
-        "text encoder",
+        "text weights",
     } <= set(topics)
     assert status == int(any(finding["state"] == "missing" for finding in findings))
     assert all(finding["cost"] for finding in findings if finding["state"] != "ok")

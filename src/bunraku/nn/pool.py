@@ -23,7 +23,7 @@ from typing import Any, ParamSpec, TypeVar
 
 __all__ = ["THREADS", "Pool", "one_thread_each"]
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that say how many threads libraries take; they read them when they are loaded."""
 _PR_SET_PDEATHSIG = 1
 _Given = ParamSpec("_Given")

