@@ -16,6 +16,8 @@ import urllib.request
 
 import bpy
 
+__all__ = ["register", "unregister"]
+
 bl_info = {
     "name": "Bunraku",
     "description": "A sentence animates the selected mesh, by the studio on this machine",
