@@ -26,8 +26,9 @@ from bunraku.datasets.apparel.plan import (
     plan_shards,
     wardrobe_sources,
 )
-from bunraku.datasets.apparel.recording import eq4_transforms, record
-from bunraku.datasets.apparel.unified import UnifiedBody
+from bunraku.apparel.skinning import eq4_transforms
+from bunraku.datasets.apparel.recording import record
+from bunraku.apparel.unified import UnifiedBody
 from bunraku.datasets.motions.clips import write_clip, write_index
 from bunraku.errors import FormatError, MissingExtraError, OptionError
 from bunraku.evaluation.transfer.stock_motions import stock_motion

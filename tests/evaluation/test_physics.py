@@ -14,8 +14,8 @@ from bunraku.cli import main
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.datasets.apparel.build import body_animation
-from bunraku.datasets.apparel.recording import eq4_transforms
-from bunraku.datasets.apparel.unified import UnifiedBody
+from bunraku.apparel.skinning import eq4_transforms
+from bunraku.apparel.unified import UnifiedBody
 from bunraku.errors import CharacterError, OptionError
 from bunraku.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
 from bunraku.evaluation.physics.penetration import BodyVolume, nearest_joint_vertices, sample_apparel

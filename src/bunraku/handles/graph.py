@@ -10,14 +10,27 @@ of view does not depend on the tessellation.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import nn
 
-__all__ = ["EdgeConv", "GraphLayer", "MeshGraph", "edge_conv_reference", "farthest_points", "mesh_graph"]
+__all__ = ["EdgeConv", "GraphLayer", "HasNeighbours", "MeshGraph", "edge_conv_reference", "farthest_points", "mesh_graph"]
 
 _NEAR = 3  # anchors that each vertex listens to
+
+
+class HasNeighbours(Protocol):
+    """What an EdgeConv needs of a graph: `ranks` and `place` as `MeshGraph` has them."""
+
+    @property
+    def ranks(self) -> tuple[torch.Tensor, ...]:
+        """The n-th neighbours of the vertices that have so many."""
+
+    @property
+    def place(self) -> torch.Tensor:
+        """Where each vertex is in the order of the ranks."""
 
 
 @dataclass
@@ -139,7 +152,7 @@ class _NeighbourMax(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, values: torch.Tensor, graph: MeshGraph) -> torch.Tensor:  # type: ignore[no-untyped-def]
+    def forward(ctx, values: torch.Tensor, graph: HasNeighbours) -> torch.Tensor:  # type: ignore[no-untyped-def]
         best = values[graph.ranks[0]]
         for neighbours in graph.ranks[1:]:
             part = best[: len(neighbours)]
@@ -175,13 +188,13 @@ class EdgeConv(nn.Module):
         self.own = nn.Linear(width_in, width_out)
         self.neighbour = nn.Linear(width_in, width_out, bias=False)
 
-    def forward(self, x: torch.Tensor, graph: MeshGraph) -> torch.Tensor:
+    def forward(self, x: torch.Tensor, graph: HasNeighbours) -> torch.Tensor:
         values = self.neighbour(x)
         result: torch.Tensor = self.own(x) - values + _NeighbourMax.apply(values, graph)  # type: ignore[no-untyped-call]
         return result
 
 
-def edge_conv_reference(layer: EdgeConv, x: torch.Tensor, graph: MeshGraph) -> torch.Tensor:
+def edge_conv_reference(layer: EdgeConv, x: torch.Tensor, graph: HasNeighbours) -> torch.Tensor:
     """`EdgeConv` as its definition reads, one vertex and one edge at a time."""
     rows = []
     for vertex in range(len(x)):

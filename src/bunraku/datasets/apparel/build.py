@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.character import Character
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.datasets.apparel.jobs import run_jobs
@@ -23,7 +24,6 @@ from bunraku.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, ShardP
 from bunraku.datasets.apparel.reader import INDEX
 from bunraku.datasets.apparel.recording import record
 from bunraku.datasets.apparel.shards import Shard, shard_fingerprint, write_shard
-from bunraku.datasets.apparel.unified import UnifiedBody
 from bunraku.errors import BunrakuError, CharacterError, FormatError
 from bunraku.formats.files import atomic_write, sweep
 
@@ -162,7 +162,9 @@ def build_shard(folder: Path, shard: ShardPlan) -> str:
 
 def _build(folder: Path, shard: ShardPlan) -> None:
     from bunraku.apparel.mask import apparel_mask
+    from bunraku.apparel.parts import apparel_parts
     from bunraku.physics.from_file import apparel_rig
+    from bunraku.physics.part_springs import part_springs
     from bunraku.physics.simulate import simulate
 
     character = _character(shard.character)
@@ -199,9 +201,11 @@ def _build(folder: Path, shard: ShardPlan) -> None:
     recording = record(body, animations)
     own = character.rig
     assert own is not None
+    part = apparel_parts(character.vertices, character.faces, mask)
+    springs = part_springs(character, rig, part)
     arrays = {
         "rest": character.vertices, "faces": character.faces, "joints": body.joints, "weights": body.weights,
-        "apparel": mask,
+        "apparel": mask, "part": part, "spring": springs.spring, "mass": springs.mass, "damping": springs.damping,
         "loose": recording.loose, "transforms": recording.transforms, "offsets": recording.offsets,
         "bone_parents": own.parents,
         "bone_positions": own.positions, "bone_moved": body.moved, "bone_indices": own.indices,

@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bunraku.apparel.skinning import eq4_transforms
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.core.skinning import skin
-from bunraku.datasets.apparel.recording import eq4_transforms
 from bunraku.datasets.apparel.shards import Shard
 from bunraku.errors import FormatError, OptionError
 from bunraku.formats.files import read_bounded
@@ -34,6 +34,9 @@ class ApparelCharacter:
         joints: J, SMPL's 22 joints in the rest pose [m], shape (22, 3).
         weights: Skinning weights W of the vertices for the joints, shape (V, 22), rows sum to 1.
         apparel: Vertices that are apparel, shape (V,), bool.
+        part: Number of the apparel part of each vertex, -1 on the body, shape (V,).
+        spring, mass, damping: Of each part: stiffness of its joints [N m / rad], mass of its bodies, share of the
+            velocity that they lose in a second, shape (P,).
         loose: Vertices with offsets, shape (M,).
         bone_parents: The rig itself, which a network does not see: parents (B,), places [m] (B, 3), which bones physics
             move (B,), and the bones (V, I) and shares (V, I) of each vertex.
@@ -45,6 +48,10 @@ class ApparelCharacter:
     joints: np.ndarray
     weights: np.ndarray
     apparel: np.ndarray
+    part: np.ndarray
+    spring: np.ndarray
+    mass: np.ndarray
+    damping: np.ndarray
     loose: np.ndarray
     bone_parents: np.ndarray
     bone_positions: np.ndarray
@@ -197,9 +204,11 @@ def _character(path: str, changed: int) -> ApparelCharacter:
     count, bones = len(arrays["rest"]), len(arrays["bone_parents"])
     weights = arrays["weights"]
     good = all(
-        np.isfinite(arrays[name]).all() for name in ("rest", "joints", "weights", "bone_positions", "bone_weights")
+        np.isfinite(arrays[name]).all()
+        for name in ("rest", "joints", "weights", "bone_positions", "bone_weights", "spring", "mass", "damping")
     )
     good &= all(_within(arrays[name], 0, count) for name in ("faces", "loose"))
+    good &= _within(arrays["part"], -1, len(arrays["spring"]))
     good &= _within(arrays["bone_parents"], -1, bones) and _within(arrays["bone_indices"], 0, bones)
     good &= weights.shape == (count, JOINT_COUNT) and bool((np.abs(weights.sum(axis=1) - 1) < 1e-3).all())
     good &= len(np.unique(arrays["loose"])) == len(arrays["loose"])

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
-from bunraku.datasets.apparel.unified import UnifiedBody
 
-__all__ = ["RIGID", "Recording", "eq4_transforms", "record"]
+__all__ = ["RIGID", "Recording", "record"]
 
 RIGID = 2e-5
 """A bone that leaves its joint by less than this at all its vertices [m] counts as rigid with it."""
@@ -39,18 +39,6 @@ class Recording:
     loose: np.ndarray
     offsets: np.ndarray
     rounding: float
-
-
-def eq4_transforms(transforms: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Affine transforms that `skin` takes, from `[R | t]` of [MMDMC 4], shape (N, J, 3, 4), float32.
-
-    Args:
-        transforms: Rotation and place of each joint [m], shape (N, J, 3, 4).
-        joints: Places in the rest pose [m], shape (J, 3).
-    """
-    out = np.array(transforms, np.float32)
-    out[..., 3] -= np.einsum("njab,jb->nja", out[..., :3], np.asarray(joints, np.float32))
-    return out
 
 
 def record(body: UnifiedBody, clips: Sequence[RigAnimation]) -> Recording:

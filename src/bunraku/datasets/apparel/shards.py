@@ -20,7 +20,7 @@ from bunraku.formats.files import atomic_write
 
 __all__ = ["SHARD_FORMAT", "Shard", "shard_fingerprint", "write_shard"]
 
-SHARD_FORMAT = "bunraku-apparel-1"
+SHARD_FORMAT = "bunraku-apparel-2"
 _KEY = "bunraku"
 # Array -> type and shape; letters are lengths that must agree.
 _ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
@@ -29,6 +29,10 @@ _ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "joints": ("F32", (JOINT_COUNT, 3)),
     "weights": ("F32", ("V", JOINT_COUNT)),
     "apparel": ("U8", ("V",)),
+    "part": ("I32", ("V",)),
+    "spring": ("F32", ("P",)),
+    "mass": ("F32", ("P",)),
+    "damping": ("F32", ("P",)),
     "loose": ("I32", ("M",)),
     "transforms": ("F32", ("N", JOINT_COUNT, 3, 4)),
     "offsets": ("F16", ("N", "M", 3)),

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.skinning import posed_points, skin
-from bunraku.datasets.apparel.unified import UnifiedBody
 from bunraku.errors import CharacterError
 
 __all__ = ["DEEP", "BodyVolume", "deep_share", "nearest_joint_vertices", "sample_apparel"]

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.apparel.skinning import eq4_transforms
+from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.datasets.apparel.build import body_animation
-from bunraku.datasets.apparel.recording import eq4_transforms
-from bunraku.datasets.apparel.unified import UnifiedBody
 from bunraku.errors import BunrakuError, CharacterError
 from bunraku.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
 from bunraku.evaluation.physics.penetration import BodyVolume, deep_share, nearest_joint_vertices, sample_apparel

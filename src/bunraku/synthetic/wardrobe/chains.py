@@ -5,7 +5,9 @@ Weights of a surface over the chains follow from where its vertices are along an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+import zlib
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from bunraku.core.mmd_model import MmdBody, MmdBone, MmdJoint
 from bunraku.synthetic.wardrobe.model import Costume, bone_frame
 from bunraku.synthetic.wardrobe.surfaces import unit
 
-__all__ = ["Chains", "Hang", "add_chains"]
+__all__ = ["Chains", "Hang", "add_chains", "band_start"]
 
 _DEGREE = np.pi / 180
 SPRING = 1 / 0.08**2
@@ -110,6 +112,7 @@ def add_chains(
         cross: Whether neighbours are tied to each other.
     """
     count, links = nodes.shape[0], nodes.shape[1] - 1
+    hang = _varied(hang, _piece_random(costume, names[0]))
     above = np.broadcast_to(parent, count).astype(np.int64)
     bones, bodies = np.zeros((count, links), np.int64), np.zeros((count, links), np.int64)
     gaps = _gaps(nodes, closed)
@@ -129,6 +132,39 @@ def add_chains(
     if cross:
         _cross(costume, names, nodes, outward, bodies, hang, closed)
     return Chains(bones, above, closed)
+
+
+def band_start(costume: Costume, name: str) -> float:
+    """Where a piece begins to move, over its length from 0 at its top: most move whole, of others only the hem or the
+    tips do.
+    """
+    random = _piece_random(costume, f"{name} band")
+    if costume.quiet:
+        return float(random.uniform(0.78, 0.94))
+    return 0.0 if random.random() < 0.65 else float(random.uniform(0.25, 0.75))
+
+
+def _piece_random(costume: Costume, name: str) -> np.random.Generator:
+    """Random numbers of a piece of apparel; left and right ones, and the chains of one piece, have the same."""
+    stem = re.sub(r"[左右\d]", "", name)
+    return np.random.default_rng([costume.seed, zlib.crc32(stem.encode())])
+
+
+def _varied(hang: Hang, random: np.random.Generator) -> Hang:
+    """The same with a spring somewhere in two decades, another mass and damping, and perhaps limits that hold it in
+    shape.
+    """
+    stiff, heavy, loss = 10 ** random.uniform([-0.7, -0.15, -0.4], [1.3, 0.15, 0.3])
+    hold = float(random.uniform(0.25, 0.7)) if random.random() < 0.25 else 1.0
+    angles = {name: getattr(hang, name) * hold for name in ("out", "inward", "side")}
+    damping = tuple(float(np.clip(1 - (1 - value) * loss, 0.05, 0.997)) for value in hang.damping)
+    return replace(
+        hang,
+        spring=hang.spring * float(stiff),
+        mass=hang.mass * float(heavy),
+        damping=(damping[0], damping[1]),
+        **angles,
+    )
 
 
 def _gaps(nodes: np.ndarray, closed: bool) -> np.ndarray:

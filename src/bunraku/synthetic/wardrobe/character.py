@@ -13,6 +13,7 @@ from bunraku.synthetic.wardrobe.colors import random_colors
 from bunraku.synthetic.wardrobe.face import add_face
 from bunraku.synthetic.wardrobe.figure import Figure
 from bunraku.synthetic.wardrobe.hair import Scalp, add_hair
+from bunraku.synthetic.wardrobe.little_pieces import add_little_pieces
 from bunraku.synthetic.wardrobe.makehuman import Closet, makehuman_figure
 from bunraku.synthetic.wardrobe.makehuman import closet as open_closet
 from bunraku.synthetic.wardrobe.mantles import add_cape, add_coat, add_sleeves
@@ -84,9 +85,13 @@ def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data:
         figure = random_figure(rng, detail)
     costume = Costume(f"wardrobe-{seed:04d}", facets=detail == "coarse" and facets and not makehuman)
     costume.words.append(figure.kind)
+    costume.seed, costume.quiet = seed, bool(np.random.default_rng((seed, 14)).random() < 0.6)
     costume.colors = random_colors(rng)
     add_skeleton(costume, figure)
     plan = _plan(style, rng)
+    if costume.quiet:  # no sheets that swing whole
+        plan = replace(plan, cape=False, sleeves=False, scarf=False, coat=plan.coat and rng.random() < 0.5)
+        plan = replace(plan, skirt=plan.skirt if rng.random() < 0.35 else "")
     outfit, worn, arms = plan.outfit, np.zeros((0, 3)), np.zeros(0, bool)
     if closet is not None:
         outfit, worn, arms = _from_closet(costume, closet, plan, rng)
@@ -211,7 +216,7 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
     kinds = {"short": 0.14, "bob": 0.16, "ponytail": 0.22, "twin tails": 0.22, "long": 0.26}
     hair = str(rng.choice(list(kinds), p=list(kinds.values())))
     scalp = add_hair(costume, figure, rng, kind=hair, colors=("hair", "hair tie"), fine=fine)
-    if chance() < 0.3:
+    if chance() < (0.1 if costume.quiet else 0.3):
         kind = str(rng.choice(["cat", "fox", "rabbit"]))
         add_ears(costume, scalp, rng, kind=kind, colors=("fur", "fur tip"), fine=fine)
         if kind != "rabbit":
@@ -226,6 +231,7 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
                 lift=lift,
             )
     _bows(costume, figure, scalp, plan, hair, rng, waist, fine)
+    add_little_pieces(costume, figure, scalp, rng, hair, fine)
 
 
 def _bows(

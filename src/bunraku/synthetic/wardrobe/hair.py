@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.synthetic.wardrobe.chains import Hang, add_chains
+from bunraku.synthetic.wardrobe.chains import Hang, add_chains, band_start
 from bunraku.synthetic.wardrobe.figure import Figure
 from bunraku.synthetic.wardrobe.model import Costume
 from bunraku.synthetic.wardrobe.skeleton import SOLID
@@ -73,10 +73,15 @@ def add_hair(
             _tail(costume, figure, scalp, rng, f"{mark}ツインテ", side * turn, fall, colors, fine)
     elif kind == "long":
         _long(costume, figure, scalp, rng, colors[0], fine)
-    if kind in ("long", "bob", "ponytail", "twin tails") and rng.random() < 0.65:
+    if kind in ("long", "bob", "ponytail", "twin tails") and rng.random() < (0.25 if costume.quiet else 0.65):
         _side_locks(costume, figure, scalp, rng, colors[0], fine)
     costume.words.append(f"{kind} hair" if kind in ("short", "long") else kind)
     return scalp
+
+
+def _fall_of(rng: np.random.Generator) -> float:
+    """How far hair falls below its root, over the height: to the hips mostly, to the ground now and then."""
+    return float(rng.uniform(0.25, 0.62) if rng.random() < 0.7 else rng.uniform(0.62, 1.0))
 
 
 def _cap(
@@ -108,12 +113,13 @@ def _cap(
 def _fringe(
     costume: Costume, figure: Figure, scalp: Scalp, bone: int, rng: np.random.Generator, material: str, fine: float
 ) -> None:
-    """Locks over the forehead, parted somewhere; the middle ones may swing."""
+    """Locks over the forehead, parted somewhere; their lower halves may swing."""
     count = int(rng.integers(5, 9))
     part = float(rng.uniform(-0.5, 0.5))
     turns = np.linspace(-1.05, 1.05, count)
     end = float(rng.uniform(1.3, 1.5))
-    for turn in turns:
+    swings = rng.random() < (0.45 if costume.quiet else 0.35)
+    for number, turn in enumerate(turns):
         lean = 0.22 * np.sign(turn - part + 1e-6) * float(rng.uniform(0.3, 1))
         low = end + 0.22 * abs(turn) + float(rng.uniform(-0.08, 0.08))
         t = np.linspace(0, 1, max(round(7 * fine), 5))
@@ -123,8 +129,20 @@ def _fringe(
         )
         wide = 1.5 * scalp.half[0] / count * np.array([1.0, 1.25, 1.2, 0.75, 0.08])
         width = np.interp(t, [0, 0.35, 0.6, 0.85, 1], wide)
-        points, faces, _ = strand(path, path - scalp.center, width, 0.28 * width + 0.002, 6)
-        costume.add(points, faces, bone, 1, material)
+        points, faces, place = strand(path, path - scalp.center, width, 0.28 * width + 0.002, 6)
+        if not swings:
+            costume.add(points, faces, bone, 1, material)
+            continue
+        low = len(path) // 2
+        hang = Hang(
+            mass=0.1, damping=(0.93, 0.98), out=40, inward=8, side=25, twist=0, spring=0.02, thick=0.3 * wide[0],
+            box=False, group=HAIR, meets=0,
+        )  # fmt: skip
+        ends = path[[low, -1]][None]
+        chains = add_chains(
+            costume, [f"前髪{number}"], ends, unit(path[low] - scalp.center)[None], bone, hang, cross=False
+        )
+        costume.add(points, faces, *chains.weights((place - low) / (len(path) - 1 - low)), material)
 
 
 def _tail(
@@ -143,11 +161,11 @@ def _tail(
     root = scalp.at(turn, fall, -0.2 * scalp.thick)
     way = unit(np.array([np.sin(turn), 0.35, np.cos(turn)]))
     fat, out = float(size * u(0.26, 0.42)), float(size * u(0.45, 0.8))
-    end = max(root[1] - float(u(0.25, 0.62)) * figure.height, 0.06 * figure.height)
+    end = max(root[1] - _fall_of(rng) * figure.height, 0.06 * figure.height)
     knee = root + way * out
     drop = np.array([np.sin(turn), 0, np.cos(turn)])
     heights = np.linspace(knee[1] - 0.6 * out, end, 6)
-    positions = [root, knee]
+    places = [root, knee]
     start = knee + 0.35 * out * drop
     far = float((start - [scalp.center[0], 0, scalp.center[2]]) @ drop)
     axis = scalp.center[[0, 2]]
@@ -156,11 +174,13 @@ def _tail(
         band = 0.04 * figure.height
         body = (figure.rim if behind else figure.profile)(float(height), np.array([turn]), center=axis, band=band)[0]
         far = max(far, min(float(body), far + 0.1 * figure.height) + 1.15 * fat)
-        positions.append(
+        places.append(
             np.array([axis[0] + drop[0] * far, height, axis[1] + drop[2] * far - (0.0 if behind else 0.35 * size)])
         )
-    links = int(np.clip(round((root[1] - end) / (0.085 * figure.height)), 3, 6))
-    curve = curve_through(np.array(positions), links + 1)
+    begin = band_start(costume, name)
+    links = int(np.clip(round((1 - begin) * (root[1] - end) / (0.085 * figure.height)), 1 if begin else 3, 9))
+    whole = curve_through(np.array(places), 65)
+    curve = curve_through(whole[round(64 * begin) :], links + 1)
     hang = Hang(
         mass=0.8,
         damping=(0.9, 0.99),
@@ -175,15 +195,15 @@ def _tail(
         meets=_MEETS,
     )
     chains = add_chains(costume, [name], curve[None], drop[None], costume.place("頭"), hang, cross=False)
-    rows = max(round(3.2 * links * fine), links + 3)
-    fine_curve = curve_through(np.array(positions), rows)
+    rows = max(round(3.2 * links / (1 - begin) * fine), links + 3)
+    fine_curve = curve_through(np.array(places), rows)
     t = np.linspace(0, 1, rows)
     widths = fat * np.interp(
         t, [0, 0.06, 0.25, 0.6, 0.9, 1], [0.35, 0.6, 1.0, float(u(0.7, 1.05)), float(u(0.25, 0.6)), 0.03]
     )
     points, faces, place = strand(fine_curve, drop, 1.15 * widths, 0.85 * widths, max(round(10 * fine), 6))
-    costume.add(points, faces, *chains.weights(place / (rows - 1) * links), colors[0])
-    tie = curve_through(np.array(positions), 40)[1:5]
+    costume.add(points, faces, *chains.weights((place / (rows - 1) - begin) / (1 - begin) * links), colors[0])
+    tie = curve_through(np.array(places), 40)[1:5]
     points, faces, _ = strand(tie, drop, 0.6 * fat, 0.52 * fat, 8)
     costume.add(points, faces, costume.place("頭"), 1, colors[1])
 
@@ -203,7 +223,7 @@ def _side_locks(
             last - [0, length * share, 0] + np.array([side * 0.05, 0, 0.12]) * share * scalp.half[0]
             for share in (0.4, 0.75, 1.0)
         ]
-        positions = np.concatenate([top, np.array(drops)])
+        places = np.concatenate([top, np.array(drops)])
         links = 2
         hung = np.concatenate([top[-1:], np.array(drops)])
         out = np.array([np.sin(turn), 0, np.cos(turn)])
@@ -223,13 +243,13 @@ def _side_locks(
         chain = curve_through(hung, links + 1)
         chains = add_chains(costume, [f"{mark}横髪"], chain[None], out[None], costume.place("頭"), hang, cross=False)
         rows = max(round(14 * fine), 8)
-        curve = curve_through(positions, rows)
+        curve = curve_through(places, rows)
         t = np.linspace(0, 1, rows)
         width = fat * np.interp(t, [0, 0.2, 0.6, 0.9, 1], [0.3, 0.9, 1.0, 0.55, 0.04])
         points, faces, place = strand(curve, out, width, 0.5 * width, max(round(7 * fine), 5))
         begin = float(
-            np.linalg.norm(np.diff(positions[:3], axis=0), axis=1).sum()
-            / max(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum(), 1e-9)
+            np.linalg.norm(np.diff(places[:3], axis=0), axis=1).sum()
+            / max(np.linalg.norm(np.diff(places, axis=0), axis=1).sum(), 1e-9)
         )
         along = (place / (rows - 1) - begin) / (1 - begin) * links
         bones, shares = chains.weights(np.maximum(along, -0.5))
@@ -241,7 +261,7 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
     u = rng.uniform
     wide = float(u(1.75, 2.05))  # how far round to the front it begins
     count = int(rng.integers(5, 8))
-    end = max(float(scalp.center[1] - u(0.24, 0.6) * figure.height), 0.05 * figure.height)
+    end = max(float(scalp.center[1] - _fall_of(rng) * figure.height), 0.05 * figure.height)
     fine_turns = np.linspace(np.pi - wide, np.pi + wide, max(round(6 * count * fine), 3 * count))
     top = 1.35
     base = scalp.at(fine_turns, top, 0.45 * scalp.thick)
@@ -262,9 +282,12 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
             )
         )
     grid = np.stack(rings)  # rows, columns
-    links = int(np.clip(round((heights[0] - end) / (0.075 * figure.height)), 3, 7))
+    begin = band_start(costume, "後髪")
+    links = int(np.clip(round((1 - begin) * (heights[0] - end) / (0.075 * figure.height)), 1 if begin else 3, 10))
     pick = np.round(np.linspace(0, len(fine_turns) - 1, count)).astype(int)
-    nodes = np.stack([curve_through(grid[:, column], links + 1) for column in pick])
+    nodes = np.stack(
+        [curve_through(curve_through(grid[:, column], 65)[round(64 * begin) :], links + 1) for column in pick]
+    )
     middle = nodes.mean(axis=1)
     outward = unit((middle - [axis[0], 0, axis[1]]) * [1, 0, 1])
     hang = Hang(
@@ -275,7 +298,7 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
     chains = add_chains(
         costume, [f"後髪{number}" for number in range(count)], nodes, outward, costume.place("頭"), hang
     )
-    rows = max(round(3.5 * links * fine), 2 * links) + 1
+    rows = max(round(3.5 * links / (1 - begin) * fine), 2 * links) + 1
     columns = len(fine_turns)
     smooth = np.stack([curve_through(grid[:, column], rows) for column in range(columns)], axis=1)
     t = np.linspace(0, 1, rows)[:, None]
@@ -288,11 +311,12 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
     inner = smooth - radial * 0.09 * scalp.half[0] * (1 - 0.8 * t[..., None])
     above = scalp.at(fine_turns[None] + np.zeros((3, 1)), np.array([0.75, 0.95, 1.15])[:, None], 0.35 * scalp.thick)
     outer = np.concatenate([above, smooth])
-    along = np.concatenate([np.full(3, -0.5), t[:, 0] * links])
+    hung = (t[:, 0] - begin) / (1 - begin) * links
+    along = np.concatenate([np.full(3, -0.5), hung])
     across = np.linspace(0, count - 1, columns)
-    for points, positions, faces in (
+    for points, places, faces in (
         (outer, along, sheet_faces(rows + 3, columns)),
-        (inner, t[:, 0] * links, sheet_faces(rows, columns)[:, ::-1]),
+        (inner, hung, sheet_faces(rows, columns)[:, ::-1]),
     ):
-        bones, shares = chains.weights(np.repeat(positions, columns), np.tile(across, len(positions)))
+        bones, shares = chains.weights(np.repeat(places, columns), np.tile(across, len(places)))
         costume.add(points.reshape(-1, 3), faces, bones, shares, material)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.synthetic.wardrobe.chains import Hang, add_chains
+from bunraku.synthetic.wardrobe.chains import Hang, add_chains, band_start
 from bunraku.synthetic.wardrobe.clothes import collar_field
 from bunraku.synthetic.wardrobe.figure import Figure
 from bunraku.synthetic.wardrobe.model import Costume
@@ -39,6 +39,8 @@ def _sheet(
         wave: Depth of folds over the radius.
         lining: Distance of the inside [m].
     """
+    begin = band_start(costume, names)
+    links = max(round((1 - begin) * links), 1)
     columns, rows = max(round(4 * (count - 1) * fine), 2 * count) + 1, max(round(4 * links * fine), 2 * links) + 1
 
     def grid(share: np.ndarray, across: np.ndarray, lift: float = 0.0, fold: float = 0.0) -> np.ndarray:
@@ -50,13 +52,15 @@ def _sheet(
             out.append(drape.points(np.array([row]), angles, swell[None], lift)[0])
         return np.stack(out)
 
-    nodes = grid(np.linspace(0, 1, links + 1), np.linspace(0, 1, count)).transpose(1, 0, 2)
+    nodes = grid(np.linspace(begin, 1, links + 1), np.linspace(0, 1, count)).transpose(1, 0, 2)
     middle = 0.5 * (nodes[:, 0] + nodes[:, -1]) - [drape.center[0], 0, drape.center[1]]
     chains = add_chains(
         costume, [f"{names}{number}" for number in range(count)], nodes, unit(middle * [1, 0, 1]), bone, hang
     )
     share, across = np.linspace(0, 1, rows), np.linspace(0, 1, columns)
-    bones, shares = chains.weights(np.repeat(share * links, columns), np.tile(across * (count - 1), rows))
+    bones, shares = chains.weights(
+        np.repeat((share - begin) / (1 - begin) * links, columns), np.tile(across * (count - 1), rows)
+    )
     outer, inner = grid(share, across, 0.0, wave), grid(share, across, -lining, wave)
     inner[:, [0, -1]], inner[-1] = outer[:, [0, -1]], outer[-1]
     faces = sheet_faces(rows, columns)

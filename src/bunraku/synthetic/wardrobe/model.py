@@ -57,6 +57,8 @@ class Costume:
         colors: sRGB of each material from 0 to 1, shape (3,).
         words: What it wears, for people to read.
         facets: Whether each face has vertices and normals of its own, as loose low-polygon meshes have.
+        seed: Of what differs from one piece of apparel to the next: springs, limits, where it begins to move.
+        quiet: Whether little of the character is apparel: bands, tips and small pieces.
     """
 
     name: str
@@ -68,6 +70,8 @@ class Costume:
     colors: dict[str, np.ndarray] = field(default_factory=dict)
     words: list[str] = field(default_factory=list)
     facets: bool = False
+    seed: int = 0
+    quiet: bool = False
 
     def place(self, name: str) -> int:
         """Index of the bone with this name.

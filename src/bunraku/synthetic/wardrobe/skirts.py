@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.synthetic.wardrobe.chains import Hang, add_chains
+from bunraku.synthetic.wardrobe.chains import Hang, add_chains, band_start
 from bunraku.synthetic.wardrobe.figure import Figure
 from bunraku.synthetic.wardrobe.model import Costume
 from bunraku.synthetic.wardrobe.skeleton import SOLID
@@ -131,9 +131,10 @@ def add_skirt(
     drape = hanging_rings(figure, top, hem, flare=flare, bow=float(u(0.6, 1.2)), clear=0.016 * h)
     length = top - hem
     count = 12 if length > 0.3 * h or kind == "layered" else 10
-    links = int(np.clip(round(length / (0.075 * h)), 2, 5))
+    begin = band_start(costume, "スカート")
+    links = int(np.clip(round((1 - begin) * length / (0.075 * h)), 1 if begin else 2, 7))
     turns = np.arange(count) * 2 * np.pi / count
-    nodes = drape.points(np.linspace(0, 1, links + 1), turns).transpose(1, 0, 2)
+    nodes = drape.points(np.linspace(begin, 1, links + 1), turns).transpose(1, 0, 2)
     outward = np.stack([np.sin(turns), np.zeros(count), np.cos(turns)], axis=1)
     hang = Hang(
         mass=1.0, damping=(0.85, 0.95), out=70, inward=25, side=25, twist=0, spring=float(u(0.1, 0.4)), thick=0.007 * h,
@@ -157,7 +158,10 @@ def add_skirt(
         # Layers above stand off; folds grow towards the hem, outwards, so that the body stays inside.
         swell = 1 + deep * np.minimum(2.2 * share, 1)[:, None] * (1 + wave)[None]
         points = drape.points(share, angles, swell, layer * 0.012 * h)
-        along, across = np.repeat(share * links, columns), np.tile(angles / (2 * np.pi) * count, rows)
+        along, across = (
+            np.repeat((share - begin) / (1 - begin) * links, columns),
+            np.tile(angles / (2 * np.pi) * count, rows),
+        )
         material = colors[0] if layer % 2 == 0 else colors[1]
         faces = sheet_faces(rows, columns, wrap=True)
         bones, shares = chains.weights(along, across)

@@ -1,0 +1,70 @@
+"""The body as points with normals, posed frame by frame: what apparel may not enter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.apparel.wearer import Wearer
+from bunraku.geometry.normals import vertex_normals
+from bunraku.handles.graph import farthest_points
+
+__all__ = ["BodyPoints", "body_points", "nearest_point"]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPoints:
+    """Points spread over the body.
+
+    Args:
+        rest: Places in the rest pose [m], shape (B, 3).
+        normals: Outward, shape (B, 3).
+        weights: Skinning weights for the 22 joints, shape (B, 22).
+        joint: The joint that holds each most, shape (B,).
+    """
+
+    rest: np.ndarray
+    normals: np.ndarray
+    weights: np.ndarray
+    joint: np.ndarray
+
+    def posed(self, affine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places and normals in a frame, shape (B, 3) each.
+
+        Args:
+            affine: Affine transforms of the joints, as `eq4_transforms` gives them, shape (22, 3, 4).
+        """
+        blend = (self.weights @ affine.reshape(len(affine), 12)).reshape(-1, 3, 4)
+        points = (blend[..., :3] * self.rest[:, None, :]).sum(axis=-1) + blend[..., 3]
+        return points, (affine[self.joint, :, :3] * self.normals[:, None, :]).sum(axis=-1)
+
+
+def body_points(wearer: Wearer, most: int = 512) -> BodyPoints:
+    """Points of a wearer's body, evenly spread; none where all of it is apparel."""
+    normals = vertex_normals(wearer.rest, wearer.faces)
+    used = np.zeros(len(wearer.rest), bool)
+    used[wearer.faces] = True
+    rows = np.flatnonzero(used & (wearer.part < 0) & (np.linalg.norm(normals, axis=1) > 0.5))
+    if len(rows):
+        rows = rows[farthest_points(wearer.rest[rows].astype(np.float64), min(most, len(rows)))]
+    weights = wearer.weights[rows].astype(np.float32)
+    return BodyPoints(
+        wearer.rest[rows].astype(np.float32), normals[rows].astype(np.float32), weights,
+        weights.argmax(axis=1) if len(rows) else np.zeros(0, np.int64),
+    )  # fmt: skip
+
+
+def nearest_point(points: np.ndarray, places: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The plane of the nearest body point: signed distance of each point from it, shape (M,), and its normal (M, 3);
+    far away where there is no body.
+
+    Args:
+        points: [m], shape (M, 3).
+        places, normals: Of the posed body, shape (B, 3).
+    """
+    if not len(places):
+        return np.full(len(points), 10.0, np.float32), np.zeros_like(points)
+    near = ((places * places).sum(axis=1) - 2 * points @ places.T).argmin(axis=1)
+    normal = normals[near]
+    return ((points - places[near]) * normal).sum(axis=-1), normal

@@ -1,0 +1,108 @@
+"""From nodes to vertices: each apparel vertex goes with the nodes around it, their turns included."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bunraku.apparel.displacement.nodes import ApparelNodes
+from bunraku.apparel.wearer import Wearer
+
+__all__ = ["Carrier", "node_turns", "polar_rotation"]
+
+NEAR = 4
+RIGID = 0.3
+"""How much the carrying joint's own turn counts in that of a node, over the spread of its neighbours."""
+
+
+class Carrier:
+    """Takes the displacement of nodes to the apparel vertices of a wearer.
+
+    Args:
+        wearer: The character.
+        nodes: Its nodes; every part has some.
+    """
+
+    def __init__(self, wearer: Wearer, nodes: ApparelNodes):
+        self.vertices = np.flatnonzero(wearer.part >= 0)
+        self.nodes = nodes
+        self.index = np.zeros((len(self.vertices), NEAR), np.int64)
+        self.share = np.zeros((len(self.vertices), NEAR), np.float32)
+        parts = wearer.part[self.vertices]
+        for part in np.unique(parts):
+            rows, own = np.flatnonzero(parts == part), np.flatnonzero(nodes.part == part)
+            near = min(NEAR, len(own))
+            gap, found = cKDTree(nodes.rest[own]).query(wearer.rest[self.vertices[rows]], near)
+            gap, found = gap.reshape(len(rows), near), found.reshape(len(rows), near)
+            # the farthest of the four counts for nothing, so that nothing jumps where another takes its place
+            weight = 1 / (gap**2 + 1e-8)
+            if near == NEAR:
+                weight = np.maximum(weight - weight[:, -1:] * 0.999, 0)
+            self.index[rows, :near] = own[found]
+            self.share[rows, :near] = weight / weight.sum(axis=1, keepdims=True)
+        away = wearer.rest[self.vertices][:, None].astype(np.float32) - nodes.rest[self.index]
+        self.away = away
+        neighbours = nodes.rest[nodes.neighbours] - nodes.rest[:, None]
+        self.spokes = neighbours.astype(np.float32)
+        reach = np.square(self.spokes).sum(axis=(1, 2)) / 3 + 1e-8
+        self.prior = (RIGID * reach).astype(np.float32)
+
+    def displacements(self, moved: np.ndarray) -> np.ndarray:
+        """Displacement of the apparel vertices in the frames of the joints that carry the nodes [m], shape (A, 3).
+
+        Args:
+            moved: Of the nodes, in the frame of the carrying joint each [m], shape (M, 3).
+        """
+        turns = node_turns(self.nodes, self.spokes, self.prior, moved)
+        # a vertex near node i goes to rest_i + moved_i + turn_i (rest - rest_i)
+        swung = (turns[self.index] * self.away[:, :, None, :]).sum(axis=-1) - self.away
+        return np.asarray((self.share[..., None] * (moved[self.index] + swung)).sum(axis=1))
+
+    def places(self, moved: np.ndarray, affine: np.ndarray, weights: np.ndarray, rest: np.ndarray) -> np.ndarray:
+        """Where the apparel vertices are [m], shape (A, 3).
+
+        Args:
+            moved: As above.
+            affine: Affine transforms of the joints (`eq4_transforms`), shape (22, 3, 4).
+            weights: Skinning weights of all vertices, shape (V, 22).
+            rest: All vertices [m], shape (V, 3).
+        """
+        own = (weights[self.vertices] @ affine.reshape(len(affine), 12)).reshape(-1, 3, 4)
+        carried = (own[..., :3] * rest[self.vertices][:, None, :]).sum(axis=-1) + own[..., 3]
+        turns = affine[weights[self.vertices].argmax(axis=1), :, :3]
+        return np.asarray(carried + (turns * self.displacements(moved)[:, None, :]).sum(axis=-1))
+
+
+def node_turns(nodes: ApparelNodes, spokes: np.ndarray, prior: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """How nodes turn against the joint that carries them, as their neighbours say (Procrustes), shape (M, 3, 3)."""
+    bent = spokes + moved[nodes.neighbours] - moved[:, None]
+    product = np.matmul(bent.transpose(0, 2, 1), spokes)
+    product[:, [0, 1, 2], [0, 1, 2]] += prior[:, None]
+    return polar_rotation(product)
+
+
+def polar_rotation(matrices: np.ndarray, rounds: int = 8) -> np.ndarray:
+    """The rotation nearest to each matrix, by Higham's iteration `X = (g X + X^-T / g) / 2`; the identity where a matrix
+    turns its space inside out, shape (..., 3, 3).
+    """
+    out = np.array(matrices, np.float32)
+    out /= np.maximum(np.abs(out).max(axis=(-2, -1), keepdims=True), 1e-12)
+    a, b, c = out[..., 0, :], out[..., 1, :], out[..., 2, :]
+    bad = (a * _cross(b, c)).sum(axis=-1) < 1e-4
+    out[bad] = np.eye(3, dtype=np.float32)
+    for _ in range(rounds):
+        a, b, c = out[..., 0, :], out[..., 1, :], out[..., 2, :]
+        adjoint = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=-2)
+        determinant = (a * adjoint[..., 0, :]).sum(axis=-1)[..., None, None]
+        inverse = adjoint / np.maximum(determinant, 1e-12)
+        scale = np.sqrt(
+            np.linalg.norm(inverse, axis=(-2, -1), keepdims=True) / np.linalg.norm(out, axis=(-2, -1), keepdims=True)
+        )
+        out = 0.5 * (scale * out + inverse / scale)
+    return out
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

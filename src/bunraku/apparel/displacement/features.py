@@ -1,0 +1,210 @@
+"""What the displacement networks are told of each node, in the frame of the joint that carries it.
+
+All of it is vectors and plain numbers, so that a character's mirror image is its features with x turned round.
+Lengths are over the wearer's size (`Wearer.scale`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
+from bunraku.apparel.displacement.filters import FREQUENCIES, LAGS, MotionFilters
+from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
+from bunraku.apparel.displacement.nodes import ApparelNodes
+from bunraku.apparel.skinning import eq4_transforms
+from bunraku.apparel.wearer import Wearer
+from bunraku.body.layout import JOINT_COUNT, JOINT_MIRROR
+
+__all__ = [
+    "BASIS", "GLOBAL", "LEAD_IN", "RATE", "STATIC_SCALARS", "STATIC_VECTORS", "VECTORS", "Frame", "MotionFeatures",
+    "clip_features", "mirror_global", "static_features",
+]  # fmt: skip
+
+RATE = 30.0
+"""Frames a second that the networks know [1/s]."""
+LEAD_IN = 30
+"""Frames from the rest pose into a clip."""
+BASIS = len(FREQUENCIES) + len(LAGS) + 4
+"""Vectors that a displacement may be made of: sways, lagging turns, the tilt, and three pushes out of the body."""
+VECTORS = BASIS + 6
+"""Beside these: up, spin, velocity, acceleration, the body's normals at the node and where it hangs."""
+SCALARS = 2
+STATIC_VECTORS = 3
+STATIC_SCALARS = 13
+GLOBAL = JOINT_COUNT * 9 + 3
+_GROUPS = (0, 1, 1, 0, 1, 1, 2, 1, 1, 2, 1, 1, 3, 4, 4, 3, 4, 4, 4, 4, 4, 4)  # hips, legs, trunk, head, arms
+CLEAR = 0.01  # how near to the body apparel may come that was farther off at rest [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame of a wearer.
+
+    Args:
+        vectors: In the frames of the carrying joints, shape (M, VECTORS, 3); the first BASIS of them are a basis of
+            displacements.
+        scalars: Signed distances from the body of the carried node and of where it hangs, shape (M, SCALARS).
+        whole: The body's pose seen from the pelvis, shape (GLOBAL,).
+        turns: Frames R of the carrying joints, shape (M, 3, 3).
+        places: Carried places LBS(rest) [m], shape (M, 3).
+        body: Places and normals of the body's points [m], shape (B, 3) each.
+    """
+
+    vectors: np.ndarray
+    scalars: np.ndarray
+    whole: np.ndarray
+    turns: np.ndarray
+    places: np.ndarray
+    body: tuple[np.ndarray, np.ndarray]
+
+
+def static_features(wearer: Wearer, nodes: ApparelNodes) -> tuple[np.ndarray, np.ndarray]:
+    """What of the nodes never changes: vectors (M, STATIC_VECTORS, 3) and numbers (M, STATIC_SCALARS), float32."""
+    size = wearer.scale
+    points = body_points(wearer)
+    distance, normal = nearest_point(nodes.rest, points.rest, points.normals)
+    groups = np.eye(5, dtype=np.float32)[np.array(_GROUPS)[nodes.joint]]
+    vectors = np.stack([(nodes.rest - wearer.joints[nodes.joint]) / size, nodes.held / size, normal], axis=1)
+    share = nodes.distance / nodes.length
+    sizes = np.bincount(nodes.part, minlength=len(wearer.stiffness))[nodes.part]
+    damping = np.clip(wearer.damping[nodes.part], 0, 0.999)
+    scalars = np.column_stack([
+        nodes.distance / size, nodes.length / size, share, share**2, np.clip(distance / size, -0.2, 0.3) * 5,
+        wearer.stiffness[nodes.part], np.log10(1.0 - damping), np.log(sizes + 1.0) / 5, groups,
+    ])  # fmt: skip
+    return vectors.astype(np.float32), scalars.astype(np.float32)
+
+
+class MotionFeatures:
+    """The features of a wearer, frame by frame; `advance` with one pose after the other.
+
+    Args:
+        wearer: The character.
+        nodes: Its nodes.
+        first: The first pose, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4); what lies before it is taken to be at
+            rest there.
+        fps: Frames a second [1/s].
+    """
+
+    def __init__(self, wearer: Wearer, nodes: ApparelNodes, first: np.ndarray, fps: float = RATE):
+        self.wearer, self.nodes, self.size = wearer, nodes, np.float32(wearer.scale)
+        self.points: BodyPoints = body_points(wearer)
+        rest_gap = nearest_point(nodes.rest, self.points.rest, self.points.normals)[0]
+        self.gap = np.minimum(rest_gap, CLEAR * self.size)
+        self.push = np.zeros((len(nodes), 3), np.float32)
+        self.follow = np.float32(1 - np.exp(-1 / (fps * 0.2)))
+        self.before = np.asarray(first[:, :, :3], np.float32)
+        self.fps = fps
+        places, _ = self._carried(self._affine(first))
+        self.filters = MotionFilters(places / self.size, first[:, :, :3], fps)
+
+    def _affine(self, transforms: np.ndarray) -> np.ndarray:
+        return eq4_transforms(transforms[None], self.wearer.joints)[0]
+
+    def _carried(self, affine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        blend = (self.nodes.weights @ affine.reshape(JOINT_COUNT, 12)).reshape(-1, 3, 4)
+        return _turned(blend[..., :3], self.nodes.rest) + blend[..., 3], affine[self.nodes.joint, :, :3]
+
+    def advance(self, transforms: np.ndarray) -> Frame:
+        """The features of the next frame.
+
+        Args:
+            transforms: `[R | t]` of the joints, shape (22, 3, 4).
+        """
+        nodes, size = self.nodes, self.size
+        affine = self._affine(np.asarray(transforms, np.float32))
+        places, turns = self._carried(affine)
+        joints = np.asarray(transforms[:, :, :3], np.float32)
+        velocity, acceleration = self.filters.advance(places / size, joints)
+        held = nodes.held / size
+        up = turns[:, 1, :]
+        tilt = _tilted(held, up) - held
+        body = self.points.posed(affine)
+        near, normal = nearest_point(places, *body)
+        near_hang, normal_hang = nearest_point(places + size * _turned(turns, tilt), *body)
+        late = [_turned(late[nodes.joint], held) for late in self.filters.late]
+        spun = _cross(self._spin(joints)[nodes.joint], _turned(turns, held))
+        world = np.stack(
+            [*self.filters.sway, *late, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05], axis=2
+        )
+        inside = np.matmul(turns.transpose(0, 2, 1), world).transpose(0, 2, 1)
+        count = len(FREQUENCIES) + len(LAGS)
+        late_inside, normals = inside[:, len(FREQUENCIES) : count] - held[:, None], inside[:, count : count + 2]
+        gaps = np.stack([near, near_hang], axis=1)
+        push = normals * (np.clip(self.gap[:, None] - gaps, 0, 0.4 * size) / size)[..., None]
+        self.push = self.push + self.follow * (push[:, 0] - self.push)
+        vectors = np.concatenate(
+            [
+                inside[:, : len(FREQUENCIES)], late_inside, tilt[:, None], push, self.push[:, None], up[:, None],
+                inside[:, count + 2 :], normals,
+            ],
+            axis=1,
+        )  # fmt: skip
+        scalars = np.clip(gaps / size, -0.3, 0.3) * 5
+        return Frame(
+            vectors.astype(np.float32), scalars.astype(np.float32), _whole(transforms, size), turns, places, body
+        )
+
+    def _spin(self, joints: np.ndarray) -> np.ndarray:
+        """How fast each joint turns [rad/s], shape (22, 3)."""
+        change = np.matmul(joints, self.before.transpose(0, 2, 1)) * self.fps
+        self.before = joints
+        return np.stack(
+            [change[:, 2, 1] - change[:, 1, 2], change[:, 0, 2] - change[:, 2, 0], change[:, 1, 0] - change[:, 0, 1]],
+            axis=1,
+        ) / 2  # fmt: skip
+
+
+def _turned(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """A turn for each vector, shapes (M, 3, 3) and (M, 3) -> (M, 3)."""
+    return np.asarray((turns * vectors[:, None, :]).sum(axis=-1))
+
+
+def _tilted(vectors: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Vectors turned by the least turn that takes +Y to `up`; near to head over heels by less than that."""
+    axis = np.stack([up[:, 2], np.zeros(len(up)), -up[:, 0]], axis=1)  # +Y x up
+    once = _cross(axis, vectors)
+    return np.asarray(vectors + once + _cross(axis, once) / np.maximum(1 + up[:, 1], 0.15)[:, None])
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """`np.cross` of (M, 3) arrays, without its overhead."""
+    ax, ay, az = a.T
+    bx, by, bz = b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+
+
+def _whole(transforms: np.ndarray, size: float) -> np.ndarray:
+    """T seen from the pelvis: places over the size and the first two columns of the turns; and which way is up."""
+    root = transforms[0, :, :3]
+    places = (transforms[:, :, 3] - transforms[0, :, 3]) @ root / size
+    turns = np.einsum("ba,jbc->jac", root, transforms[:, :, :3])[:, :, :2]
+    joints = np.concatenate([places, turns.transpose(0, 2, 1).reshape(-1, 6)], axis=1)
+    return np.append(joints.reshape(-1), root[1]).astype(np.float32)
+
+
+def mirror_global(whole: np.ndarray) -> np.ndarray:
+    """`Frame.whole` of the mirror image in the plane x = 0, shape (..., GLOBAL)."""
+    joints = whole[..., :-3].reshape(*whole.shape[:-1], JOINT_COUNT, 9)[..., list(JOINT_MIRROR), :]
+    sign = np.array([-1, 1, 1, 1, -1, -1, -1, 1, 1], whole.dtype)
+    up = whole[..., -3:] * np.array([-1, 1, 1], whole.dtype)
+    return np.concatenate([(joints * sign).reshape(*whole.shape[:-1], -1), up], axis=-1)
+
+
+def clip_features(wearer: Wearer, nodes: ApparelNodes, transforms: np.ndarray) -> list[Frame]:
+    """Features of all frames of a clip at 30 frames a second that begins from the rest pose, after `LEAD_IN` frames
+    that lead there.
+
+    Args:
+        wearer: The character.
+        nodes: Its nodes.
+        transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
+    """
+    start = rest_transforms(wearer.joints, transforms[0])
+    state = MotionFeatures(wearer, nodes, start)
+    for pose in lead_in_transforms(wearer.joints, transforms[0], LEAD_IN):
+        state.advance(pose)
+    return [state.advance(pose) for pose in transforms]

@@ -1,0 +1,93 @@
+"""The whole displacement network f_d of section 4.3, and its checkpoint."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from torch import nn
+
+from bunraku.apparel.displacement.anchor import AnchorHead
+from bunraku.apparel.displacement.recurrent import RecurrentPart
+from bunraku.errors import WeightsError
+from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+
+__all__ = ["DisplacementConfig", "DisplacementNetwork", "load_displacement", "save_displacement"]
+
+
+@dataclass(frozen=True)
+class DisplacementConfig:
+    """Shape of the network.
+
+    Args:
+        width: Channels of the head.
+        blocks: Its edge convolutions.
+        recurrent: Channels of the recurrent part, 0 for the head alone.
+        frame: "joint" remembers the difference from the head in the frame of the carrying joint; "world" is the
+            paper's Eq. 11 as it stands, positions in the world from the pelvis, without the head.
+    """
+
+    width: int = 96
+    blocks: int = 2
+    recurrent: int = 64
+    frame: Literal["joint", "world"] = "joint"
+
+
+class DisplacementNetwork(nn.Module):
+    """The head that cannot drift, and the recurrent part about it.
+
+    Args:
+        config: Its shape.
+    """
+
+    def __init__(self, config: DisplacementConfig | None = None):
+        super().__init__()
+        self.config = config = config or DisplacementConfig()
+        self.anchor = AnchorHead(config.width, config.blocks)
+        self.recurrent = (
+            RecurrentPart(config.recurrent, config.blocks, config.frame == "world") if config.recurrent else None
+        )
+
+
+def save_displacement(
+    path: str | Path, model: DisplacementNetwork, note: dict[str, Any] | None = None, half: bool = False
+) -> Path:
+    """Write the weights with their config as a checkpoint of kind "apparel".
+
+    Args:
+        path: The file.
+        model: The network.
+        note: Anything else to carry.
+        half: Store the matrices as float16.
+    """
+    config = {"network": asdict(model.config), **(note or {})}
+    return save_checkpoint(path, model.state_dict(), config, "apparel", half=half)
+
+
+def load_displacement(path: str | Path) -> DisplacementNetwork:
+    """Read a checkpoint of kind "apparel", ready to use.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    state, config = load_checkpoint(path, "apparel")
+    try:
+        model = DisplacementNetwork(DisplacementConfig(**config["network"]))
+        model.load_state_dict(state)
+    except (KeyError, TypeError, RuntimeError, ValueError) as error:
+        raise WeightsError(
+            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
+        ) from error
+    return model.eval().requires_grad_(False)
+
+
+def normalize_inputs(model: DisplacementNetwork, nodes: torch.Tensor) -> None:
+    """Set what the encoders subtract and divide by, from the features of many nodes, shape (M, NODE_INPUT)."""
+    mean, std = nodes.mean(dim=0), nodes.std(dim=0).clamp(min=1e-3)
+    for part in (model.anchor, model.recurrent):
+        if part is not None:
+            part.encoder.mean[: len(mean)] = mean
+            part.encoder.std[: len(std)] = std
+            part.encoder.std[len(std) :] = 0.1

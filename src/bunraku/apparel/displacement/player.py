@@ -1,0 +1,117 @@
+"""Learned apparel, frame by frame: a pose in, the places of the apparel vertices out. What a game engine calls."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from bunraku.apparel.displacement.anchor import Inputs
+from bunraku.apparel.displacement.body_points import body_points
+from bunraku.apparel.displacement.carry import Carrier
+from bunraku.apparel.displacement.features import LEAD_IN, Frame, MotionFeatures, static_features
+from bunraku.apparel.displacement.graph import node_graph
+from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
+from bunraku.apparel.displacement.network import DisplacementNetwork
+from bunraku.apparel.displacement.nodes import apparel_nodes
+from bunraku.apparel.displacement.recurrent import Past, past_of_rest
+from bunraku.apparel.displacement.safety import Safety
+from bunraku.apparel.skinning import eq4_transforms
+from bunraku.apparel.wearer import Wearer
+
+__all__ = ["NODES", "ApparelPlayer"]
+
+NODES = 256
+SAFE_POINTS = 1500
+
+
+class ApparelPlayer:
+    """A wearer whose apparel the network moves.
+
+    Args:
+        wearer: The character.
+        network: The network.
+        nodes: Most nodes.
+        safe: Whether the safety stage runs.
+        recurrent: Whether the recurrent part runs, where the network has one.
+    """
+
+    def __init__(
+        self, wearer: Wearer, network: DisplacementNetwork, *, nodes: int = NODES, safe: bool = True,
+        recurrent: bool = True,
+    ):  # fmt: skip
+        self.wearer, self.network = wearer, network
+        parts = int(wearer.part.max(initial=-1)) + 1
+        self.nodes = apparel_nodes(wearer, max(nodes, min(3 * parts, 512)))
+        self.carrier = Carrier(wearer, self.nodes)
+        vectors, scalars = static_features(wearer, self.nodes)
+        self.still = torch.from_numpy(vectors), torch.from_numpy(scalars)
+        self.graph = node_graph([self.nodes.neighbours], [self.nodes.part])
+        self.points = body_points(wearer, SAFE_POINTS) if safe else None
+        self.safety = None if self.points is None else Safety(self.nodes, self.points, wearer.scale)
+        self.recurrent = network.recurrent if recurrent else None
+        self.features: MotionFeatures | None = None
+        self.past: Past | None = None
+
+    def start(self, transforms: np.ndarray) -> None:
+        """Begin before a first frame: a second from the rest pose into it.
+
+        Args:
+            transforms: `[R | t]` of the joints (Eq. 1) in the first frame, shape (22, 3, 4).
+        """
+        joints = self.wearer.joints
+        self.features = MotionFeatures(self.wearer, self.nodes, rest_transforms(joints, transforms))
+        self.past = None
+        for pose in lead_in_transforms(joints, transforms, LEAD_IN):
+            frame = self.features.advance(pose)
+            if self.recurrent is not None:
+                self._moved(frame, pose)
+
+    def advance(self, transforms: np.ndarray) -> np.ndarray:
+        """The next frame, a thirtieth of a second later.
+
+        Args:
+            transforms: `[R | t]` of the joints (Eq. 1), shape (22, 3, 4).
+
+        Returns:
+            Where the apparel vertices (`carrier.vertices`) are [m], shape (A, 3), float32.
+        """
+        if self.features is None:
+            self.start(transforms)
+        assert self.features is not None
+        frame = self.features.advance(np.asarray(transforms, np.float32))
+        moved = self._moved(frame, transforms) * np.float32(self.wearer.scale)
+        affine = eq4_transforms(np.asarray(transforms, np.float32)[None], self.wearer.joints)[0]
+        if self.safety is not None and self.points is not None:
+            places = frame.places + (frame.turns * moved[:, None, :]).sum(axis=-1)
+            safe = self.safety(places, self.points.posed(affine)) - frame.places
+            moved = (frame.turns.transpose(0, 2, 1) * safe[:, None, :]).sum(axis=-1)
+        return self.carrier.places(moved, affine, self.wearer.weights, self.wearer.rest).astype(np.float32)
+
+    @torch.no_grad()
+    def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
+        """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
+        inputs = Inputs(
+            *self.still, torch.from_numpy(frame.vectors), torch.from_numpy(frame.scalars),
+            torch.from_numpy(frame.whole)[None], self.graph,
+        )  # fmt: skip
+        anchor = self.network.anchor(inputs)
+        if self.recurrent is None:
+            return np.asarray(anchor)
+        turns = torch.from_numpy(np.ascontiguousarray(frame.turns))
+        root = transforms[0, :, 3] if self.recurrent.world else 0.0
+        places = torch.from_numpy(((frame.places - root) / self.wearer.scale).astype(np.float32))
+        if self.past is None:
+            first = torch.zeros_like(anchor) if self.recurrent.world else anchor
+            self.past = past_of_rest(first, places + torch.einsum("mab,mb->ma", turns, first), self.recurrent.world)
+        moved, self.past = self.recurrent(inputs, self.past, anchor, turns, places)
+        return np.asarray(moved)
+
+    def clip(self, transforms: np.ndarray) -> np.ndarray:
+        """The apparel vertices in all frames of a clip at 30 frames a second that begins from rest [m], shape (N, A,
+        3), float32.
+
+        Args:
+            transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
+        """
+        self.start(np.asarray(transforms[0], np.float32))
+        return np.stack([self.advance(pose) for pose in transforms])

@@ -1,0 +1,176 @@
+"""A character's surface as a few points: what the segmentation and the body network see of any mesh, whatever its
+resolution and however many loose parts it is made of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
+from bunraku.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
+from bunraku.geometry.normals import vertex_normals
+
+__all__ = ["NEIGHBOURS", "POINTS", "POINT_FEATURES", "SampledMesh", "joint_distances", "sampled_mesh"]
+
+POINTS = 1024
+NEIGHBOURS = 6
+POINT_FEATURES = 3 + 3 + 3 + 1 + JOINT_COUNT - 1 + 4
+_BONES = [(parent, joint) for joint, parent in enumerate(JOINT_PARENTS) if parent >= 0]
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMesh:
+    """S points of a mesh.
+
+    Args:
+        clean: Clean vertex (`geometry.graph.clean_mesh`) that each is, shape (S,).
+        points: In units of the height, feet at 0, x and z from the pelvis, shape (S, 3), float32.
+        joints: J in the same units, shape (22, 3).
+        features: What the segmentation network is told, shape (S, POINT_FEATURES), float32.
+        part: Loose part of the mesh of each, shape (S,).
+        neighbours: Nearest points of the same part, shape (S, NEIGHBOURS).
+        index: Clean vertex of each vertex of the mesh, shape (V,).
+        nearest: The nearest points of the same part to each vertex, shape (V, 3), and their weights, rows sum to 1.
+        shares: As said.
+    """
+
+    clean: np.ndarray
+    points: np.ndarray
+    joints: np.ndarray
+    features: np.ndarray
+    part: np.ndarray
+    neighbours: np.ndarray
+    index: np.ndarray
+    nearest: np.ndarray
+    shares: np.ndarray
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """Values of the points at all vertices of the mesh, shape (S, C) -> (V, C)."""
+        return np.asarray((values[self.nearest] * self.shares[..., None]).sum(axis=1))
+
+
+def sampled_mesh(
+    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, most: int = POINTS, seed: int = 0
+) -> SampledMesh:
+    """Sample a mesh: some points of every loose part, more of larger ones.
+
+    Args:
+        vertices: Rest mesh [m], +Y up, facing +Z, shape (V, 3).
+        faces: Shape (F, 3).
+        joints: J [m], shape (22, 3).
+        most: How many points.
+        seed: Of which are taken.
+
+    Raises:
+        CharacterError: The mesh is broken.
+    """
+    clean = clean_mesh(vertices, faces)
+    count = len(clean.vertices)
+    edges = unique_edges(clean.faces, count)
+    part = mesh_parts(edges, count)
+    chosen = _chosen(part, min(most, count), np.random.default_rng(seed))
+    places = clean.vertices * clean.scale + clean.center
+    low, height = places[:, 1].min(), max(float(np.ptp(places[:, 1])), 1e-9)
+    origin = np.array([joints[0, 0], low, joints[0, 2]])
+    points = (places[chosen] - origin) / height
+    bones = (np.asarray(joints, np.float64) - origin) / height
+    normals = vertex_normals(clean.vertices, clean.faces)[chosen]
+    sizes = np.stack([np.ptp(points[part[chosen] == number], axis=0) for number in range(part.max() + 1)])[part[chosen]]
+    lows = np.array([points[part[chosen] == number, 1].min() for number in range(part.max() + 1)])[part[chosen]]
+    way, gaps = _bone_ways(points, bones)
+    features = np.concatenate(
+        [
+            points,
+            normals,
+            way,
+            gaps.min(axis=1, keepdims=True),
+            np.exp(-8 * gaps),
+            sizes,
+            (points[:, 1] - lows)[:, None],
+        ],
+        axis=1,
+    )
+    neighbours, nearest, shares = _near(places, part, chosen)
+    return SampledMesh(
+        chosen, points.astype(np.float32), bones.astype(np.float32), features.astype(np.float32), part[chosen],
+        neighbours, clean.index, nearest[clean.index], shares[clean.index],
+    )  # fmt: skip
+
+
+def _chosen(part: np.ndarray, most: int, rng: np.random.Generator) -> np.ndarray:
+    """At least three vertices of every part, as far as there is room; the rest by the share of vertices."""
+    order = rng.permutation(len(part))
+    rank = np.empty(len(part), np.int64)
+    by_part = order[np.argsort(part[order], kind="stable")]
+    starts = np.searchsorted(part[by_part], part[by_part])
+    rank[by_part] = np.arange(len(part)) - starts
+    priority = np.where(rank < 3, rank - 3.0, rng.random(len(part)))
+    return np.sort(np.argsort(priority, kind="stable")[:most])
+
+
+def _bone_ways(points: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The way from the nearest of the 21 bones to each point (S, 3), and the distance to each bone (S, 21)."""
+    start, end = (joints[[bone[side] for bone in _BONES]] for side in (0, 1))
+    along = end - start
+    share = np.einsum("sba,ba->sb", points[:, None] - start, along) / np.maximum(np.square(along).sum(axis=1), 1e-9)
+    feet = start + np.clip(share, 0, 1)[..., None] * along
+    ways = points[:, None] - feet
+    gaps = np.linalg.norm(ways, axis=2)
+    return ways[np.arange(len(points)), gaps.argmin(axis=1)], gaps
+
+
+def _near(places: np.ndarray, part: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Neighbours of the points (S, K), and the three nearest points of each clean vertex (C, 3) with shares."""
+    neighbours = np.repeat(np.arange(len(chosen))[:, None], NEIGHBOURS, axis=1)
+    nearest, shares = np.zeros((len(places), 3), np.int64), np.zeros((len(places), 3))
+    own_part = part[chosen]
+    far = cKDTree(places[chosen])
+    for number in range(int(part.max()) + 1):
+        rows, own = np.flatnonzero(part == number), np.flatnonzero(own_part == number)
+        if not len(own):  # more parts than points: those without one take the nearest of any
+            gap, found = far.query(places[rows], 3 if len(chosen) >= 3 else 1)
+            own = np.arange(len(chosen))
+        else:
+            tree = cKDTree(places[chosen[own]])
+            near = min(NEIGHBOURS + 1, len(own))
+            found = tree.query(places[chosen[own]], near)[1].reshape(len(own), near)
+            for row, line in zip(own, own[found], strict=True):
+                others = line[line != row][:NEIGHBOURS]
+                neighbours[row, : len(others)] = others
+            gap, found = tree.query(places[rows], min(3, len(own)))
+        gap, found = gap.reshape(len(rows), -1), found.reshape(len(rows), -1)
+        weight = 1 / (gap + 1e-6)
+        nearest[rows, : found.shape[1]] = own[found]
+        shares[rows, : found.shape[1]] = weight / weight.sum(axis=1, keepdims=True)
+    return neighbours, nearest, shares
+
+
+def joint_distances(
+    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, clean_vertices: np.ndarray
+) -> np.ndarray:
+    """Geodesic distances G of section 4.2 from points to joints, over the height, shape (S, 22), float32.
+
+    Each joint stands for the vertex nearest to it; loose parts are joined where they are nearest, so that all
+    distances are finite. Paths go along the edges.
+
+    Args:
+        vertices: Rest mesh [m], shape (V, 3).
+        faces: Shape (F, 3).
+        joints: J [m], shape (22, 3).
+        clean_vertices: The clean vertices that are asked for (`SampledMesh.clean`), shape (S,).
+    """
+    clean = clean_mesh(vertices, faces)
+    count = len(clean.vertices)
+    edges = unique_edges(clean.faces, count)
+    edges = np.concatenate([edges, bridge_edges(clean.vertices, mesh_parts(edges, count))])
+    lengths = np.linalg.norm(clean.vertices[edges[:, 0]] - clean.vertices[edges[:, 1]], axis=1) + 1e-9
+    graph = coo_matrix((lengths, (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
+    anchors = cKDTree(clean.vertices).query((np.asarray(joints) - clean.center) / clean.scale)[1]
+    found = dijkstra(graph, directed=False, indices=anchors)[:, clean_vertices].T
+    height = max(float(np.ptp(clean.vertices[:, 1])), 1e-9)
+    return np.asarray(found / height, np.float32)

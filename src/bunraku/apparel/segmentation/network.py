@@ -1,0 +1,110 @@
+"""The segmentation network f_c of section 4.1: which vertices are apparel, and how stiff they are.
+
+A PointNet (Qi et al. 2017): an MLP on each point, pooled over the mesh, and an MLP that reads both. Ours also pools over
+the loose part that a point belongs to, hears of its neighbours there, and is told of the nearest bones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from bunraku.apparel.displacement.graph import EdgeBlock, NodeGraph, node_graph
+from bunraku.apparel.sampled_mesh import POINT_FEATURES, SampledMesh
+from bunraku.errors import WeightsError
+from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+
+__all__ = [
+    "SegmentationConfig", "SegmentationNetwork", "load_segmentation", "mesh_block", "save_segmentation",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SegmentationConfig:
+    """Shape of the network.
+
+    Args:
+        width: Channels.
+        blocks: Edge convolutions within loose parts.
+    """
+
+    width: int = 96
+    blocks: int = 2
+
+
+class SegmentationNetwork(nn.Module):
+    """The network.
+
+    Args:
+        config: Its shape.
+    """
+
+    mean: torch.Tensor
+    std: torch.Tensor
+
+    def __init__(self, config: SegmentationConfig | None = None):
+        super().__init__()
+        self.config = config = config or SegmentationConfig()
+        width = config.width
+        self.register_buffer("mean", torch.zeros(POINT_FEATURES))
+        self.register_buffer("std", torch.ones(POINT_FEATURES))
+        self.enter = nn.Sequential(nn.Linear(POINT_FEATURES, width), nn.GELU(), nn.Linear(width, width))
+        self.blocks = nn.ModuleList(EdgeBlock(width) for _ in range(config.blocks))
+        self.pooled = nn.Linear(width, width)
+        self.decoder = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, 3))
+
+    def scores(self, features: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
+        """Before the sigmoid: apparel, stiffness and log10 of what a second of damping leaves, shape (S, 3).
+
+        Args:
+            features: Of the points of B meshes, shape (S, POINT_FEATURES).
+            graph: Their neighbours, loose parts and meshes.
+        """
+        x = self.enter(((features - self.mean) / self.std).clamp(-6, 6))
+        for block in self.blocks:
+            x = block(x, graph)
+        meshes = int(graph.owner.max()) + 1
+        rows = graph.owner[:, None].expand_as(x)
+        whole = x.new_full((meshes, x.shape[1]), -1e4).scatter_reduce(0, rows, x, "amax")
+        out: torch.Tensor = self.decoder(torch.cat([x, self.pooled(whole)[graph.owner]], dim=1))
+        return out
+
+    def forward(self, features: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
+        """Probability of each point to be apparel, Sigmoid(f_c(V)) [MMDMC 2], shape (S,)."""
+        return torch.sigmoid(self.scores(features, graph)[:, 0])
+
+
+def mesh_block(meshes: Sequence[SampledMesh]) -> tuple[torch.Tensor, NodeGraph]:
+    """Features and graph of several meshes as one block."""
+    features = torch.cat([torch.from_numpy(mesh.features) for mesh in meshes])
+    return features, node_graph([mesh.neighbours for mesh in meshes], [mesh.part for mesh in meshes])
+
+
+def save_segmentation(
+    path: str | Path, model: SegmentationNetwork, note: dict[str, Any] | None = None, half: bool = False
+) -> Path:
+    """Write the weights with their config as a checkpoint of kind "apparel-mask"."""
+    config = {"network": asdict(model.config), **(note or {})}
+    return save_checkpoint(path, model.state_dict(), config, "apparel-mask", half=half)
+
+
+def load_segmentation(path: str | Path) -> SegmentationNetwork:
+    """Read a checkpoint of kind "apparel-mask", ready to use.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    state, config = load_checkpoint(path, "apparel-mask")
+    try:
+        model = SegmentationNetwork(SegmentationConfig(**config["network"]))
+        model.load_state_dict(state)
+    except (KeyError, TypeError, RuntimeError, ValueError) as error:
+        raise WeightsError(
+            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
+        ) from error
+    return model.eval().requires_grad_(False)

@@ -1,0 +1,73 @@
+"""A character as the apparel networks see it: mesh, joints, what the joints hold, what is apparel, how stiff that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.body.layout import JOINT_COUNT
+from bunraku.errors import CharacterError
+
+__all__ = ["NORMAL_STIFFNESS", "SIZE", "Wearer", "part_stiffness"]
+
+SIZE = 1.6
+"""Height that the networks know characters at [m]; others are measured in units of theirs over this."""
+GRAVITY = 7.84  # of MMD files, 98 units / s^2 [m/s^2]
+NORMAL_STIFFNESS = -1.0
+"""Of cloth that hangs."""
+
+
+def part_stiffness(spring: np.ndarray, mass: np.ndarray, length: np.ndarray, dial: float = 1.0) -> np.ndarray:
+    """Stiffness of parts as the networks take it: log10 of a joint's spring over the moment of a body at the part's
+    end, from -4, where it hangs freely, to 2, where it stands; shape (P,), float32.
+
+    Args:
+        spring: Of a joint [N m / rad], shape (P,).
+        mass: Of a body [kg], shape (P,).
+        length: Of the part [m], shape (P,).
+        dial: Factor that the user asks for.
+    """
+    moment = np.maximum(np.asarray(mass, np.float64), 1e-4) * GRAVITY * np.maximum(length, 1e-3)
+    ratio = np.maximum(np.asarray(spring, np.float64) * dial, 1e-8) / moment
+    return np.asarray(np.clip(np.log10(ratio), -4, 2), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Wearer:
+    """A character with apparel.
+
+    Args:
+        rest: Rest mesh V [m], shape (V, 3), float32.
+        faces: Shape (F, 3).
+        joints: J, SMPL's 22 joints in the rest pose [m], shape (22, 3).
+        weights: Skinning weights W for the joints, shape (V, 22); an apparel vertex has those of what carries it.
+        apparel: The mask, shape (V,), bool.
+        part: Number of the apparel part of each vertex, -1 on the body, shape (V,).
+        stiffness: Of each part (`part_stiffness`), shape (P,).
+        damping: Of each part: share of the velocity that it loses in a second, shape (P,).
+
+    Raises:
+        CharacterError: The shapes do not fit.
+    """
+
+    rest: np.ndarray
+    faces: np.ndarray
+    joints: np.ndarray
+    weights: np.ndarray
+    apparel: np.ndarray
+    part: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+
+    def __post_init__(self) -> None:
+        count, parts = len(self.rest), int(self.part.max(initial=-1)) + 1
+        good = self.weights.shape == (count, JOINT_COUNT) and self.joints.shape == (JOINT_COUNT, 3)
+        good &= self.apparel.shape == self.part.shape == (count,)
+        if not good or len(self.stiffness) != parts or len(self.damping) != parts:
+            raise CharacterError("the mesh, its weights and its apparel are not of one character")
+
+    @property
+    def scale(self) -> float:
+        """Its size over the one that the networks know."""
+        return max(float(np.ptp(self.rest[:, 1])), 1e-6) / SIZE

@@ -1,0 +1,284 @@
+"""Training of the displacement network (section 4.3): the head that cannot drift first, then the recurrent part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from bunraku.apparel.displacement.anchor import Inputs
+from bunraku.apparel.displacement.features import mirror_global
+from bunraku.apparel.displacement.graph import NodeGraph, node_graph
+from bunraku.apparel.displacement.network import (
+    DisplacementConfig,
+    DisplacementNetwork,
+    normalize_inputs,
+    save_displacement,
+)
+from bunraku.apparel.displacement.recurrent import past_of_rest
+from bunraku.nn.averaged_run import AveragedRun, share_done
+from bunraku.nn.runs import append_row, plain_settings
+from bunraku.training.apparel.node_bank import HEADS, BankCharacter, build_bank
+from bunraku.training.losses.apparel_losses import edge_loss, vertex_loss
+
+__all__ = ["DisplacementTrainConfig", "DisplacementTrainer", "train_displacement"]
+
+
+@dataclass(frozen=True)
+class DisplacementTrainConfig:
+    """Settings of `bunraku train apparel`.
+
+    Args:
+        data: Folder that `bunraku data apparel` wrote.
+        out: Folder of the run.
+        minutes: Processor time of this run [min]; 0 counts steps instead.
+        steps: Optimiser steps where `minutes` is 0.
+        head: Share of the run in which only the head learns.
+        batch: Characters in a step of the head.
+        clips: Windows in a step of the recurrent part.
+        shortest, longest: Frames of a window, at the beginning of its training and at the end.
+        edges: Weight of Eq. 15 against Eq. 14; the paper's is 100, with clips that begin at the truth.
+        rate: Highest learning rate.
+        warmup: Steps until then.
+        decay: Of the running mean of the weights.
+        weight_decay: Of AdamW.
+        validate_every: Steps.
+        threads: Of torch; 0 leaves them as they are.
+        seed: Of what is drawn.
+        network: Its shape.
+    """
+
+    data: Path = Path("data/apparel")
+    out: Path = Path("runs/apparel")
+    minutes: float = 120.0
+    steps: int = 60000
+    head: float = 0.65
+    batch: int = 16
+    clips: int = 6
+    shortest: int = 6
+    longest: int = 24
+    edges: float = 1.0
+    rate: float = 1.5e-3
+    warmup: int = 200
+    decay: float = 0.998
+    weight_decay: float = 0.01
+    validate_every: int = 1000
+    threads: int = 1
+    seed: int = 1
+    network: DisplacementConfig = field(default_factory=DisplacementConfig)
+
+
+@dataclass
+class _Block:
+    """Windows of several characters: everything of F frames."""
+
+    inputs: list[Inputs]
+    truth: torch.Tensor
+    turns: torch.Tensor
+    places: torch.Tensor
+    rest: torch.Tensor
+    graph: NodeGraph
+
+
+class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
+    """One run in memory.
+
+    Args:
+        config: Settings.
+        characters: To learn from.
+        held_out: To validate on.
+    """
+
+    def __init__(
+        self,
+        config: DisplacementTrainConfig,
+        characters: Sequence[BankCharacter],
+        held_out: Sequence[BankCharacter] = (),
+    ):
+        self.config, self.characters, self.held_out = config, list(characters), list(held_out)
+        torch.manual_seed(config.seed)
+        self.rng = np.random.default_rng(config.seed)
+        model, average = (DisplacementNetwork(config.network) for _ in range(2))
+        nodes = torch.cat([self._block(self._draw(16), 1).inputs[0].nodes() for _ in range(12)])
+        normalize_inputs(model, nodes)
+        adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
+        super().__init__(config.out, model, average, adam)
+
+    def progress(self) -> float:
+        """How far the run is, 0 to 1."""
+        return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
+
+    def _draw(self, count: int) -> list[BankCharacter]:
+        return [self.characters[number] for number in self.rng.integers(len(self.characters), size=count)]
+
+    def _block(self, characters: Sequence[BankCharacter], frames: int, mirror: bool = True) -> _Block:
+        """A window of each character, some of them mirrored, with as many nodes as chance says."""
+        count = int(self.rng.choice(HEADS))
+        heads = [character.head(count) for character in characters]
+        graph = node_graph([near for near, _ in heads], [part for _, part in heads])
+        columns: dict[str, list[np.ndarray]] = {}
+        for character, (near, _) in zip(characters, heads, strict=True):
+            own, moving, m = character.arrays, character.moving, len(near)
+            starts = own["starts"]
+            clip = int(self.rng.integers(len(starts) - 1))
+            first = int(starts[clip] + self.rng.integers(max(1, starts[clip + 1] - starts[clip] - frames + 1)))
+            flip = np.array([-1, 1, 1], np.float32) if mirror and self.rng.random() < 0.5 else np.ones(3, np.float32)
+            rows = slice(first, first + frames)
+            whole = moving["whole"][rows].astype(np.float32)
+            size = float(own["scale"])
+            root = moving["root"][rows][:, None]  # where on the ground a clip is does not count
+            root = root if self.config.network.frame == "world" else root[:1]
+            turn = flip[:, None] * flip
+            values = {
+                "static_vectors": own["static_vectors"][:m] * flip,
+                "static_scalars": own["static_scalars"][:m],
+                "rest": own["rest"][:m] * flip / size,
+                "vectors": moving["vectors"][rows, :m].astype(np.float32) * flip,
+                "scalars": moving["scalars"][rows, :m].astype(np.float32),
+                "whole": (mirror_global(whole) if flip[0] < 0 else whole)[:, None],
+                "truth": moving["truth"][rows, :m].astype(np.float32) * flip,
+                "turns": moving["turns"][rows, :m].astype(np.float32) * turn,
+                "places": (moving["places"][rows, :m] - root) * flip / size,
+            }
+            for name, value in values.items():
+                columns.setdefault(name, []).append(value)
+        still = {
+            name: torch.from_numpy(np.concatenate(columns.pop(name)))
+            for name in ("static_vectors", "static_scalars", "rest")
+        }
+        moved = {
+            name: torch.from_numpy(np.ascontiguousarray(np.concatenate(values, axis=1), np.float32))
+            for name, values in columns.items()
+        }
+        inputs = [
+            Inputs(
+                still["static_vectors"].float(), still["static_scalars"].float(), moved["vectors"][frame],
+                moved["scalars"][frame], moved["whole"][frame], graph,
+            )
+            for frame in range(frames)
+        ]  # fmt: skip
+        return _Block(inputs, moved["truth"], moved["turns"], moved["places"], still["rest"].float(), graph)
+
+    def losses(self, moved: torch.Tensor, truth: torch.Tensor, block: _Block) -> torch.Tensor:
+        """L_va + lambda L_ea of frames; edges in the frame of the joint that carries both ends, over the true ones."""
+        vertex = vertex_loss(moved, truth)
+        edge = edge_loss(block.rest + moved, block.rest + truth, block.graph.edges)
+        return vertex + self.config.edges * edge
+
+    def train_step(self) -> dict[str, float]:
+        """One step of the head or of the recurrent part; its loss."""
+        config, done = self.config, self.progress()
+        both = done >= config.head and self.model.recurrent is not None
+        with self.timed():
+            self.model.train()
+            rate = self.set_rate(config.rate, config.warmup, done)
+            if both:
+                share = (done - config.head) / max(1 - config.head, 1e-9)
+                frames = round(config.shortest + share * (config.longest - config.shortest))
+                block = self._block(self._draw(config.clips), frames)
+                loss = self.losses(self.rollout(self.model, block), block.truth[1:], block)
+            else:
+                block = self._block(self._draw(config.batch), 1)
+                loss = self.losses(self.model.anchor(block.inputs[0]), block.truth[0], block)
+            loss.backward()  # type: ignore[no-untyped-call]
+            self.update(config.decay)
+        return {"recurrent_loss" if both else "head_loss": float(loss.detach()), "rate": rate}
+
+    def rollout(self, model: DisplacementNetwork, block: _Block) -> torch.Tensor:
+        """Displacements of all frames but the first of a window that starts where the head puts it, shape (F - 1, M,
+        3); gradients go to the recurrent part alone.
+        """
+        assert model.recurrent is not None
+        with torch.no_grad():
+            heads = [model.anchor(inputs) for inputs in block.inputs]
+        world = model.recurrent.world
+        first = block.truth[0] if world else heads[0]
+        places = block.places[0] + torch.einsum("mab,mb->ma", block.turns[0], first)
+        past = past_of_rest(first, places, world)
+        out = []
+        for frame in range(1, len(block.inputs)):
+            moved, past = model.recurrent(
+                block.inputs[frame], past, heads[frame], block.turns[frame], block.places[frame]
+            )
+            out.append(moved)
+        return torch.stack(out)
+
+    @torch.no_grad()
+    def validate(self, windows: int = 48, frames: int = 30) -> dict[str, float]:
+        """Errors on characters and motions that were not learned from, over the truth's own displacement."""
+        state, self.rng = self.rng, np.random.default_rng(7)
+        sums = np.zeros(3)
+        model = self.average
+        for _ in range(windows // 4):
+            chosen = [self.held_out[number] for number in self.rng.integers(len(self.held_out), size=4)]
+            block = self._block(chosen, frames, mirror=False)
+            last = block.truth[-1]
+            sums[0] += float(last.norm(dim=1).mean())
+            sums[1] += float((model.anchor(block.inputs[-1]) - last).norm(dim=1).mean())
+            if model.recurrent is not None and self.progress() > self.config.head:
+                sums[2] += float((self.rollout(model, block)[-1] - last).norm(dim=1).mean())
+        self.rng = state
+        return {"rigid": sums[0] / (windows // 4), "head_over_rigid": sums[1] / sums[0],
+                "both_over_rigid": sums[2] / sums[0]}  # fmt: skip
+
+    def save(self, results: dict[str, float]) -> Path:
+        """Write the training state and the checkpoint; a kill leaves the last ones."""
+        settings = plain_settings(asdict(self.config))
+        self.save_state(settings, {"rng": self.rng.bit_generator.state})
+        note = {"training": settings, "seconds": self.seconds, "steps": self.step, "results": results}
+        return save_displacement(self.out / "apparel.safetensors", self.average, note, half=True)
+
+    def resume(self) -> bool:
+        """Go on from the run's folder, if it holds a state; whether it did."""
+        state = self.restore_state()
+        if state is not None:
+            self.rng.bit_generator.state = state.values["rng"]
+        return state is not None
+
+
+def train_displacement(
+    config: DisplacementTrainConfig, report: Callable[[dict[str, float]], None] | None = None
+) -> Path:
+    """Train the displacement network, or go on where the run in `config.out` stopped.
+
+    Args:
+        config: Settings.
+        report: Called at each validation with its figures (the row of log.csv).
+
+    Returns:
+        The checkpoint.
+
+    Raises:
+        BunrakuError: No data, or the folder cannot be written.
+    """
+    from bunraku.datasets.apparel import ApparelData
+
+    if config.threads > 0:
+        torch.set_num_threads(config.threads)
+    out = Path(config.out)
+    out.mkdir(parents=True, exist_ok=True)
+    bank = Path(config.data).with_name(f"{Path(config.data).name}-nodes")
+    characters, held_out = (
+        build_bank(ApparelData(config.data, split), bank / split)
+        for split in ("train", "val")  # type: ignore[arg-type]
+    )
+    trainer = DisplacementTrainer(config, characters, held_out)
+    trainer.resume()
+    rows: list[dict[str, float]] = []
+    checkpoint = out / "apparel.safetensors"
+    while trainer.progress() < 1:
+        rows.append(trainer.train_step())
+        if trainer.progress() < 1 and trainer.step % config.validate_every:
+            continue
+        columns = ("head_loss", "recurrent_loss", "rate")
+        row = {name: float(np.mean([r[name] for r in rows if name in r] or [0.0])) for name in columns}
+        results = trainer.validate() if held_out else {}
+        checkpoint, rows = trainer.save(results), []
+        row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results}
+        append_row(out / "log.csv", row)
+        if report:
+            report(row)
+    return checkpoint
