@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
+from bunraku.apparel.skinning import eq4_transforms
+from bunraku.apparel.unified import UnifiedBody
 from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
 from bunraku.cli import main
 from bunraku.core.rig_animation import RigAnimation
@@ -26,9 +28,7 @@ from bunraku.datasets.apparel.plan import (
     plan_shards,
     wardrobe_sources,
 )
-from bunraku.apparel.skinning import eq4_transforms
 from bunraku.datasets.apparel.recording import record
-from bunraku.apparel.unified import UnifiedBody
 from bunraku.datasets.motions.clips import write_clip, write_index
 from bunraku.errors import FormatError, MissingExtraError, OptionError
 from bunraku.evaluation.transfer.stock_motions import stock_motion

@@ -9,13 +9,13 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.mask import apparel_mask
+from bunraku.apparel.skinning import eq4_transforms
+from bunraku.apparel.unified import UnifiedBody
 from bunraku.body.reference import reference_body
 from bunraku.cli import main
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.datasets.apparel.build import body_animation
-from bunraku.apparel.skinning import eq4_transforms
-from bunraku.apparel.unified import UnifiedBody
 from bunraku.errors import CharacterError, OptionError
 from bunraku.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
 from bunraku.evaluation.physics.penetration import BodyVolume, nearest_joint_vertices, sample_apparel

@@ -1,4 +1,4 @@
-"""A character as the apparel networks see it: mesh, joints, what the joints hold, what is apparel, how stiff that is."""
+"""A character as the apparel networks see it: mesh, joints, what these hold, what is apparel, how stiff it is."""
 
 from __future__ import annotations
 

@@ -61,6 +61,9 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "train the feature extractor that generated motion is measured with",
     ),
     ("train", "ranker"): ("train", "ranker", "train the ranker that chooses among candidates"),
+    ("train", "apparel-mask"): ("train", "apparel_mask", "train the network that finds apparel on a mesh"),
+    ("train", "apparel-body"): ("train", "apparel_body", "train skinning weights by geodesic attention"),
+    ("train", "apparel"): ("train", "apparel", "train the network that moves apparel"),
     ("train", "adaptation"): ("train", "adaptation", "fine-tune the adaptation of motions to meshes"),
     ("evaluate", "handles"): ("evaluate.handles", "EvaluateHandles", "measure the handles on rigged characters"),
     ("evaluate", "motion"): ("evaluate.motion", "EvaluateMotion", "measure generated motion on held-out clips"),
@@ -72,6 +75,11 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ),
     ("evaluate", "study"): ("evaluate.study", "EvaluateStudy", "tell what people said in a blind study"),
     ("study", "make"): ("study", "StudyMake", "make a blind study of what methods made of the same sentences"),
+    ("evaluate", "apparel"): (
+        "evaluate.apparel",
+        "EvaluateApparel",
+        "measure learned apparel on characters and motions that it has not seen",
+    ),
     ("evaluate", "retrieval"): (
         "evaluate.retrieval",
         "Retrieval",

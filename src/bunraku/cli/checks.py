@@ -15,7 +15,8 @@ from bunraku.language.prompts import check_prompt
 from bunraku.language.sequence import LONGEST, SHORTEST, parse_sequence, timed_sequence
 
 __all__ = [
-    "check_different", "check_folder", "check_input", "check_output", "check_range", "check_seconds", "check_sequence",
+    "check_different", "check_folder", "check_input", "check_mask", "check_output", "check_range", "check_seconds",
+    "check_sequence",
     "check_source", "make_folder", "slug", "written_path",
 ]  # fmt: skip
 
@@ -24,6 +25,14 @@ SEQUENCES = (".obj", ".ply")
 """Outputs that are folders with one mesh a frame."""
 NEEDY = (".usd", ".usda", ".usdc", ".usdz", ".fbx")
 """Outputs that need an optional library or program."""
+
+
+def check_mask(apparel: str) -> None:
+    """Raise FormatError where --apparel names a mask that is not there."""
+    from bunraku.pipelines.together import APPAREL
+
+    if apparel not in APPAREL:
+        check_input(Path(apparel))
 
 
 def check_range(option: str, value: float | None, low: float, high: float) -> None:

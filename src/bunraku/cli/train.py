@@ -8,7 +8,17 @@ from typing import Any
 
 from bunraku.cli.progress import stages
 
-__all__ = ["adaptation", "diffusion", "extractor", "handles", "orientation", "ranker"]
+__all__ = [
+    "adaptation",
+    "apparel",
+    "apparel_body",
+    "apparel_mask",
+    "diffusion",
+    "extractor",
+    "handles",
+    "orientation",
+    "ranker",
+]
 
 
 def handles() -> tuple[type, Callable[[Any], None]]:
@@ -123,3 +133,44 @@ def ranker() -> tuple[type, Callable[[Any], None]]:
         print(f"wrote {path}")
 
     return RankerTrainConfig, run
+
+
+def apparel_mask() -> tuple[type, Callable[[Any], None]]:
+    """Train the apparel segmentation network (section 4.1 of MMDMC) on characters of the wardrobe.
+
+    The same command goes on where a run stopped. No motion and no physics are needed.
+
+    Example: bunraku train apparel-mask --out runs/apparel-mask
+    """
+    from bunraku.training.apparel.segmentation import SegmentationTrainConfig, train_segmentation
+
+    return SegmentationTrainConfig, lambda config: print(f"wrote {train_segmentation(config, _told)}")
+
+
+def apparel_body() -> tuple[type, Callable[[Any], None]]:
+    """Train the body network: skinning weights by geodesic attention (section 4.2 of MMDMC).
+
+    The same command goes on where a run stopped. Its variants without geodesic distances and sorted by them are
+    --network.geodesics none and sorted.
+
+    Example: bunraku train apparel-body --data data/apparel --meshes runs/apparel-mask-meshes --out runs/apparel-body
+    """
+    from bunraku.training.apparel.body import BodyTrainConfig, train_body
+
+    return BodyTrainConfig, lambda config: print(f"wrote {train_body(config, _told)}")
+
+
+def apparel() -> tuple[type, Callable[[Any], None]]:
+    """Train the apparel displacement network (section 4.3 of MMDMC): the head that cannot drift, then what remembers.
+
+    The same command goes on where a run stopped. The paper's form is --network.frame world --head 0.
+
+    Example: bunraku train apparel --data data/apparel --out runs/apparel
+    """
+    from bunraku.training.apparel.displacement import DisplacementTrainConfig, train_displacement
+
+    return DisplacementTrainConfig, lambda config: print(f"wrote {train_displacement(config, _told)}")
+
+
+def _told(row: dict[str, float]) -> None:
+    print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.animation import Animation
-from bunraku.core.character import Character
+from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.saving import save
 from bunraku.errors import MotionError
@@ -63,6 +63,16 @@ class PointAnimation:
     def motion(self) -> HandleMotion:
         """The motion of the skinned part."""
         return self.animation.motion
+
+    @property
+    def handles(self) -> Handles:
+        """What moves the skinned part."""
+        return self.animation.handles
+
+    @property
+    def reference(self) -> HandleMotion | None:
+        """The motion of the reference body that the skinned part was fitted from, where it is known."""
+        return self.animation.reference
 
     @property
     def fps(self) -> float:

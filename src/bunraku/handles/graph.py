@@ -16,7 +16,15 @@ import numpy as np
 import torch
 from torch import nn
 
-__all__ = ["EdgeConv", "GraphLayer", "HasNeighbours", "MeshGraph", "edge_conv_reference", "farthest_points", "mesh_graph"]
+__all__ = [
+    "EdgeConv",
+    "GraphLayer",
+    "HasNeighbours",
+    "MeshGraph",
+    "edge_conv_reference",
+    "farthest_points",
+    "mesh_graph",
+]
 
 _NEAR = 3  # anchors that each vertex listens to
 

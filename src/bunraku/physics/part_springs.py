@@ -1,4 +1,4 @@
-"""How stiff, heavy and damped each part of a character's apparel is, by what its file says of rigid bodies and joints."""
+"""How stiff, heavy and damped each part of a character's apparel is, by the rigid bodies and joints of its file."""
 
 from __future__ import annotations
 

@@ -9,13 +9,15 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from bunraku.core.animated import AnimatedCharacter
+from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.ground_path import GroundPath
 from bunraku.core.motion import HandleMotion
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
 from bunraku.language.clauses import of_creature
-from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of, reference_path
-from bunraku.pipelines.together import check_together
+from bunraku.pipelines.apply import apply_motion, apply_rigged, apply_simulated, reference_of, reference_path
+from bunraku.pipelines.together import check_apparel_option, check_together, moves_apparel
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
 from bunraku.retarget.stages.rest_pose import upright
@@ -198,7 +200,8 @@ def animate(
     steps: int | None = None,
     guidance: float | None = None,
     handles: Handles | Literal["predict", "rig"] = "predict",
-    apparel: Literal["rigid", "simulate"] = "rigid",
+    apparel: str = "rigid",
+    stiffness: float = 1.0,
     loop: bool = False,
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
@@ -221,8 +224,11 @@ def animate(
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `rig`).
-        apparel: "rigid" moves hair and clothes with the body; "simulate" moves the bones of the character's own rig,
-            and hair and clothes by the rigid bodies or springs of its MMD or VRM file.
+        apparel: "rigid" or "none" moves hair and clothes with the body; "simulate" moves the bones of the character's
+            own rig, and hair and clothes by the rigid bodies or springs of its MMD or VRM file; "learn" moves by a
+            network what it takes to be apparel of any mesh, or what a mask says, named by its file; "auto" simulates
+            where the file has physics and learns where the mesh has apparel.
+        stiffness: Factor on how stiff learned apparel is, 0.001 to 1000.
         loop: Make a loop: the last pose is the first again, at another place where the motion travels.
         in_place: Take the way over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
@@ -234,19 +240,20 @@ def animate(
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
-        An `Animation` at 20 frames a second, or a `RigAnimation` at 30 where apparel is simulated.
+        An `Animation` at 20 frames a second, or a `RigAnimation` at 30 where apparel is simulated, or a
+        `PointAnimation` at 30 where it is learned.
 
     Raises:
         OptionError: The prompt is empty, too long or not understood, the length is out of range, a loop is to follow
-            another clip, simulated apparel is to be looped, to follow a clip, or to be moved by handles, a path is to
-            be looped, walked on the spot or to follow a clip, or a pin cannot be met.
+            another clip, moving apparel is to be looped, to follow a clip, or simulated to be moved by handles, a path
+            is to be looped, walked on the spot or to follow a clip, or a pin cannot be met.
         CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """
     return next(
         animate_each(
             character, [prompt], seconds=seconds, seed=seed, steps=steps, guidance=guidance, handles=handles,
-            apparel=apparel, loop=loop,
+            apparel=apparel, stiffness=stiffness, loop=loop,
             in_place=in_place, after=after, path=path, pins=pins, stages=stages, candidates=candidates, anyway=anyway,
             progress=progress,
         )
@@ -262,7 +269,8 @@ def animate_each(
     steps: int | None = None,
     guidance: float | None = None,
     handles: Handles | Literal["predict", "rig"] = "predict",
-    apparel: Literal["rigid", "simulate"] = "rigid",
+    apparel: str = "rigid",
+    stiffness: float = 1.0,
     loop: bool = False,
     in_place: bool = False,
     after: HandleMotion | AnimatedCharacter | None = None,
@@ -283,12 +291,13 @@ def animate_each(
         apparel, loop=loop, after=after is not None, handles=handles != "predict", path=path is not None,
         in_place=in_place, pins=bool(pins),
     )  # fmt: skip
-    simulated = apparel == "simulate"
-    if simulated:
+    check_apparel_option(apparel, stiffness)
+    moved_by = apparel_way(character, apparel, handles)
+    if moved_by != "handles" and (path is not None or pins):
+        moved_by = "handles"  # what goes along a path or meets pins
+    if moved_by != "handles":
         from bunraku.handles.predict import mesh_feature
-        from bunraku.physics.animated import check_apparel
 
-        check_apparel(character)  # before the work
         feature: np.ndarray | None = mesh_feature(character)
     else:
         if not isinstance(handles, Handles):
@@ -302,10 +311,45 @@ def animate_each(
     for start in range(0, len(scripts), AT_ONCE):
         some = scripts[start : start + AT_ONCE]
         for motion in _generated(some, [seed] * len(some), loop, before, way, candidates, how):
-            if simulated or not isinstance(handles, Handles):
+            if moved_by == "simulate":
                 yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
+                continue
+            if moved_by == "rig" or not isinstance(handles, Handles):
+                moved: Animation | RigAnimation = apply_rigged(
+                    motion, character, in_place=in_place, stages=stages, progress=progress
+                )
             else:
-                yield apply_motion(
+                moved = apply_motion(
                     motion, character, handles, loop=loop, in_place=in_place, after=after, path=path, pins=pins,
                     stages=stages, progress=progress
                 )  # fmt: skip
+            if moves_apparel(apparel):
+                from bunraku.pipelines.apparel import dressed
+
+                yield dressed(moved, apparel, stiffness=stiffness, progress=progress)
+            else:
+                yield moved
+
+
+def apparel_way(character: Character, apparel: str, handles: object = "predict") -> str:
+    """What moves a character whose apparel moves so: "handles", its "rig", or "simulate", its rig and the physics of
+    its file.
+
+    Args:
+        character: The character.
+        apparel: As of `animate`.
+        handles: As of `animate`; where they are given or asked for they are what moves.
+
+    Raises:
+        CharacterError: It is to be simulated, and its file says nothing of physics.
+    """
+    from bunraku.physics.animated import check_apparel
+    from bunraku.physics.from_file import apparel_rig
+    from bunraku.retarget.rig_parts import is_humanoid_rig
+
+    if apparel == "simulate":
+        check_apparel(character)  # before the work
+        return "simulate"
+    if not moves_apparel(apparel) or handles != "predict" or not is_humanoid_rig(character):
+        return "handles"
+    return "simulate" if apparel == "auto" and apparel_rig(character) is not None else "rig"

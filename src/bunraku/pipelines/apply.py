@@ -14,7 +14,10 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.stages.pins import Pin, meet_pins
 
-__all__ = ["GENERATED_STAGES", "apply_motion", "apply_simulated", "fitted_motion", "reference_of", "reference_path"]
+__all__ = [
+    "GENERATED_STAGES", "apply_motion", "apply_rigged", "apply_simulated", "fitted_motion", "reference_of",
+    "reference_path",
+]  # fmt: skip
 
 Progress = Callable[[str, float], None]
 GENERATED_STAGES = Stages(shape=True)
@@ -94,9 +97,30 @@ def apply_simulated(
     Raises:
         CharacterError: There is no physics in the file, or the names of its bones do not tell their parts.
     """
+    from bunraku.physics.animated import simulated
+
+    return simulated(
+        apply_rigged(motion, character, in_place=in_place, stages=stages, fps=fps, progress=progress), progress
+    )
+
+
+def apply_rigged(
+    motion: HandleMotion,
+    character: Character,
+    *,
+    in_place: bool = False,
+    stages: Stages | None = None,
+    fps: float = 30.0,
+    progress: Progress | None = None,
+) -> RigAnimation:
+    """A motion of the reference body on the bones of a character, hair and clothes going along; arguments are those of
+    `apply_simulated`.
+
+    Raises:
+        CharacterError: The names of its bones do not tell their parts.
+    """
     from bunraku.core.resample import resample
     from bunraku.core.travel import in_place as in_place_motion
-    from bunraku.physics.animated import simulated
     from bunraku.retarget.to_rig import fit_rig
 
     progress = progress or (lambda stage, done: None)
@@ -105,7 +129,7 @@ def apply_simulated(
         motion, stages = in_place_motion(motion), replace(stages or Stages(), feet=False)
     moved = fit_rig(resample(motion, fps), character, stages)
     progress("fit", 1.0)
-    return simulated(moved, progress)
+    return moved
 
 
 def reference_path(path: GroundPath | None, character: Character, handles: Handles) -> GroundPath | None:

@@ -1,10 +1,42 @@
-"""Which options of `animate` go together."""
+"""Which options of `animate` and `transfer` go together."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from bunraku.errors import OptionError
 
-__all__ = ["check_together"]
+__all__ = ["APPAREL", "check_apparel_option", "check_together", "moves_apparel"]
+
+APPAREL = ("auto", "none", "rigid", "simulate", "learn")
+"""How apparel may move, beside a mask; "rigid" is "none"."""
+STIFFEST = 1000.0
+_MASKS = (".npy", ".txt", ".ply", ".glb")
+
+
+def moves_apparel(apparel: str) -> bool:
+    """Whether apparel moves on its own by this, or may."""
+    return apparel not in ("none", "rigid")
+
+
+def check_apparel_option(apparel: str, stiffness: float = 1.0, *, dashes: str = "") -> None:
+    """Whether apparel can move so.
+
+    Args:
+        apparel: One of `APPAREL`, or the file of a mask.
+        stiffness: Factor on how stiff learned apparel is.
+        dashes: What stands before the names of options in messages.
+
+    Raises:
+        OptionError: It cannot.
+    """
+    if apparel not in APPAREL and Path(apparel).suffix.lower() not in _MASKS:
+        raise OptionError(
+            f"apparel moves by 'auto', 'none', 'simulate' or 'learn', or is named by a mask ({', '.join(_MASKS)}), not "
+            f"'{apparel}'; choose one of these"
+        )
+    if not 1 / STIFFEST <= stiffness <= STIFFEST:
+        raise OptionError(f"{dashes}stiffness is a factor from {1 / STIFFEST:g} to {STIFFEST:g}, not {stiffness:g}")
 
 
 def check_together(
@@ -30,8 +62,7 @@ def check_together(
         pins: Whether hands or feet are pinned.
         dashes: What stands before the names of options in messages.
     """
-    if apparel not in ("rigid", "simulate"):
-        raise OptionError(f"apparel moves by 'rigid' or 'simulate', not '{apparel}'; choose one of the two")
+    check_apparel_option(apparel, dashes=dashes)
     if loop and after:
         raise OptionError(
             f"a loop ends where it starts, so it cannot follow another motion: {dashes}loop and {dashes}after do not "
@@ -47,9 +78,10 @@ def check_together(
             f"paths and pins are for characters moved by handles; leave out {dashes}apparel simulate, or "
             f"{dashes}path and {dashes}pin"
         )
-    if apparel == "simulate" and (loop or after):
+    if moves_apparel(apparel) and (loop or after):
+        kind = "simulated" if apparel == "simulate" else "moving"
         raise OptionError(
-            f"simulated apparel starts from the rest pose, so it goes with neither {dashes}loop nor {dashes}after"
+            f"{kind} apparel starts from the rest pose, so it goes with neither {dashes}loop nor {dashes}after"
         )
     if apparel == "simulate" and handles:
         raise OptionError(f"apparel is simulated on the bones of a character's rig; leave {dashes}handles out")

@@ -81,7 +81,8 @@ def transfer(
     *,
     onto: Literal["auto", "handles", "rig"] = "auto",
     handles: Handles | Literal["predict", "rig"] = "predict",
-    apparel: Literal["rigid", "simulate"] = "rigid",
+    apparel: str = "rigid",
+    stiffness: float = 1.0,
     stages: Stages | None = None,
     fps: float = RATE,
     names: Mapping[str, str] | None = None,
@@ -97,8 +98,10 @@ def transfer(
         onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a
             humanoid that has one and handles otherwise.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
-        apparel: "rigid" moves hair and clothes with the body, "simulate" by the rigid bodies or springs of an MMD or
-            VRM file.
+        apparel: "rigid" or "none" moves hair and clothes with the body, "simulate" by the rigid bodies or springs of an
+            MMD or VRM file, "learn" by a network that finds them on any mesh; a file's name is that of a mask of what
+            is to be learned; "auto" simulates where the file has physics and learns where the mesh has apparel.
+        stiffness: Factor on how stiff learned apparel is, 0.001 to 1000.
         stages: Which stages run; `TRANSFER_STAGES` when None.
         fps: Frames a second of the result [1/s].
         names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
@@ -106,8 +109,8 @@ def transfer(
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
-        An `Animation`, or a `RigAnimation` where the rig is moved. A clip of a character with the same skeleton is
-        copied bone by bone, at its own rate, unless handles are asked for.
+        An `Animation`, a `RigAnimation` where the rig is moved, or a `PointAnimation` where apparel is learned. A clip of a
+        character with the same skeleton is copied bone by bone, at its own rate, unless handles are asked for.
 
     Raises:
         OptionError: `onto` is none of the three, or `fps` is not from 1 to 240.
@@ -116,14 +119,14 @@ def transfer(
         MotionError: No pelvis and legs are found in the skeleton.
         FormatError: The file cannot be read.
     """
-    from bunraku.physics.animated import check_apparel, with_apparel
+    from bunraku.physics.animated import check_apparel
+    from bunraku.pipelines.together import check_apparel_option, moves_apparel
 
     if onto not in ("auto", "handles", "rig"):
         raise OptionError(f"a motion goes onto 'handles', 'rig' or 'auto', not '{onto}'; choose one of the three")
     if not 1 <= fps <= 240:
         raise OptionError(f"frames a second must be from 1 to 240, not {fps:g}")
-    if apparel not in ("rigid", "simulate"):
-        raise OptionError(f"apparel moves by 'rigid' or 'simulate', not '{apparel}'; choose one of the two")
+    check_apparel_option(apparel, stiffness)
     if apparel == "simulate":
         if onto == "handles":
             raise OptionError("apparel is simulated on the bones of a character's rig; leave out onto='handles'")
@@ -139,7 +142,11 @@ def transfer(
         reference = source.creature or source.reference
         progress("read", 1.0)
         result = apply_transfer(character, reference, onto=onto, handles=handles, stages=stages, progress=progress)
-    return with_apparel(result, apparel, progress)
+    if not moves_apparel(apparel):
+        return result
+    from bunraku.pipelines.apparel import dressed
+
+    return dressed(result, apparel, stiffness=stiffness, progress=progress)
 
 
 def apply_transfer(

@@ -10,7 +10,7 @@ from bunraku.apparel.wearer import Wearer
 from bunraku.geometry.normals import vertex_normals
 from bunraku.handles.graph import farthest_points
 
-__all__ = ["BodyPoints", "body_points", "nearest_point"]
+__all__ = ["BodyPoints", "body_points", "nearest_plane", "nearest_point"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,20 @@ def nearest_point(points: np.ndarray, places: np.ndarray, normals: np.ndarray) -
         points: [m], shape (M, 3).
         places, normals: Of the posed body, shape (B, 3).
     """
+    place, normal = nearest_plane(points, places, normals)
     if not len(places):
-        return np.full(len(points), 10.0, np.float32), np.zeros_like(points)
-    near = ((places * places).sum(axis=1) - 2 * points @ places.T).argmin(axis=1)
-    normal = normals[near]
-    return ((points - places[near]) * normal).sum(axis=-1), normal
+        return np.full(len(points), 10.0, np.float32), normal
+    return ((points - place) * normal).sum(axis=-1), normal
+
+
+def nearest_plane(points: np.ndarray, places: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest body point to each point, and its normal, shape (M, 3) each; the point itself and 0 where there is no
+    body. Arguments are those of `nearest_point`.
+    """
+    if not len(places):
+        return points, np.zeros_like(points)
+    # one product: the square of a point's own length is the same for all
+    table = np.concatenate([-2 * places, np.square(places).sum(axis=1, keepdims=True)], axis=1, dtype=np.float32)
+    ours = np.concatenate([points, np.ones((len(points), 1), np.float32)], axis=1, dtype=np.float32)
+    near = (ours @ table.T).argmin(axis=1)
+    return places[near], normals[near]

@@ -82,8 +82,8 @@ def node_turns(nodes: ApparelNodes, spokes: np.ndarray, prior: np.ndarray, moved
 
 
 def polar_rotation(matrices: np.ndarray, rounds: int = 8) -> np.ndarray:
-    """The rotation nearest to each matrix, by Higham's iteration `X = (g X + X^-T / g) / 2`; the identity where a matrix
-    turns its space inside out, shape (..., 3, 3).
+    """The rotation nearest to each matrix, by Higham's iteration `X = (g X + X^-T / g) / 2`; the identity where a
+    matrix turns its space inside out, shape (..., 3, 3).
     """
     out = np.array(matrices, np.float32)
     out /= np.maximum(np.abs(out).max(axis=(-2, -1), keepdims=True), 1e-12)

@@ -1,5 +1,5 @@
-"""The apparel graph: a few nodes spread over every part, their neighbours within it, where the part is held, and what of
-them never changes.
+"""The apparel graph: a few nodes spread over every part, their neighbours within it, where the part is held, and what
+of them never changes.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from bunraku.apparel.wearer import Wearer
 from bunraku.geometry.graph import clean_mesh, unique_edges
 
-__all__ = ["NEIGHBOURS", "ApparelNodes", "apparel_nodes", "part_lengths", "part_neighbours"]
+__all__ = ["NEIGHBOURS", "ApparelNodes", "apparel_nodes", "held_vertices", "part_lengths", "part_neighbours"]
 
 NEIGHBOURS = 6
 LEAST = 3  # nodes of a part
@@ -77,6 +77,12 @@ def part_lengths(wearer: Wearer) -> np.ndarray:
     cloth = wearer.part >= 0
     out[wearer.part[cloth]] = _attachment(wearer)[2][cloth]
     return out
+
+
+def held_vertices(wearer: Wearer) -> np.ndarray:
+    """Apparel vertices where their parts are held, shape (H,)."""
+    cloth = wearer.part >= 0
+    return np.flatnonzero(cloth & (_attachment(wearer)[1] <= 0))
 
 
 def _spread(points: np.ndarray, parts: np.ndarray, most: int) -> np.ndarray:

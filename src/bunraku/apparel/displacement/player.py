@@ -13,7 +13,7 @@ from bunraku.apparel.displacement.graph import node_graph
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
 from bunraku.apparel.displacement.network import DisplacementNetwork
 from bunraku.apparel.displacement.nodes import apparel_nodes
-from bunraku.apparel.displacement.recurrent import Past, past_of_rest
+from bunraku.apparel.displacement.recurrent import Past, past_of_states
 from bunraku.apparel.displacement.safety import Safety
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.wearer import Wearer
@@ -66,6 +66,25 @@ class ApparelPlayer:
             if self.recurrent is not None:
                 self._moved(frame, pose)
 
+    def know(self, states: np.ndarray, transforms: np.ndarray) -> None:
+        """Go through three frames whose apparel is known, and go on from there; `start` comes before it.
+
+        Args:
+            states: Displacements of the nodes in the frames of their joints, over the size, shape (3, M, 3).
+            transforms: `[R | t]` of the joints in these frames, shape (3, 22, 3, 4).
+        """
+        assert self.features is not None
+        kept = []
+        for state, pose in zip(states, transforms, strict=True):
+            frame = self.features.advance(np.asarray(pose, np.float32))
+            inputs, turns, places = self._inputs(frame, pose)
+            with torch.no_grad():
+                kept.append((torch.from_numpy(state.astype(np.float32)), self.network.anchor(inputs), turns, places))
+        if self.recurrent is not None:
+            self.past = past_of_states(
+                self.recurrent, *(torch.stack(list(column)) for column in zip(*kept, strict=True))
+            )
+
     def advance(self, transforms: np.ndarray) -> np.ndarray:
         """The next frame, a thirtieth of a second later.
 
@@ -87,22 +106,27 @@ class ApparelPlayer:
             moved = (frame.turns.transpose(0, 2, 1) * safe[:, None, :]).sum(axis=-1)
         return self.carrier.places(moved, affine, self.wearer.weights, self.wearer.rest).astype(np.float32)
 
-    @torch.no_grad()
-    def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
-        """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
+    def _inputs(self, frame: Frame, transforms: np.ndarray) -> tuple[Inputs, torch.Tensor, torch.Tensor]:
+        """Features, frames of the carrying joints, and carried places as the recurrent part takes them."""
         inputs = Inputs(
             *self.still, torch.from_numpy(frame.vectors), torch.from_numpy(frame.scalars),
             torch.from_numpy(frame.whole)[None], self.graph,
         )  # fmt: skip
+        root = transforms[0, :, 3] if self.network.recurrent is not None and self.network.recurrent.world else 0.0
+        places = ((frame.places - root) / self.wearer.scale).astype(np.float32)
+        return inputs, torch.from_numpy(np.ascontiguousarray(frame.turns)), torch.from_numpy(places)
+
+    @torch.no_grad()
+    def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
+        """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
+        inputs, turns, places = self._inputs(frame, transforms)
         anchor = self.network.anchor(inputs)
         if self.recurrent is None:
             return np.asarray(anchor)
-        turns = torch.from_numpy(np.ascontiguousarray(frame.turns))
-        root = transforms[0, :, 3] if self.recurrent.world else 0.0
-        places = torch.from_numpy(((frame.places - root) / self.wearer.scale).astype(np.float32))
-        if self.past is None:
+        if self.past is None:  # at rest, as far as is known
             first = torch.zeros_like(anchor) if self.recurrent.world else anchor
-            self.past = past_of_rest(first, places + torch.einsum("mab,mb->ma", turns, first), self.recurrent.world)
+            alike = (value.expand(3, *value.shape) for value in (first, anchor, turns, places))
+            self.past = past_of_states(self.recurrent, *alike)
         moved, self.past = self.recurrent(inputs, self.past, anchor, turns, places)
         return np.asarray(moved)
 

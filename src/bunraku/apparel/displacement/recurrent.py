@@ -14,7 +14,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.anchor import Inputs, NodeEncoder
 
-__all__ = ["Past", "RecurrentPart", "node_state", "past_of_rest"]
+__all__ = ["Past", "RecurrentPart", "node_state", "past_of_states"]
 
 KEEP = 0.95  # most of the difference from the head that a frame leaves
 MOST = 0.04  # largest change of it in a frame, over the wearer's size
@@ -37,16 +37,21 @@ class Past:
     places: torch.Tensor
 
 
-def past_of_rest(first: torch.Tensor, places: torch.Tensor, world: bool = False) -> Past:
-    """The past of apparel that hangs where the head puts it.
+def past_of_states(
+    part: RecurrentPart, states: torch.Tensor, heads: torch.Tensor, turns: torch.Tensor, places: torch.Tensor
+) -> Past:
+    """The past after three frames whose displacements are known.
 
     Args:
-        first: Displacement of the head, shape (M, 3).
-        places: Where that is in the world, from the pelvis where `world`, shape (M, 3).
-        world: Whether it is of the paper's form.
+        part: The network that goes on from it.
+        states: Displacements, in the frames of the carrying joints, oldest first, shape (3, M, 3).
+        heads: What the head says of these frames, shape (3, M, 3).
+        turns: Frames of the carrying joints, shape (3, M, 3, 3).
+        places: Carried places, as `RecurrentPart.forward` takes them, shape (3, M, 3).
     """
-    rest = places if world else torch.zeros_like(first)
-    return Past(rest.expand(3, -1, -1), first, places.expand(2, -1, -1))
+    world = places + torch.einsum("fmab,fmb->fma", turns, states)
+    rest = world if part.world else states - heads
+    return Past(rest.flip(0), states[2], world.flip(0)[:2])
 
 
 def node_state(past: torch.Tensor) -> torch.Tensor:

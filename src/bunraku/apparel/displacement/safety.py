@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.apparel.displacement.body_points import BodyPoints, nearest_point
+from bunraku.apparel.displacement.body_points import BodyPoints, nearest_plane, nearest_point
 from bunraku.apparel.displacement.nodes import ApparelNodes
 
 __all__ = ["Safety", "SafetySettings"]
@@ -67,9 +67,10 @@ class Safety:
             body: Places and normals of the posed body points, shape (B, 3) each.
         """
         out = np.array(places, np.float32)
+        anchor, normal = nearest_plane(out, *body)  # nodes move little, so the planes stay theirs
         for _ in range(self.settings.passes):
             out = self._bounded(out)
-            out = self._outside(out, body)
+            out = self._outside(out, anchor, normal)
         return out
 
     def _bounded(self, places: np.ndarray) -> np.ndarray:
@@ -78,13 +79,12 @@ class Safety:
         now = np.linalg.norm(way, axis=1)
         wanted = np.clip(now, self.settings.shortest * self.lengths, self.settings.longest * self.lengths)
         step = way * (0.5 * (1 - wanted / np.maximum(now, 1e-9)))[:, None]
-        total = np.zeros_like(places)
-        np.add.at(total, a, step)
-        np.add.at(total, b, -step)
+        total = np.stack(
+            [np.bincount(a, column, len(places)) - np.bincount(b, column, len(places)) for column in step.T], 1
+        )
         return np.asarray(places + self.free * total / np.sqrt(self.degree))
 
-    def _outside(self, places: np.ndarray, body: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        near, normal = nearest_point(places, *body)
-        deep = self.gap - near
+    def _outside(self, places: np.ndarray, anchor: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        deep = self.gap - ((places - anchor) * normal).sum(axis=1)
         deep = np.where(deep < self.settings.most * self.scale, np.maximum(deep, 0), 0)
         return np.asarray(places + self.free * deep[:, None] * normal)

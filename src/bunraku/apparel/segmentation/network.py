@@ -1,7 +1,7 @@
 """The segmentation network f_c of section 4.1: which vertices are apparel, and how stiff they are.
 
-A PointNet (Qi et al. 2017): an MLP on each point, pooled over the mesh, and an MLP that reads both. Ours also pools over
-the loose part that a point belongs to, hears of its neighbours there, and is told of the nearest bones.
+A PointNet (Qi et al. 2017): an MLP on each point, pooled over the mesh, and an MLP that reads both. Ours also pools
+over the loose part that a point belongs to, hears of its neighbours there, and is told of the nearest bones.
 """
 
 from __future__ import annotations

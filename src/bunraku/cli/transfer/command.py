@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_folder, check_input, check_range
+from bunraku.cli.checks import check_folder, check_input, check_mask, check_range
 from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.ledger import begin, note, still_to_do
 from bunraku.cli.orientation import AxisOption, UnitOption, check_axes
@@ -19,6 +19,7 @@ from bunraku.cli.progress import stages
 from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, holds_character, marks_of, pairs_of
 from bunraku.cli.transfer.runs import run_pairs
 from bunraku.errors import BunrakuError, FormatError, OptionError
+from bunraku.pipelines.together import check_apparel_option
 
 __all__ = ["Transfer"]
 
@@ -47,10 +48,13 @@ class Transfer:
     """What is moved: the "handles" of the character, the bones of its own "rig", or by "auto" the rig of a humanoid and
     the handles of others.
     """
-    apparel: Literal["rigid", "simulate"] = "rigid"
-    """How hair and clothes of MMD and VRM characters move: "rigid" with the body, or "simulate" by the physics of their
-    file.
+    apparel: Annotated[str, tyro.conf.arg(metavar="{auto,none,simulate,learn,MASK}")] = "none"
+    """How hair and clothes move: "none" with the body, "simulate" by the physics of an MMD or VRM file, "learn" by a
+    network that finds them on any mesh, "auto" by the one or the other; or the file of a mask (.npy, .txt, painted .ply
+    or .glb) of what is to be learned.
     """
+    stiffness: float = 1.0
+    """How stiff learned apparel is, as a factor, 0.001 to 1000."""
     handles: Literal["predict", "rig"] = "predict"
     """Where handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
     their names.
@@ -92,6 +96,8 @@ class Transfer:
         check_axes(self.up, self.front)
         names = _names(self.map)
         check_stages(self.without)
+        check_apparel_option(self.apparel, self.stiffness, dashes="--")
+        check_mask(self.apparel)
         if self.apparel == "simulate" and self.onto == "handles":
             raise OptionError("--apparel simulate moves the bones of a character's rig; leave out --onto handles")
         settings = Settings(
@@ -105,7 +111,10 @@ class Transfer:
             self.front,
             self.apparel,
         )
-        settings = replace(settings, file_up=self.file_up or "", file_unit=self.file_unit or "", unit=self.unit)
+        settings = replace(
+            settings, file_up=self.file_up or "", file_unit=self.file_unit or "", unit=self.unit,
+            stiffness=self.stiffness,
+        )  # fmt: skip
         jobs, suffix = _jobs(self.jobs), _suffix(self.format)
         characters, motions, bad = self._sorted()
         single = len(characters) == len(motions) == 1 and not bad and not self._folder()

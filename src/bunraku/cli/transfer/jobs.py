@@ -32,7 +32,8 @@ class Settings:
     without: tuple[str, ...] = ()
     up: str = "auto"
     front: str = "auto"
-    apparel: str = "rigid"
+    apparel: str = "none"
+    stiffness: float = 1.0
     file_up: str = ""
     file_unit: str = ""
     unit: str = "auto"
@@ -118,6 +119,7 @@ def animation_of(
     how: dict[str, Any] = {
         "onto": settings.onto,
         "apparel": settings.apparel,
+        "stiffness": settings.stiffness,
         "handles": handles or settings.handles,
         "fps": settings.fps,
     }

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_range, check_sequence, slug
+from bunraku.cli.checks import check_input, check_mask, check_range, check_sequence, slug
 from bunraku.cli.directing import PathOption, PinOption, parse_path, parse_pin
 from bunraku.cli.ledger import fingerprint
 from bunraku.cli.options import GeneratingOptions
@@ -17,7 +17,7 @@ from bunraku.cli.outputs import check_outputs, fitting_stages, save_all
 from bunraku.cli.progress import stages
 from bunraku.cli.verbs.batch import Clip, clips_of, clips_to_do, read_lines, save_clips
 from bunraku.errors import OptionError
-from bunraku.pipelines.together import check_together
+from bunraku.pipelines.together import check_apparel_option, check_together
 
 if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
@@ -56,10 +56,13 @@ class Animate(GeneratingOptions):
     """Length of the clip, 0.5 to 120; prompts in a row without seconds of their own share it."""
     loop: bool = False
     """Make a loop: the clip ends in the pose that it starts in, at the same speed."""
-    apparel: Literal["rigid", "simulate"] = "rigid"
-    """How hair and clothes of MMD and VRM characters move: "rigid" with the body, or "simulate" by the physics of their
-    file, on the bones of its own rig.
+    apparel: Annotated[str, tyro.conf.arg(metavar="{auto,none,simulate,learn,MASK}")] = "none"
+    """How hair and clothes move: "none" with the body, "simulate" by the physics of an MMD or VRM file, on the bones of
+    its own rig, "learn" by a network that finds them on any mesh, "auto" by the one or the other; or the file of a mask
+    (.npy, .txt, painted .ply or .glb) of what is to be learned.
     """
+    stiffness: float = 1.0
+    """How stiff learned apparel is, as a factor, 0.001 to 1000."""
     candidates: int = 3
     """Motions that are drawn, of which the one is written that a ranker likes best, 1 to 16; 1 is the fastest."""
     takes: int = 1
@@ -84,6 +87,8 @@ class Animate(GeneratingOptions):
         check_input(self.character)
         if self.after is not None:
             check_input(self.after)
+        check_apparel_option(self.apparel, self.stiffness, dashes="--")
+        check_mask(self.apparel)
         check_together(
             self.apparel, loop=self.loop, after=self.after is not None, handles=self.handles != "predict",
             path=bool(self.path), in_place=self.in_place, pins=bool(self.pin), dashes="--",
@@ -115,16 +120,15 @@ class Animate(GeneratingOptions):
             )
             report("load", 1.0)
 
-            from bunraku.pipelines.animate import animate_each, rig
+            from bunraku.pipelines.animate import animate_each, apparel_way, rig
 
-            handles = (
-                self.handles if self.apparel == "simulate" else rig(character, handles=self.handles, progress=report)
-            )
+            bones = apparel_way(character, self.apparel, self.handles) != "handles"
+            handles = self.handles if bones else rig(character, handles=self.handles, progress=report)
             after = None if self.after is None or isinstance(handles, str) else _before(self.after, character, handles)
             how: dict[str, Any] = {
-                "seconds": self.seconds, "handles": handles, "apparel": self.apparel, "loop": self.loop,
-                "in_place": self.in_place, "after": after, "path": path, "pins": pins, "stages": fitting,
-                "candidates": self.candidates,
+                "seconds": self.seconds, "handles": handles, "apparel": self.apparel, "stiffness": self.stiffness,
+                "loop": self.loop, "in_place": self.in_place, "after": after, "path": path, "pins": pins,
+                "stages": fitting, "candidates": self.candidates,
             }  # fmt: skip
             if todo:
                 animations = animate_each(character, [clip.prompt for clip in todo], **how, **self.sampling)

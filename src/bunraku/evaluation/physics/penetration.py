@@ -50,19 +50,39 @@ class BodyVolume:
             CharacterError: All of the character is apparel.
         """
         character = body.parts.character
-        faces = character.faces[~apparel[character.faces].any(axis=1)]
+        return cls.of_mesh(character.vertices, character.faces, body.weights, apparel, character.name, most_faces)
+
+    @classmethod
+    def of_mesh(
+        cls, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, name: str,
+        most_faces: int = _MOST_FACES,
+    ) -> BodyVolume:  # fmt: skip
+        """Take the body of a mesh.
+
+        Args:
+            vertices: Rest mesh [m], shape (V, 3).
+            faces: Shape (F, 3).
+            weights: For the 22 joints, shape (V, 22).
+            apparel: Its mask, shape (V,), bool.
+            name: Of the character.
+            most_faces: As above.
+
+        Raises:
+            CharacterError: All of the character is apparel.
+        """
+        faces = faces[~apparel[faces].any(axis=1)]
         if not len(faces):
-            raise CharacterError(f"{character.name}: all of it is apparel, so there is no body to be inside of")
+            raise CharacterError(f"{name}: all of it is apparel, so there is no body to be inside of")
         points, index = np.unique(
-            np.round(character.vertices[np.unique(faces)].astype(np.float64), 6), axis=0, return_inverse=True
+            np.round(vertices[np.unique(faces)].astype(np.float64), 6), axis=0, return_inverse=True
         )
-        place = np.full(len(character.vertices), -1)
+        place = np.full(len(vertices), -1)
         place[np.unique(faces)] = index.ravel()
-        weights = _means(body.weights[np.unique(faces)], index.ravel(), len(points))
+        shares = _means(weights[np.unique(faces)], index.ravel(), len(points))
         faces = place[faces]
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
         if len(faces) <= most_faces:
-            return cls(points, np.ascontiguousarray(faces, np.int64), weights)
+            return cls(points, np.ascontiguousarray(faces, np.int64), shares)
         import fast_simplification
 
         few, few_faces, collapses = fast_simplification.simplify(
@@ -71,7 +91,7 @@ class BodyVolume:
         few, few_faces, kept = fast_simplification.replay_simplification(
             points.astype(np.float32), faces.astype(np.int32), collapses
         )
-        return cls(few.astype(np.float64), np.ascontiguousarray(few_faces, np.int64), _means(weights, kept, len(few)))
+        return cls(few.astype(np.float64), np.ascontiguousarray(few_faces, np.int64), _means(shares, kept, len(few)))
 
     def posed(self, transforms: np.ndarray) -> np.ndarray:
         """Vertices of frames [m], shape (N, B, 3).

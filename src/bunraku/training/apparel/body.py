@@ -14,7 +14,7 @@ from bunraku.apparel.displacement.graph import NodeGraph, node_graph
 from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.errors import OptionError
 from bunraku.nn.averaged_run import AveragedRun, share_done
-from bunraku.nn.runs import append_row, plain_settings
+from bunraku.nn.runs import Stop, append_row, plain_settings
 from bunraku.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku.training.losses.apparel_losses import edge_loss, smoothness_loss, vertex_loss
 
@@ -220,15 +220,17 @@ def train_body(config: BodyTrainConfig, report: Callable[[dict[str, float]], Non
     trainer.resume()
     rows: list[dict[str, float]] = []
     checkpoint = out / "apparel-body.safetensors"
-    while trainer.progress() < 1:
-        rows.append(trainer.train_step())
-        if trainer.progress() < 1 and trainer.step % config.validate_every:
-            continue
-        row = {name: float(np.mean([r[name] for r in rows])) for name in rows[0]}
-        results = trainer.validate() if trainer.held_out else {}
-        checkpoint, rows = trainer.save(results), []
-        row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results}
-        append_row(out / "log.csv", row)
-        if report:
-            report(row)
+    stop = Stop()
+    with stop.listening():
+        while trainer.progress() < 1 and not stop.asked:
+            rows.append(trainer.train_step())
+            if trainer.progress() < 1 and trainer.step % config.validate_every and not stop.asked:
+                continue
+            row = {name: float(np.mean([r[name] for r in rows])) for name in rows[0]}
+            results = trainer.validate() if trainer.held_out else {}
+            checkpoint, rows = trainer.save(results), []
+            row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results}
+            append_row(out / "log.csv", row)
+            if report:
+                report(row)
     return checkpoint

@@ -18,9 +18,9 @@ from bunraku.apparel.displacement.network import (
     normalize_inputs,
     save_displacement,
 )
-from bunraku.apparel.displacement.recurrent import past_of_rest
+from bunraku.apparel.displacement.recurrent import past_of_states
 from bunraku.nn.averaged_run import AveragedRun, share_done
-from bunraku.nn.runs import append_row, plain_settings
+from bunraku.nn.runs import Stop, append_row, plain_settings
 from bunraku.training.apparel.node_bank import HEADS, BankCharacter, build_bank
 from bunraku.training.losses.apparel_losses import edge_loss, vertex_loss
 
@@ -40,6 +40,7 @@ class DisplacementTrainConfig:
         batch: Characters in a step of the head.
         clips: Windows in a step of the recurrent part.
         shortest, longest: Frames of a window, at the beginning of its training and at the end.
+        known: Share of the windows that go on from true states.
         edges: Weight of Eq. 15 against Eq. 14; the paper's is 100, with clips that begin at the truth.
         rate: Highest learning rate.
         warmup: Steps until then.
@@ -58,8 +59,9 @@ class DisplacementTrainConfig:
     head: float = 0.65
     batch: int = 16
     clips: int = 6
-    shortest: int = 6
+    shortest: int = 8
     longest: int = 24
+    known: float = 0.4
     edges: float = 1.0
     rate: float = 1.5e-3
     warmup: int = 200
@@ -179,7 +181,8 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
                 share = (done - config.head) / max(1 - config.head, 1e-9)
                 frames = round(config.shortest + share * (config.longest - config.shortest))
                 block = self._block(self._draw(config.clips), frames)
-                loss = self.losses(self.rollout(self.model, block), block.truth[1:], block)
+                known = bool(self.rng.random() < config.known)
+                loss = self.losses(self.rollout(self.model, block, known), block.truth[3:], block)
             else:
                 block = self._block(self._draw(config.batch), 1)
                 loss = self.losses(self.model.anchor(block.inputs[0]), block.truth[0], block)
@@ -187,19 +190,23 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
             self.update(config.decay)
         return {"recurrent_loss" if both else "head_loss": float(loss.detach()), "rate": rate}
 
-    def rollout(self, model: DisplacementNetwork, block: _Block) -> torch.Tensor:
-        """Displacements of all frames but the first of a window that starts where the head puts it, shape (F - 1, M,
-        3); gradients go to the recurrent part alone.
+    def rollout(self, model: DisplacementNetwork, block: _Block, known: bool = False) -> torch.Tensor:
+        """Displacements of all frames of a window but the first three, shape (F - 3, M, 3); gradients go to the
+        recurrent part alone.
+
+        Args:
+            model: The network.
+            block: The window.
+            known: Whether it goes on from the true states of the first three frames (the paper's protocol), or from
+                where the head puts the apparel. The paper's form, which has no head, always does the first.
         """
         assert model.recurrent is not None
         with torch.no_grad():
-            heads = [model.anchor(inputs) for inputs in block.inputs]
-        world = model.recurrent.world
-        first = block.truth[0] if world else heads[0]
-        places = block.places[0] + torch.einsum("mab,mb->ma", block.turns[0], first)
-        past = past_of_rest(first, places, world)
+            heads = torch.stack([model.anchor(inputs) for inputs in block.inputs])
+        start = block.truth[:3] if known or model.recurrent.world else heads[:3]
+        past = past_of_states(model.recurrent, start, heads[:3], block.turns[:3], block.places[:3])
         out = []
-        for frame in range(1, len(block.inputs)):
+        for frame in range(3, len(block.inputs)):
             moved, past = model.recurrent(
                 block.inputs[frame], past, heads[frame], block.turns[frame], block.places[frame]
             )
@@ -269,16 +276,18 @@ def train_displacement(
     trainer.resume()
     rows: list[dict[str, float]] = []
     checkpoint = out / "apparel.safetensors"
-    while trainer.progress() < 1:
-        rows.append(trainer.train_step())
-        if trainer.progress() < 1 and trainer.step % config.validate_every:
-            continue
-        columns = ("head_loss", "recurrent_loss", "rate")
-        row = {name: float(np.mean([r[name] for r in rows if name in r] or [0.0])) for name in columns}
-        results = trainer.validate() if held_out else {}
-        checkpoint, rows = trainer.save(results), []
-        row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results}
-        append_row(out / "log.csv", row)
-        if report:
-            report(row)
+    stop = Stop()
+    with stop.listening():
+        while trainer.progress() < 1 and not stop.asked:
+            rows.append(trainer.train_step())
+            if trainer.progress() < 1 and trainer.step % config.validate_every and not stop.asked:
+                continue
+            columns = ("head_loss", "recurrent_loss", "rate")
+            row = {name: float(np.mean([r[name] for r in rows if name in r] or [0.0])) for name in columns}
+            results = trainer.validate() if held_out else {}
+            checkpoint, rows = trainer.save(results), []
+            row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results}
+            append_row(out / "log.csv", row)
+            if report:
+                report(row)
     return checkpoint

@@ -1,0 +1,107 @@
+"""Wearers of meshes that say nothing of apparel: what carries it, and the joints that handles stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from bunraku.apparel.displacement.nodes import held_vertices
+from bunraku.apparel.parts import apparel_parts
+from bunraku.apparel.wearer import Wearer
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.character import Handles
+
+__all__ = ["fitted_wearer", "joint_weights_of_handles", "joints_of_handles"]
+
+_HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
+_ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
+_SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
+_NEAR = 12
+
+
+def joint_weights_of_handles(handles: Handles) -> np.ndarray:
+    """Weights of the 22 joints, those of the other handles added to the joint that they hang on, shape (V, 22)."""
+    out = np.array(handles.weights[:, :HANDLE_COUNT], np.float32)
+    for handle in range(HANDLE_COUNT - 1, JOINT_COUNT - 1, -1):
+        out[:, HANDLE_PARENTS[handle]] += out[:, handle]
+    return np.ascontiguousarray(out[:, :JOINT_COUNT])
+
+
+def joints_of_handles(
+    vertices: np.ndarray, weights: np.ndarray, areas: np.ndarray, positions: np.ndarray
+) -> np.ndarray:
+    """Where the joints are that the handles turn about [m], shape (22, 3): in the middle of the skin that a handle
+    shares with the one above it; the pelvis is its handle.
+
+    Args:
+        vertices: Rest mesh [m], shape (V, 3).
+        weights: Of the 22 joints, shape (V, 22).
+        areas: Of the vertices, shape (V,).
+        positions: Of the handles, taken where two share nothing, shape (22 or more, 3).
+    """
+    out = np.array(positions[:JOINT_COUNT], np.float64)
+    for joint in range(1, JOINT_COUNT):
+        mass = weights[:, joint] * weights[:, JOINT_PARENTS[joint]] * areas
+        if mass.sum() > 1e-4 * areas.sum():
+            out[joint] = mass @ vertices / mass.sum()
+    return out
+
+
+def fitted_wearer(
+    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray,
+    stiffness: np.ndarray, damping: np.ndarray,
+) -> Wearer:  # fmt: skip
+    """A wearer whose apparel goes whole with the joint that its parts hang on, whatever its skin says.
+
+    Args:
+        vertices, faces, joints: As of `Wearer`.
+        weights: Of the body for the 22 joints, shape (V, 22).
+        apparel: The mask, shape (V,), bool.
+        stiffness, damping: Of each vertex, shape (V,).
+    """
+    apparel = _without_specks(vertices, faces, apparel)
+    part = apparel_parts(vertices, faces, apparel)
+    count = int(part.max(initial=-1)) + 1
+    blank = np.zeros(count, np.float32)
+    bare = Wearer(vertices, faces, joints, weights, apparel, part, blank, blank)
+    held = held_vertices(bare)
+    out = np.array(weights, np.float32)
+    body = np.flatnonzero(~apparel)
+    tree = cKDTree(vertices[body]) if len(body) else None
+    for number in range(count):
+        rows = np.flatnonzero(part == number)
+        own = held[part[held] == number]
+        if tree is None or not len(own):
+            share = weights[rows].mean(axis=0)
+        else:
+            near = body[tree.query(vertices[own], min(_NEAR, len(body)))[1].reshape(-1)]
+            share = weights[near].mean(axis=0)
+        out[rows] = np.eye(JOINT_COUNT, dtype=np.float32)[_carrying(share)]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        total = np.bincount(part[apparel], values[apparel], count) / np.maximum(np.bincount(part[apparel]), 1)
+        return np.asarray(total, np.float32)
+
+    if not count:
+        return bare
+    return Wearer(vertices, faces, joints, out, apparel, part, mean(stiffness), mean(damping))
+
+
+def _carrying(share: np.ndarray) -> int:
+    """The joint that holds what is held by so much of each: what both legs hold hangs on the pelvis, what both collars
+    hold on the chest.
+    """
+    joint = int(share.argmax())
+    for pair, above in ((_HIPS, 0), (_ABOVE_COLLARS, JOINT_NAMES.index("spine3"))):
+        if joint in pair and share[list(pair)].min() > 0.25 * share[list(pair)].max():
+            return above
+    return joint
+
+
+def _without_specks(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
+    part = apparel_parts(vertices, faces, apparel)
+    sizes = np.bincount(part[apparel], minlength=1)
+    small = sizes < max(4, _SMALL * apparel.sum())
+    out = apparel.copy()
+    out[apparel] = ~small[part[apparel]]
+    return out

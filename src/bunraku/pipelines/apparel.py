@@ -1,0 +1,189 @@
+"""The apparel of an animation, whatever its character is: as it is, simulated by its file's physics, or learned.
+
+`auto` simulates where the file has physics and the rig is what moves, and learns where the mesh has apparel; a mask
+says which vertices are apparel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from bunraku.apparel.artist_mask import artist_mask, read_artist_mask
+from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
+from bunraku.apparel.displacement.player import ApparelPlayer
+from bunraku.apparel.fitting import fitted_wearer, joint_weights_of_handles, joints_of_handles
+from bunraku.apparel.segmentation.predict import find_apparel
+from bunraku.apparel.unified import UnifiedBody
+from bunraku.apparel.wearer import Wearer
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
+from bunraku.core.point_animation import PointAnimation
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import CharacterError
+from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.physics.animated import with_apparel
+from bunraku.physics.from_file import apparel_rig
+from bunraku.physics.worn import wearer_of_file
+from bunraku.pipelines.together import check_apparel_option, moves_apparel
+
+__all__ = ["animated_wearer", "dressed", "learned", "shipped_displacement"]
+
+Progress = Callable[[str, float], None]
+LEAST = 0.01
+"""Share of the vertices under which `auto` takes a mesh to have no apparel."""
+RATE = 30.0
+
+
+@lru_cache(maxsize=2)
+def _network(path: Path, changed: int) -> DisplacementNetwork:
+    return load_displacement(path)
+
+
+def shipped_displacement() -> DisplacementNetwork:
+    """The displacement network that comes with Bunraku.
+
+    Raises:
+        WeightsError: It is missing or broken.
+    """
+    path = shipped_checkpoint("apparel")
+    return _network(path, path.stat().st_mtime_ns)
+
+
+def dressed(
+    animation: Animation | RigAnimation,
+    apparel: str | Path = "auto",
+    *,
+    stiffness: float = 1.0,
+    progress: Progress | None = None,
+) -> Animation | RigAnimation | PointAnimation:
+    """An animation with its apparel moved.
+
+    Args:
+        animation: Of handles or of bones; its apparel goes with the body.
+        apparel: One of `APPAREL`, or a mask of the apparel that is to be learned.
+        stiffness: Factor on how stiff learned apparel is.
+        progress: Called with a stage's name and the share done.
+
+    Raises:
+        OptionError: `apparel` is none of these.
+        CharacterError: It is to be simulated without physics, or learned where there is none.
+        FormatError: The mask is broken or belongs to another mesh.
+        WeightsError: The shipped weights are missing or broken.
+    """
+    check_apparel_option(str(apparel), stiffness)
+    if not moves_apparel(str(apparel)):
+        return animation
+    if str(apparel) == "simulate":
+        return with_apparel(animation, "simulate", progress)
+    if str(apparel) == "auto":
+        if isinstance(animation, RigAnimation) and apparel_rig(animation.character) is not None:
+            return with_apparel(animation, "simulate", progress)
+        wearer, transforms, moved = animated_wearer(animation, stiffness=stiffness)
+        if wearer.apparel.mean() < LEAST:
+            return animation
+        return _learned(wearer, transforms, moved, progress)
+    mask = None if str(apparel) == "learn" else read_artist_mask(apparel, animation.character)
+    return learned(animation, mask, stiffness=stiffness, progress=progress)
+
+
+def learned(
+    animation: Animation | RigAnimation,
+    mask: np.ndarray | None = None,
+    *,
+    stiffness: float = 1.0,
+    network: DisplacementNetwork | None = None,
+    safe: bool = True,
+    progress: Progress | None = None,
+) -> PointAnimation:
+    """An animation at 30 frames a second whose apparel the displacement network moves.
+
+    Args:
+        animation: Of handles or of bones.
+        mask: Vertices that are apparel, shape (V,), bool; the file's, or else what the segmentation network finds.
+        stiffness: Factor on how stiff apparel is.
+        network: The shipped one by default.
+        safe: Whether the safety stage runs.
+        progress: Called with a stage's name and the share done.
+
+    Raises:
+        CharacterError: The mesh has no apparel.
+        WeightsError: The shipped weights are missing or broken.
+    """
+    wearer, transforms, moved = animated_wearer(animation, mask, stiffness=stiffness)
+    return _learned(wearer, transforms, moved, progress, network, safe)
+
+
+def animated_wearer(
+    animation: Animation | RigAnimation, mask: np.ndarray | None = None, *, stiffness: float = 1.0
+) -> tuple[Wearer, np.ndarray, Animation]:
+    """The character of an animation as the networks see it, its joints' transforms (N, 22, 3, 4), and the animation, at
+    30 frames a second.
+
+    Args:
+        animation: Of handles or of bones.
+        mask: Vertices that are apparel; the file's, or else what the segmentation network finds.
+        stiffness: Factor on how stiff apparel is.
+    """
+    character = animation.character
+    moved = animation.at(RATE)
+    if mask is None:
+        mask = artist_mask(character)
+    body = _unified(character) if isinstance(moved, RigAnimation) else None
+    if body is not None and isinstance(moved, RigAnimation):
+        transforms, joints, weights = body.transforms(moved), body.joints, body.weights
+        if mask is None and apparel_rig(character) is not None:
+            return wearer_of_file(character, body, stiffness), transforms, moved.animation()
+    else:
+        moved = moved.animation() if isinstance(moved, RigAnimation) else moved
+        if len(moved.handles.positions) < len(_ROLES):
+            raise CharacterError(f"{character.name}: its handles are not the 30 of a body; let them be predicted")
+        weights = joint_weights_of_handles(moved.handles)
+        joints = joints_of_handles(character.vertices, weights, character.areas, moved.handles.positions)
+        affine = moved.motion.transforms(moved.handles.positions)[:, : len(joints)]
+        places = np.einsum("njab,jb->nja", affine[..., :3], joints) + affine[..., 3]
+        transforms = np.concatenate([affine[..., :3], places[..., None]], axis=3).astype(np.float32)
+    found = find_apparel(character.vertices, character.faces, joints)
+    dial = np.float32(np.log10(stiffness))
+    wearer = fitted_wearer(
+        character.vertices, character.faces, joints, weights, found.mask if mask is None else mask,
+        np.clip(found.stiffness + dial, -4, 2), found.damping,
+    )  # fmt: skip
+    return wearer, transforms, moved.animation() if isinstance(moved, RigAnimation) else moved
+
+
+_ROLES = range(30)
+
+
+def _unified(character: Character) -> UnifiedBody | None:
+    """The 22 joints of a person's rig; None for other rigs."""
+    try:
+        return UnifiedBody.of(character)
+    except CharacterError:
+        return None
+
+
+def _learned(
+    wearer: Wearer, transforms: np.ndarray, moved: Animation, progress: Progress | None = None,
+    network: DisplacementNetwork | None = None, safe: bool = True,
+) -> PointAnimation:  # fmt: skip
+    if not wearer.apparel.any():
+        raise CharacterError(
+            f"{moved.character.name}: no apparel was found on this mesh; name its vertices in a mask (--apparel "
+            "mask.npy)"
+        )
+    progress = progress or (lambda stage, done: None)
+    player = ApparelPlayer(wearer, network or shipped_displacement(), safe=safe)
+    player.start(transforms[0])
+    offsets = np.zeros((len(transforms), len(wearer.rest), 3), np.float32)
+    chosen = player.carrier.vertices
+    skinned = moved.vertices()
+    for frame, pose in enumerate(transforms):
+        offsets[frame, chosen] = player.advance(pose) - skinned[frame, chosen]
+        if frame % 16 == 0:
+            progress("apparel", frame / len(transforms))
+    progress("apparel", 1.0)
+    return PointAnimation(moved, offsets)
