@@ -11,7 +11,7 @@ from bunraku.apparel.wearer import Wearer
 __all__ = ["Carrier", "node_turns", "polar_rotation"]
 
 NEAR = 4
-RIGID = 0.3
+RIGID = 0.03
 """How much the carrying joint's own turn counts in that of a node, over the spread of its neighbours."""
 
 
@@ -88,7 +88,7 @@ def polar_rotation(matrices: np.ndarray, rounds: int = 8) -> np.ndarray:
     out = np.array(matrices, np.float32)
     out /= np.maximum(np.abs(out).max(axis=(-2, -1), keepdims=True), 1e-12)
     a, b, c = out[..., 0, :], out[..., 1, :], out[..., 2, :]
-    bad = (a * _cross(b, c)).sum(axis=-1) < 1e-4
+    bad = (a * _cross(b, c)).sum(axis=-1) < 1e-6
     out[bad] = np.eye(3, dtype=np.float32)
     for _ in range(rounds):
         a, b, c = out[..., 0, :], out[..., 1, :], out[..., 2, :]

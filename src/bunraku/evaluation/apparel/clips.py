@@ -12,6 +12,7 @@ from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.apparel.wearer import Wearer
 from bunraku.core.character import Character
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.datasets.apparel import ApparelData
 from bunraku.datasets.apparel.build import body_animation
@@ -122,31 +123,25 @@ def long_clip(seed: int, motion: Path, seconds: float = 60.0) -> TrueClip:
 
     Args:
         seed: Of the character.
-        motion: A clip that `bunraku data motions` wrote, or any motion file.
+        motion: A clip that `bunraku data motions` wrote.
         seconds: Length [s].
     """
-    from bunraku.core.motion import HandleMotion
-    from bunraku.io.motions import load_motion
-    from bunraku.pipelines.to_reference import reference_motion
+    from bunraku.core.resample import resample
+    from bunraku.datasets.motions.clips import load_clip
     from bunraku.synthetic.wardrobe import wardrobe_character
 
     character = wardrobe_character(seed)
     body = UnifiedBody.of(character)
-    reference: HandleMotion = reference_motion(load_motion(motion, fps=RATE), fps=RATE)
+    reference = resample(load_clip(motion), RATE)
     moved = body_animation(body, reference.take(slice(0, round(10 * RATE))))
     count, frames = len(moved), round(seconds * RATE)
     way = np.concatenate([np.arange(count), np.arange(count - 2, 0, -1)])
     rows = np.tile(way, frames // len(way) + 1)[:frames]
-    from bunraku.core.rig_animation import RigAnimation
-
     whole = RigAnimation(character, moved.rotations[rows], moved.translations[rows], RATE)
     return _simulated(character, body, Path(motion).stem, whole)
 
 
-def _simulated(character: Character, body: UnifiedBody, name: str, animation: object) -> TrueClip:
-    from bunraku.core.rig_animation import RigAnimation
-
-    assert isinstance(animation, RigAnimation)
+def _simulated(character: Character, body: UnifiedBody, name: str, animation: RigAnimation) -> TrueClip:
     recording = record(body, [simulate(animation, apparel_rig(character)).animation])
     return TrueClip(
         character.name, name, wearer_of_file(character, body), recording.transforms, recording.loose, recording.offsets

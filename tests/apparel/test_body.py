@@ -1,0 +1,126 @@
+"""The body and segmentation networks, and the losses, against values computed by hand."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.sparse.csgraph import dijkstra
+
+from bunraku.apparel.body.network import BodyConfig, BodyNetwork, load_body, save_body
+from bunraku.apparel.displacement.graph import node_graph
+from bunraku.apparel.parts import apparel_parts
+from bunraku.apparel.sampled_mesh import joint_distances, sampled_mesh
+from bunraku.apparel.segmentation.network import (
+    SegmentationConfig,
+    SegmentationNetwork,
+    load_segmentation,
+    mesh_block,
+    save_segmentation,
+)
+from bunraku.body.layout import JOINT_COUNT
+from bunraku.body.reference import reference_body
+from bunraku.training.losses.apparel_losses import edge_loss, mask_loss, smoothness_loss, vertex_loss
+
+
+def test_the_attention_map_by_hand():
+    """With an f_m that says nothing, M is the softmax of 4 exp(-8 G)."""
+    network = BodyNetwork(BodyConfig(features=4, width=8))
+    with torch.no_grad():
+        network.attention[-1].weight.zero_()
+        network.attention[-1].bias.zero_()
+    distances = torch.full((1, JOINT_COUNT), 50.0)
+    distances[0, 3] = 0.0
+    attention = network.attention_map(distances)[0]
+    assert float(attention.detach()[3]) == pytest.approx(math.exp(4) / (math.exp(4) + JOINT_COUNT - 1), rel=1e-5)
+    assert float(attention.detach().sum()) == pytest.approx(1)
+
+
+def test_fused_features_by_hand():
+    network = BodyNetwork(BodyConfig(features=2, width=8))
+    features = torch.tensor([[[1.0, 10.0], [3.0, 20.0]]])
+    assert network.fused(features, torch.tensor([[0.25, 0.75]]))[0].tolist() == [2.5, 17.5]
+
+
+@pytest.mark.parametrize("geodesics", ["attention", "none", "sorted"])
+def test_weights_add_up(geodesics, tmp_path):
+    body = reference_body()
+    mesh = sampled_mesh(body.vertices, body.faces, body.joints, 200)
+    distances = torch.from_numpy(joint_distances(body.vertices, body.faces, body.joints, mesh.clean))
+    torch.manual_seed(0)
+    network = BodyNetwork(BodyConfig(features=4, width=16, geodesics=geodesics))
+    graph = node_graph([mesh.neighbours], [mesh.part])
+    points, normals = torch.from_numpy(mesh.points), torch.from_numpy(mesh.features[:, 3:6])
+    with torch.no_grad():
+        weights = network(points, normals, torch.from_numpy(mesh.joints)[None], distances, graph)
+    assert weights.shape == (len(mesh.points), JOINT_COUNT)
+    np.testing.assert_allclose(weights.sum(dim=1), 1, atol=1e-5)
+    again = load_body(save_body(tmp_path / "body.safetensors", network))
+    assert torch.equal(again(points, normals, torch.from_numpy(mesh.joints)[None], distances, graph), weights)
+
+
+def test_geodesic_distances_go_along_the_mesh():
+    """On the reference body the hands are nearer to their own wrists than to the other's, and G is that of Dijkstra on
+    the edges.
+    """
+    body = reference_body()
+    mesh = sampled_mesh(body.vertices, body.faces, body.joints, 300)
+    distances = joint_distances(body.vertices, body.faces, body.joints, mesh.clean)
+    assert np.isfinite(distances).all() and (distances >= 0).all()
+    from bunraku.geometry.graph import clean_mesh, unique_edges
+
+    clean = clean_mesh(body.vertices, body.faces)
+    edges = unique_edges(clean.faces, len(clean.vertices))
+    lengths = np.linalg.norm(clean.vertices[edges[:, 0]] - clean.vertices[edges[:, 1]], axis=1)
+    from scipy.sparse import coo_matrix
+
+    graph = coo_matrix((lengths, tuple(edges.T)), shape=(len(clean.vertices),) * 2)
+    anchor = np.linalg.norm(clean.vertices * clean.scale + clean.center - body.joints[20], axis=1).argmin()
+    plain = dijkstra(graph.tocsr(), directed=False, indices=int(anchor))[mesh.clean] / np.ptp(clean.vertices[:, 1])
+    np.testing.assert_allclose(distances[:, 20], plain, rtol=1e-4, atol=1e-4)
+    hand = mesh.points[:, 0] > 0.9 * mesh.points[:, 0].max()
+    assert (distances[hand, 20] < distances[hand, 21]).all()
+
+
+def test_values_spread_back_to_every_vertex():
+    body = reference_body()
+    mesh = sampled_mesh(body.vertices, body.faces, body.joints, 400)
+    back = mesh.spread(mesh.points.astype(float))
+    height = np.ptp(body.vertices[:, 1])
+    wanted = (body.vertices - [body.joints[0, 0], body.vertices[:, 1].min(), body.joints[0, 2]]) / height
+    assert np.linalg.norm(back - wanted, axis=1).mean() < 0.03
+
+
+def test_probabilities_are_the_sigmoid_of_the_scores(tmp_path):
+    body = reference_body()
+    features, graph = mesh_block([sampled_mesh(body.vertices, body.faces, body.joints, 150)] * 2)
+    torch.manual_seed(0)
+    network = SegmentationNetwork(SegmentationConfig(16, 1)).eval()
+    with torch.no_grad():
+        likely, scores = network(features, graph), network.scores(features, graph)
+    np.testing.assert_allclose(likely, 1 / (1 + np.exp(-scores[:, 0].numpy())), rtol=1e-5)
+    np.testing.assert_allclose(likely[:150], likely[150:], rtol=1e-5)  # meshes do not hear of one another
+    again = load_segmentation(save_segmentation(tmp_path / "mask.safetensors", network))
+    assert torch.equal(again(features, graph), likely)
+
+
+def test_parts_of_apparel():
+    """Two squares that share an edge but for a seam of the file, and one apart."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0],
+                       [5, 0, 0], [6, 0, 0], [6, 1, 0], [9, 9, 9], [9, 8, 9], [8, 9, 9]])  # fmt: skip
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7], [8, 9, 10], [11, 12, 13]])
+    apparel = np.arange(14) < 11
+    assert apparel_parts(points, faces, apparel).tolist() == [0] * 8 + [1] * 3 + [-1] * 3
+
+
+def test_losses_by_hand():
+    assert float(mask_loss(torch.zeros(2), torch.tensor([0.0, 1.0]))) == pytest.approx(math.log(2))
+    points = torch.tensor([[0.0, 0, 0], [0, 2, 0]])
+    truth = torch.tensor([[1.0, -1, 0.5], [0, 2, 0]])
+    assert float(vertex_loss(points, truth)) == pytest.approx(1.25)  # (2.5 + 0) / 2
+    rest = torch.tensor([[0.0, 0, 0], [1, 0, 0]])
+    edges = torch.tensor([[0, 1]])
+    assert float(edge_loss(points, rest, edges)) == pytest.approx(1.0)  # 2 now, 1 at rest
+    assert float(edge_loss(points[None], rest, edges[:0])) == 0
+    weights = torch.tensor([[1.0, 0.0], [0.4, 0.8]])
+    assert float(smoothness_loss(weights, edges)) == pytest.approx(1.0)  # (0.6, -0.8) has length 1

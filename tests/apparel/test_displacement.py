@@ -1,0 +1,347 @@
+"""The displacement network's parts: each layer and formula against a value that is computed by hand."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.apparel.displacement.anchor import AnchorHead, Inputs
+from bunraku.apparel.displacement.body_points import BodyPoints, nearest_point
+from bunraku.apparel.displacement.carry import Carrier, polar_rotation
+from bunraku.apparel.displacement.features import (
+    BASIS,
+    GLOBAL,
+    SCALARS,
+    STATIC_SCALARS,
+    STATIC_VECTORS,
+    VECTORS,
+    clip_features,
+    mirror_global,
+    static_features,
+)
+from bunraku.apparel.displacement.filters import DAMPING, FREQUENCIES, MotionFilters
+from bunraku.apparel.displacement.graph import EdgeBlock, node_graph, part_pool
+from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
+from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, load_displacement
+from bunraku.apparel.displacement.network import save_displacement as save
+from bunraku.apparel.displacement.nodes import apparel_nodes, part_neighbours
+from bunraku.apparel.displacement.player import ApparelPlayer
+from bunraku.apparel.displacement.recurrent import KEEP, MOST, Past, RecurrentPart, node_state, past_of_states
+from bunraku.apparel.displacement.safety import Safety, SafetySettings
+from bunraku.apparel.wearer import Wearer, part_stiffness
+from bunraku.body.layout import JOINT_COUNT
+from bunraku.body.reference import reference_body
+from bunraku.errors import CharacterError, WeightsError
+from bunraku.geometry.rotations import matrix_from_axis_angle
+
+
+def curtain(rows=7, columns=4):
+    """A body and a curtain of cloth that hangs from its pelvis, a few centimetres before it."""
+    body = reference_body()
+    across, down = np.meshgrid(np.linspace(-0.1, 0.1, columns), np.linspace(0, 0.5, rows))
+    pelvis = body.joints[0]
+    cloth = np.stack([across, pelvis[1] - down, np.full_like(across, pelvis[2] + 0.25)], axis=-1).reshape(-1, 3)
+    index = np.arange(rows * columns).reshape(rows, columns)
+    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1).reshape(-1, 4)
+    faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]) + len(body.vertices)
+    own = np.zeros((len(cloth), JOINT_COUNT), np.float32)
+    own[:, 0] = 1
+    apparel = np.arange(len(body.vertices) + len(cloth)) >= len(body.vertices)
+    return Wearer(
+        np.concatenate([body.vertices, cloth]).astype(np.float32), np.concatenate([body.faces, faces]),
+        np.asarray(body.joints), np.concatenate([body.joint_weights, own]).astype(np.float32), apparel,
+        np.where(apparel, 0, -1), np.array([-1.0], np.float32), np.array([0.9], np.float32),
+    )  # fmt: skip
+
+
+def still(wearer, frames):
+    """The rest pose, for so many frames, shape (F, 22, 3, 4)."""
+    pose = np.concatenate([np.tile(np.eye(3), (JOINT_COUNT, 1, 1)), wearer.joints[..., None]], axis=2)
+    return np.tile(pose, (frames, 1, 1, 1)).astype(np.float32)
+
+
+def inputs_of(wearer, nodes, frame):
+    vectors, scalars = static_features(wearer, nodes)
+    graph = node_graph([nodes.neighbours], [nodes.part])
+    moving = (torch.from_numpy(value) for value in (frame.vectors, frame.scalars))
+    return Inputs(
+        torch.from_numpy(vectors), torch.from_numpy(scalars), *moving, torch.from_numpy(frame.whole)[None], graph
+    )
+
+
+def test_nodes_hang_where_their_part_is_held():
+    wearer = curtain()
+    nodes = apparel_nodes(wearer, 12)
+    assert len(nodes) == 12 and (wearer.part[nodes.vertex] == 0).all() and (nodes.joint == 0).all()
+    top = wearer.rest[wearer.apparel][:, 1].max()
+    # the nearest end to the body is where it is held: the distance of a node is its way along the cloth from there
+    assert nodes.distance.max() <= nodes.length[0] + 1e-6 and nodes.distance.min() >= 0
+    assert nodes.length[0] >= 0.2 and top > 0
+    assert (np.linalg.norm(nodes.held, axis=1) <= nodes.distance + 1e-5).all()
+
+
+def test_neighbours_are_the_nearest_of_the_same_part():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [0.1, 0, 0]])
+    near = part_neighbours(points, np.array([0, 0, 0, 1]))
+    assert near[0, :2].tolist() == [1, 2] and near[2, :2].tolist() == [1, 0]
+    assert (near[3] == 3).all()  # nobody else is of its part
+
+
+def test_an_oscillator_by_hand():
+    """One step of `y'' + 2 z w y' + w^2 y = -p''` after a jump of what carries it, then the next."""
+    filters = MotionFilters(np.zeros((1, 3)), np.eye(3)[None], fps=10.0)
+    velocity, acceleration = filters.advance(np.array([[0.2, 0, 0]]), np.eye(3)[None])
+    assert velocity[0, 0] == pytest.approx(2.0) and acceleration[0, 0] == pytest.approx(20.0)
+    speed, sway = -2.0, -0.2
+    assert filters.sway[:, 0, 0] == pytest.approx(sway)
+    filters.advance(np.array([[0.2, 0, 0]]), np.eye(3)[None])  # it stands again: p'' = -20
+    w = 2 * math.pi * FREQUENCIES[0]
+    speed = speed + 0.1 * (20.0 - 2 * DAMPING * w * speed - w * w * sway)
+    assert filters.sway[0, 0, 0] == pytest.approx(sway + 0.1 * speed, rel=1e-4)
+
+
+def test_filters_forget():
+    """Whatever went before, a minute of standing still leaves nothing: what is computed from them cannot drift."""
+    random = np.random.default_rng(0)
+    filters = MotionFilters(np.zeros((1, 3)), np.eye(3)[None])
+    for _ in range(60):
+        turn = matrix_from_axis_angle(random.normal(size=(1, 3)))
+        filters.advance(random.normal(size=(1, 3)), turn)
+    assert np.abs(filters.sway).max() > 0.1
+    for _ in range(1800):
+        filters.advance(np.ones((1, 3)), np.eye(3)[None])
+    assert np.abs(filters.sway).max() < 1e-6 and np.abs(filters.late - np.eye(3)).max() < 1e-5
+
+
+def test_at_rest_nothing_is_felt():
+    wearer = curtain()
+    nodes = apparel_nodes(wearer, 12)
+    frame = clip_features(wearer, nodes, still(wearer, 3))[-1]
+    assert np.abs(frame.vectors[:, :BASIS]).max() < 1e-5
+    np.testing.assert_allclose(frame.places, nodes.rest, atol=1e-5)
+
+
+def test_a_mirrored_pose_has_mirrored_features():
+    random = np.random.default_rng(1)
+    whole = random.normal(size=GLOBAL).astype(np.float32)
+    np.testing.assert_allclose(mirror_global(mirror_global(whole)), whole)
+    turn = matrix_from_axis_angle(np.array([0.3, -0.5, 0.7]))
+    flip = np.diag([-1.0, 1, 1])
+    both = turn, flip @ turn @ flip
+    rows = [np.zeros((JOINT_COUNT, 9)) for _ in both]
+    for row, own in zip(rows, both, strict=True):
+        row[0, 3:] = own[:, :2].T.reshape(-1)  # of the pelvis, which is its own mirror image
+    ours = mirror_global(np.append(rows[0].reshape(-1), [0, 1, 0]))
+    np.testing.assert_allclose(ours[:9], rows[1][0], atol=1e-12)
+
+
+def test_the_lead_in_goes_from_rest_to_the_first_frame():
+    wearer = curtain()
+    first = still(wearer, 1)[0].copy()
+    first[:, :, :3] = matrix_from_axis_angle(np.array([0.0, 1.0, 0.0])) @ first[:, :, :3]
+    first[:, :, 3] = first[:, :, 3] @ matrix_from_axis_angle(np.array([0.0, 1.0, 0.0])).T + [1, 0, 2]
+    way = lead_in_transforms(wearer.joints, first, 20)
+    np.testing.assert_allclose(way[0], rest_transforms(wearer.joints, first), atol=1e-5)
+    np.testing.assert_allclose(way[-1], first, atol=1e-5)
+
+
+def test_signed_distance_by_hand():
+    places, normals = np.array([[0.0, 0, 0], [0, 5, 0]]), np.array([[0.0, 1, 0], [0, 0, 1]])
+    gap, normal = nearest_point(np.array([[0.3, -0.2, 0], [0, 5, 0.4]]), places, normals)
+    np.testing.assert_allclose(gap, [-0.2, 0.4])
+    np.testing.assert_allclose(normal, normals)
+
+
+def test_parts_do_not_hear_of_one_another():
+    graph = node_graph([np.array([[1], [0]]), np.array([[0]])], [np.array([0, 0]), np.array([0])])
+    assert graph.part.tolist() == [0, 0, 1] and graph.owner.tolist() == [0, 0, 1] and graph.edges.tolist() == [[0, 1]]
+    x = torch.tensor([[1.0], [4.0], [9.0]])
+    assert part_pool(x, graph)[:, 0].tolist() == [4, 4, 9]
+    torch.manual_seed(0)
+    block = EdgeBlock(1)
+    before = block(x, graph)
+    after = block(torch.tensor([[1.0], [4.0], [-3.0]]), graph)
+    assert torch.equal(before[:2], after[:2])
+
+
+def test_edge_convolution_by_hand():
+    """max_j W1 H_i + W2 (H_j - H_i) with neighbours and itself."""
+    graph = node_graph([np.array([[1], [0]])], [np.array([0, 0])])
+    block = EdgeBlock(1)
+    with torch.no_grad():
+        block.edge.own.weight.fill_(2.0)
+        block.edge.own.bias.fill_(0.5)
+        block.edge.neighbour.weight.fill_(3.0)
+    heard = block.edge(torch.tensor([[1.0], [4.0]]), graph)
+    # node 0: 2*1 + 0.5 + max(0, 3*(4-1)) = 11.5; node 1: 2*4 + 0.5 + max(0, 3*(1-4)) = 8.5
+    assert heard[:, 0].tolist() == pytest.approx([11.5, 8.5])
+
+
+def test_state_velocity_and_acceleration_by_hand():
+    past = torch.tensor([[[9.0, 0, 0]], [[4.0, 0, 0]], [[1.0, 0, 0]]])  # newest first: 1, 4, 9
+    assert node_state(past)[0].tolist() == [9, 0, 0, 5, 0, 0, 2, 0, 0]
+
+
+def test_the_recurrent_part_adds_to_the_last_state():
+    """With a decoder that says nothing but its bias: r = a (r + g dr) + d, and e = e* + r, by hand."""
+    part = RecurrentPart(8, 1)
+    wearer = curtain()
+    nodes = apparel_nodes(wearer, 12)
+    frame = clip_features(wearer, nodes, still(wearer, 1))[0]
+    inputs = inputs_of(wearer, nodes, frame)
+    bias = torch.tensor([0.4, -0.3, 0.01, -0.02, 0.03])
+    with torch.no_grad():
+        part.decoder[-1].weight.zero_()
+        part.decoder[-1].bias.copy_(bias)
+    count = len(nodes)
+    rest = torch.stack([torch.full((count, 3), value) for value in (0.05, 0.03, 0.02)])
+    head, turns, places = torch.full((count, 3), 0.1), torch.eye(3).expand(count, 3, 3), torch.zeros(count, 3)
+    past = Past(rest, head + rest[0], torch.zeros(2, count, 3))
+    with torch.no_grad():
+        moved, after = part(inputs, past, head, turns, places)
+    keep, swing = KEEP / (1 + math.exp(-1.4)), 1 / (1 + math.exp(0.3))
+    wanted = [0.1 + keep * (0.05 + swing * 0.02) + MOST * math.tanh(value / MOST) for value in (0.01, -0.02, 0.03)]
+    assert moved[0].tolist() == pytest.approx(wanted, rel=1e-5)
+    assert torch.allclose(after.rest[0] + head, moved) and torch.equal(after.rest[1:], rest[:2])
+
+
+def test_what_it_remembers_is_bounded():
+    """r(t) = a (r + g dr) + d with the largest of all stays under the bound of the geometric sum."""
+    r = before = 0.0
+    most = 0.0
+    for _ in range(2000):
+        r, before = KEEP * (r + 0.999 * (r - before)) + MOST, r
+        most = max(most, abs(r))
+    assert most < 2 * MOST / (1 - KEEP)
+
+
+def test_the_papers_form_is_positions_in_the_world():
+    part = RecurrentPart(8, 1, world=True)
+    with torch.no_grad():
+        part.decoder[-1].weight.zero_()
+        part.decoder[-1].bias.copy_(torch.tensor([0.5, 0.0, 0.0]))
+    wearer = curtain()
+    nodes = apparel_nodes(wearer, 12)
+    inputs = inputs_of(wearer, nodes, clip_features(wearer, nodes, still(wearer, 1))[0])
+    count = len(nodes)
+    turn = torch.from_numpy(matrix_from_axis_angle(np.array([0.0, 0, math.pi / 2]))).float().expand(count, 3, 3)
+    places = torch.ones(count, 3)
+    states = torch.zeros(3, count, 3)
+    past = past_of_states(part, states, states, turn.expand(3, -1, -1, -1), places.expand(3, -1, -1))
+    assert torch.allclose(past.rest[0], places)
+    with torch.no_grad():
+        moved, _ = part(inputs, past, states[0], turn, places)
+    # the node went by 0.5 along the world's x, which is minus y of a frame that is turned by 90 degrees about z
+    assert moved[0].tolist() == pytest.approx([0, -0.5, 0], abs=1e-6)
+
+
+def test_the_head_mixes_its_basis_by_hand():
+    head = AnchorHead(8, 1)
+    wearer = curtain()
+    nodes = apparel_nodes(wearer, 12)
+    inputs = inputs_of(wearer, nodes, clip_features(wearer, nodes, still(wearer, 1))[0])
+    inputs.vectors = torch.zeros(len(nodes), VECTORS, 3)
+    inputs.vectors[:, 2] = torch.tensor([1.0, 2.0, 3.0])
+    with torch.no_grad():
+        head.decoder[-1].weight.zero_()
+        head.decoder[-1].bias.zero_()
+        head.decoder[-1].bias[2] = 10.0
+        head.decoder[-1].bias[BASIS] = 0.25
+        moved = head(inputs)
+    assert moved[0].tolist() == pytest.approx([1.75, 3.0, 4.5], rel=1e-4)
+
+
+def test_the_nearest_rotation():
+    turn = matrix_from_axis_angle(np.array([0.4, -1.1, 0.3]))
+    stretch = np.diag([2.0, 1.0, 0.5])
+    np.testing.assert_allclose(polar_rotation(turn @ stretch), turn, atol=1e-4)
+    left, _, right = np.linalg.svd(turn @ stretch @ turn + 0.3)
+    np.testing.assert_allclose(polar_rotation(turn @ stretch @ turn + 0.3), left @ right, atol=1e-3)
+    np.testing.assert_allclose(polar_rotation(np.diag([1.0, 1, -1])), np.eye(3))
+
+
+def test_vertices_turn_with_their_nodes():
+    """Nodes of a rigid turn about the place where the cloth is held take all vertices along, nearly."""
+    wearer = curtain(14, 8)
+    nodes = apparel_nodes(wearer, 40)
+    carrier = Carrier(wearer, nodes)
+    turn = matrix_from_axis_angle(np.array([0.5, 0, 0]))
+    pivot = wearer.joints[0]
+    moved = ((nodes.rest - pivot) @ turn.T + pivot - nodes.rest).astype(np.float32)
+    rest = wearer.rest[carrier.vertices]
+    wanted = (rest - pivot) @ turn.T + pivot - rest
+    assert np.abs(carrier.displacements(moved) - wanted).max() < 2e-3
+    assert np.abs(carrier.displacements(np.zeros_like(moved))).max() < 1e-6
+
+
+def test_safety_by_hand():
+    wearer = curtain()
+    nodes = apparel_nodes(wearer, 12)
+    empty = np.zeros((0, 3), np.float32)
+    nothing = BodyPoints(empty, empty, np.zeros((0, JOINT_COUNT), np.float32), np.zeros(0, np.int64))
+    safety = Safety(nodes, nothing, settings=SafetySettings(passes=200))
+    random = np.random.default_rng(0)
+    far = nodes.rest + random.normal(0, 0.05, nodes.rest.shape)
+    a, b = safety.edges.T
+    free = (safety.free[a, 0] + safety.free[b, 0]) > 0
+
+    def worst(places):
+        ratio = np.linalg.norm(places[a] - places[b], axis=1) / safety.lengths
+        return max((ratio[free] - 1.15).max(), (0.85 - ratio[free]).max())
+
+    done = safety(far, (empty, empty))
+    assert worst(far) > 0.2 and worst(done) < 0.35 * worst(far)
+    np.testing.assert_array_equal(safety(nodes.rest, (empty, empty)), nodes.rest)
+    # a floor at the height of the nodes' middle pushes those under it up to it
+    height = float(np.median(nodes.rest[:, 1]))
+    floor = np.array([[0.0, height, nodes.rest[0, 2]]], np.float32), np.array([[0.0, 1, 0]], np.float32)
+    plane = BodyPoints(floor[0] - [0, 9, 0], floor[1], np.ones((1, JOINT_COUNT), np.float32), np.zeros(1, np.int64))
+    pushed = Safety(nodes, plane, settings=SafetySettings(shortest=0.0, longest=9.0, most=9.0))(nodes.rest, floor)
+    loose = nodes.distance >= 0.02
+    assert (pushed[loose, 1] >= height - 1e-5).all()
+
+
+def test_stiffness_by_hand():
+    # 0.784 N m / rad on 0.1 kg at 1 m: the moment is 0.1 * 7.84 * 1, so log10 is 0; ten times the spring is 1
+    stiff = part_stiffness(np.array([0.784, 0.784]), np.array([0.1, 0.1]), np.array([1.0, 1.0]))
+    np.testing.assert_allclose(stiff, 0, atol=1e-6)
+    assert part_stiffness(np.array([0.784]), np.array([0.1]), np.array([1.0]), 10.0)[0] == pytest.approx(1)
+    assert part_stiffness(np.zeros(1), np.ones(1), np.ones(1))[0] == -4
+
+
+def test_a_player_gives_every_frame_alike():
+    """Frame by frame or as a clip, and the same again after a minute elsewhere: the head has no memory."""
+    torch.manual_seed(0)
+    wearer = curtain()
+    network = DisplacementNetwork(DisplacementConfig(16, 1, recurrent=0)).eval()
+    for value in network.anchor.decoder[-1].parameters():
+        torch.nn.init.normal_(value, 0, 0.05)
+    poses = still(wearer, 8)
+    poses[:, :, :3, :3] = matrix_from_axis_angle(np.linspace(0, 1, 8)[:, None] * [0.0, 1, 0])[:, None]
+    player = ApparelPlayer(wearer, network, nodes=16)
+    clip = player.clip(poses)
+    again = ApparelPlayer(wearer, network, nodes=16)
+    again.start(poses[0])
+    np.testing.assert_array_equal(np.stack([again.advance(pose) for pose in poses]), clip)
+    assert clip.shape == (8, int(wearer.apparel.sum()), 3) and np.isfinite(clip).all()
+
+
+def test_a_network_comes_back_from_its_checkpoint(tmp_path):
+    network = DisplacementNetwork(DisplacementConfig(16, 1, 8, "world"))
+    path = save(tmp_path / "a.safetensors", network)
+    again = load_displacement(path)
+    assert again.config == network.config
+    for one, other in zip(network.parameters(), again.parameters(), strict=True):
+        assert torch.equal(one, other)
+    with pytest.raises(WeightsError):
+        load_displacement(tmp_path / "none.safetensors")
+
+
+def test_a_wearer_is_of_one_character():
+    wearer = curtain()
+    with pytest.raises(CharacterError):
+        Wearer(wearer.rest, wearer.faces, wearer.joints, wearer.weights[:-1], wearer.apparel, wearer.part,
+               wearer.stiffness, wearer.damping)  # fmt: skip
+    assert STATIC_VECTORS == 3 and static_features(wearer, apparel_nodes(wearer, 5))[1].shape[1] == STATIC_SCALARS
+    assert SCALARS == 2
