@@ -200,7 +200,7 @@ def test_the_recurrent_part_adds_to_the_last_state():
     past = Past(rest, head + rest[0], torch.zeros(2, count, 3))
     with torch.no_grad():
         moved, after = part(inputs, past, head, turns, places)
-    keep, swing = KEEP / (1 + math.exp(-1.4)), 1 / (1 + math.exp(0.3))
+    keep, swing = KEEP / (1 + math.exp(-3.4)), 1 / (1 + math.exp(0.3))
     wanted = [0.1 + keep * (0.05 + swing * 0.02) + MOST * math.tanh(value / MOST) for value in (0.01, -0.02, 0.03)]
     assert moved[0].tolist() == pytest.approx(wanted, rel=1e-5)
     assert torch.allclose(after.rest[0] + head, moved) and torch.equal(after.rest[1:], rest[:2])
@@ -325,6 +325,23 @@ def test_a_player_gives_every_frame_alike():
     again.start(poses[0])
     np.testing.assert_array_equal(np.stack([again.advance(pose) for pose in poses]), clip)
     assert clip.shape == (8, int(wearer.apparel.sum()), 3) and np.isfinite(clip).all()
+
+
+def test_a_known_difference_fades():
+    """Three true frames, then the head with nine tenths of what it missed, then with nine tenths of that."""
+    torch.manual_seed(0)
+    wearer = curtain()
+    network = DisplacementNetwork(DisplacementConfig(16, 1, recurrent=0)).eval()
+    poses = still(wearer, 8)
+    plain, told = (ApparelPlayer(wearer, network, nodes=16, safe=False) for _ in range(2))
+    rest = plain.clip(poses)
+    told.start(poses[0])
+    states = np.zeros((3, len(told.nodes), 3), np.float32)
+    states[..., 2] = 0.1  # over the size
+    told.know(states, poses[:3])
+    first, second = told.advance(poses[3]) - rest[3], told.advance(poses[4]) - rest[4]
+    np.testing.assert_allclose(first[:, 2], 0.9 * 0.1 * wearer.scale, rtol=0.05)
+    np.testing.assert_allclose(second, 0.9 * first, atol=1e-4)
 
 
 def test_a_network_comes_back_from_its_checkpoint(tmp_path):

@@ -109,8 +109,8 @@ def transfer(
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
-        An `Animation`, a `RigAnimation` where the rig is moved, or a `PointAnimation` where apparel is learned. A clip of a
-        character with the same skeleton is copied bone by bone, at its own rate, unless handles are asked for.
+        An `Animation`, a `RigAnimation` where the rig is moved, or a `PointAnimation` where apparel is learned. A clip
+        of a character with the same skeleton is copied bone by bone, at its own rate, unless handles are asked for.
 
     Raises:
         OptionError: `onto` is none of the three, or `fps` is not from 1 to 240.

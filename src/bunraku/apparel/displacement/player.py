@@ -21,6 +21,8 @@ from bunraku.apparel.wearer import Wearer
 __all__ = ["NODES", "ApparelPlayer"]
 
 NODES = 256
+FADE = 0.9
+"""What a frame leaves of a difference from the head that is known, where no recurrent part is."""
 SAFE_POINTS = 1500
 
 
@@ -51,6 +53,7 @@ class ApparelPlayer:
         self.recurrent = network.recurrent if recurrent else None
         self.features: MotionFeatures | None = None
         self.past: Past | None = None
+        self.known: torch.Tensor | None = None
 
     def start(self, transforms: np.ndarray) -> None:
         """Begin before a first frame: a second from the rest pose into it.
@@ -60,7 +63,7 @@ class ApparelPlayer:
         """
         joints = self.wearer.joints
         self.features = MotionFeatures(self.wearer, self.nodes, rest_transforms(joints, transforms))
-        self.past = None
+        self.past = self.known = None
         for pose in lead_in_transforms(joints, transforms, LEAD_IN):
             frame = self.features.advance(pose)
             if self.recurrent is not None:
@@ -80,6 +83,7 @@ class ApparelPlayer:
             inputs, turns, places = self._inputs(frame, pose)
             with torch.no_grad():
                 kept.append((torch.from_numpy(state.astype(np.float32)), self.network.anchor(inputs), turns, places))
+        self.known = kept[-1][0] - kept[-1][1]
         if self.recurrent is not None:
             self.past = past_of_states(
                 self.recurrent, *(torch.stack(list(column)) for column in zip(*kept, strict=True))
@@ -122,7 +126,10 @@ class ApparelPlayer:
         inputs, turns, places = self._inputs(frame, transforms)
         anchor = self.network.anchor(inputs)
         if self.recurrent is None:
-            return np.asarray(anchor)
+            if self.known is None:
+                return np.asarray(anchor)
+            self.known = FADE * self.known
+            return np.asarray(anchor + self.known)
         if self.past is None:  # at rest, as far as is known
             first = torch.zeros_like(anchor) if self.recurrent.world else anchor
             alike = (value.expand(3, *value.shape) for value in (first, anchor, turns, places))

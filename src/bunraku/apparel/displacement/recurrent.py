@@ -77,7 +77,7 @@ class RecurrentPart(nn.Module):
         self.encoder = NodeEncoder(9 if world else STATE, width, blocks)
         last = nn.Linear(width, 3 if world else 5)
         self.decoder = nn.Sequential(nn.Linear(width, width), nn.GELU(), last)
-        nn.init.normal_(last.weight, 0, 1e-3)
+        nn.init.zeros_(last.weight)  # it begins by forgetting slowly what it is told, and adds nothing
         nn.init.zeros_(last.bias)
 
     def forward(
@@ -107,7 +107,7 @@ class RecurrentPart(nn.Module):
         speed = state[:, 3:6].norm(dim=1, keepdim=True)
         own = torch.cat([state, inertia, late, speed], dim=1)
         out = self.decoder(self.encoder(torch.cat([inputs.nodes(), own], dim=1), inputs))
-        keep = KEEP * torch.sigmoid(out[:, :1] + 1)
+        keep = KEEP * torch.sigmoid(out[:, :1] + 3)
         swing = torch.sigmoid(out[:, 1:2])
         rest = keep * (past.rest[0] + swing * state[:, 3:6]) + MOST * torch.tanh(out[:, 2:] / MOST)
         moved = anchor + rest

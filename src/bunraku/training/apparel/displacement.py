@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -236,7 +236,11 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
         settings = plain_settings(asdict(self.config))
         self.save_state(settings, {"rng": self.rng.bit_generator.state})
         note = {"training": settings, "seconds": self.seconds, "steps": self.step, "results": results}
-        return save_displacement(self.out / "apparel.safetensors", self.average, note, half=True)
+        whole = self.average
+        if self.progress() <= self.config.head:  # what has not learned is not handed on
+            whole = DisplacementNetwork(replace(self.config.network, recurrent=0))
+            whole.anchor.load_state_dict(self.average.anchor.state_dict())
+        return save_displacement(self.out / "apparel.safetensors", whole, note, half=True)
 
     def resume(self) -> bool:
         """Go on from the run's folder, if it holds a state; whether it did."""
