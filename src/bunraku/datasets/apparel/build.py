@@ -164,8 +164,8 @@ def _build(folder: Path, shard: ShardPlan) -> None:
     from bunraku.apparel.mask import apparel_mask
     from bunraku.apparel.parts import apparel_parts
     from bunraku.physics.from_file import apparel_rig
-    from bunraku.physics.part_springs import part_springs
     from bunraku.physics.simulate import simulate
+    from bunraku.physics.worn import part_springs
 
     character = _character(shard.character)
     rig = apparel_rig(character)

@@ -12,16 +12,16 @@ from bunraku.synthetic.wardrobe.clothes import Outfit, add_clothed_body
 from bunraku.synthetic.wardrobe.colors import random_colors
 from bunraku.synthetic.wardrobe.face import add_face
 from bunraku.synthetic.wardrobe.figure import Figure
-from bunraku.synthetic.wardrobe.hair import Scalp, add_hair
-from bunraku.synthetic.wardrobe.little_pieces import add_little_pieces
 from bunraku.synthetic.wardrobe.makehuman import Closet, makehuman_figure
 from bunraku.synthetic.wardrobe.makehuman import closet as open_closet
-from bunraku.synthetic.wardrobe.mantles import add_cape, add_coat, add_sleeves
 from bunraku.synthetic.wardrobe.model import Costume
 from bunraku.synthetic.wardrobe.people import random_figure
+from bunraku.synthetic.wardrobe.pieces.hair import Scalp, add_hair
+from bunraku.synthetic.wardrobe.pieces.little_pieces import add_little_pieces
+from bunraku.synthetic.wardrobe.pieces.mantles import add_cape, add_coat, add_sleeves
+from bunraku.synthetic.wardrobe.pieces.skirts import add_skirt
+from bunraku.synthetic.wardrobe.pieces.trimmings import add_bow, add_ears, add_scarf, add_tail
 from bunraku.synthetic.wardrobe.skeleton import SOLID, add_skeleton
-from bunraku.synthetic.wardrobe.skirts import add_skirt
-from bunraku.synthetic.wardrobe.trimmings import add_bow, add_ears, add_scarf, add_tail
 
 __all__ = ["wardrobe_character", "wardrobe_costume"]
 

@@ -10,8 +10,8 @@ from bunraku.synthetic.wardrobe.chains import Hang, add_chains, band_start
 from bunraku.synthetic.wardrobe.clothes import collar_field
 from bunraku.synthetic.wardrobe.figure import Figure
 from bunraku.synthetic.wardrobe.model import Costume
+from bunraku.synthetic.wardrobe.pieces.skirts import Drape, hanging_rings
 from bunraku.synthetic.wardrobe.skeleton import SOLID, body_weights
-from bunraku.synthetic.wardrobe.skirts import Drape, hanging_rings
 from bunraku.synthetic.wardrobe.surfaces import sheet_faces, unit
 
 __all__ = ["add_cape", "add_coat", "add_sleeves"]

@@ -10,8 +10,8 @@ import numpy as np
 
 from bunraku.synthetic.wardrobe.chains import Hang, add_chains
 from bunraku.synthetic.wardrobe.figure import Figure
-from bunraku.synthetic.wardrobe.hair import HAIR, Scalp
 from bunraku.synthetic.wardrobe.model import Costume
+from bunraku.synthetic.wardrobe.pieces.hair import HAIR, Scalp
 from bunraku.synthetic.wardrobe.skeleton import SOLID
 from bunraku.synthetic.wardrobe.surfaces import curve_through, strand, unit
 

@@ -1,0 +1,117 @@
+"""Learned apparel in use: on bones and on handles, by a mask or by what is found, and refused where it cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, save_displacement
+from bunraku.apparel.fitting import fitted_wearer, joints_of_handles
+from bunraku.apparel.segmentation.network import SegmentationConfig, SegmentationNetwork, save_segmentation
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
+from bunraku.core.point_animation import PointAnimation
+from bunraku.errors import CharacterError, OptionError
+from bunraku.evaluation.transfer.stock_motions import stock_motion
+from bunraku.geometry.areas import vertex_areas
+from bunraku.pipelines.apparel import dressed, learned
+from bunraku.pipelines.together import check_apparel_option, check_together
+
+MOTION = stock_motion("walk", 1.0, 20.0)
+
+
+@pytest.fixture
+def weights(tmp_path, monkeypatch):
+    """Networks that know nothing, in place of the shipped ones."""
+    torch.manual_seed(0)
+    save_displacement(tmp_path / "apparel.safetensors", DisplacementNetwork(DisplacementConfig(8, 1, 0)))
+    save_segmentation(tmp_path / "apparel-mask.safetensors", SegmentationNetwork(SegmentationConfig(8, 1)))
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def animation():
+    """The reference body with an apron, on its handles."""
+    body = reference_body()
+    x, y = np.meshgrid(np.linspace(-0.1, 0.1, 5), np.linspace(0, 0.4, 6))
+    apron = np.stack([x, body.joints[0, 1] - y, np.full_like(x, body.joints[0, 2] + 0.2)], axis=-1).reshape(-1, 3)
+    index = np.arange(30).reshape(6, 5)
+    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1).reshape(-1, 4)
+    faces = np.concatenate([body.faces, np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]) + len(body.vertices)])
+    character = replace(
+        body.character(),
+        rig=None,
+        vertices=np.concatenate([body.vertices, apron]).astype(np.float32),
+        faces=faces,
+        colors=None,
+    )
+    own = np.zeros((30, body.handles.weights.shape[1]), np.float32)
+    own[:, 1] = 1  # its skin says the left thigh
+    handles = replace(body.handles, weights=np.concatenate([body.handles.weights, own]).astype(np.float32))
+    return Animation(character, handles, MOTION)
+
+
+def apron_of(animation: Animation) -> np.ndarray:
+    return np.arange(len(animation.character.vertices)) >= len(animation.character.vertices) - 30
+
+
+def test_apparel_of_a_mesh_on_handles_moves(animation, weights):
+    mask = apron_of(animation)
+    result = learned(animation, mask, safe=False)
+    assert isinstance(result, PointAnimation) and result.fps == 30 and len(result.offsets) == len(result.motion)
+    assert np.abs(result.offsets[:, ~mask]).max() == 0
+    # the network knows nothing, so the apron goes with the pelvis, whatever its skin says
+    affine = result.motion.transforms(result.handles.positions)[:, 0]
+    rest = animation.character.vertices[mask]
+    wanted = np.einsum("nab,vb->nva", affine[..., :3], rest) + affine[:, None, :, 3]
+    np.testing.assert_allclose(result.vertices()[:, mask], wanted, atol=0.01)
+
+
+def test_a_mask_file_is_taken(animation, weights, tmp_path):
+    np.save(tmp_path / "mask.npy", apron_of(animation).astype(np.float32))
+    result = dressed(animation, str(tmp_path / "mask.npy"))
+    assert isinstance(result, PointAnimation)
+    saved = result.save(tmp_path / "out.glb")
+    assert saved.stat().st_size > 1000
+    assert dressed(animation, "none") is animation and dressed(animation, "rigid") is animation
+
+
+def test_no_apparel_is_said(animation, weights):
+    with pytest.raises(CharacterError, match="no apparel was found"):
+        learned(animation, np.zeros(len(animation.character.vertices), bool))
+
+
+def test_options_that_cannot_be():
+    for apparel in ("auto", "none", "rigid", "simulate", "learn", "mine.npy"):
+        check_apparel_option(apparel)
+    with pytest.raises(OptionError, match="learn"):
+        check_apparel_option("float")
+    with pytest.raises(OptionError, match="stiffness"):
+        check_apparel_option("learn", 0.0)
+    with pytest.raises(OptionError, match="loop"):
+        check_together("learn", loop=True)
+    check_together("none", loop=True)
+
+
+def test_parts_hang_on_what_they_touch(animation):
+    body = reference_body()
+    mask = apron_of(animation)
+    character: Character = animation.character
+    weights = np.concatenate([body.joint_weights, np.eye(22, dtype=np.float32)[np.full(30, 1)]])
+    flat = np.zeros(len(mask), np.float32)
+    wearer = fitted_wearer(character.vertices, character.faces, body.joints, weights, mask, flat - 1, flat + 0.9)
+    assert wearer.part.max() == 0 and (wearer.weights[mask].argmax(axis=1) == 0).all()
+    assert wearer.stiffness.tolist() == [-1] and wearer.damping[0] == pytest.approx(0.9)
+    np.testing.assert_array_equal(wearer.weights[~mask], weights[~mask])
+
+
+def test_joints_lie_between_their_handles():
+    body = reference_body()
+    joints = joints_of_handles(
+        body.vertices, body.joint_weights, vertex_areas(body.vertices, body.faces), body.handles.positions
+    )
+    gap = np.linalg.norm(joints - body.joints, axis=1)
+    assert np.median(gap) < 0.06 * np.ptp(body.vertices[:, 1])

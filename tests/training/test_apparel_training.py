@@ -1,0 +1,141 @@
+"""Training of the apparel networks: what is learned from, and runs that go on where they stopped."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.apparel.body.network import BodyConfig
+from bunraku.apparel.displacement.network import DisplacementConfig, load_displacement
+from bunraku.apparel.segmentation.network import SegmentationConfig, load_segmentation
+from bunraku.apparel.skinning import eq4_transforms
+from bunraku.core.skinning import skin
+from bunraku.datasets.apparel import ApparelData
+from bunraku.datasets.apparel.build import build_apparel
+from bunraku.datasets.apparel.plan import choose_motions, motion_sources, plan_shards, wardrobe_sources
+from bunraku.datasets.motions.clips import write_clip, write_index
+from bunraku.evaluation.transfer.stock_motions import stock_motion
+from bunraku.training.apparel.body import BodyTrainConfig, BodyTrainer, pose_bank, posed_joints
+from bunraku.training.apparel.displacement import DisplacementTrainConfig, DisplacementTrainer
+from bunraku.training.apparel.mesh_bank import build_meshes
+from bunraku.training.apparel.node_bank import build_bank
+from bunraku.training.apparel.segmentation import SegmentationTrainConfig, SegmentationTrainer, mask_iou
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Two seconds of a walk of one character of the wardrobe."""
+    motions = tmp_path_factory.mktemp("motions")
+    write_clip(motions / "a_walk.npz", stock_motion("walk", 4.5, 20.0))
+    write_index(motions, {"a_walk": {"frames": 90, "split": "train"}})
+    folder = tmp_path_factory.mktemp("apparel")
+    source = replace(wardrobe_sources(1, 21)[0], split="train")
+    plan, left = plan_shards([source], choose_motions(motion_sources(motions), 1), minutes=2 / 60, longest=2.0)
+    assert not left and not build_apparel(folder, plan).failed
+    return folder
+
+
+@pytest.fixture(scope="module")
+def bank(data, tmp_path_factory):
+    return build_bank(ApparelData(data), tmp_path_factory.mktemp("nodes"), nodes=48)
+
+
+@pytest.fixture(scope="module")
+def meshes(tmp_path_factory):
+    found = build_meshes(tmp_path_factory.mktemp("meshes"), 2, 10_001)
+    return [one for split in found.values() for one in split]
+
+
+def test_the_bank_holds_what_the_data_say(data, bank):
+    found = ApparelData(data)
+    clip, (character,) = found.clips[0], bank
+    own, moving = character.arrays, character.moving
+    true, loose = found.window(clip), found.character(clip)
+    assert len(character) == clip.frames and own["starts"].tolist() == [0, clip.frames]
+    carried = skin(loose.rest, loose.weights, eq4_transforms(true.transforms, loose.joints))[:, own["vertex"]]
+    size = float(own["scale"])
+    back = carried + size * np.einsum("nmab,nmb->nma", moving["turns"].astype(float), moving["truth"].astype(float))
+    np.testing.assert_allclose(back, true.vertices[:, own["vertex"]], atol=2e-3)  # half precision
+    assert loose.part[own["vertex"]].tolist() == own["part"].tolist()
+    assert (loose.spring[np.unique(own["part"])] > 0).all() and (loose.mass > 0).all()
+    again = build_bank(found, character.path.parent, nodes=48)
+    assert again[0].path == character.path
+
+
+def test_displacement_goes_on_to_the_same_weights(bank, tmp_path):
+    shape = DisplacementConfig(8, 1, 8)
+    config = DisplacementTrainConfig(
+        out=tmp_path / "a", minutes=0, steps=8, head=0.5, batch=2, clips=1, shortest=5, longest=6, network=shape
+    )
+    whole = DisplacementTrainer(config, bank)
+    for _ in range(6):
+        whole.train_step()
+    cut = DisplacementTrainer(replace(config, out=tmp_path / "b"), bank)
+    for _ in range(3):
+        cut.train_step()
+    head_only = load_displacement(cut.save({}))
+    assert head_only.recurrent is None  # what has not learned is not handed on
+    resumed = DisplacementTrainer(replace(config, out=tmp_path / "b"), bank)
+    assert resumed.resume() and resumed.step == 3
+    for _ in range(3):
+        resumed.train_step()
+    for one, other in zip(whole.model.parameters(), resumed.model.parameters(), strict=True):
+        assert torch.equal(one, other)
+    assert load_displacement(whole.save({})).recurrent is not None
+
+
+def test_displacement_learns_one_clip(bank, tmp_path):
+    config = DisplacementTrainConfig(
+        out=tmp_path, minutes=0, steps=120, head=1.0, batch=4, warmup=5, rate=5e-3,
+        network=DisplacementConfig(16, 1, 0),
+    )  # fmt: skip
+    trainer = DisplacementTrainer(config, bank)
+    losses = [trainer.train_step()["head_loss"] for _ in range(60)]
+    assert np.mean(losses[-8:]) < 0.8 * np.mean(losses[:8])
+
+
+def test_the_mask_is_learned(meshes, tmp_path):
+    config = SegmentationTrainConfig(
+        out=tmp_path, minutes=0, steps=80, batch=2, warmup=5, rate=5e-3, network=SegmentationConfig(16, 1)
+    )
+    trainer = SegmentationTrainer(config, meshes, meshes)
+    trainer.train_step()
+    before = trainer.validate()["iou"]
+    for _ in range(39):
+        trainer.train_step()
+    results = trainer.validate()
+    assert results["iou"] > max(before, 0.3)
+    path = trainer.save(results)
+    assert torch.equal(load_segmentation(path).mean, trainer.average.mean)
+    again = SegmentationTrainer(config, meshes, meshes)
+    assert again.resume() and again.step == 40
+
+
+def test_overlap_by_hand():
+    assert mask_iou(np.array([1, 1, 0, 0]) > 0, np.array([0, 1, 1, 0]) > 0) == pytest.approx(1 / 3)
+    assert mask_iou(np.zeros(3, bool), np.zeros(3, bool)) == 1
+
+
+def test_the_body_is_learned(meshes, data, tmp_path):
+    poses = pose_bank(data, "train", 20)
+    config = BodyTrainConfig(
+        out=tmp_path, minutes=0, steps=60, batch=1, poses=2, warmup=5, rate=5e-3, network=BodyConfig(8, 16)
+    )
+    trainer = BodyTrainer(config, meshes, poses, meshes)
+    losses = [trainer.train_step()["loss"] for _ in range(30)]
+    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
+    trainer.save(trainer.validate())
+    assert BodyTrainer(config, meshes, poses).resume()
+
+
+def test_posed_joints_by_hand():
+    """A knee that is bent by a quarter turn takes the ankle along, and nothing above it."""
+    joints = np.zeros((22, 3))
+    joints[1], joints[4], joints[7] = [0, 1, 0], [0, 0.5, 0], [0, 0, 0]
+    turns = np.tile(np.eye(3, dtype=np.float32), (1, 22, 1, 1))
+    turns[0, [4, 7]] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # +Y to +Z
+    affine = posed_joints(turns, joints)[0]
+    ankle = affine[7, :, :3] @ joints[7] + affine[7, :, 3]
+    np.testing.assert_allclose(ankle, [0, 0.5, -0.5], atol=1e-6)
+    np.testing.assert_allclose(affine[1], np.eye(3, 4), atol=1e-6)
