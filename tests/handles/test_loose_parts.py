@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.geometry.simplify import network_mesh
 from bunraku.handles.loose_parts import find_loose_parts, seat_parts
 
+H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 BUTTON, HAND = np.array([0, 0.5, 0.52]), np.array([1.06, -0.5, 0])
 
 
@@ -74,3 +76,44 @@ def test_one_part_alone_stays_as_it_is():
     weights = np.stack([mesh.vertices[:, 1] + 0.5, 0.5 - mesh.vertices[:, 1]], axis=1)
     full = seat_parts(mesh, weights)
     np.testing.assert_allclose(full, mesh.push_clean(weights))
+
+
+def arrows():
+    """A body, a quiver on its back, an arrow that sticks out of the quiver and a feather on the arrow's end."""
+    body = trimesh.creation.box((1, 3, 1)).subdivide().subdivide()
+    quiver = trimesh.creation.box((0.2, 0.7, 0.2)).subdivide().apply_translation([0, 0.5, -0.6])
+    arrow = trimesh.creation.box((0.04, 0.5, 0.04)).subdivide().apply_translation([0.003, 1.107, -0.597])
+    feather = trimesh.creation.box((0.1, 0.1, 0.02)).subdivide().apply_translation([0, 1.412, -0.6])
+    return trimesh.util.concatenate([body, quiver, arrow, feather])
+
+
+def test_a_chain_of_pieces_follows_what_it_sticks_in():
+    whole = arrows()
+    mesh = network_mesh(whole.vertices, whole.faces, 1500)
+    place = mesh.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(place), HANDLE_COUNT), np.float32)
+    behind = place[:, 2] < -0.48
+    weights[:, H["spine3"]] = 1
+    weights[behind & (place[:, 1] > 0.88)] = np.eye(HANDLE_COUNT)[H["left_wrist"]]  # the arrow flies with a hand
+    weights[behind & (place[:, 1] > 1.34)] = np.eye(HANDLE_COUNT)[H["right_knee"]]  # and its feather with a leg
+    full = seat_parts(mesh, weights)
+    clean = mesh.clean.vertices * mesh.scale + mesh.center
+    for piece in (clean[:, 1] > 1.34, (clean[:, 2] < -0.55) & (clean[:, 1] > 0.9) & (np.abs(clean[:, 0]) < 0.03)):
+        piece = piece & (clean[:, 2] < -0.55)
+        assert piece.any() and (full[piece].argmax(axis=1) == H["spine3"]).all()
+
+
+def test_hair_that_the_head_s_handles_share_is_one_with_the_head():
+    body = trimesh.creation.box((1, 3, 1)).subdivide().subdivide()
+    hair = trimesh.creation.box((0.8, 0.5, 0.5)).subdivide().subdivide().apply_translation([0, 2.0, 0])
+    whole = trimesh.util.concatenate([body, hair])
+    mesh = network_mesh(whole.vertices, whole.faces, 1500)
+    place = mesh.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(place), HANDLE_COUNT), np.float32)
+    weights[:, H["spine3"]] = 1
+    on = place[:, 1] > 1.6
+    weights[on] = 0.5 * np.eye(HANDLE_COUNT)[H["head"]] + 0.4 * np.eye(HANDLE_COUNT)[H["head_top"]]
+    weights[on, H["neck"]] = 0.1
+    full = seat_parts(mesh, weights)
+    clean = mesh.clean.vertices * mesh.scale + mesh.center
+    assert (full[clean[:, 1] > 1.7, H["head"]] > 0.9999).all()

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.core.motion import line_up
 from bunraku.geometry.simplify import NetworkMesh
 
 __all__ = ["LooseParts", "find_loose_parts", "seat_parts"]
@@ -25,6 +27,10 @@ CLEAR = (
 )
 # power of a part's row: blends of handles that turn apart would shear the part, and rigs mostly bind it to one bone
 SHARP = 3
+TOUCHES = 0.012  # parts nearer than this touch, as a share of the character's extent
+TINY = 0.008  # share of the surface under which a piece is no limb, however sure its handle is
+CHAIN = 4  # pieces that follow one another
+_HEAD = [HANDLE_NAMES.index(name) for name in ("head", "head_top", "face")]
 _NEAR = 0.01  # how sharply the nearest points of the larger part are preferred
 
 
@@ -70,7 +76,8 @@ def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> np
     """Weights where each small loose part has one row for all of it.
 
     A part that lies on a larger one takes the mean of that one's weights at the points nearest to it. A part that lies
-    on none, as the head of a robot does, takes the mean of its own where one handle clearly holds it. Either row is
+    on none, as the head of a robot does, takes the mean of its own where one handle clearly holds it, and the head's
+    where head, hair and face hold it together; small ones follow what they touch (`_follow_contacts`). Rows are
     sharpened.
 
     Args:
@@ -106,11 +113,76 @@ def seat_parts(mesh: NetworkMesh, weights: np.ndarray, stiff: bool = True) -> np
     alone = np.flatnonzero(single[label])
     own = means(alone, areas[alone], mesh.push_surface(weights, alone))
     rows[single] = own[single]
+    heads = own[:, _HEAD].sum(axis=1) if own.shape[1] == HANDLE_COUNT else np.zeros(count)
+    hair = single & (own.max(axis=1) < CLEAR[1]) & (heads > CLEAR[0])  # it holds to the head, whatever shares it
+    rows[hair] = np.eye(own.shape[1])[min(_HEAD[0], own.shape[1] - 1)]
     rows **= SHARP
     rows /= np.maximum(rows.sum(axis=1, keepdims=True), 1e-30)
     share_of_row = np.where(sits, 1.0, 0.0)
-    share_of_row[single] = np.clip((own[single].max(axis=1) - CLEAR[0]) / (CLEAR[1] - CLEAR[0]), 0, 1)
+    clear = np.where(hair, heads, own.max(axis=1))
+    share_of_row[single] = np.clip((clear[single] - CLEAR[0]) / (CLEAR[1] - CLEAR[0]), 0, 1)
+    if stiff:
+        _follow_contacts(mesh, weights, parts, sits, own, rows, share_of_row)
     member = label[mesh.surface.start]
     amount = share_of_row[member, None].astype(np.float32)
     full += amount * (rows[member] - full)
     return full
+
+
+def _follow_contacts(
+    mesh: NetworkMesh,
+    weights: np.ndarray,
+    parts: LooseParts,
+    sits: np.ndarray,
+    own: np.ndarray,
+    rows: np.ndarray,
+    share: np.ndarray,
+) -> None:
+    """Let small pieces move with what they touch, one after another, in place: arrows with their quiver, a feather with
+    its arrow.
+
+    A piece whose handle is far from that of what it touches cannot be a limb that is jointed there: it would fly off.
+    Unless it is large and clearly of one handle, it takes the row of what it touches, and what touches it follows in
+    turn.
+
+    Args:
+        mesh: The network mesh.
+        weights: Of its vertices, shape (M, K).
+        parts: Its loose parts.
+        sits: Which of them sit on another already, shape (P,), bool.
+        own: Mean weights of the parts that may move as a whole, shape (P, K); zero of others.
+        rows: The row of each part, shape (P, K).
+        share: How much of it each part takes, shape (P,).
+    """
+    label, points = parts.label, mesh.surface.vertices
+    areas = np.bincount(label, mesh.surface.areas, len(parts.extent))
+    waiting = ~sits & (own.sum(axis=1) > 0) & (areas < PIECE * areas.sum())
+    for _ in range(CHAIN):
+        loose, settled = np.flatnonzero(waiting[label]), np.flatnonzero(~waiting[label])
+        if not len(loose) or not len(settled):
+            break
+        gap, near = cKDTree(points[settled]).query(points[loose], distance_upper_bound=TOUCHES)
+        touching = np.isfinite(gap)
+        if not touching.any():
+            break
+        pieces, there = label[loose[touching]], settled[near[touching]]
+        found = mesh.push_surface(weights, there)
+        stiffened = share[label[there]][:, None]
+        found = (1 - stiffened) * found + stiffened * rows[label[there]]
+        for piece in np.unique(pieces):
+            row = found[pieces == piece].mean(axis=0)
+            unsure = own[piece].max() < CLEAR[1] or areas[piece] < TINY * areas.sum()
+            if unsure and not _jointed(int(own[piece].argmax()), int(row.argmax())):
+                row = row**SHARP
+                rows[piece], share[piece] = row / row.sum(), 1.0
+            waiting[piece] = False
+    for part in np.flatnonzero(sits):  # what sits on a piece that follows follows too
+        on = parts.host[label == part]
+        host = np.bincount(label[on[on >= 0]], minlength=len(sits)).argmax()
+        rows[part] = (1 - share[host]) * rows[part] + share[host] * rows[host]
+
+
+def _jointed(handle: int, other: int) -> bool:
+    """Whether two handles are one, or at most two joints apart."""
+    lines = line_up(handle, HANDLE_PARENTS), line_up(other, HANDLE_PARENTS)
+    return sum(len(set(one) - set(both)) for one, both in (lines, lines[::-1])) <= 2

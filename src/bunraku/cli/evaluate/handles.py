@@ -89,4 +89,4 @@ def _number(value: float | None, key: str) -> str:
         return f"{value:.2f} s"
     if key == "resolution_l1":
         return f"{value:.3f}"
-    return f"{value:.2%}" if "error" in key else f"{value:.1%}"
+    return f"{value:.2%}" if "error" in key or key == "stretched_edges" else f"{value:.1%}"

@@ -73,6 +73,8 @@ BARS: dict[str, Bar] = {
     "orientation_upright": Bar("orientation: left alone as a glTF that stands", 0.98, high=True),
     "orientation_warned": Bar("orientation: wrong ones that are called a guess", 1.0, high=True),
     "top4_error": Bar("top 4: error of four weights a vertex in motion, over the height", 0.001),
+    "stretched_edges": Bar("stretch: edges longer than twice their length in a walk", 0.001),
+    "whole_in_walks": Bar("stretch: characters with no edge over four times its length", 0.95, high=True),
     "seconds_5k": Bar("speed: 5,000 vertices [s]", 0.3, seconds=True),
     "seconds_200k": Bar("speed: 200,000 vertices [s]", 4.0, seconds=True),
 }

@@ -20,6 +20,7 @@ from bunraku.errors import BunrakuError
 from bunraku.evaluation.handles import measures as measure
 from bunraku.evaluation.handles.resampling import carried, resampled
 from bunraku.evaluation.handles.rest_poses import REST_POSES, posed_limbs
+from bunraku.evaluation.handles.stretch import FAR, stretch_of
 from bunraku.evaluation.handles.subjects import Subject
 from bunraku.geometry.areas import vertex_areas
 
@@ -32,6 +33,7 @@ MOST_FITTED = 5_000
 """Vertices on which the handles' motions are fitted to one another."""
 POINTS = (1_000, 5_000, 50_000)
 CLIPS, CLIP_FRAMES, CLIP_RATE = 3, 24, 10.0
+WALK, WALK_SECONDS = "walks forward", 3.0
 SENTENCE = "a person walks forward, then waves with the right hand"
 
 Predict = Callable[[Character], Handles]
@@ -72,7 +74,7 @@ def measure_subject(
         row |= _rest_poses(one, predict)
     row |= _pose_errors(one, weights, baselines, seed)
     row["top4_error"] = _top4(one, handles)
-    return row
+    return row | _walk(one, handles)
 
 
 def _random(one: Subject, seed: int) -> np.random.Generator:
@@ -173,6 +175,17 @@ def _clips(one: Subject, handles: Handles) -> list[HandleMotion]:
                 )
             )
     return out
+
+
+def _walk(one: Subject, handles: Handles) -> dict[str, float]:
+    """How far edges are stretched when the character is told to walk: `stretched_edges`, `most_stretched`, and
+    `whole_in_walks`, 1 where none is torn.
+    """
+    from bunraku.pipelines.animate import animate
+
+    walk = animate(one.character, WALK, seconds=WALK_SECONDS, seed=0, handles=handles, candidates=1)
+    found = stretch_of(one.character, handles, walk.motion)
+    return found | {"whole_in_walks": float(found["most_stretched"] <= FAR)}
 
 
 @cache

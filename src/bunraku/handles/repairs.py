@@ -1,0 +1,165 @@
+"""What a predictor's weights break, mended: parts of handles that lie apart, and edges that a turn would tear.
+
+A handle is one rigid motion about one joint. Where the predictor gives it two regions that do not touch (a hand and an
+ear), the lesser one would fly about a joint that is not its own; and where its share rises steeply far from the joint,
+a turn stretches the edges there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.body.reference import handle_positions
+from bunraku.core.motion import line_up
+from bunraku.geometry.graph import mean_operator, mesh_parts
+from bunraku.geometry.simplify import NetworkMesh
+
+__all__ = ["edge_strain", "eased", "reunited"]
+
+TOUCH = 1.5  # loose parts nearer than this touch, in cells
+HELD = 0.35  # a vertex belongs to the region of a handle that holds so much of it
+APART = 0.06  # least distance of a stray region from the main one, as a share of the extent; fingers are nearer
+LESSER = 0.5  # a region apart is a stray one if it is smaller than this share of the main one
+TURN = np.radians(60)  # a limb turns so far in walks
+MOST = 2.0  # an edge may grow by so much of its length in such a turn
+SHARP = 1e-4  # share of the surface under which two parts do not blend where they meet
+ROUNDS = 16  # of softening
+LEAST_TAIL = 0.004  # share of the surface from which what hangs behind the hips is a tail, and not a flap
+_LIMBS = [
+    i for i, name in enumerate(HANDLE_NAMES) if name.startswith(("left_", "right_")) or name in ("tail", "tail_tip")
+]
+_LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
+_TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
+_SUBTREES = [
+    [other for other in range(HANDLE_COUNT) if handle in line_up(other, HANDLE_PARENTS)]
+    for handle in range(HANDLE_COUNT)
+]
+"""Each handle with those below it."""
+
+
+def reunited(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
+    """Weights in which no limb's handle holds two regions that do not touch: the lesser ones go back to the handles
+    around them.
+
+    What lies apart from a leg and hangs behind the hips in the middle of the body is a tail, and gets the tail's
+    handles where they hold nothing yet.
+
+    Args:
+        mesh: The network mesh.
+        weights: Of its vertices, rows sum to 1, shape (M, 30).
+    """
+    out = np.array(weights, np.float64)
+    edges = _touching(mesh)
+    areas = mesh.areas.astype(np.float64)
+    spare_tail = areas @ weights[:, [_TAIL, _TIP]].sum(axis=1) < LEAST_TAIL * areas.sum()
+    for handle in _LIMBS:
+        held = out[:, handle] > HELD
+        if not held.any():
+            continue
+        label = np.where(held, mesh_parts(edges[held[edges].all(axis=1)], len(held)), -1)
+        mass = np.bincount(label[held], areas[held] * out[held, handle])
+        pieces = np.flatnonzero(mass > 0)
+        tails = [piece for piece in pieces if handle in _LEGS and spare_tail and _is_tail(mesh, out, label == piece)]
+        main = max((piece for piece in pieces if piece not in tails), key=lambda piece: mass[piece], default=-1)
+        for piece in pieces:
+            stray = label == piece
+            if piece == main or main < 0 or _gap(mesh, stray, label == main) < APART:
+                continue
+            if piece in tails:
+                out[stray, _TAIL] += out[stray, handle]
+                out[stray, handle] = 0
+            elif mass[piece] < LESSER * mass[main]:
+                _give_back(mesh, out, stray, handle)
+    return (out / out.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def _touching(mesh: NetworkMesh) -> np.ndarray:
+    """Edges without the bridges, and pairs of vertices on different loose parts that touch, shape (E, 2)."""
+    own = mesh.edges[mesh.components[mesh.edges[:, 0]] == mesh.components[mesh.edges[:, 1]]]
+    near = cKDTree(mesh.vertices).query_pairs(TOUCH * mesh.cell, output_type="ndarray")
+    near = near[mesh.components[near[:, 0]] != mesh.components[near[:, 1]]]
+    return np.concatenate([own, near])
+
+
+def _gap(mesh: NetworkMesh, piece: np.ndarray, other: np.ndarray) -> float:
+    """Least distance of two sets of vertices, as a share of the extent."""
+    return float(cKDTree(mesh.vertices[other]).query(mesh.vertices[piece])[0].min())
+
+
+def _is_tail(mesh: NetworkMesh, weights: np.ndarray, piece: np.ndarray) -> bool:
+    """Whether a piece hangs behind the hips, in the middle of the body."""
+    hips = handle_positions(mesh.vertices, weights.astype(np.float32), mesh.areas)[0]
+    points, areas = mesh.vertices[piece], mesh.areas[piece]
+    place = np.average(points, axis=0, weights=areas)
+    behind = place[2] < hips[2] - 2 * mesh.cell
+    middle = abs(place[0] - hips[0]) < 0.15 * np.ptp(mesh.vertices[:, 0])
+    return bool(behind and middle and areas.sum() > LEAST_TAIL * mesh.areas.sum())
+
+
+def _give_back(mesh: NetworkMesh, weights: np.ndarray, piece: np.ndarray, handle: int) -> None:
+    """Give what a handle holds of a piece to the handles that hold the piece's surroundings, in place."""
+    first, second = mesh.edges.T
+    rim = np.concatenate([second[piece[first] & ~piece[second]], first[piece[second] & ~piece[first]]])
+    around = weights[rim].sum(axis=0) if len(rim) else weights[piece].sum(axis=0)
+    around[handle] = 0
+    if around.sum() <= 1e-9:
+        return
+    weights[piece] += weights[piece, handle][:, None] * (around / around.sum())
+    weights[piece, handle] = 0
+
+
+def edge_strain(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
+    """By how much of its length each edge grows at the most when a limb turns by `TURN` about its joint, shape (E,).
+
+    A vertex v of which the limb holds the share W goes to `v + W (R - I) (v - j)`, so an edge grows by the difference
+    of W over its ends times `2 sin(TURN / 2)` times the distance from the joint j.
+
+    Args:
+        mesh: The network mesh.
+        weights: Of its vertices, shape (M, 30).
+    """
+    first, second = mesh.edges.T
+    points = mesh.vertices.astype(np.float64)
+    length = np.maximum(np.linalg.norm(points[first] - points[second], axis=1), 0.25 * mesh.cell)
+    middle = 0.5 * (points[first] + points[second])
+    out = np.zeros(len(mesh.edges))
+    for handle in _LIMBS:
+        share = weights[:, _SUBTREES[handle]].sum(axis=1)
+        step = np.abs(share[first] - share[second])
+        if float(mesh.areas @ weights[:, handle]) <= 0 or step.sum() <= 0:
+            continue
+        overlap = mesh.areas * share * (1 - share)
+        if overlap.sum() > SHARP * mesh.areas.sum():
+            joint = overlap @ points / overlap.sum()
+        else:  # parts that meet without a blend
+            joint = step @ middle / step.sum()
+        away = np.linalg.norm(middle - joint, axis=1)
+        out = np.maximum(out, 2 * np.sin(TURN / 2) * step * away / length)
+    return out
+
+
+def eased(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
+    """Weights softened where a limb's turn would stretch an edge by more than `MOST` of its length.
+
+    Only vertices of such edges change, and, where that is not enough, those around them; bridges between loose parts
+    are no edges.
+
+    Args:
+        mesh: The network mesh.
+        weights: Of its vertices, rows sum to 1, shape (M, 30).
+    """
+    own = mesh.components[mesh.edges[:, 0]] == mesh.components[mesh.edges[:, 1]]
+    mean: csr_matrix = mean_operator(mesh.edges[own], len(weights))
+    out = np.array(weights, np.float64)
+    active = np.zeros(len(out), bool)
+    for _ in range(ROUNDS):
+        torn = own & (edge_strain(mesh, out) > MOST)
+        if not torn.any():
+            break
+        active[mesh.edges[torn]] = True
+        around = active | (np.asarray(mean @ active) > 0)
+        out[around] = 0.5 * out[around] + 0.5 * np.asarray(mean @ out)[around]
+    return (out / out.sum(axis=1, keepdims=True)).astype(np.float32)

@@ -1,0 +1,135 @@
+"""Stray regions go back, steep steps far from a joint are softened, and nothing else changes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.geometry.simplify import network_mesh
+from bunraku.handles.repairs import MOST, TURN, eased, edge_strain, reunited
+
+H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
+
+
+def box_body(tail: bool = False):
+    """A trunk with two arms along x, an ear on top of it and, where asked for, a tail behind it; one closed skin each
+    that touch.
+    """
+    pieces = [
+        trimesh.creation.box((0.4, 1, 0.4)),
+        trimesh.creation.box((0.8, 0.15, 0.15)).apply_translation([0.6, 0.2, 0]),
+        trimesh.creation.box((0.8, 0.15, 0.15)).apply_translation([-0.6, 0.2, 0]),
+        trimesh.creation.box((0.1, 0.3, 0.1)).apply_translation([0.1, 0.62, 0]),
+    ]
+    if tail:
+        pieces.append(trimesh.creation.box((0.1, 0.1, 0.6)).apply_translation([0, -0.3, -0.5]))
+        pieces += [trimesh.creation.box((0.15, 0.7, 0.15)).apply_translation([x, -0.8, 0]) for x in (-0.12, 0.12)]
+    whole = trimesh.util.concatenate([piece.subdivide().subdivide().subdivide() for piece in pieces])
+    return network_mesh(whole.vertices, whole.faces, 2500)
+
+
+def hard(mesh, *rules):
+    """The trunk's weights, and 1 for a handle where a rule says so."""
+    place = mesh.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(place), HANDLE_COUNT), np.float32)
+    weights[:, H["spine2"]] = 1
+    for name, rule in rules:
+        where = rule(place)
+        weights[where] = 0
+        weights[where, H[name]] = 1
+    return place, weights
+
+
+def arms(place, side):
+    return (side * place[:, 0] > 0.25) & (np.abs(place[:, 1] - 0.2) < 0.12)
+
+
+def ear(place):
+    return place[:, 1] > 0.55
+
+
+def test_an_ear_that_was_called_a_hand_goes_back_to_the_trunk():
+    mesh = box_body()
+    place, weights = hard(
+        mesh,
+        ("left_wrist", lambda p: arms(p, 1)),
+        ("right_wrist", lambda p: arms(p, -1)),
+        ("left_wrist", ear),
+    )
+    out = reunited(mesh, weights)
+    assert (out[ear(place)].argmax(axis=1) == H["spine2"]).all()
+    kept = ~ear(place)
+    np.testing.assert_allclose(out[kept], weights[kept], atol=1e-6)
+
+
+def test_a_tail_that_played_a_leg_becomes_a_tail():
+    mesh = box_body(tail=True)
+    place, weights = hard(
+        mesh,
+        ("pelvis", lambda p: (np.abs(p[:, 0]) < 0.21) & (p[:, 1] < 0)),
+        ("right_hip", lambda p: (p[:, 1] < -0.52) & (p[:, 0] < 0)),
+        ("left_hip", lambda p: (p[:, 1] < -0.52) & (p[:, 0] > 0)),
+        ("right_hip", lambda p: p[:, 2] < -0.25),
+    )
+    out = reunited(mesh, weights)
+    behind = place[:, 2] < -0.25
+    assert (out[behind].argmax(axis=1) == H["tail"]).all()
+    legs = place[:, 1] < -0.52
+    np.testing.assert_allclose(out[legs], weights[legs], atol=1e-6)
+
+
+def test_regions_that_touch_across_loose_parts_are_one():
+    """A sleeve over an arm is no stray piece, though no edge joins them."""
+    mesh = box_body()
+    _, weights = hard(mesh, ("left_shoulder", lambda p: (p[:, 0] > 0.1) & (np.abs(p[:, 1] - 0.2) < 0.12)))
+    np.testing.assert_allclose(reunited(mesh, weights), weights, atol=1e-6)
+
+
+def test_the_reference_body_stays_as_it_is():
+    body = reference_body()
+    mesh = network_mesh(body.vertices, body.faces, 2500)
+    weights = mesh.pull(body.handle_weights)
+    weights /= weights.sum(axis=1, keepdims=True)
+    assert np.abs(reunited(mesh, weights) - weights).sum(axis=1).mean() < 2e-3
+    assert np.abs(eased(mesh, weights) - weights).sum(axis=1).mean() < 2e-3
+
+
+def test_strain_is_what_a_turn_does_to_an_edge():
+    """Against edges that are really turned, about the joint between trunk and arm."""
+    mesh = box_body()
+    place, weights = hard(mesh)
+    share = np.clip((mesh.vertices[:, 0] - 0.15) / 0.1, 0, 1) * arms(place, 1)
+    weights[:, H["left_elbow"]], weights[:, H["spine2"]] = share, 1 - share
+    overlap = mesh.areas * share * (1 - share)
+    joint = overlap @ mesh.vertices / overlap.sum()
+    points = mesh.vertices - joint
+    turned = points + share[:, None] * (points @ matrix_from_axis_angle(np.array([0, 0, TURN])).T - points)
+    first, second = mesh.edges.T
+    before, after = (np.linalg.norm(p[first] - p[second], axis=1) for p in (points, turned))
+    growth = (after - before) / np.maximum(before, 0.25 * mesh.cell)
+    assert (growth <= edge_strain(mesh, weights) + 1e-3).all()  # a bound, whichever way the limb turns
+    assert edge_strain(mesh, weights).max() < 3 * growth.max() + 0.5
+
+
+def test_a_step_far_from_the_joint_is_softened():
+    """An arm whose skin is one with the side of the body: its share falls from 1 to 0 over an edge."""
+    trunk = trimesh.creation.box((1, 2, 0.3)).subdivide().subdivide().subdivide().subdivide()
+    mesh = network_mesh(trunk.vertices, trunk.faces, 2500)
+    place = mesh.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(place), HANDLE_COUNT), np.float32)
+    weights[:, H["left_shoulder"]] = place[:, 0] > 0.2  # an arm glued to the side of the body over its whole length
+    weights[:, H["spine2"]] = 1 - weights[:, H["left_shoulder"]]
+    before, after = edge_strain(mesh, weights), edge_strain(mesh, eased(mesh, weights))
+    assert before.max() > 2 * MOST and after.max() < 0.6 * before.max()
+    np.testing.assert_allclose(eased(mesh, weights).sum(axis=1), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("repair", [reunited, eased])
+def test_repairs_leave_one_handle_alone(repair):
+    mesh = box_body()
+    _, weights = hard(mesh)
+    np.testing.assert_allclose(repair(mesh, weights), weights, atol=1e-6)
