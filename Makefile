@@ -4,6 +4,7 @@
 #   make test      the tests
 #   make fuzz      broken files for all readers: COUNT=100000 of them, from seed FIRST=0 on
 #   make studio    build the studio's page again (needs npm; who changes nothing there needs neither)
+#   make stops     kills commands at COUNT random file events and interrupts them at COUNT moments, and looks what is left
 #   make lint      ruff and mypy
 #   make format    let ruff rewrite the sources
 #   make install   the set-up for using Bunraku
@@ -29,7 +30,7 @@ DEVELOP := .venv/.developing
 .DEFAULT_GOAL := help
 PIP := .venv/bin/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help install develop demo studio test fuzz lint format wheel clean
+.PHONY: help install develop demo studio test fuzz stops lint format wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -49,6 +50,7 @@ develop: $(DEVELOP)
 	@if [ '$(TORCH_BACKEND)' != pip ] && $(PIP) 'uv>=0.7' && UV_HTTP_TIMEOUT=30 VIRTUAL_ENV='$(CURDIR)/.venv' \
 		$(BIN)/uv pip install --quiet --torch-backend='$(TORCH_BACKEND)' '$(TORCH)'; then :; else \
 		echo "taking the build of PyTorch that pip finds; without a setting of yours that is CUDA's on Linux" >&2; $(PIP) '$(TORCH)'; fi
+	@$(BIN)/python -m pip uninstall --quiet --disable-pip-version-check --yes uv
 	@touch $@
 
 $(READY): .venv/.torch pyproject.toml
@@ -93,6 +95,10 @@ studio/node_modules/.package-lock.json: studio/package.json studio/package-lock.
 
 fuzz: $(DEVELOP)
 	$(BIN)/python -W ignore tests/fuzz/fuzz.py --count $(COUNT) --first $(FIRST)
+
+stops: $(DEVELOP)
+	$(BIN)/python tests/stops/stops.py kill --count $(COUNT)
+	$(BIN)/python tests/stops/stops.py interrupt --count $(COUNT)
 
 lint: $(DEVELOP)
 	$(BIN)/ruff check .

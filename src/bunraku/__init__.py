@@ -11,6 +11,11 @@ Importing the package loads nothing heavy: each public name is fetched from its 
 
 from __future__ import annotations
 
+from bunraku.interrupt import is_command_line, watch
+
+if is_command_line():  # what follows takes a while
+    watch()
+
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
-from types import FrameType
 from typing import NoReturn
+
+from bunraku.interrupt import leave, watch
 
 __all__ = ["run"]
 
 
 def run() -> NoReturn:
     """Run the command line and leave with its exit status."""
-    before = signal.getsignal(signal.SIGINT)
-    if before is not signal.SIG_IGN:  # as in the background of a shell
-        signal.signal(signal.SIGINT, _leave)
+    watched = watch()
     from bunraku.cli import main
 
     try:
-        signal.signal(signal.SIGINT, before)
+        if watched:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         status = main()
     except KeyboardInterrupt:  # in the moment before `main` looks after it, or after
-        _leave(signal.SIGINT, None)
+        leave(signal.SIGINT, None)
     sys.exit(status)
-
-
-def _leave(number: int, frame: FrameType | None) -> NoReturn:
-    os.write(2, b"bunraku: interrupted\n")
-    os._exit(130)
 
 
 if __name__ == "__main__":

@@ -80,7 +80,8 @@ def note(path: Path, mark: str) -> None:
 
 
 def check_free(paths: Iterable[Path], overwrite: bool, ours: bool = True) -> None:
-    """Make sure that single results lose nothing: their places are free, or hold what Bunraku wrote.
+    """Make sure that single results lose nothing: their places are free, or hold what Bunraku wrote. What killed runs
+    left half-done beside them goes.
 
     Args:
         paths: Files, or folders of files.
@@ -90,6 +91,9 @@ def check_free(paths: Iterable[Path], overwrite: bool, ours: bool = True) -> Non
     Raises:
         FormatError: Something else is in the place of a result.
     """
+    paths = list(paths)
+    for folder in {path.parent for path in paths}:
+        sweep(folder)
     taken = [path for path in paths if not overwrite and _state(path) is not None and not (ours and _ours(path))]
     if taken:
         _refuse(taken)

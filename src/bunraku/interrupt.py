@@ -1,0 +1,42 @@
+"""Ctrl-C in the moments in which a command line is still being loaded: one line, as later, and no traceback."""
+
+from __future__ import annotations
+
+import _signal  # type: ignore[import-not-found]  # what `signal` is made of, without the enumerations that take it ten milliseconds to load
+import os
+import sys
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:  # `typing` takes as long
+    from types import FrameType
+    from typing import NoReturn
+
+__all__ = ["is_command_line", "leave", "watch"]
+
+
+def is_command_line() -> bool:
+    """Whether Python was started to run the command line: as `bunraku` or as `python -m bunraku`."""
+    program = sys.argv[0] if sys.argv else ""
+    if program == "-m":  # until the module is found
+        return "bunraku" in sys.orig_argv[1:4]
+    return os.path.basename(program).lower() in ("bunraku", "bunraku.exe", "bunraku-script.py")
+
+
+def watch() -> bool:
+    """Let Ctrl-C end the process with one line, unless somebody else looks after it (a shell that runs it in the
+    background has it ignored).
+
+    Returns:
+        Whether that is so now.
+    """
+    try:
+        if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
+            _signal.signal(_signal.SIGINT, leave)
+    except ValueError:  # not the main thread
+        return False
+    return _signal.getsignal(_signal.SIGINT) is leave
+
+
+def leave(number: int, frame: FrameType | None) -> NoReturn:
+    os.write(2, b"bunraku: interrupted\n")
+    os._exit(130)

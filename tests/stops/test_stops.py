@@ -1,0 +1,40 @@
+"""A few of the many stops that `make stops` tries."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from stops import INTERRUPTED, KILLED, Command, Killer, contents, interrupt, make_inputs
+
+from bunraku.cli.app import VERBS
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs the /proc of Linux")
+
+
+def test_every_command_is_interrupted_and_every_writer_is_killed():
+    names = {command.name for command in INTERRUPTED}
+    assert {" ".join(verb) for verb in VERBS} <= names
+    assert {command.name for command in KILLED} >= {"samples", "animate --prompts", "transfer"}
+
+
+def test_samples_that_are_killed_are_made_again(tmp_path):
+    killer = Killer(KILLED[0], tmp_path / "kill", tmp_path)
+    assert killer.events > 12 and len(killer.whole) > 5
+    for event in (1, killer.events // 3, killer.events - 1):
+        killer.check(event)
+
+
+def test_a_difference_is_seen(tmp_path):
+    killer = Killer(Command("samples", ("samples", "mushroom", "-o", "OUT")), tmp_path / "kill", tmp_path)
+    killer.whole["mushroom.glb"] = b"another"
+    with pytest.raises(AssertionError, match="mushroom.glb"):
+        killer.check(2)
+    assert contents(tmp_path / "kill" / "whole" / "out")["mushroom.glb"] != b"another"
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.2, 0.6, 1.5])
+def test_an_interrupted_command_is_gone_with_one_line(tmp_path, seconds):
+    command = next(command for command in INTERRUPTED if command.name == "rig")
+    make_inputs(tmp_path, (Command("", (), ("person",)),))
+    assert interrupt(command, tmp_path, tmp_path / "out", seconds) == ""
