@@ -16,6 +16,8 @@ from bunraku.errors import OptionError
 __all__ = ["GroundPath", "bent_to_path"]
 
 MOST = 200
+DENSE = 64
+"""Places that stand for the curve between two points."""
 LONGEST = 500.0
 """Metres of a path."""
 SWAY = 0.3
@@ -85,11 +87,14 @@ class GroundPath:
             return np.asarray(PchipInterpolator(knots, points)(now))
         points = points[keep]
         along = np.concatenate([[0.0], np.cumsum(steps[steps > 1e-9])])
+        curve = PchipInterpolator(along, points)(np.linspace(0, along[-1], DENSE * len(points)))
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
         soft = min(0.4, seconds / 4)  # s to set off and to arrive
         time = np.arange(frames) / fps
         speed = np.clip(np.minimum(time, seconds - time) / soft, 0, 1)
-        way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
-        return np.asarray(PchipInterpolator(along, points)(along[-1] * way / max(way[-1], 1e-9)))
+        way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) * length[-1]
+        way /= max(float(speed.sum()) - 0.5 * float(speed[0] + speed[-1]), 1e-9)
+        return np.column_stack([np.interp(way, length, column) for column in curve.T])
 
     def headings(self, frames: int, fps: float, backwards: bool = False) -> np.ndarray:
         """Where who follows the path looks in each frame [rad], shape (N,): along it, or back; 0 is +Z, positive turns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import zipfile
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 from starlette.requests import ClientDisconnect, Request
@@ -49,10 +50,10 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
     told = request.headers.get("content-length", "")
     if told.isdecimal() and int(told) > most:
         raise TooLarge(f"{path.name}: {int(told) >> 20} MiB are too many, at most {most >> 20} are taken; simplify it")
-    size, whole = 0, False
+    size, whole, chunks = 0, False, request.stream()
     try:
         with writing(path), path.open("wb") as file:
-            async for chunk in request.stream():
+            async for chunk in chunks:
                 size += len(chunk)
                 if size > most:
                     raise TooLarge(f"{path.name}: more than {most >> 20} MiB are not taken; simplify it")
@@ -67,6 +68,11 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
     finally:
         if not whole:
             path.unlink(missing_ok=True)
+            with suppress(ClientDisconnect):  # who still sends would not hear the answer
+                async for chunk in chunks:
+                    size += len(chunk)
+                    if size > most:
+                        break
     return size
 
 

