@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 import torch
 
+from bunraku.body.layout import HANDLE_NAMES
 from bunraku.diffusion.checkpoint import save_denoiser
-from bunraku.diffusion.generate import adapt, generate_motion
+from bunraku.diffusion.drawing import STANDING
+from bunraku.diffusion.generate import adapt, generate_motion, generate_motions
 from bunraku.errors import OptionError, WeightsError
 from bunraku.nn.checkpoints import shipped_checkpoint
 
@@ -112,3 +114,14 @@ def test_loading_the_networks_does_not_load_torchs_compiler():
     subprocess.run(
         [sys.executable, "-c", code], check=True
     )  # it takes two seconds, which every call of `animate` would pay
+
+
+def test_who_sits_down_stands_at_first(make):
+    """The first frames have the legs and the height of the rest pose, whatever the network says; others do not."""
+    sits, walks = generate_motions([[("sits down", 2.0)], [("walks", 2.0)]], steps=3, checkpoint=make())
+    first = STANDING - 2  # the last ones are steadied with those after
+    legs = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "knee", "ankle")]
+    standing = np.broadcast_to(np.eye(3), (first, len(legs), 3, 3))
+    np.testing.assert_allclose(sits.rotations[:first, legs], standing, atol=2e-3)
+    np.testing.assert_allclose(sits.root_translation[:first, 1], 0, atol=2e-3)
+    assert np.abs(walks.rotations[:first, legs] - standing).max() > 0.05

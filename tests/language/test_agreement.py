@@ -6,7 +6,7 @@ from moving_people import kick, person, ramp
 
 from bunraku.diffusion.features import decode, encode, mirror
 from bunraku.language.captions import mirror_words
-from bunraku.language.description.agreement import agreement
+from bunraku.language.description.agreement import agreement, starts_standing
 
 
 def turning(degrees):
@@ -69,3 +69,19 @@ def test_who_sits_down_stood_before():
 @pytest.mark.parametrize("sentence", ["a person dances", "a person kicks", "a person turns left, then turns right"])
 def test_nothing_is_said_of_what_is_not_plain(sentence):
     assert agreement(sentence, turning(90)) is None
+
+
+@pytest.mark.parametrize(
+    ("sentence", "stands"),
+    [
+        ("a person sits down", True),
+        ("someone takes a seat", True),
+        ("a person lies down on the floor", True),
+        ("a person sits on a chair", True),
+        ("a person is sitting", False),
+        ("a person stands up", False),
+        ("a person walks", False),
+    ],
+)
+def test_who_goes_down_starts_standing(sentence, stands):
+    assert starts_standing(sentence) is stands

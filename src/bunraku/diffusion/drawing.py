@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bunraku.core.ground_path import GroundPath
-from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, root_velocities
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, root_velocities, standing_legs
 from bunraku.diffusion.finishing import steadied, straightened
 from bunraku.errors import OptionError
+from bunraku.geometry.easing import smooth_step
+from bunraku.language.description.agreement import starts_standing
 from bunraku.language.encoders import TextEncoder
 
 if TYPE_CHECKING:
@@ -26,6 +28,8 @@ __all__ = ["GUIDANCE", "STEPS", "Sampling", "draw_candidates", "frames_of", "way
 
 STEPS = 20
 GUIDANCE = 3.0
+STANDING, GOING_DOWN = 6, 14
+"""Frames for which who is about to sit or lie down still stands, and frames in which that is let go of."""
 
 
 @dataclass(frozen=True)
@@ -123,11 +127,15 @@ def draw_candidates(
     noise = noise + [noise[track.motion] for track in tracks]
     sizes = [plan.frames for plan in plans]
 
-    ways, held = [], None
+    owners = [*range(len(scripts)), *(track.motion for track in tracks)]
+    ways: list[np.ndarray] = []
     if path is not None:
         ways = [way_of(path, sum(own), model.config.fps, script) for own, script in zip(lengths, scripts, strict=True)]
-        everyone = ways + [ways[track.motion] for track in tracks]
-        held = _held_roots(everyone, sizes, statistics, model.config.fps)
+    stands = [path is None and not loop and starts_standing(script[0][0]) for script in scripts]
+    held = None
+    if ways or any(stands):
+        own_ways = [ways[row] for row in owners] if ways else None
+        held = _held(own_ways, [stands[row] for row in owners], sizes, statistics, model.config.fps)
 
     def refine(values: Tensor) -> Tensor:
         parts = list(values.split(sizes))
@@ -166,21 +174,33 @@ def way_of(path: GroundPath, frames: int, fps: float, script: Sequence[tuple[str
     return np.column_stack([path.places(frames, fps), path.headings(frames, fps, back)])
 
 
-def _held_roots(
-    ways: Sequence[np.ndarray], sizes: Sequence[int], statistics: FeatureStatistics, fps: float
+def _held(
+    ways: Sequence[np.ndarray] | None,
+    stands: Sequence[bool],
+    sizes: Sequence[int],
+    statistics: FeatureStatistics,
+    fps: float,
 ) -> tuple[Tensor, Tensor]:
-    """Root velocities that are known beforehand, in network units, and which features these are: both (F, D)."""
+    """What is known beforehand, in network units, and which features these are: both (F, D). The root's velocities
+    where it follows a path; legs that stand in the first frames of who is about to sit or lie down.
+    """
     import torch
 
     values, share = (np.zeros((sum(sizes), FEATURE_SIZE), np.float32) for _ in range(2))
+    pose, legs = standing_legs()
+    hold = np.concatenate([np.ones(STANDING), 1 - smooth_step(np.arange(1, GOING_DOWN) / GOING_DOWN)])
     start = 0
-    for way, size in zip(ways, sizes, strict=True):
-        values[start : start + len(way), :3] = root_velocities(way, fps)
-        share[start : start + len(way), :3] = 1
+    for row, size in enumerate(sizes):
+        if ways is not None:
+            values[start : start + len(ways[row]), :3] = root_velocities(ways[row], fps)
+            share[start : start + len(ways[row]), :3] = 1
+        if stands[row]:
+            first = slice(start, start + min(len(hold), size))
+            values[first, legs] = pose[legs]
+            share[first, legs] = hold[:size, None]
         start += size
-    return torch.from_numpy(np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)), torch.from_numpy(
-        share
-    )
+    known = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
+    return torch.from_numpy(known), torch.from_numpy(share)
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR
+from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import MotionError
 from bunraku.geometry.heading import heading
@@ -37,6 +37,7 @@ __all__ = [
     "mirror",
     "root_velocities",
     "ROOT_SIZE",
+    "standing_legs",
 ]
 
 ROOT_SIZE, HANDLE_SIZE = 10, 9
@@ -198,3 +199,16 @@ def feature_mask(handles: np.ndarray) -> np.ndarray:
     `features`).
     """
     return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])
+
+
+def standing_legs() -> tuple[np.ndarray, np.ndarray]:
+    """Features of the reference body's rest pose, shape (271,), and which of them say how it stands: the height and
+    the tilt of its root, hips, knees and ankles, shape (271,), bool.
+    """
+    still = np.broadcast_to(np.eye(3, dtype=np.float32), (2, HANDLE_COUNT, 3, 3))
+    nothing = np.zeros((2, HANDLE_COUNT, 3), np.float32)
+    pose = encode(HandleMotion(nothing, still, nothing[:, 0], still[:, 0]))[0]
+    legs = [name.removeprefix("left_").removeprefix("right_") in ("hip", "knee", "ankle") for name in HANDLE_NAMES]
+    mask = feature_mask(np.array(legs))
+    mask[3:ROOT_SIZE] = True
+    return pose, mask

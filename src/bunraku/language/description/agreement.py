@@ -16,7 +16,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.language.cues import CUES, sentence_cues
 from bunraku.language.description.track import SIDES, Track
 
-__all__ = ["agreement", "goes_straight"]
+__all__ = ["agreement", "goes_straight", "starts_standing"]
 
 _HITS = r"\b(punch\w*|jabs?|jabbing|hits?|hitting|throw\w*|toss\w*|push\w*|slap\w*|uppercuts?|hooks?)\b"
 _ON_LEG = r"\b(stand\w*|hop\w*|balanc\w*|jump\w*) (\w+ )?on\b"
@@ -37,6 +37,10 @@ _STEP = 0.3  # m
 _WALK = 0.6  # m
 _SLACK = np.radians(30)
 _GETS_UP = r"\b(stand\w*|get\w*|rises?) up (from|again)|^(\w+ ){0,3}(stand|get)s? up$"
+_GOES_DOWN = (
+    r"\b(sits?|lies?|lays?|kneels?|gets?|crouch(es)?|squats?|sitting|lying|kneeling) down\b|\btak\w+ a seat\b"
+    r"|\bsits? (on|in) (a|the) \w+$"
+)
 _SITS_DOWN = r"\bsits? down\b|\btak\w+ a seat\b"
 _SITS = r"\bsits?\b|\bsitting (down|on)\b|\btak\w+ a seat\b"
 _SEAT = 0.2  # m
@@ -75,6 +79,11 @@ def goes_straight(sentence: str) -> bool:
     said = {cue for cue, value in zip(CUES, sentence_cues(sentence), strict=True) if value}
     sided = any(cue.startswith(("left", "right")) for cue in said)
     return "forward" in said and not sided and not _pattern(_WINDING).search(sentence.lower())
+
+
+def starts_standing(sentence: str) -> bool:
+    """Whether somebody goes down who must have stood before: sits, lies or kneels down, takes a seat."""
+    return bool(_pattern(_GOES_DOWN).search(sentence.lower()))
 
 
 def _side(said: set[str], place: str) -> int:
