@@ -120,10 +120,10 @@ def test_overlap_by_hand():
 def test_the_body_is_learned(meshes, data, tmp_path):
     poses = pose_bank(data, "train", 20)
     config = BodyTrainConfig(
-        out=tmp_path, minutes=0, steps=60, batch=1, poses=2, warmup=5, rate=5e-3, network=BodyConfig(8, 16)
+        out=tmp_path, minutes=0, steps=80, batch=1, poses=2, warmup=5, rate=5e-3, network=BodyConfig(8, 16)
     )
     trainer = BodyTrainer(config, meshes, poses, meshes)
-    losses = [trainer.train_step()["loss"] for _ in range(30)]
+    losses = [trainer.train_step()["loss"] for _ in range(60)]
     assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
     trainer.save(trainer.validate())
     assert BodyTrainer(config, meshes, poses).resume()

@@ -53,8 +53,8 @@ def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> Pa
     count = int(parts.max(initial=-1)) + 1
     springs = np.zeros(len(rig.bodies))
     for joint in rig.joints:
-        for body in joint.bodies:  # the joint that holds a body is the stiffest: ties to neighbours have no springs
-            springs[body] = max(springs[body], float(np.mean(np.abs(joint.angle_spring)[[0, 2]])) * NEWTON_METRE)
+        for held in joint.bodies:  # the joint that holds a body is the stiffest: ties to neighbours have no springs
+            springs[held] = max(springs[held], float(np.mean(np.abs(joint.angle_spring)[[0, 2]])) * NEWTON_METRE)
     values = np.zeros((len(own.names), 4))
     for spring, body in zip(springs, rig.bodies, strict=True):
         if body.dynamic and body.bone >= 0:

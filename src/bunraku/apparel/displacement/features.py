@@ -145,7 +145,7 @@ class MotionFeatures:
         )  # fmt: skip
         scalars = np.clip(gaps / size, -0.3, 0.3) * 5
         return Frame(
-            vectors.astype(np.float32), scalars.astype(np.float32), _whole(transforms, size), turns, places, body
+            vectors.astype(np.float32), scalars.astype(np.float32), _whole(transforms, float(size)), turns, places, body
         )
 
     def _spin(self, joints: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
 from bunraku.datasets.apparel import ApparelData
-from bunraku.errors import BunrakuError, FormatError
+from bunraku.errors import BunrakuError, FormatError, WeightsError
 from bunraku.evaluation.apparel.clips import TrueClip, data_clips, file_clips, long_clip
 from bunraku.evaluation.apparel.modules import body_table, mask_scores, module_row
 from bunraku.evaluation.apparel.rows import clip_row, drift_row, frame_milliseconds, ten_frames
@@ -78,13 +78,14 @@ def evaluate_apparel(
     if not found:
         raise FormatError(Path(data), "there are no test clips of 6 s; build more of `bunraku data apparel`")
     rows, tens, modules, scores = [], [], [], []
+    known_body = _ships_body()
     for number, clip in enumerate(found):
         progress("clips", number / len(found))
         rows.append(clip_row(clip, network, slow=not quick))
         if number % 2 == 0 or quick:
             tens.append(ten_frames(clip, network))
         scores.append(mask_scores(clip, masks))
-        if number % 3 == 0:
+        if number % 3 == 0 and known_body:
             modules.append(module_row(clip, network, masks))
     progress("clips", 1.0)
     real, failed = _files(files, network, masks, progress)
@@ -111,6 +112,14 @@ def evaluate_apparel(
         "reached": reached, "tables": {title: table for title, table in tables.items() if table},
         "clips": rows, "ten_frames": tens, "minutes": drift, "files": real, "failed": failed, "masks": scores,
     }  # fmt: skip
+
+
+def _ships_body() -> bool:
+    try:
+        shipped_checkpoint("apparel-body")
+    except WeightsError:
+        return False
+    return True
 
 
 def _far_from_enough(clip: TrueClip) -> float:
@@ -140,9 +149,9 @@ def _files(
 
 def _drifts(
     network: DisplacementNetwork, motions: Path | None, found: Sequence[TrueClip], progress: Progress
-) -> list[dict[str, float]]:
+) -> list[dict[str, Any]]:
     """Clips of a minute of test characters of the wardrobe, each in the motion that it has in the data set."""
-    out = []
+    out: list[dict[str, Any]] = []
     if motions is None:
         return out
     seen = list({clip.name: clip for clip in found}.values())[:LONG]

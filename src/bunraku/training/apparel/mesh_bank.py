@@ -112,10 +112,8 @@ def _read(path: Path) -> MeshSample:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         empty = np.zeros(0, np.int64)
-        mesh = SampledMesh(
-            *(arrays.pop(name) for name in _MESH),
-            empty, empty, empty,
-        )  # fmt: skip
+        own = {name: arrays.pop(name) for name in _MESH}
+        mesh = SampledMesh(**own, index=empty, nearest=empty, shares=empty)
         return MeshSample(path.stem, mesh, **arrays)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FormatError(path, f"this is no sampled mesh ({error}); remove it and train again") from None

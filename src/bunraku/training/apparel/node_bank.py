@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -159,8 +160,9 @@ def _write(data: ApparelData, clips: list[ApparelClip], path: Path, most: int) -
     heads = {
         f"neighbours_{size}": part_neighbours(nodes.rest[:size].astype(np.float64), nodes.part[:size]) for size in HEADS
     }
-    np.savez(
-        path / "static.npz", format=_FORMAT, frames=sum(clip.frames for clip in clips), scale=wearer.scale,
-        starts=np.cumsum([0, *(clip.frames for clip in clips)]), static_vectors=vectors, static_scalars=scalars,
-        rest=nodes.rest, part=nodes.part, vertex=nodes.vertex, **heads,
-    )  # fmt: skip
+    still: dict[str, Any] = {
+        "format": _FORMAT, "frames": sum(clip.frames for clip in clips), "scale": wearer.scale,
+        "starts": np.cumsum([0, *(clip.frames for clip in clips)]), "static_vectors": vectors,
+        "static_scalars": scalars, "rest": nodes.rest, "part": nodes.part, "vertex": nodes.vertex, **heads,
+    }  # fmt: skip
+    np.savez(path / "static.npz", **still)
