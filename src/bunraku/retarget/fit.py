@@ -16,6 +16,8 @@ switched off, clean its motion and turn it into one of another character. They r
 - `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of
   the reference body, and a reference body that drifts off the ground for longer than a jump lasts is set back on it.
   A `native` motion keeps its own height, but what hovers by less than a fifth of the body is set down.
+- `support`: who stands on four legs keeps two of them under each end of the trunk
+  (`retarget/stages/support.py`).
 - `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/stages/feet.py`).
 - `hands`: hands that touch the body stay near it (`retarget/stages/hands.py`); off unless asked for, as motion transfer
   does.
@@ -46,6 +48,7 @@ from bunraku.retarget.stages.hands import keep_hands
 from bunraku.retarget.stages.rest_pose import upright
 from bunraku.retarget.stages.shape import keep_edges
 from bunraku.retarget.stages.smooth import smooth
+from bunraku.retarget.stages.support import keep_support
 from bunraku.retarget.stance import rest_to_reference, stance_of
 
 __all__ = ["Stages", "fit_motion"]
@@ -64,6 +67,7 @@ class Stages:
         floor: Let nothing sink into the ground.
         hands: Keep hands near the body where the reference body's are.
         shape: Keep the mesh's edges at their lengths where handles can.
+        support: Keep legs under the trunk of who stands on four.
     """
 
     rest_pose: bool = True
@@ -74,6 +78,7 @@ class Stages:
     floor: bool = True
     hands: bool = False
     shape: bool = False
+    support: bool = True
 
 
 def fit_motion(
@@ -152,9 +157,11 @@ def fit_motion(
         fitted = settle_hovering(fitted, character, handles, stands)
     elif stages.ground:
         fitted = set_on_ground(motion, fitted, character, handles, scale, stands, heights)
-    if stages.feet or stages.floor or stages.hands:
+    if stages.feet or stages.floor or stages.hands or stages.support:
         legs, contacts = find_legs(character, handles, joints), None
         arms = find_arms(character, handles, joints, legs)
+        if stages.support:
+            fitted = keep_support(fitted, character, handles, joints, legs, floors[0])
         if stages.feet:
             fitted, contacts = lock_feet(fitted, character, handles, joints, legs, floors[0])
         if stages.hands:

@@ -140,9 +140,14 @@ def foot_points(leg: Leg, character: Character, handles: Handles, transforms: np
 
 
 def move_feet(
-    motion: HandleMotion, handles: Handles, joints: Joints, legs: list[Leg], shifts: np.ndarray
+    motion: HandleMotion,
+    handles: Handles,
+    joints: Joints,
+    legs: list[Leg],
+    shifts: np.ndarray,
+    slopes: np.ndarray | None = None,
 ) -> HandleMotion:
-    """The motion with feet moved by bending their legs; feet keep their slope.
+    """The motion with feet moved by bending their legs; feet keep their slope unless told otherwise.
 
     A leg is a chain of two bones: its knee stays in the plane in which it was bent. It is never stretched beyond its
     length, so a foot may stop short of where it should be.
@@ -153,17 +158,21 @@ def move_feet(
         joints: Where they meet.
         legs: The legs whose feet are moved, L.
         shifts: How far each ankle moves [m], shape (N, L, 3).
+        slopes: How each foot turns about its ankle, in the world, shape (N, L, 3, 3); None for not at all.
     """
     moved = [number for number in range(len(legs)) if np.abs(shifts[:, number]).max() > 1e-9]
     if not moved:
         return motion
     world = motion.transforms(handles.positions).astype(np.float64)
     for number in moved:
-        _move_foot(world, legs[number], joints, shifts[:, number], motion)
+        slope = np.tile(np.eye(3), (len(world), 1, 1)) if slopes is None else slopes[:, number]
+        _move_foot(world, legs[number], joints, shifts[:, number], slope, motion)
     return local_motion(world, motion, handles)
 
 
-def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, motion: HandleMotion) -> None:
+def _move_foot(
+    world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, slope: np.ndarray, motion: HandleMotion
+) -> None:
     """Bend one leg, in place."""
     hip, knee, ankle = (
         world[:, handle, :, :3] @ joint + world[:, handle, :, 3]
@@ -193,9 +202,8 @@ def _move_foot(world: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, m
     ):
         swung = np.einsum("nij,nj->ni", swing, _unit(before_turn))
         carry(world, handle, joints, pivot, target, _between(swung, _unit(after_turn)) @ swing)
-    level = np.tile(np.eye(3), (len(world), 1, 1))
     for handle in leg.foot:
-        carry(world, handle, joints, ankle, goal, level)
+        carry(world, handle, joints, ankle, goal, slope)
 
 
 def carry(
