@@ -79,9 +79,9 @@ def directing(page: Page) -> None:
     page.until("studio.take.value.script.length === 2 && studio.take.value.state === 'done'")
     page.shown()
     page.set(1.0)
-    page.page.click("text=pin pose")
+    page.page.click("button:has-text('pin pose')")
     page.set(3.2)
-    page.page.click("text=pin pose")
+    page.page.click("button:has-text('pin pose')")
     page.value(
         """studio.change('', { span: [1.5, 3.0], keep: ['legs'],
             pins: [{ part: 'left_hand', time: 2.0, position: [0.6, 1.5, 1.4], hold: 0 }] })"""

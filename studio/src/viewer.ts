@@ -6,11 +6,12 @@ import {
   CircleGeometry,
   Color,
   DirectionalLight,
+  Float32BufferAttribute,
   Fog,
-  GridHelper,
   HemisphereLight,
   Line,
   LineBasicMaterial,
+  LineSegments,
   Mesh,
   MeshBasicMaterial,
   PCFShadowMap,
@@ -64,7 +65,7 @@ export class Viewer {
   directing = false;
   private dirty = true;
   private readonly floor: Mesh;
-  private grid: GridHelper;
+  private grid: LineSegments;
   private readonly sun: DirectionalLight;
   private readonly gizmos: Mesh[] = [];
   private readonly dots: Mesh[] = [];
@@ -97,7 +98,7 @@ export class Viewer {
     this.floor = new Mesh(new CircleGeometry(60, 48), new ShadowMaterial({ opacity: 0.25 }));
     this.floor.rotation.x = -Math.PI / 2;
     this.floor.receiveShadow = true;
-    this.grid = new GridHelper(60, 120);
+    this.grid = squares(0, 0);
     this.scene.add(this.floor, this.grid);
     this.theme(false);
     new ResizeObserver(() => this.fit(holder)).observe(holder);
@@ -114,8 +115,8 @@ export class Viewer {
   theme(dark: boolean): void {
     this.scene.background = new Color(dark ? 0x1d1f23 : 0xe9e7e3);
     this.scene.remove(this.grid);
-    this.grid.dispose();
-    this.grid = new GridHelper(60, 120, dark ? 0x4a4f58 : 0xa9a49b, dark ? 0x33373e : 0xc6c1b8);
+    this.grid.geometry.dispose();
+    this.grid = squares(dark ? 0x4a4f58 : 0xb3ada4, dark ? 0x33373e : 0xcfcac2);
     this.grid.scale.copy(this.floor.scale);
     this.scene.fog = new Fog(this.scene.background as Color, this.size * 5, this.size * 14);
     this.scene.add(this.grid);
@@ -459,4 +460,28 @@ export class Viewer {
 
 function round(value: number): number {
   return Math.round(value * 1e4) / 1e4;
+}
+
+const CELLS = 40; // on each side of the middle
+const CELL = 0.5;
+
+/** The floor's squares, every second line stronger. Each line is cut at every square: some drivers drop what passes the eye. */
+function squares(strong: number, weak: number): LineSegments {
+  const places: number[] = [];
+  const colours: number[] = [];
+  const shades = [new Color(strong), new Color(weak)];
+  const reach = CELLS * CELL;
+  for (let line = -CELLS; line <= CELLS; line += 1) {
+    const at = line * CELL;
+    const shade = shades[Math.abs(line % 2)] as Color;
+    for (let piece = -CELLS; piece < CELLS; piece += 1) {
+      const from = Math.max(piece * CELL, -reach);
+      places.push(at, 0, from, at, 0, from + CELL, from, 0, at, from + CELL, 0, at);
+      colours.push(...[0, 1, 2, 3].flatMap(() => shade.toArray()));
+    }
+  }
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new Float32BufferAttribute(places, 3));
+  geometry.setAttribute("color", new Float32BufferAttribute(colours, 3));
+  return new LineSegments(geometry, new LineBasicMaterial({ vertexColors: true, toneMapped: false }));
 }
