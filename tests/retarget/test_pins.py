@@ -1,11 +1,15 @@
 """Pins: met within a centimetre and two degrees, and nothing changed out of their reach."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import OptionError
 from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.handles.from_rig import rig_handles
 from bunraku.pipelines.animate import rig
 from bunraku.retarget.fit import fit_motion
 from bunraku.retarget.stages.pins import PINNED, Pin, end_places, limb_ends, meet_pins, spread
@@ -119,15 +123,20 @@ def test_pins_that_are_none(values):
 
 
 def test_who_has_no_hands_cannot_pin_one():
-    character = sample_character("mushroom")
-    handles = rig(character)
+    character = sample_character("person", 0.5, rigged=True)
+    whole = rig_handles(character)
+    arm = [HANDLE_NAMES.index(f"left_{part}") for part in ("shoulder", "elbow", "wrist")]
+    weights = whole.weights.copy()
+    weights[:, HANDLE_NAMES.index("spine3")] += weights[:, arm].sum(axis=1)
+    weights[:, arm] = 0
+    handles = replace(whole, weights=weights)
     motion = HandleMotion(
         np.zeros((40, 30, 3)), np.broadcast_to(np.eye(3), (40, 30, 3, 3)), np.zeros((40, 3)),
         np.broadcast_to(np.eye(3), (40, 3, 3)),
     )  # fmt: skip
-    missing = next(part for part in PINNED if part not in [end.part for end in limb_ends(character, handles)])
+    assert [end.part for end in limb_ends(character, handles)] == [part for part in PINNED if part != "left_hand"]
     with pytest.raises(OptionError, match="has no"):
-        meet_pins(motion, character, handles, [Pin(missing, 1.0, (0, 0, 0))])
+        meet_pins(motion, character, handles, [Pin("left_hand", 1.0, (0, 0, 0))])
 
 
 def test_a_spread_goes_through_its_values_and_back_to_nothing():
