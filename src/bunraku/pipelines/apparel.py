@@ -19,6 +19,7 @@ from bunraku.apparel.fitting import fitted_wearer, joint_weights_of_handles, joi
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.apparel.wearer import Wearer
+from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.point_animation import PointAnimation
@@ -139,7 +140,7 @@ def animated_wearer(
             return wearer_of_file(character, body, stiffness), transforms, moved.animation()
     else:
         moved = moved.animation() if isinstance(moved, RigAnimation) else moved
-        if len(moved.handles.positions) < len(_ROLES):
+        if len(moved.handles.positions) < HANDLE_COUNT:
             raise CharacterError(f"{character.name}: its handles are not the 30 of a body; let them be predicted")
         weights = joint_weights_of_handles(moved.handles)
         joints = joints_of_handles(character.vertices, weights, character.areas, moved.handles.positions)
@@ -153,9 +154,6 @@ def animated_wearer(
         np.clip(found.stiffness + dial, -4, 2), found.damping,
     )  # fmt: skip
     return wearer, transforms, moved.animation() if isinstance(moved, RigAnimation) else moved
-
-
-_ROLES = range(30)
 
 
 def _unified(character: Character) -> UnifiedBody | None:
