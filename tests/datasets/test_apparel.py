@@ -29,6 +29,7 @@ from bunraku.datasets.apparel.plan import (
     wardrobe_sources,
 )
 from bunraku.datasets.apparel.recording import record
+from bunraku.datasets.apparel.report import apparel_facts, facts_table, sway_frequency
 from bunraku.datasets.motions.clips import write_clip, write_index
 from bunraku.errors import FormatError, MissingExtraError, OptionError
 from bunraku.evaluation.transfer.stock_motions import stock_motion
@@ -349,3 +350,22 @@ def test_the_command_goes_on_where_it_stopped(motions, tmp_path, capsys):
     assert main(words) == 0
     assert capsys.readouterr().out == first and "0.1 minutes in 1 of 1 files" in first
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "shards").iterdir()} == files
+
+
+def test_the_frequency_of_a_sway_by_hand():
+    time = np.arange(90) / 30
+    sway = np.zeros((90, 2, 3))
+    sway[:, 0, 1] = np.sin(2 * np.pi * 2 * time) + 5  # two a second, and where it hangs does not count
+    assert sway_frequency(sway, 30.0) == pytest.approx(2)
+    sway[:, 1, 2] = np.sin(2 * np.pi * 4 * time)
+    assert sway_frequency(sway, 30.0) == pytest.approx(3)
+    assert sway_frequency(np.ones((9, 1, 3)), 30.0) == 0
+
+
+def test_what_the_data_are_like(built):
+    (facts,) = apparel_facts(ApparelData(built))
+    clip = ApparelData(built).clips[0]
+    character = ApparelData(built).character(clip)
+    assert facts.share == pytest.approx(character.apparel.mean()) and facts.parts == len(character.spring)
+    assert facts.offset > 0 and 0 < facts.frequency < 15
+    assert len(facts_table([facts]).splitlines()) == 6

@@ -24,7 +24,7 @@ class EvaluateApparel:
     data: Path
     """Folder that `bunraku data apparel` wrote."""
     motions: Path | None = None
-    """Folder that `bunraku data motions` wrote, for the clips of a minute; without it a motion made by code."""
+    """Folder that `bunraku data motions` wrote, for the clips of a minute; without it they are left out."""
     files: tuple[Path, ...] = ()
     """PMX, PMD or VRM files with physics, none of which was trained on."""
     clips: int = 24
