@@ -4,7 +4,8 @@
 #   make test      the tests
 #   make fuzz      broken files for all readers: COUNT=100000 of them, from seed FIRST=0 on
 #   make studio    build the studio's page again (needs npm; who changes nothing there needs neither)
-#   make stops     kills commands at COUNT random file events and interrupts them at COUNT moments, and looks what is left
+#   make stops     kills commands at TIMES=20 random file events and interrupts them at as many moments, and looks what is left
+#   make soak      mixed work in one process for MINUTES=60, whose memory must not grow
 #   make lint      ruff and mypy
 #   make format    let ruff rewrite the sources
 #   make install   the set-up for using Bunraku
@@ -22,6 +23,7 @@ SAMPLE ?= person
 COUNT ?= 100000
 FIRST ?= 0
 MINUTES ?= 60
+TIMES ?= 20
 
 BIN := .venv/bin
 READY := .venv/.installed
@@ -30,7 +32,7 @@ DEVELOP := .venv/.developing
 .DEFAULT_GOAL := help
 PIP := .venv/bin/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help install develop demo studio test fuzz stops lint format wheel clean
+.PHONY: help install develop demo studio test fuzz stops soak lint format wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -97,8 +99,11 @@ fuzz: $(DEVELOP)
 	$(BIN)/python -W ignore tests/fuzz/fuzz.py --count $(COUNT) --first $(FIRST)
 
 stops: $(DEVELOP)
-	$(BIN)/python tests/stops/stops.py kill --count $(COUNT)
-	$(BIN)/python tests/stops/stops.py interrupt --count $(COUNT)
+	$(BIN)/python tests/stops/stops.py kill --count $(TIMES)
+	$(BIN)/python tests/stops/stops.py interrupt --count $(TIMES)
+
+soak: $(DEVELOP)
+	$(BIN)/python -W ignore tests/soak/soak.py --minutes $(MINUTES)
 
 lint: $(DEVELOP)
 	$(BIN)/ruff check .

@@ -9,7 +9,7 @@ import pytest
 
 import bunraku
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.pipelines.animate import animate, rig
+from bunraku.pipelines.animate import animate, animate_each, rig
 from bunraku.synthetic.samples import sample_character
 
 pytestmark = pytest.mark.skipif(
@@ -199,3 +199,13 @@ def test_a_sentence_of_another_language_is_made_as_its_english(caplog):
     assert [record.message for record in caplog.records] == ["read as: a person walks forward, then waves"]
     english = bunraku.generate("a person walks forward, then waves: 2", steps=2, seed=3)
     assert np.array_equal(found.rotations, english.rotations) and len(found) == 40
+
+
+def test_an_animation_of_a_batch_is_the_same_bit_for_bit_when_others_are_there_already(person):
+    """As where a batch was stopped before its last clip."""
+    prompts = ["a person walks", "waves", "a man jumps up and down"]
+    how = {"seconds": 1, "candidates": 1, "handles": rig(person)}
+    whole = list(animate_each(person, prompts, **how))
+    (last,) = animate_each(person, prompts, **how, only={2})
+    assert np.array_equal(last.vertices(), whole[2].vertices())
+    assert list(animate_each(person, prompts, **how, only=())) == []

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import Any, Literal, overload
 
 import numpy as np
@@ -279,12 +280,19 @@ def animate_each(
     stages: Stages | None = None,
     candidates: int = CANDIDATES,
     anyway: bool = False,
+    only: Collection[int] | None = None,
     progress: Progress | None = None,
 ) -> Iterator[AnimatedCharacter]:
     """One animation for each prompt, as `animate` makes them, several in one pass of the network.
 
-    Each has the same seed, so that it does not depend on those beside it. Arguments, results and errors are those of
-    `animate`.
+    Each has the same seed, so that it does not depend on those beside it, but for the last bits of its numbers: sums
+    are rounded otherwise in a pass of another size. Other arguments, results and errors are those of `animate`.
+
+    Args:
+        character: As for `animate`.
+        prompts: What each does.
+        only: Indices of the prompts whose animations are wanted, all where None. Those beside them are generated along,
+            so that each is bit for bit the one that all of them would give.
     """
     scripts = _scripts(prompts, seconds, anyway)
     check_together(
@@ -310,7 +318,10 @@ def animate_each(
     how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": feature, "progress": progress}
     for start in range(0, len(scripts), AT_ONCE):
         some = scripts[start : start + AT_ONCE]
-        for motion in _generated(some, [seed] * len(some), loop, before, way, candidates, how):
+        wanted = [only is None or number in only for number in range(start, start + len(some))]
+        if not any(wanted):
+            continue
+        for motion in compress(_generated(some, [seed] * len(some), loop, before, way, candidates, how), wanted):
             if moved_by == "simulate":
                 yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
                 continue

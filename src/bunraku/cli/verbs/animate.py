@@ -99,6 +99,7 @@ class Animate(GeneratingOptions):
         check_range("--takes", self.takes, 1, 100)
         named = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
         takes = [_numbered(named, self.preview, take, self.takes) for take in range(self.takes)]
+        clips: list[Clip] = []
         todo: list[Clip] = []
         if self.prompts is None:
             inputs = [self.character] + ([self.after] if self.after else [])
@@ -131,7 +132,8 @@ class Animate(GeneratingOptions):
                 "stages": fitting, "candidates": self.candidates,
             }  # fmt: skip
             if todo:
-                animations = animate_each(character, [clip.prompt for clip in todo], **how, **self.sampling)
+                only = {number for number, clip in enumerate(clips) if clip in todo}
+                animations = animate_each(character, prompts, **how, **self.sampling, only=only)
                 save_clips(animations, todo, self.fps, report)
                 return
             for take, (outputs, previews) in enumerate(takes):

@@ -31,7 +31,7 @@ EXTRAS = {
     "accelerate": ("train", "a training runs on one process alone"),
     "tensorboard": ("train", "a training draws no curves"),
     "transformers": ("clip", "weights that were trained with CLIP cannot be used; the shipped ones were not"),
-    "ray": ("ray", "`data apparel --jobs ray` does not work; processes of this machine need nothing"),
+    "ray": ("ray", "`--jobs ray` does not work; `--jobs` with a number needs nothing"),
     "pxr": ("usd", "USD is not written"),
     "anny": ("body", "the reference body cannot be built again; the shipped one is all that a user needs"),
 }
