@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bunraku.core.character import Character
     from bunraku.handles.orientation import Settled
 
-__all__ = ["AxisOption", "UnitOption", "check_axes", "said_axes", "settle_file", "stand_up"]
+__all__ = ["AxisOption", "UnitOption", "check_axes", "said_axes", "settle_file", "stand_up", "stands_line"]
 
 AxisOption = Annotated[str, tyro.conf.arg(metavar="{auto,+x,-x,+y,-y,+z,-z}")]
 UnitOption = Literal["auto", "m", "cm", "mm", "in"]
@@ -78,6 +78,23 @@ def settle_file(character: Character, up: str = "auto", front: str = "auto") -> 
         f"its bones face {found.bones.upper()}, if left and right are named rightly; left as it is. Type --up +y "
         f"--front {found.bones} to turn it.",
     )
+
+
+def stands_line(character: Character, up: str = "auto", front: str = "auto") -> str:
+    """How a character of a file is taken to stand and how sure that is, in one line.
+
+    Args:
+        character: As the file has it.
+        up, front: What the options say.
+    """
+    settled, note = settle_file(character, up, front)
+    taken = f"stands with {settled.up.upper()} up, facing {settled.front.upper()}"
+    guess = settled.guess
+    if guess is None:
+        return f"{taken}, as told"
+    seen = _listed([f"{guess.up.upper()} up", f"facing {guess.front.upper()}"], [False, False],
+                   (guess.up_confidence, guess.front_confidence))  # fmt: skip
+    return f"{taken}; it looks like {seen}" + (f" - {note}" if note else "")
 
 
 def said_axes(settled: Settled, up: str = "auto", front: str = "auto", rule: bool = False) -> str:

@@ -17,7 +17,7 @@ from bunraku.body.parts import kept_handles
 from bunraku.language.clauses import subject_of, with_subject
 from bunraku.language.grammar import conjugate
 
-__all__ = ["BodyPartPrompt", "body_part_prompts"]
+__all__ = ["BodyPartPrompt", "body_part_prompts", "moved_part"]
 
 _LEGS = (
     "walk", "run", "jog", "sprint", "march", "sneak", "tiptoe", "skip", "stroll", "stride", "hop", "jump", "trot",
@@ -57,7 +57,7 @@ def body_part_prompts(sentence: str) -> tuple[BodyPartPrompt, ...]:
         if len(halves) != 2 or not all(halves):
             continue
         first, second = halves[0], with_subject(halves[1], subject_of(halves[0])[0])
-        parts = [_part(half) for half in (first, second)]
+        parts = [moved_part(half) for half in (first, second)]
         if sorted(parts) in (["arms", "legs"], ["head", "legs"]):
             body, gesture = (first, second) if parts[0] == "legs" else (second, first)
             return BodyPartPrompt(body), BodyPartPrompt(
@@ -66,7 +66,7 @@ def body_part_prompts(sentence: str) -> tuple[BodyPartPrompt, ...]:
     return (BodyPartPrompt(sentence),)
 
 
-def _part(clause: str) -> str:
+def moved_part(clause: str) -> str:
     """What its verb moves: "legs", "arms", "head", or "" for neither or all."""
     words = subject_of(clause)[1].lower().split()
     words = words[1:] if words and words[0] in ("is", "are") else words

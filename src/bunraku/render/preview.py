@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -13,6 +13,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.errors import OptionError
 from bunraku.render.camera import YAW
 from bunraku.render.frames import SIZE, moments, render_animation, render_still
+from bunraku.render.page import page
 from bunraku.render.sheets import assemble
 from bunraku.render.stage import Background, parse_background
 from bunraku.render.video import check_target, write_moving, write_png
@@ -99,10 +100,12 @@ def save_still(
     size: tuple[int, int] = (400, 480),
     views: int = 1,
     background: Background = "studio",
+    lines: Sequence[str] = (),
 ) -> Path:
     """Write a PNG of a character in its rest pose, seen from the front, or, with `views=2`, also from the back.
 
-    With handles each vertex has its handles' colours, blended by weight. Arguments are those of `render_still`.
+    With handles each vertex has its handles' colours, blended by weight. Lines stand below the picture, under the
+    character's name. Other arguments are those of `render_still`.
 
     Raises:
         FormatError: The file cannot be written, or its name does not end with .png.
@@ -113,7 +116,8 @@ def save_still(
         raise OptionError(f"a still has one view or two, not {views}")
     turns = (YAW, YAW + np.pi)[:views]
     images = [render_still(character, handles, size=size, yaw=float(turn), background=background) for turn in turns]
-    return write_png(np.concatenate(images, axis=1), target)
+    picture = np.concatenate(images, axis=1)
+    return write_png(page(picture, character.name, lines) if lines else picture, target)
 
 
 def _counted(pictures: Iterable[np.ndarray], total: int, progress: Progress) -> Iterator[np.ndarray]:

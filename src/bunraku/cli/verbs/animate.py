@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -125,6 +126,8 @@ class Animate(GeneratingOptions):
 
             bones = apparel_way(character, self.apparel, self.handles) != "handles"
             handles = self.handles if bones else rig(character, handles=self.handles, progress=report)
+            if not isinstance(handles, str):
+                _say_limits(self.character, character, handles, prompts)
             after = None if self.after is None or isinstance(handles, str) else _before(self.after, character, handles)
             how: dict[str, Any] = {
                 "seconds": self.seconds, "handles": handles, "apparel": self.apparel, "stiffness": self.stiffness,
@@ -159,6 +162,18 @@ class Animate(GeneratingOptions):
                 "--prompts makes one GLB a line in one folder (-o), without --preview, --after and --takes"
             )
         return read_lines(self.prompts, self.seconds, self.anyway)
+
+
+def _say_limits(path: Path, character: Character, handles: Handles, prompts: list[str]) -> None:
+    """Say on standard error what the prompts ask for that this body cannot do."""
+    from bunraku.language.understood import check_understood
+    from bunraku.pipelines.decisions import body_facts, unable
+
+    plan = body_facts(character, handles).plan
+    notes = dict.fromkeys(unable(plan, check_understood(prompt, True).english) for prompt in prompts)
+    for note in notes:
+        if note:
+            print(f"{path}: {note}", file=sys.stderr)
 
 
 def _numbered(

@@ -11,7 +11,7 @@ import tyro
 from bunraku.cli.checks import check_input
 from bunraku.cli.evaluate.report import size_text
 from bunraku.cli.orientation import UnitOption
-from bunraku.errors import WeightsError
+from bunraku.errors import CharacterError, WeightsError
 
 if TYPE_CHECKING:
     from bunraku.core.character import Character
@@ -26,8 +26,8 @@ GLTF = (".glb", ".gltf", ".vrm")
 
 @dataclass(frozen=True)
 class Inspect:
-    """Tell what a file holds: its meshes, how they stand, rig, materials and animations, or the frames and joints of a
-    motion.
+    """Tell what a file holds: its meshes, how they stand, which parts of a body are found and how clearly, rig,
+    materials and animations, or the frames and joints of a motion.
 
     Example: bunraku inspect dragon.glb --json
     """
@@ -76,7 +76,22 @@ def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
         facts |= _document(character.source.document)
     if suffix not in GLTF:
         facts.pop("generator", None)  # the document stands for a file of another format
-    return facts | fbx | mmd_facts(character) | vrm_facts(character)
+    return facts | _body(character, facts["orientation"]) | fbx | mmd_facts(character) | vrm_facts(character)
+
+
+def _body(character: Character, orientation: dict[str, Any]) -> dict[str, Any]:
+    """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
+    from bunraku.formats.turning import turned
+    from bunraku.handles.predict import predict_handles
+    from bunraku.pipelines.decisions import body_facts
+
+    try:
+        standing = turned(character, orientation["taken_up"], orientation["taken_front"])
+        found = body_facts(standing, predict_handles(standing))
+    except (WeightsError, CharacterError) as error:
+        return {"body": None, "body_note": str(error)}
+    parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]
+    return {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
 
 
 def _fbx(path: Path) -> dict[str, Any]:
@@ -265,6 +280,10 @@ def _say(key: str, value: Any) -> str:
             ", ".join(f"{name} = {own}" for name, own in value.items())
             or "none found; a person has a pelvis and two legs"
         )
+    if key == "parts":
+        return ", ".join(f"{part['name']} ({100 * part['clear']:.0f} % clear)" for part in value)
+    if key == "cannot":
+        return "; ".join(value) or "nothing is known that it cannot do"
     if key == "animations":
         return _short([f"{clip['name']} ({clip['seconds']:g} s)" for clip in value]) if value else "none"
     if key == "deforms":

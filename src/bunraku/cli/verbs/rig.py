@@ -31,7 +31,9 @@ class Rig:
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH", help_behavior_hint="")] = None
     """GLB to write. Default: CHARACTER-rigged.glb in this folder."""
     preview: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Also make a picture (.png) of the front and the back, coloured by handle."""
+    """Also make a page (.png) that shows what was decided: the front and the back coloured by handle, how the character
+    stands, which parts were found and how clearly, and what such a body cannot do.
+    """
     handles: Literal["predict", "rig"] = "predict"
     """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
     their names.
@@ -59,23 +61,26 @@ class Rig:
 
         with stages() as report:
             report("load", 0.0)
-            character = stand_up(
-                load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit
-            )
+            given = load_character(self.character, unit="m")
+            character = stand_up(given, self.character, self.up, self.front, self.unit)
             report("load", 1.0)
 
             from bunraku.pipelines.animate import rig
+            from bunraku.pipelines.decisions import body_facts
 
             handles = rig(character, handles=self.handles, progress=report)
+            facts = body_facts(character, handles)
             report("write", 0.0)
             save_character(character, output, handles=handles)
             report("write", 1.0)
             if self.preview is not None:
+                from bunraku.cli.orientation import stands_line
                 from bunraku.render import save_still
 
                 make_folder(self.preview)
-                save_still(character, self.preview, handles, views=2)
-        wrote(output, f"{len(handles.positions)} handles")
+                lines = [stands_line(given, self.up, self.front), f"height: {character.height:.3g} m", *facts.lines]
+                save_still(character, self.preview, handles, views=2, lines=lines)
+        wrote(output, f"{len(handles.positions)} handles, {facts.plan.words}")
         if self.preview is not None:
             wrote(self.preview)
         note_written(written)

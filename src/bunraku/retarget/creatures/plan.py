@@ -19,6 +19,8 @@ __all__ = ["BodyPlan", "check_plans", "plan_of"]
 _HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
 _ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("shoulder", "elbow")]
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
+_CHEST = HANDLE_NAMES.index("spine3")
+SPREAD = 0.15  # wings lie so far from the chest, over the height; a person's are the halves of the upper back
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
 
@@ -54,7 +56,7 @@ class BodyPlan:
             return "many legs"
         if self.legs > 2 and not self.upright:
             return "four legs"
-        if self.upright and self.arms and not self.wings:
+        if self.upright and self.arms:
             return "person"
         return "two legs" if self.legs else "no legs"
 
@@ -84,6 +86,8 @@ def plan_of(character: Character, handles: Handles, joints: Joints) -> BodyPlan:
     hind = sum(int(handles.played[leg.upper]) in _HIND for leg in legs)
     own = joints.present & (handles.played == np.arange(len(handles.positions)))
     there = {name: bool(own[parts].all()) for name, parts in (("arms", _ARMS), ("wings", _WINGS))}
+    away = np.linalg.norm(handles.positions[_WINGS] - handles.positions[_CHEST], axis=1)
+    there["wings"] &= bool((away > SPREAD * character.height).all())
     return BodyPlan(
         hind=hind, front=len(legs) - hind, upright=upright(handles), tail=bool(own[_TAIL].any()),
         arms=there["arms"], wings=there["wings"],

@@ -1,0 +1,134 @@
+"""What was decided about a body before it moves, how sure that is, and what such a body cannot do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.character import Character, Handles
+from bunraku.handles.limbs import FAMILIES, limb_handles
+from bunraku.retarget.creatures.plan import BodyPlan, plan_of
+from bunraku.retarget.limbs import further_limbs
+from bunraku.retarget.stages.attach import find_joints
+
+__all__ = ["BodyFacts", "PartFact", "body_facts", "unable"]
+
+LEAST = 0.004  # share of the surface from which a part counts as found
+SURE, LIKELY = 0.85, 0.7
+"""How clearly a part's handles hold it from which on it is sure, and likely."""
+_MIDDLE: dict[str, tuple[str, ...]] = {
+    "trunk": ("pelvis", "spine1", "spine2", "spine3"),
+    "head": ("neck", "head", "head_top", "face"),
+    "tail": ("tail", "tail_tip"),
+}
+_PARTS: dict[str, list[int]] = {name: [HANDLE_NAMES.index(part) for part in parts] for name, parts in _MIDDLE.items()}
+for _side in ("left", "right"):
+    _PARTS[f"{_side} arm"] = [HANDLE_NAMES.index(f"{_side}_collar"), *limb_handles(_side, FAMILIES[1])]
+    _PARTS[f"{_side} leg"] = limb_handles(_side, FAMILIES[0])
+    _PARTS[f"{_side} wing"] = [HANDLE_NAMES.index(f"{_side}_wing")]
+
+
+@dataclass(frozen=True)
+class PartFact:
+    """A part of a body as it was found.
+
+    Args:
+        name: Such as "left leg".
+        area: Share of the surface.
+        sure: How clearly the part's handles hold it: the mean of their weights over it, 0 to 1.
+    """
+
+    name: str
+    area: float
+    sure: float
+
+    @property
+    def words(self) -> str:
+        """All of it in words."""
+        said = "sure" if self.sure >= SURE else "likely" if self.sure >= LIKELY else "a guess"
+        return f"{self.name}: {100 * self.area:.0f} % of the surface, {100 * self.sure:.0f} % clear ({said})"
+
+
+@dataclass(frozen=True)
+class BodyFacts:
+    """What was decided about a body.
+
+    Args:
+        plan: What it stands and moves with.
+        parts: What was found, largest first.
+        further: How many legs it has beyond two or four.
+        cannot: What such a body cannot do, a sentence each.
+    """
+
+    plan: BodyPlan
+    parts: tuple[PartFact, ...]
+    further: int
+    cannot: tuple[str, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """All of it in words, a line each."""
+        return [self.plan.words, *(part.words for part in self.parts), *self.cannot]
+
+
+def body_facts(character: Character, handles: Handles) -> BodyFacts:
+    """What was decided about a character's body.
+
+    Args:
+        character: Facing +Z.
+        handles: Its handles, K = 30 with the reference body's meaning.
+    """
+    plan = plan_of(character, handles, find_joints(character, handles))
+    areas = character.areas / max(float(character.areas.sum()), 1e-30)
+    main, played = handles.weights.argmax(axis=1), handles.played
+    parts = []
+    for name, members in _PARTS.items():
+        own = np.isin(played, members)
+        held = own[main] & (areas > 0)
+        area = float(areas[held].sum())
+        if area > LEAST:
+            clear = float((areas[held] * handles.weights[held][:, own].sum(axis=1)).sum() / area)
+            shown = name.replace("arm", "foreleg") if plan.front and name.endswith("arm") else name
+            parts.append(PartFact(shown, area, clear))
+    parts.sort(key=lambda part: -part.area)
+    further = len(further_limbs(handles)) if handles.roles is not None else 0
+    return BodyFacts(plan, tuple(parts), further, tuple(_cannot(plan)))
+
+
+def _cannot(plan: BodyPlan) -> list[str]:
+    out = []
+    if not plan.legs:
+        out.append("no legs are found: told to walk, run or jump it glides, bends and bobs instead")
+    if plan.front:
+        out.append("it stands on its forelegs: told to wave, clap or hold it lifts them shortly, if at all")
+    elif not plan.arms and not plan.wings:
+        out.append("no arms are found: told to wave, clap or hold it moves its trunk and head")
+    if not plan.wings:
+        out.append("no wings are found: told to fly it stays on the ground or jumps")
+    return out
+
+
+def unable(plan: BodyPlan, sentence: str) -> str:
+    """What a sentence asks for that a body cannot do, "" for nothing.
+
+    Args:
+        plan: Of the body.
+        sentence: In English.
+    """
+    from bunraku.language.clauses import split_clauses, subject_of
+    from bunraku.language.concurrent import moved_part
+
+    for clause in split_clauses(sentence):
+        words = set(subject_of(clause)[1].lower().split())
+        part = moved_part(clause)
+        if part == "legs" and not plan.legs:
+            return f"'{clause}' moves legs, and none are found on this body; it glides, bends and bobs instead"
+        if part == "arms" and plan.front:
+            return f"'{clause}' moves arms, and this body stands on them; it lifts a foreleg shortly, if at all"
+        if part == "arms" and not plan.arms and not plan.wings:
+            return f"'{clause}' moves arms, and none are found on this body; its trunk and head move instead"
+        if words & {"fly", "flies", "flying"} and not plan.wings:
+            return f"'{clause}' needs wings, and none are found on this body; it stays on the ground or jumps"
+    return ""

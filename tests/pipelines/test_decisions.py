@@ -1,0 +1,52 @@
+"""What was decided about a body, and what it cannot do."""
+
+from __future__ import annotations
+
+import pytest
+
+from bunraku.body.reference import reference_body
+from bunraku.pipelines.decisions import body_facts, unable
+from bunraku.retarget.creatures.plan import BodyPlan
+from bunraku.retarget.rig_parts import RigParts
+from bunraku.synthetic.samples import sample_character
+
+PERSON = BodyPlan(hind=2, front=0, upright=True, arms=True, wings=False, tail=False)
+DOG = BodyPlan(hind=2, front=2, upright=False, arms=True, wings=False, tail=True)
+FISH = BodyPlan(hind=0, front=0, upright=False, arms=False, wings=False, tail=True)
+BIRD = BodyPlan(hind=2, front=0, upright=False, arms=False, wings=True, tail=True)
+
+
+def test_a_dog_s_parts_are_named_with_how_clear_they_are():
+    dog = sample_character("dog", rigged=True)
+    facts = body_facts(dog, RigParts.of(dog).handles)
+    names = {part.name for part in facts.parts}
+    assert {"left foreleg", "right foreleg", "left leg", "right leg", "tail", "head", "trunk"} <= names
+    assert sum(part.area for part in facts.parts) == pytest.approx(1, abs=0.02)
+    assert all(0.5 < part.sure <= 1 for part in facts.parts) and facts.further == 0
+    assert facts.lines[0] == "a body on four legs, with a tail"
+
+
+def test_a_person_s_arms_are_arms():
+    body = reference_body()
+    facts = body_facts(body.character(), body.handles)
+    assert facts.plan.kind == "person" and {"left arm", "right arm"} <= {part.name for part in facts.parts}
+    assert facts.cannot == ("no wings are found: told to fly it stays on the ground or jumps",)
+
+
+@pytest.mark.parametrize(
+    ("plan", "sentence", "said"),
+    [
+        (PERSON, "a person walks forward, then waves with the left hand", ""),
+        (DOG, "a dog walks forward", ""),
+        (DOG, "a dog waves with the left hand", "stands on them"),
+        (DOG, "walks forward, then claps", "claps"),
+        (FISH, "runs", "moves legs, and none"),
+        (FISH, "a fish waves", "moves arms, and none"),
+        (PERSON, "flies away", "needs wings"),
+        (BIRD, "a bird flies", ""),
+        (BIRD, "waves", ""),
+    ],
+)
+def test_what_a_sentence_asks_in_vain_is_said(plan, sentence, said):
+    note = unable(plan, sentence)
+    assert (said in note) if said else note == ""
