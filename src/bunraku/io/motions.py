@@ -69,11 +69,14 @@ def load_motion(path: str | Path, *, fps: float = 30.0, clip: int | str = 0) -> 
 
 
 def _own_clip(path: Path) -> Animation | HandleMotion | None:
-    """The clip of a GLB that Bunraku wrote, None for other files."""
+    """The clip of a GLB that Bunraku wrote, None for other files: the motion of the reference body, or, of one that was
+    made for a body of its own kind, with that body.
+    """
     from bunraku.io.clips import load_clip, load_clip_animation
 
     try:
         found = load_clip(path)
     except (FormatError, MotionError):
         return None
-    return found.reference if found.reference is not None else load_clip_animation(path)
+    known = found.reference
+    return known if known is not None and not known.native else load_clip_animation(path)

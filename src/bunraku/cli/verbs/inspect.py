@@ -15,7 +15,7 @@ from bunraku.errors import CharacterError, WeightsError
 
 if TYPE_CHECKING:
     from bunraku.core.character import Character
-    from bunraku.core.motion import Skeleton
+    from bunraku.core.motion import SkeletalMotion, Skeleton
     from bunraku.formats.gltf.document import Document
 
 __all__ = ["Inspect", "describe"]
@@ -102,7 +102,7 @@ def _fbx(path: Path) -> dict[str, Any]:
 
 
 def _motion(path: Path) -> dict[str, Any]:
-    from bunraku.core.motion import HandleMotion
+    from bunraku.core.motion import HandleMotion, SkeletalMotion
     from bunraku.io.registry import read_motion
 
     motion = read_motion(path)
@@ -110,11 +110,19 @@ def _motion(path: Path) -> dict[str, Any]:
     facts |= {"frames": len(motion), "fps": float(motion.fps), "seconds": round(len(motion) / motion.fps, 3)}
     if isinstance(motion, HandleMotion):
         facts["handles"] = motion.translations.shape[1]
-    else:
+    elif isinstance(motion, SkeletalMotion):
         facts["joints"] = len(motion.skeleton.names)
-        facts |= _mapping(motion.skeleton)
+        facts |= _mapping(motion.skeleton) | _animal(motion)
     travel = motion.root_translation[-1] - motion.root_translation[0]
     return facts | {"root_travel": [round(float(x), 3) for x in travel]}
+
+
+def _animal(motion: SkeletalMotion) -> dict[str, Any]:
+    """What stands in the motion, where that is no person."""
+    from bunraku.pipelines.to_reference import creature_motion
+
+    found = creature_motion(motion)
+    return {} if found is None else {"body": found.plan.words}
 
 
 def _mapping(skeleton: Skeleton) -> dict[str, Any]:
