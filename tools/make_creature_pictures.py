@@ -32,13 +32,14 @@ OUT = Path(__file__).parents[1] / "docs/pictures"
 SIZE = (190, 170)
 SHOWN = 6
 SOURCE = "quaternius/animals_pack/ShibaInu"
-CLIPS = (("walk", "AnimalArmature|Walk"), ("gallop", "AnimalArmature|Gallop"), ("eats", "AnimalArmature|Eating"))
-TARGETS = ("quaternius/animals_pack/Bull", "quaternius2019/Horse", "quaternius/easy_enemies_pack/Rat")
+CLIPS = (("walk", "AnimalArmature|Walk"), ("gallop", "AnimalArmature|Gallop"))
+TARGETS = ("quaternius/animals_pack/Bull", "quaternius2019/Horse")
 
 
 def frames(animation: Animation, shown: int = SHOWN) -> list[np.ndarray]:
     """Pictures evenly over an animation."""
-    pictures = list(render_animation(animation, size=SIZE, fps=15))
+    rate = max(6.0, 2 * shown / animation.motion.duration)  # short cycles want more
+    pictures = list(render_animation(animation, size=SIZE, fps=min(rate, 30.0)))
     return [pictures[number] for number in np.linspace(0, len(pictures) - 1, shown).round().astype(int)]
 
 
@@ -92,7 +93,7 @@ def page(characters: Path) -> None:
         words = ["rig", str(path), "-o", str(OUT / "dog-rigged.glb"), "--preview", str(OUT / "creatures-page.png")]
         bunraku_command([*words, "--overwrite"])
     finally:
-        for left in (path, OUT / "dog-rigged.glb"):
+        for left in (path, OUT / "dog-rigged.glb", OUT / ".bunraku-ledger.jsonl"):
             left.unlink(missing_ok=True)
 
 
