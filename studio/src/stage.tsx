@@ -80,6 +80,9 @@ async function refresh(): Promise<void> {
   const one = take.value;
   const several = comparing.value ? compared() : [];
   const wanted = several.length > 1 ? several : one && one.state !== "waiting" && one.fps ? [one] : [];
+  if (!wanted.length && doc.value.take && shown.startsWith(`["${owner.id}",${owner.version},`)) {
+    return; // what is shown stays until the new take is there
+  }
   const key = JSON.stringify([owner.id, owner.version, wanted.map((each) => [each.id, each.state, each.skin])]);
   if (key === shown || owner.state !== "ready") {
     return;

@@ -55,7 +55,8 @@ class Page:
     def until(self, expression):
         """Wait until a JavaScript expression is true; the page's policy allows no other way."""
         end = time.monotonic() + SECONDS
-        while not self.value(f"Boolean({expression})"):
+        look = f"(() => {{ try {{ return Boolean({expression}); }} catch {{ return false; }} }})()"
+        while not self.value(look):
             if time.monotonic() > end:
                 state = self.value("JSON.stringify([studio.notice.value, studio.take.value, studio.character.value])")
                 raise AssertionError(f"{expression} did not become true; {state[:2000]}; {self.wrong}")

@@ -10,6 +10,7 @@ import json
 import re
 import secrets
 import shutil
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -55,6 +56,7 @@ class Store:
         with writing(self.folder, "folder"):
             for kind in KINDS:
                 (self.folder / kind).mkdir(parents=True, exist_ok=True)
+        self._lock = threading.Lock()
         self._records: dict[str, dict[str, Record]] = {kind: {} for kind in KINDS}
         for kind in KINDS:
             for place in sorted((self.folder / kind).iterdir()):
@@ -113,14 +115,15 @@ class Store:
             NotThere: There is no such thing.
             FormatError: It cannot be written; then nothing has changed.
         """
-        record = {**self.get(kind, name), **values}
-        self._write(kind, record)
-        self._records[kind][name] = record
+        with self._lock:  # the queue's thread and those of requests change the same things
+            record = {**self.get(kind, name), **values}
+            self._write(kind, record)
+            self._records[kind][name] = record
         return record
 
     def all(self, kind: str) -> list[Record]:
         """All records of a kind that are not given up, oldest first."""
-        found = [record for record in self._records[kind].values() if not record.get("deleted")]
+        found = [record for record in list(self._records[kind].values()) if not record.get("deleted")]
         return sorted(found, key=lambda record: float(record.get("created", 0)))
 
     def drop(self, kind: str, name: str) -> None:
