@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from bunraku.errors import OptionError
+from bunraku.errors import BunrakuError, OptionError
 from bunraku.studio.jobs import OPEN_STATES, Jobs
 from bunraku.studio.projects import unpack_project
 from bunraku.studio.store import NotThere, Store
@@ -42,7 +43,10 @@ class Desk:
     def start(self) -> None:
         """Start the worker; put the sample there where there is no character yet."""
         if not self.store.all("characters") and SAMPLE.is_file():
-            unpack_project(self.store, SAMPLE)
+            try:
+                unpack_project(self.store, SAMPLE)
+            except BunrakuError as error:  # a full disk is no reason not to open what is there
+                logging.getLogger(__name__).warning("%s", error)
         self.jobs.start()
 
     def stop(self) -> None:
