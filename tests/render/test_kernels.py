@@ -12,9 +12,10 @@ from tubes import swinging
 
 from bunraku.errors import OptionError
 from bunraku.render import frames as frames_module
-from bunraku.render import kernels, native, render_frames
+from bunraku.render import render_frames
 from bunraku.render.camera import Camera
-from bunraku.render.native import SOURCE, Native, compile_kernels
+from bunraku.render.loops import kernels, native
+from bunraku.render.loops.native import SOURCE, Native, compile_kernels
 from bunraku.render.side_by_side import draw_side_by_side
 from bunraku.render.surface import build_surface
 

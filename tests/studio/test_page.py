@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from bunraku import load_character, save_character
 from bunraku.io.clips import load_clip_animation
-from bunraku.render import kernels
 from bunraku.render.camera import Camera
+from bunraku.render.loops import kernels
 from bunraku.retarget.stages.pins import end_places, limb_ends
 from bunraku.studio.clips import load_handles, load_take
 from bunraku.synthetic.samples import sample_character

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku.render.camera import Camera
-from bunraku.render.reference import rays
+from bunraku.render.loops.reference import rays
 from bunraku.render.stage import Stage
 
 __all__ = ["Backdrop", "build_backdrop"]

@@ -115,7 +115,7 @@ class Framing:
 
     def add(self, frame: int, vertices: np.ndarray) -> None:
         """Measure one frame: vertices [m], shape (V, 3), float32, contiguous."""
-        from bunraku.render.kernels import measure
+        from bunraku.render.loops.kernels import measure
 
         self.bounds[frame], self._support[frame] = measure(vertices, self.axes, self._slopes)
 

@@ -9,7 +9,7 @@ import moderngl
 import numpy as np
 
 from bunraku.render.camera import Camera
-from bunraku.render.reference import LINE_WIDTH
+from bunraku.render.loops.reference import LINE_WIDTH
 from bunraku.render.stage import TEXELS, Stage, cast_shadows
 from bunraku.render.surface import Surface
 

@@ -45,7 +45,7 @@ class SoftwareRenderer:
             camera: Where it is seen from.
             offset: How far the lit part of the floor has moved [m], shape (3,).
         """
-        from bunraku.render import kernels
+        from bunraku.render.loops import kernels
 
         stage, surface = self._stage, self._surface
         height, width = self._ids.shape[:2]
@@ -69,7 +69,7 @@ class SoftwareRenderer:
 
     def _draw_backdrop(self, camera: Camera, focal: float, offset: np.ndarray) -> None:
         """Fill `base` and `plain`, where the camera is not where it was."""
-        from bunraku.render import kernels
+        from bunraku.render.loops import kernels
 
         seen = (*camera.position.tolist(), *camera.axes.ravel().tolist(), focal, *np.asarray(offset).tolist())
         if seen == self._seen:

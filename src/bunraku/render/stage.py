@@ -131,7 +131,7 @@ def set_stage(framing: Framing, background: Background = "studio") -> Stage:
 
 def cast_shadows(stage: Stage, surface: Surface, vertices: np.ndarray) -> Shadows:
     """The shadows of one frame: vertices [m], shape (V, 3), float32, contiguous."""
-    from bunraku.render.kernels import drop_shadow, measure, soften
+    from bunraku.render.loops.kernels import drop_shadow, measure, soften
 
     texel = 2 * stage.reach / TEXELS
     low, high = measure(vertices, np.eye(3), np.zeros(3))[0]

@@ -58,7 +58,7 @@ class Surface:
 
     def pose(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions [m] and unit normals of the points, both (P, 3), for vertices [m] (V, 3), float32."""
-        from bunraku.render.kernels import accumulate_normals
+        from bunraku.render.loops.kernels import accumulate_normals
 
         normals = accumulate_normals(vertices, self.faces, self.clusters, self.normal_count)
         return vertices.take(self.point_vertex, axis=0), normals.take(self.point_cluster, axis=0)

@@ -151,7 +151,7 @@ def _preview() -> Iterator[Finding]:
 
     chosen = backend()
     yield Finding("preview", "ok", f"{chosen.name} renderer: {chosen.reason}")
-    from bunraku.render.native import native
+    from bunraku.render.loops.native import native
 
     loops = native()
     if loops.library is not None:

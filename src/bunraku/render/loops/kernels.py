@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.render import reference
-from bunraku.render.native import native
+from bunraku.render.loops import reference
+from bunraku.render.loops.native import native
 
 __all__ = ["accumulate_normals", "draw_grid", "drop_shadow", "measure", "project", "rasterise", "shade", "soften"]
 
