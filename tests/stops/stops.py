@@ -19,6 +19,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from bunraku.cli.app import VERBS
+
 HOOK = '''
 """Counts what is done to files below a folder, and kills the whole session at one of these events."""
 import os, signal, sys
@@ -69,7 +71,7 @@ KILLED = (
     ),
     Command("data wardrobe", ("data", "wardrobe", "-o", "OUT", "--count", "2")),
 )  # fmt: skip
-INTERRUPTED = (
+_LIVE = (
     *KILLED,
     Command("animate", ("animate", "IN/person.glb", "a person walks", "-o", "OUT/a.glb"), ("person",)),
     Command("rig", ("rig", "IN/person.glb", "-o", "OUT/r.glb"), ("person",)),
@@ -77,16 +79,16 @@ INTERRUPTED = (
     Command("render", ("render", "IN/person.glb", "-o", "OUT/p.png"), ("person",)),
     Command("inspect", ("inspect", "IN/person.glb"), ("person",)),
     Command("doctor", ("doctor",)),
+)
+# Those that need an archive are interrupted while they are loaded.
+INTERRUPTED = (
+    *_LIVE,
     *(
-        Command(" ".join(words), (*words, "--help"))
-        for words in (
-            ("data", "motions"), ("data", "characters"), ("data", "mesh-bank"), ("data", "character-bank"),
-            ("data", "apparel"), ("train", "handles"), ("train", "orientation"), ("train", "diffusion"),
-            ("train", "extractor"), ("train", "ranker"), ("train", "adaptation"), ("evaluate", "handles"),
-            ("evaluate", "motion"), ("evaluate", "transfer"), ("evaluate", "physics"), ("evaluate", "retrieval"),
-        )
+        Command(" ".join(verb), (*verb, "--help"))
+        for verb in VERBS
+        if not any(command.words[: len(verb)] == verb for command in _LIVE)
     ),
-)  # fmt: skip
+)
 
 
 def run(*words: str, **how) -> subprocess.Popen:
