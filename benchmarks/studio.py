@@ -48,7 +48,7 @@ def studio_times(studio: Studio, character: str, seed: int) -> tuple[float, floa
         if take["state"] == "done":
             studio.ask("GET", f"/api/takes/{take['id']}/clip")
             return draft, time.perf_counter() - start
-        time.sleep(0.005)
+        time.sleep(0.03)
 
 
 def main() -> None:

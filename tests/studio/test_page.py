@@ -215,6 +215,7 @@ def silhouette(vertices, faces, camera, size):
 
 
 def test_a_pin_is_dragged_and_a_span_is_made_anew(page):
+    page.type("walks forward")
     page.set(1.0)
     page.until("studio.view().directing")
     page.value("studio.view().draw(true)")

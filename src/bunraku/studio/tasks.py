@@ -29,8 +29,10 @@ __all__ = ["TASKS", "run_task"]
 Report = Callable[[str, float], None]
 Partly = Callable[[dict[str, Any]], None]
 Params = dict[str, Any]
-DRAFT_STEPS = 4
-DRAFT_STAGES = Stages(feet=False, floor=False)
+FPS = 20.0
+"""What the network knows; takes of other rates, carried over from files, are resampled before they are changed."""
+DRAFT_STEPS = 3
+DRAFT_STAGES = Stages(smooth=False, feet=False, floor=False)
 """Of a draft, which is there to be seen at once."""
 
 
@@ -154,7 +156,7 @@ def _edit(shop: Workshop, params: Params, report: Report, partly: Partly) -> dic
     from bunraku.pipelines.apply import GENERATED_STAGES
     from bunraku.pipelines.edit import edit
 
-    parent = _handles_take(shop, params)
+    parent = _handles_take(shop, params).at(FPS)
     _, pins = _directed(params)
     poses = [float(pose["time"]) for pose in params.get("poses", ())]
     for pose in params.get("poses", ()):
