@@ -29,7 +29,7 @@ from bunraku.apparel.displacement.nodes import apparel_nodes, part_neighbours
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.displacement.recurrent import KEEP, MOST, Past, RecurrentPart, node_state, past_of_states
 from bunraku.apparel.displacement.safety import Safety, SafetySettings
-from bunraku.apparel.wearer import Wearer, part_stiffness
+from bunraku.apparel.wearer import NORMAL_STIFFNESS, SOFTEST, Wearer, part_stiffness
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.body.reference import reference_body
 from bunraku.errors import CharacterError, WeightsError
@@ -307,7 +307,8 @@ def test_stiffness_by_hand():
     stiff = part_stiffness(np.array([0.784, 0.784]), np.array([0.1, 0.1]), np.array([1.0, 1.0]))
     np.testing.assert_allclose(stiff, 0, atol=1e-6)
     assert part_stiffness(np.array([0.784]), np.array([0.1]), np.array([1.0]), 10.0)[0] == pytest.approx(1)
-    assert part_stiffness(np.zeros(1), np.ones(1), np.ones(1))[0] == -4
+    assert part_stiffness(np.zeros(1), np.ones(1), np.ones(1))[0] == pytest.approx(NORMAL_STIFFNESS)
+    assert part_stiffness(np.full(1, 1e-6), np.ones(1), np.ones(1))[0] == pytest.approx(SOFTEST)
 
 
 def test_a_player_gives_every_frame_alike():

@@ -9,18 +9,20 @@ import numpy as np
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.errors import CharacterError
 
-__all__ = ["NORMAL_STIFFNESS", "SIZE", "Wearer", "part_stiffness"]
+__all__ = ["NORMAL_STIFFNESS", "SIZE", "SOFTEST", "STIFFEST", "Wearer", "part_stiffness"]
 
 SIZE = 1.6
 """Height that the networks know characters at [m]; others are measured in units of theirs over this."""
 GRAVITY = 7.84  # of MMD files, 98 units / s^2 [m/s^2]
-NORMAL_STIFFNESS = -1.0
-"""Of cloth that hangs."""
+NORMAL_STIFFNESS = -0.4
+"""Of cloth that hangs, the median of the wardrobe: what a part counts for whose file gives it no springs but limits."""
+SOFTEST, STIFFEST = -2.2, 2.0
+"""What the networks have seen."""
 
 
 def part_stiffness(spring: np.ndarray, mass: np.ndarray, length: np.ndarray, dial: float = 1.0) -> np.ndarray:
     """Stiffness of parts as the networks take it: log10 of a joint's spring over the moment of a body at the part's
-    end, from -4, where it hangs freely, to 2, where it stands; shape (P,), float32.
+    end, from -2.2, where it hangs freely, to 2, where it stands; shape (P,), float32.
 
     Args:
         spring: Of a joint [N m / rad], shape (P,).
@@ -29,8 +31,9 @@ def part_stiffness(spring: np.ndarray, mass: np.ndarray, length: np.ndarray, dia
         dial: Factor that the user asks for.
     """
     moment = np.maximum(np.asarray(mass, np.float64), 1e-4) * GRAVITY * np.maximum(length, 1e-3)
-    ratio = np.maximum(np.asarray(spring, np.float64) * dial, 1e-8) / moment
-    return np.asarray(np.clip(np.log10(ratio), -4, 2), np.float32)
+    spring = np.asarray(spring, np.float64)
+    ratio = np.where(spring > 0, np.log10(np.maximum(spring, 1e-8) / moment), NORMAL_STIFFNESS)
+    return np.asarray(np.clip(ratio + np.log10(dial), SOFTEST, STIFFEST), np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.fitting import fitted_wearer, joint_weights_of_handles, joints_of_handles
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.apparel.unified import UnifiedBody
-from bunraku.apparel.wearer import Wearer
+from bunraku.apparel.wearer import SOFTEST, STIFFEST, Wearer
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
@@ -151,7 +151,7 @@ def animated_wearer(
     dial = np.float32(np.log10(stiffness))
     wearer = fitted_wearer(
         character.vertices, character.faces, joints, weights, found.mask if mask is None else mask,
-        np.clip(found.stiffness + dial, -4, 2), found.damping,
+        np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
     )  # fmt: skip
     return wearer, transforms, moved.animation() if isinstance(moved, RigAnimation) else moved
 

@@ -36,6 +36,7 @@ STATIC_VECTORS = 3
 STATIC_SCALARS = 13
 GLOBAL = JOINT_COUNT * 9 + 3
 _GROUPS = (0, 1, 1, 0, 1, 1, 2, 1, 1, 2, 1, 1, 3, 4, 4, 3, 4, 4, 4, 4, 4, 4)  # hips, legs, trunk, head, arms
+DAMPINGS = (0.7, 0.978)  # of the parts that the networks have seen; files hold 0.4 to 0.999
 CLEAR = 0.01  # how near to the body apparel may come that was farther off at rest [m]
 
 
@@ -70,7 +71,7 @@ def static_features(wearer: Wearer, nodes: ApparelNodes) -> tuple[np.ndarray, np
     vectors = np.stack([(nodes.rest - wearer.joints[nodes.joint]) / size, nodes.held / size, normal], axis=1)
     share = nodes.distance / nodes.length
     sizes = np.bincount(nodes.part, minlength=len(wearer.stiffness))[nodes.part]
-    damping = np.clip(wearer.damping[nodes.part], 0, 0.999)
+    damping = np.clip(wearer.damping[nodes.part], *DAMPINGS)
     scalars = np.column_stack([
         nodes.distance / size, nodes.length / size, share, share**2, np.clip(distance / size, -0.2, 0.3) * 5,
         wearer.stiffness[nodes.part], np.log10(1.0 - damping), np.log(sizes + 1.0) / 5, groups,

@@ -11,6 +11,7 @@ import torch
 
 from bunraku.apparel.sampled_mesh import POINTS, sampled_mesh
 from bunraku.apparel.segmentation.network import SegmentationNetwork, load_segmentation, mesh_block
+from bunraku.apparel.wearer import SOFTEST, STIFFEST
 from bunraku.nn.checkpoints import shipped_checkpoint
 
 __all__ = ["FoundApparel", "find_apparel"]
@@ -70,6 +71,6 @@ def find_apparel(
             total += mesh.spread(scores)
     likely, stiffness, left = (total / VIEWS).T
     return FoundApparel(
-        likely.astype(np.float32), np.clip(stiffness, -4, 2).astype(np.float32),
+        likely.astype(np.float32), np.clip(stiffness, SOFTEST, STIFFEST).astype(np.float32),
         np.clip(1 - 10.0**left, 0, 0.999).astype(np.float32),
     )  # fmt: skip

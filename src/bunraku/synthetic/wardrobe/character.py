@@ -92,6 +92,8 @@ def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data:
     if costume.quiet:  # no sheets that swing whole
         plan = replace(plan, cape=False, sleeves=False, scarf=False, coat=plan.coat and rng.random() < 0.5)
         plan = replace(plan, skirt=plan.skirt if rng.random() < 0.35 else "")
+        if not plan.skirt and plan.outfit.legs is None:  # trousers in its place
+            plan = replace(plan, dress=False, outfit=replace(plan.outfit, legs=0.3, strapless=False))
     outfit, worn, arms = plan.outfit, np.zeros((0, 3)), np.zeros(0, bool)
     if closet is not None:
         outfit, worn, arms = _from_closet(costume, closet, plan, rng)
