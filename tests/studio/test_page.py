@@ -247,6 +247,7 @@ def test_a_pin_is_dragged_and_a_span_is_made_anew(page):
     number = [end.part for end in ends].index(pin["part"])
     assert pin["part"] == "left_hand" and np.linalg.norm(place[number] - pin["position"]) < 0.01
 
+    page.set(0.2)  # or the line of the present would be under the pointer
     row = page.page.locator(".span-row").bounding_box()
     middle = row["y"] + row["height"] / 2
     page.page.mouse.move(row["x"] + row["width"] * 0.25, middle)
