@@ -125,22 +125,26 @@ def check_different(paths: Iterable[Path]) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise FormatError unless files can be made in this folder, or the folder in the one above it.
+    """Raise FormatError unless files can be made in this folder, or the folder in the one above it; remove what killed
+    runs left half-done there.
 
     It is tried, not guessed from permissions, which say little on network drives and to root.
     """
+    from bunraku.formats.files import sweep, temporary_prefix
+
     nearest = folder if folder.exists() else folder.parent
     if not nearest.exists():
         raise FormatError(folder, "the folder and the one above it do not exist; make them first")
     if not nearest.is_dir():
         raise FormatError(nearest, "this is not a folder; choose another place to write to")
     try:
-        with tempfile.NamedTemporaryFile(dir=nearest, prefix=".bunraku-"):
+        with tempfile.NamedTemporaryFile(dir=nearest, prefix=temporary_prefix("probe"), suffix=".tmp"):
             pass
     except OSError as error:
         raise FormatError(
             folder, f"the folder cannot be written to ({error.strerror or error}); choose another one"
         ) from error
+    sweep(nearest)
 
 
 def make_folder(path: Path) -> None:

@@ -30,6 +30,7 @@ __all__ = [
     "open_to_others",
     "read_bounded",
     "sweep",
+    "temporary_prefix",
     "writing",
 ]
 
@@ -184,8 +185,7 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     temporary = ""
     with writing(path):
         try:
-            prefix = f".{path.name[:100]}.{_machine()}-{os.getpid()}-"
-            descriptor, temporary = tempfile.mkstemp(prefix=prefix, suffix=".tmp", dir=path.parent)
+            descriptor, temporary = tempfile.mkstemp(prefix=temporary_prefix(path.name), suffix=".tmp", dir=path.parent)
             with os.fdopen(descriptor, "wb") as file:
                 yield file
                 file.flush()
@@ -215,6 +215,11 @@ def sweep(folder: Path) -> int:
                     os.unlink(entry.path)
                     removed += 1
     return removed
+
+
+def temporary_prefix(name: str) -> str:
+    """How a temporary file of this process begins that ends with .tmp, so that `sweep` knows it."""
+    return f".{name[:100]}.{_machine()}-{os.getpid()}-"
 
 
 def _machine() -> str:

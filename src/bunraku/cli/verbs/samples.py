@@ -35,7 +35,7 @@ class Samples:
     """Only print the names."""
 
     def run(self) -> None:
-        from bunraku.formats.files import atomic_write, sweep
+        from bunraku.formats.files import atomic_write
         from bunraku.io import save_character
         from bunraku.synthetic.samples import sample_character, sample_names
 
@@ -59,7 +59,6 @@ class Samples:
         outputs = {name: self.output / f"{name}.glb" for name in todo}
         there = [name for name, path in outputs.items() if path.is_file() and path.read_bytes() == todo[name]]
         check_free([path for name, path in outputs.items() if name not in there], self.overwrite, ours=False)
-        sweep(self.output)
         if there:
             print(f"{len(there)} of {len(todo)} samples are there already")
         for name, path in outputs.items():
