@@ -13,7 +13,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
 from bunraku.evaluation.study.answers import FROZEN, QUESTIONS, load_answers, load_study
 from bunraku.evaluation.study.ranks import left_out, outcome
-from bunraku.formats.gltf.document import open_document
+from bunraku.formats.gltf.container.open import open_document
 from bunraku.io.play import load_animation
 from bunraku.pipelines.animate import rig
 from bunraku.studio.study.make import Line, make_study, read_lines
