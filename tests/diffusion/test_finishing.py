@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bunraku.diffusion.features import FEATURE_SIZE
-from bunraku.diffusion.finishing import STRENGTH, steadied, straightened
+from bunraku.diffusion.finishing import STRENGTH, steadied, straightened, turned_as_asked
 
 FPS = 20
 TIME = np.arange(200) / FPS
@@ -55,3 +55,21 @@ def test_only_the_sentence_that_says_forward_is_straightened():
     script = [("a person walks in a circle", 100), ("a person walks forward", 100)]
     after = straightened(turning, script, FPS)
     assert heading(after[:100]) == pytest.approx(45, abs=0.5) and abs(heading(after[100:])) < 1
+
+
+@pytest.mark.parametrize(
+    ("sentence", "before", "after"),
+    [
+        ("a person turns around", 110, 155),
+        ("a person turns around", -120, -155),
+        ("a person turns around", 300, 205),
+        ("a person turns left", 100, 100),
+        ("a person turns left", 45, 60),
+        ("a person turns left", -60, -60),  # the wrong way is not mended here
+        ("a person turns around", 60, 60),  # nor is less than two thirds
+        ("a person walks", 60, 60),
+    ],
+)
+def test_a_turn_that_nearly_goes_as_far_as_asked_does(sentence, before, after):
+    turning = features(0, np.full(60, np.radians(before) / 3))
+    assert heading(turned_as_asked(turning, [(sentence, 60)], FPS)) == pytest.approx(after, abs=0.5)

@@ -102,14 +102,14 @@ def test_the_mask_is_learned(meshes, tmp_path):
     trainer = SegmentationTrainer(config, meshes, meshes)
     trainer.train_step()
     before = trainer.validate()["iou"]
-    for _ in range(39):
+    for _ in range(79):
         trainer.train_step()
     results = trainer.validate()
     assert results["iou"] > max(before, 0.3)
     path = trainer.save(results)
     assert torch.equal(load_segmentation(path).mean, trainer.average.mean)
     again = SegmentationTrainer(config, meshes, meshes)
-    assert again.resume() and again.step == 40
+    assert again.resume() and again.step == 80
 
 
 def test_overlap_by_hand():

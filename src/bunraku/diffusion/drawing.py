@@ -12,7 +12,7 @@ import numpy as np
 
 from bunraku.core.ground_path import GroundPath
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, root_velocities, standing_legs
-from bunraku.diffusion.finishing import steadied, straightened
+from bunraku.diffusion.finishing import steadied, straightened, turned_as_asked
 from bunraku.errors import OptionError
 from bunraku.geometry.easing import smooth_step
 from bunraku.language.description.agreement import starts_standing
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["GUIDANCE", "STEPS", "Sampling", "draw_candidates", "frames_of", "way_of"]
 
 STEPS = 20
-GUIDANCE = 3.0
+GUIDANCE = 3.5
 STANDING, GOING_DOWN = 6, 14
 """Frames for which who is about to sit or lie down still stands, and frames in which that is let go of."""
 
@@ -162,6 +162,7 @@ def draw_candidates(
         features = steadied(statistics.restore(part.values.cpu().numpy()), loop)
         if not loop and path is None:
             features = straightened(features, timed, model.config.fps)
+            features = turned_as_asked(features, timed, model.config.fps)
         features = features[frames]
         said = script_agreement(features, timed) if how.candidates > 1 and path is None else None
         drawn.append(Drawn(features, part.adaptation.cpu().numpy()[frames], timed, said))

@@ -1,4 +1,6 @@
-"""What is mended in a drawn motion before anything else sees it: trembling, and a heading that wanders off."""
+"""What is mended in a drawn motion before anything else sees it: trembling, a heading that wanders off, and a turn that
+stops short or goes too far.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,17 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import convolve1d, gaussian_filter1d
 
-from bunraku.language.description.agreement import goes_straight
+from bunraku.language.description.agreement import asked_turn, goes_straight
 
-__all__ = ["steadied", "straightened"]
+__all__ = ["steadied", "straightened", "turned_as_asked"]
 
 _SAVITZKY_GOLAY = np.array([-3, 12, 17, 12, -3]) / 35
 """Least-squares parabolas through five frames (Savitzky & Golay 1964): nothing changes below 3 Hz, half goes at 6."""
 STRENGTH = 0.6
+MOST = 1.6
+"""Factor by which a turn is made faster or slower at the most."""
+INSIDE = np.radians(10)
+"""How far within the bounds of what was asked it then ends."""
 SWAY = 1.0
 """Deviation of the mean that counts as the course [s]; a stride sways within."""
 
@@ -31,6 +37,31 @@ def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
     pose = features[:, 3:]
     smooth = convolve1d(pose, _SAVITZKY_GOLAY, axis=0, mode="wrap" if loop else "nearest")
     return np.concatenate([features[:, :3], pose + STRENGTH * (smooth - pose)], axis=1).astype(np.float32)
+
+
+def turned_as_asked(features: np.ndarray, script: Sequence[tuple[str, int]], fps: float) -> np.ndarray:
+    """A motion whose turns go as far as its sentences say, where they nearly do: faster or slower by at most `MOST`.
+
+    Args:
+        features: Features of each frame, the root's yaw velocity [rad/s] first, shape (N, D).
+        script: Its sentences with the frames that each lasts.
+        fps: Frames a second [1/s].
+
+    Returns:
+        Shape (N, D), float32.
+    """
+    out, start = features.copy(), 0
+    for sentence, frames in script:
+        part = slice(start, start + frames)
+        start += frames
+        asked, angle = asked_turn(sentence), float(out[part, 0].sum()) / fps
+        if asked is None or not angle or asked[0] * angle < 0:
+            continue
+        wanted = float(np.clip(abs(angle), asked[1] + INSIDE, max(asked[2] - INSIDE, asked[1] + INSIDE)))
+        factor = wanted / abs(angle)
+        if 1 / MOST <= factor <= MOST:
+            out[part, 0] *= factor
+    return out
 
 
 def straightened(features: np.ndarray, script: Sequence[tuple[str, int]], fps: float) -> np.ndarray:

@@ -23,9 +23,9 @@ __all__ = ["Drawn", "choose", "load_ranker", "script_agreement", "script_scores"
 
 WEIGHT = 0.5
 """Of what is plainly said beside a cosine; candidates' cosines differ by a tenth."""
-ENOUGH = 0.5
+ENOUGH = 0.75
 """Agreement below which a motion is drawn again."""
-ATTEMPTS = 3
+ATTEMPTS = 4
 """How often candidates are drawn at the most."""
 LONGEST = 196
 """Frames that the ranker looks at at once; longer parts are looked at in pieces."""

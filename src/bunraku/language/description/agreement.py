@@ -16,7 +16,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.language.cues import CUES, sentence_cues
 from bunraku.language.description.track import SIDES, Track
 
-__all__ = ["agreement", "goes_straight", "starts_standing"]
+__all__ = ["agreement", "asked_turn", "goes_straight", "starts_standing"]
 
 _HITS = r"\b(punch\w*|jabs?|jabbing|hits?|hitting|throw\w*|toss\w*|push\w*|slap\w*|uppercuts?|hooks?)\b"
 _ON_LEG = r"\b(stand\w*|hop\w*|balanc\w*|jump\w*) (\w+ )?on\b"
@@ -77,7 +77,7 @@ def agreement(sentence: str, motion: HandleMotion) -> float | None:
 def goes_straight(sentence: str) -> bool:
     """Whether somebody is said to go forward, and nothing of a turn, a curve or a side."""
     said = {cue for cue, value in zip(CUES, sentence_cues(sentence), strict=True) if value}
-    sided = any(cue.startswith(("left", "right")) for cue in said)
+    sided = {"left turn", "right turn", "left go", "right go"} & said
     return "forward" in said and not sided and not _pattern(_WINDING).search(sentence.lower())
 
 
@@ -120,15 +120,17 @@ def _leg(text: str, said: set[str], track: Track) -> float | None:
     return (-side if stands else side) * higher / _RISES
 
 
-def _turn(text: str, said: set[str], track: Track) -> float | None:
-    """The way round and how far; without a side, how far; and that who goes forward does not turn."""
-    angle = float(track.angle[-1] - track.angle[0])
+def asked_turn(sentence: str) -> tuple[int, float, float] | None:
+    """How far a sentence says that somebody turns: 1 to the left, -1 to the right or 0 for either, the least and the
+    most [rad]; None where it says nothing of the kind, or both sides.
+    """
+    text = sentence.lower()
+    said = {cue for cue, value in zip(CUES, sentence_cues(sentence), strict=True) if value}
     side = _side(said, "turn")
     if "left turn" in said and "right turn" in said:
         return None
     if not side and not ("turn" in text and {"half", "full", "quarter"} & said):
-        straight = goes_straight(text)
-        return 1 - max(abs(angle) - _SLACK, 0) / _SLACK if straight else None
+        return None
     least, most = np.radians([50.0, 130.0])
     if _pattern(_CIRCLE).search(text):
         least, most = np.radians(250.0), np.inf
@@ -136,6 +138,16 @@ def _turn(text: str, said: set[str], track: Track) -> float | None:
         least, most = np.radians([290.0, 430.0])
     elif "half" in said:
         least, most = np.radians([145.0, 215.0])
+    return side, float(least), float(most)
+
+
+def _turn(text: str, said: set[str], track: Track) -> float | None:
+    """The way round and how far; without a side, how far; and that who goes forward does not turn."""
+    angle = float(track.angle[-1] - track.angle[0])
+    asked = asked_turn(text)
+    if asked is None:
+        return 1 - max(abs(angle) - _SLACK, 0) / _SLACK if goes_straight(text) else None
+    side, least, most = asked
     turned = side * angle if side else abs(angle)
     return 1 - max(least - turned, turned - most, 0) / np.radians(45)
 

@@ -10,7 +10,6 @@ from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -84,6 +83,8 @@ def _declared(document: Document, packed: dict[int, list[tuple[dict[str, Any], d
 
 def _unpacked(document: Document, meshes: list[bytes]) -> dict[str, np.ndarray]:
     """What `draco_process` makes of packed meshes."""
+    from zipfile import BadZipFile
+
     own = document.size or sum(map(len, meshes))
     head = json.dumps({"bytes": max(room(own) - own, 0), "lengths": [len(mesh) for mesh in meshes]}) + "\n"
     script = Path(__file__).with_name("draco_process.py")
