@@ -6,6 +6,7 @@
 #   make studio    build the studio's page again (needs npm; who changes nothing there needs neither)
 #   make stops     kills commands at TIMES=20 random file events and interrupts them at as many moments, and looks what is left
 #   make soak      mixed work in one process for MINUTES=60, whose memory must not grow
+#   make browser   the tests of the studio's page in Chromium
 #   make lint      ruff and mypy
 #   make format    let ruff rewrite the sources
 #   make install   the set-up for using Bunraku
@@ -32,7 +33,7 @@ DEVELOP := .venv/.developing
 .DEFAULT_GOAL := help
 PIP := .venv/bin/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help install develop demo studio test fuzz stops soak lint format wheel clean
+.PHONY: help install develop demo studio test browser fuzz stops soak lint format wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -80,6 +81,9 @@ test: $(DEVELOP) .venv/.validator .venv/.browser
 		npm install --silent --no-audit --no-fund --no-package-lock --prefix $$folder || echo "npm install failed in $$folder; its tests are skipped"; \
 		done; fi
 	@touch $@
+
+browser: $(DEVELOP) .venv/.browser
+	BUNRAKU_BROWSER=1 $(BIN)/python -m pytest tests/studio/test_page.py $(ARGS)
 
 # The page is committed as it is built, so a wheel needs no node; `tests/studio` builds it again where there is npm.
 studio: studio/node_modules/.package-lock.json

@@ -4,7 +4,7 @@ import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import { generate, regenerate } from "./actions";
 import { send } from "./api";
-import { change, character, doc, say, take } from "./state";
+import { change, character, doc, pause, say, take } from "./state";
 import type { Understanding } from "./types";
 
 const understanding = signal<{ text: string; found: Understanding } | null>(null);
@@ -169,7 +169,11 @@ export function Prompt() {
                 type="button"
                 class="chip"
                 key={one}
-                onClick={() => (changing.value ? (instead.value = one) : sentence(one))}
+                onClick={() => {
+                  pause();
+                  if (changing.value) instead.value = one;
+                  else sentence(one);
+                }}
               >
                 {one}
               </button>

@@ -72,6 +72,11 @@ export function remember(step: Step): void {
   last = { name: "", at: 0 };
 }
 
+/** What is changed next is a step of its own, however soon it comes. */
+export function pause(): void {
+  last = { name: "", at: 0 };
+}
+
 /** Change the document; changes of one name in quick succession (typing, dragging) are one step. */
 export function change(name: string, values: Partial<Doc>): void {
   const before = doc.value;

@@ -5,7 +5,7 @@ import torch
 from bunraku.diffusion.features import encode
 from bunraku.diffusion.generate import _APART, generate_motions
 from bunraku.diffusion.matching import RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences
-from bunraku.diffusion.ranking import Drawn, choose, load_ranker, script_scores
+from bunraku.diffusion.ranking import ATTEMPTS, Drawn, choose, load_ranker, script_scores
 from bunraku.language.encoders import text_encoder
 
 
@@ -67,9 +67,9 @@ def test_more_are_drawn_of_the_motion_that_none_agrees_for():
     assert chosen([[(0.2, 1.0), (0.1, 1.0)], wrong]) == ([0, 102], 6)
 
 
-def test_after_three_attempts_the_least_wrong_is_taken():
-    never = [(0.1 * place, -1.0) for place in range(5)] + [(0.1, 0.0)]
-    assert chosen([never]) == ([5], 6)
+def test_after_the_last_attempt_the_least_wrong_is_taken():
+    never = [(0.1, -1.0) for _ in range(2 * ATTEMPTS - 1)] + [(0.1, 0.0)]
+    assert chosen([never]) == ([2 * ATTEMPTS - 1], 2 * ATTEMPTS)
 
 
 def test_what_is_chosen_is_the_candidate_with_the_best_score():

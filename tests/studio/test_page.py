@@ -21,6 +21,9 @@ from bunraku.studio.clips import load_handles, load_take
 from bunraku.synthetic.samples import sample_character
 
 pytestmark = [
+    pytest.mark.skipif(
+        not os.environ.get("BUNRAKU_BROWSER"), reason="a browser without a graphics card takes minutes: make browser"
+    ),
     pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium; on Debian: apt-get install chromium"),
     pytest.mark.skipif(
         importlib.util.find_spec("playwright") is None, reason="playwright is not installed: pip install playwright"

@@ -45,7 +45,7 @@ class Sampling:
         checkpoint: Weights in place of the shipped ones.
         candidates: How many motions are drawn for each that is given back: the one that the ranker likes best
             (`diffusion.ranking`), 1 to 16. The first has the noise that it has alone. Where none has the side, the turn
-            or the direction that the sentence says, as many are drawn again, twice at the most.
+            or the direction that the sentence says, as many are drawn again, three times at the most.
 
     Raises:
         OptionError: A setting is outside what can be done.
