@@ -5,12 +5,8 @@ import pytest
 import torch
 
 from bunraku.language.captions import mirror_words
-from bunraku.language.cues import CUES, sentence_cues
+from bunraku.language.cues import CUES, said_cues, sentence_cues
 from bunraku.language.encoders import CuedEncoder
-
-
-def said(sentence):
-    return {cue for cue, value in zip(CUES, sentence_cues(sentence), strict=True) if value}
 
 
 @pytest.mark.parametrize(
@@ -33,7 +29,7 @@ def said(sentence):
     ],
 )
 def test_what_is_said(sentence, expected):
-    assert said(sentence) == expected
+    assert said_cues(sentence) == expected
 
 
 def test_a_mirrored_sentence_has_mirrored_cues():

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import convolve1d, gaussian_filter1d
 
+from bunraku.language.clauses import script_spans
 from bunraku.language.description.agreement import asked_turn, goes_straight
 
 __all__ = ["steadied", "straightened", "turned_as_asked"]
@@ -50,10 +51,8 @@ def turned_as_asked(features: np.ndarray, script: Sequence[tuple[str, int]], fps
     Returns:
         Shape (N, D), float32.
     """
-    out, start = features.copy(), 0
-    for sentence, frames in script:
-        part = slice(start, start + frames)
-        start += frames
+    out = features.copy()
+    for sentence, part in script_spans(script):
         asked, angle = asked_turn(sentence), float(out[part, 0].sum()) / fps
         if asked is None or not angle or asked[0] * angle < 0:
             continue
@@ -75,10 +74,8 @@ def straightened(features: np.ndarray, script: Sequence[tuple[str, int]], fps: f
     Returns:
         Shape (N, D), float32.
     """
-    out, start = features.copy(), 0
-    for sentence, frames in script:
-        part = slice(start, start + frames)
-        start += frames
+    out = features.copy()
+    for sentence, part in script_spans(script):
         if goes_straight(sentence) and len(out[part]):
             out[part, 0] -= gaussian_filter1d(out[part, 0], SWAY * fps, mode="nearest")
     return out

@@ -149,11 +149,9 @@ def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, Text
     Raises:
         WeightsError: The weights are missing or broken.
     """
-    from bunraku.nn.checkpoints import shipped_checkpoint
+    from bunraku.nn.checkpoints import dated_checkpoint
 
-    path = shipped_checkpoint("diffusion") if checkpoint is None else Path(checkpoint)
-    changed = path.stat().st_mtime_ns if path.is_file() else 0
-    return _load(path, changed)
+    return _load(*dated_checkpoint("diffusion", checkpoint))
 
 
 @functools.lru_cache(maxsize=2)

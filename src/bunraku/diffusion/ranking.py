@@ -15,9 +15,10 @@ import numpy as np
 
 from bunraku.diffusion.features import decode
 from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, embed_motions, embed_sentences, load_extractor
+from bunraku.language.clauses import script_spans
 from bunraku.language.description.agreement import agreement
 from bunraku.language.encoders import TextEncoder
-from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.nn.checkpoints import dated_checkpoint
 
 __all__ = ["Drawn", "choose", "load_ranker", "script_agreement", "script_scores"]
 
@@ -58,8 +59,7 @@ def load_ranker(path: str | Path | None = None) -> Extractor:
     Raises:
         WeightsError: The weights are missing or broken.
     """
-    file = shipped_checkpoint("ranker") if path is None else Path(path)
-    return _load(file, file.stat().st_mtime_ns if file.is_file() else 0)
+    return _load(*dated_checkpoint("ranker", path))
 
 
 @functools.lru_cache(maxsize=2)
@@ -84,10 +84,8 @@ def script_scores(
     pieces: list[np.ndarray] = []
     owners: list[tuple[int, str, int]] = []
     for index, (features, script) in enumerate(zip(motions, scripts, strict=True)):
-        start = 0
-        for sentence, frames in script:
-            part = features[start : start + frames]
-            start += frames
+        for sentence, span in script_spans(script):
+            part = features[span]
             for cut in np.array_split(part, -(-len(part) // LONGEST)) if len(part) >= SHORTEST else ():
                 pieces.append(cut)
                 owners.append((index, sentence, len(cut)))
@@ -109,10 +107,9 @@ def script_agreement(motion: np.ndarray, script: Sequence[tuple[str, int]]) -> f
         motion: Features, shape (N, 271).
         script: Its sentences with the frames that each lasts.
     """
-    found, start = [], 0
-    for sentence, frames in script:
-        part = motion[start : start + frames]
-        start += frames
+    found = []
+    for sentence, span in script_spans(script):
+        part = motion[span]
         score = agreement(sentence, decode(part)) if len(part) >= SHORTEST else None
         if score is not None:
             found.append(score)

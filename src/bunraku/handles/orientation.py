@@ -118,12 +118,11 @@ def guess_orientation(
     import torch
 
     from bunraku.handles.orientation_net import shape_tokens
-    from bunraku.nn.checkpoints import shipped_checkpoint
+    from bunraku.nn.checkpoints import dated_checkpoint
     from bunraku.nn.threads import fitting_threads
 
     allowed = _allowed(up, front)
-    path = Path(checkpoint) if checkpoint is not None else shipped_checkpoint("orientation")
-    model = _model(path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0)
+    model = _model(*dated_checkpoint("orientation", checkpoint))
     points, normals = surface_points(character.vertices, character.faces, _POINTS)
     tokens = torch.from_numpy(shape_tokens(points, normals, np.ones(len(points)), model.config.anchors))
     with torch.no_grad(), fitting_threads(model):

@@ -16,10 +16,9 @@ import numpy as np
 import torch
 from torch import nn
 
-from bunraku.errors import WeightsError
 from bunraku.geometry.axes import right_angle_rotations
 from bunraku.handles.graph import farthest_points
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
 
 __all__ = [
     "OrientationConfig",
@@ -187,11 +186,7 @@ def load_orientation_predictor(path: str | Path) -> OrientationPredictor:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, "orientation")
-    try:
+    with fitting_config(path):
         model = OrientationPredictor(OrientationConfig(**config["predictor"]))
         model.load_state_dict(state)
-    except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise WeightsError(
-            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
-        ) from error
     return model.eval()

@@ -83,10 +83,9 @@ def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarr
 
 
 def _load(checkpoint: str | Path | None) -> HandlePredictor:
-    from bunraku.nn.checkpoints import shipped_checkpoint
+    from bunraku.nn.checkpoints import dated_checkpoint
 
-    path = Path(checkpoint) if checkpoint is not None else shipped_checkpoint("handles")
-    return _model(path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0)
+    return _model(*dated_checkpoint("handles", checkpoint))
 
 
 def predict_handles(character: Character, checkpoint: str | Path | None = None) -> Handles:

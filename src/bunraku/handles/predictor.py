@@ -14,7 +14,7 @@ from torch import nn
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.errors import WeightsError
 from bunraku.handles.graph import GraphLayer, MeshGraph
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
 
 __all__ = [
     "HandlePrediction",
@@ -120,16 +120,12 @@ def load_predictor(path: str | Path) -> HandlePredictor:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, "handles")
-    try:
+    with fitting_config(path):
         settings: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in config["predictor"].items()
         }
         model = HandlePredictor(PredictorConfig(**settings))
         model.load_state_dict(state)
-    except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise WeightsError(
-            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
-        ) from error
     return model.eval()
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import re
+from collections.abc import Iterable, Iterator
 
 from bunraku.language.actions import actions_of
 from bunraku.language.captions import known_clauses, known_verbs
@@ -19,6 +20,7 @@ __all__ = [
     "SHORTEST_CLAUSE",
     "clause_verbs",
     "of_creature",
+    "script_spans",
     "split_clauses",
     "subject_of",
     "timed_clauses",
@@ -216,6 +218,14 @@ def _listed(piece: str, ordered: bool) -> list[str]:
             head, _, last = others[-1].rpartition(" and ")
             return [first, *others[:-1], head, last] if head and verb.match(last) else [first, *others]
     return [piece]
+
+
+def script_spans(script: Iterable[tuple[str, int]]) -> Iterator[tuple[str, slice]]:
+    """The sentences of a script that have frames each, with those frames as slices."""
+    start = 0
+    for sentence, frames in script:
+        yield sentence, slice(start, start + frames)
+        start += frames
 
 
 def with_subject(clause: str, subject: str) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["CUES", "sentence_cues"]
+__all__ = ["CUES", "said_cues", "sentence_cues"]
 
 _ARM = r"hands?|arms?|fists?|wrists?|elbows?|shoulders?|palms?|punch\w*|jabs?|hooks?|uppercuts?|cross|fingers?|biceps?"
 _LEG = r"foot|feet|legs?|knees?|ankles?|heels?|toes?|thighs?|hips?|shins?|kicks?|lunges?"
@@ -110,3 +110,8 @@ def sentence_cues(sentence: str) -> np.ndarray:
     for index, (_, pattern) in enumerate(_RULES, start=2 * len(_PLACES)):
         found[index] = _matcher(pattern)(text)
     return found
+
+
+def said_cues(sentence: str) -> frozenset[str]:
+    """The names of the cues that a sentence has."""
+    return frozenset(cue for cue, value in zip(CUES, sentence_cues(sentence), strict=True) if value)

@@ -7,7 +7,8 @@ renamed, so a file by that name is always whole.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from bunraku.nn.threads import one_thread
 
 __all__ = [
     "TrainingState",
+    "dated_checkpoint",
+    "fitting_config",
     "load_checkpoint",
     "load_training_state",
     "save_checkpoint",
@@ -124,6 +127,35 @@ def load_checkpoint(path: str | Path, kind: str) -> tuple[dict[str, torch.Tensor
                     f"{path}: the weights '{name}' hold values that are not numbers; copy or train them again"
                 )
     return state, config
+
+
+@contextmanager
+def fitting_config(path: str | Path) -> Iterator[None]:
+    """What goes wrong while a network is built of a checkpoint's config and given its weights, as one sentence.
+
+    Raises:
+        WeightsError: The weights do not fit their config.
+    """
+    try:
+        yield
+    except (KeyError, TypeError, RuntimeError, ValueError) as error:
+        raise WeightsError(
+            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
+        ) from error
+
+
+def dated_checkpoint(name: str, path: str | Path | None = None) -> tuple[Path, int]:
+    """A checkpoint and when it was changed, by which a loader keeps networks between calls.
+
+    Args:
+        name: Of the shipped one.
+        path: Another in its place.
+
+    Raises:
+        WeightsError: The shipped one is not there.
+    """
+    found = shipped_checkpoint(name) if path is None else Path(path)
+    return found.resolve(), found.stat().st_mtime_ns if found.is_file() else 0
 
 
 def shipped_checkpoint(name: str) -> Path:

@@ -25,7 +25,7 @@ from bunraku.core.character import Character
 from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
-from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.nn.checkpoints import dated_checkpoint
 from bunraku.physics.animated import with_apparel
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.worn import wearer_of_file
@@ -50,8 +50,7 @@ def shipped_displacement() -> DisplacementNetwork:
     Raises:
         WeightsError: It is missing or broken.
     """
-    path = shipped_checkpoint("apparel")
-    return _network(path, path.stat().st_mtime_ns)
+    return _network(*dated_checkpoint("apparel"))
 
 
 def dressed(

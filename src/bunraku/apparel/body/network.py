@@ -13,8 +13,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.graph import EdgeBlock, NodeGraph
 from bunraku.body.layout import JOINT_COUNT
-from bunraku.errors import WeightsError
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
 
 __all__ = ["BodyConfig", "BodyNetwork", "load_body", "save_body"]
 
@@ -120,11 +119,7 @@ def load_body(path: str | Path) -> BodyNetwork:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, "apparel-body")
-    try:
+    with fitting_config(path):
         model = BodyNetwork(BodyConfig(**config["network"]))
         model.load_state_dict(state)
-    except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise WeightsError(
-            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
-        ) from error
     return model.eval().requires_grad_(False)

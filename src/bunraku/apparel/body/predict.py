@@ -11,7 +11,7 @@ import torch
 from bunraku.apparel.body.network import BodyNetwork, load_body
 from bunraku.apparel.displacement.graph import node_graph
 from bunraku.apparel.sampled_mesh import joint_distances, sampled_mesh
-from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.nn.checkpoints import dated_checkpoint
 
 __all__ = ["body_weights"]
 
@@ -36,8 +36,7 @@ def body_weights(
         CharacterError: The mesh is broken.
         WeightsError: The checkpoint is missing or does not fit.
     """
-    path = Path(checkpoint) if checkpoint is not None else shipped_checkpoint("apparel-body")
-    model = _model(path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0)
+    model = _model(*dated_checkpoint("apparel-body", checkpoint))
     mesh = sampled_mesh(vertices, faces, joints)
     geodesics = joint_distances(vertices, faces, joints, mesh.clean)
     with torch.no_grad():

@@ -11,8 +11,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.anchor import AnchorHead
 from bunraku.apparel.displacement.recurrent import RecurrentPart
-from bunraku.errors import WeightsError
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
 
 __all__ = ["DisplacementConfig", "DisplacementNetwork", "load_displacement", "save_displacement"]
 
@@ -73,13 +72,9 @@ def load_displacement(path: str | Path) -> DisplacementNetwork:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, "apparel")
-    try:
+    with fitting_config(path):
         model = DisplacementNetwork(DisplacementConfig(**config["network"]))
         model.load_state_dict(state)
-    except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise WeightsError(
-            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
-        ) from error
     return model.eval().requires_grad_(False)
 
 

@@ -16,8 +16,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.graph import EdgeBlock, NodeGraph, node_graph
 from bunraku.apparel.sampled_mesh import POINT_FEATURES, SampledMesh
-from bunraku.errors import WeightsError
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
 
 __all__ = [
     "SegmentationConfig", "SegmentationNetwork", "load_segmentation", "mesh_block", "save_segmentation",
@@ -100,11 +99,7 @@ def load_segmentation(path: str | Path) -> SegmentationNetwork:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, "apparel-mask")
-    try:
+    with fitting_config(path):
         model = SegmentationNetwork(SegmentationConfig(**config["network"]))
         model.load_state_dict(state)
-    except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise WeightsError(
-            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
-        ) from error
     return model.eval().requires_grad_(False)

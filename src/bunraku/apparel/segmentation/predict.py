@@ -12,7 +12,7 @@ import torch
 from bunraku.apparel.sampled_mesh import POINTS, sampled_mesh
 from bunraku.apparel.segmentation.network import SegmentationNetwork, load_segmentation, mesh_block
 from bunraku.apparel.wearer import SOFTEST, STIFFEST
-from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.nn.checkpoints import dated_checkpoint
 
 __all__ = ["FoundApparel", "find_apparel"]
 
@@ -60,8 +60,7 @@ def find_apparel(
         CharacterError: The mesh is broken.
         WeightsError: The checkpoint is missing or does not fit.
     """
-    path = Path(checkpoint) if checkpoint is not None else shipped_checkpoint("apparel-mask")
-    model = _model(path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0)
+    model = _model(*dated_checkpoint("apparel-mask", checkpoint))
     total = np.zeros((len(vertices), 3))
     with torch.no_grad():
         for seed in range(VIEWS):

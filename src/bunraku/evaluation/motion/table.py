@@ -24,6 +24,7 @@ from bunraku.evaluation.motion.metrics import diversity, fid, interval, multimod
 from bunraku.evaluation.motion.samples import Request, SamplerSettings, checkpoint_digest, make_motions
 from bunraku.evaluation.motion.train_extractor import people
 from bunraku.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
+from bunraku.language.encoders import encoder_of
 from bunraku.training.diffusion.clip_data import load_clips
 
 __all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows"]
@@ -200,11 +201,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     named = _distinct(windows, config.prompts)
     sampling = config.sampler()
 
-    encoder = loaded["tapmo"][1]
-    if encoder.name != extractor.config.text_encoder:
-        from bunraku.language.encoders import text_encoder
-
-        encoder = text_encoder(extractor.config.text_encoder)
+    encoder = encoder_of(extractor.config.text_encoder, loaded["tapmo"][1])
     sentences = embed_sentences(extractor, encoder, [window.sentence for window in windows])
     real, references = (
         embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, others)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
-from bunraku.language.cues import CUES, sentence_cues
+from bunraku.language.cues import said_cues
 from bunraku.language.description.track import SIDES, Track
 
 __all__ = ["agreement", "asked_turn", "goes_straight", "starts_standing"]
@@ -66,7 +66,7 @@ def agreement(sentence: str, motion: HandleMotion) -> float | None:
     if len(motion) < 8:
         return None
     text = sentence.lower()
-    said = {cue for cue, value in zip(CUES, sentence_cues(sentence), strict=True) if value}
+    said = said_cues(sentence)
     if "then" in said:
         return None  # of several things that follow each other, no one holds throughout
     track = Track.of(motion)
@@ -76,7 +76,7 @@ def agreement(sentence: str, motion: HandleMotion) -> float | None:
 
 def goes_straight(sentence: str) -> bool:
     """Whether somebody is said to go forward, and nothing of a turn, a curve or a side."""
-    said = {cue for cue, value in zip(CUES, sentence_cues(sentence), strict=True) if value}
+    said = said_cues(sentence)
     sided = {"left turn", "right turn", "left go", "right go"} & said
     return "forward" in said and not sided and not _pattern(_WINDING).search(sentence.lower())
 
@@ -86,12 +86,12 @@ def starts_standing(sentence: str) -> bool:
     return bool(_pattern(_GOES_DOWN).search(sentence.lower()))
 
 
-def _side(said: set[str], place: str) -> int:
+def _side(said: frozenset[str], place: str) -> int:
     """1 where the left of this place is spoken of, -1 where the right is, 0 for neither or both."""
     return int(f"left {place}" in said) - int(f"right {place}" in said)
 
 
-def _arm(text: str, said: set[str], track: Track) -> float | None:
+def _arm(text: str, said: frozenset[str], track: Track) -> float | None:
     side = _side(said, "arm")
     if not side or "lower" in text:
         return None
@@ -108,7 +108,7 @@ def _over(track: Track, one: str, other: str) -> np.ndarray:
     return track.points[one][:, 1] - track.points[other][:, 1]
 
 
-def _leg(text: str, said: set[str], track: Track) -> float | None:
+def _leg(text: str, said: frozenset[str], track: Track) -> float | None:
     side = _side(said, "leg")
     if not side:
         return None
@@ -125,7 +125,7 @@ def asked_turn(sentence: str) -> tuple[int, float, float] | None:
     most [rad]; None where it says nothing of the kind, or both sides.
     """
     text = sentence.lower()
-    said = {cue for cue, value in zip(CUES, sentence_cues(sentence), strict=True) if value}
+    said = said_cues(sentence)
     side = _side(said, "turn")
     if "left turn" in said and "right turn" in said:
         return None
@@ -141,7 +141,7 @@ def asked_turn(sentence: str) -> tuple[int, float, float] | None:
     return side, float(least), float(most)
 
 
-def _turn(text: str, said: set[str], track: Track) -> float | None:
+def _turn(text: str, said: frozenset[str], track: Track) -> float | None:
     """The way round and how far; without a side, how far; and that who goes forward does not turn."""
     angle = float(track.angle[-1] - track.angle[0])
     asked = asked_turn(text)
@@ -152,7 +152,7 @@ def _turn(text: str, said: set[str], track: Track) -> float | None:
     return 1 - max(least - turned, turned - most, 0) / np.radians(45)
 
 
-def _way(text: str, said: set[str], track: Track) -> float | None:
+def _way(text: str, said: frozenset[str], track: Track) -> float | None:
     """Forward, backwards or to a side, seen from the heading at each time."""
     if not _pattern(_GOES).search(text) or "in place" in said or "forth" in text:
         return None
@@ -165,7 +165,7 @@ def _way(text: str, said: set[str], track: Track) -> float | None:
     return ahead / _WALK if "forward" in said else None
 
 
-def _posture(text: str, said: set[str], track: Track) -> float | None:
+def _posture(text: str, said: frozenset[str], track: Track) -> float | None:
     """Who sits down stands before and is low after; who gets up is low before and stands after."""
     edge = track.frames(0.3)
     first, last = float(np.median(track.height[:edge])), float(np.median(track.height[-edge:]))
@@ -177,4 +177,4 @@ def _posture(text: str, said: set[str], track: Track) -> float | None:
     return min(low, (first + _SEAT) / _CLEAR) if _pattern(_SITS_DOWN).search(text) else low
 
 
-_CLAIMS: tuple[Callable[[str, set[str], Track], float | None], ...] = (_arm, _leg, _turn, _way, _posture)
+_CLAIMS: tuple[Callable[[str, frozenset[str], Track], float | None], ...] = (_arm, _leg, _turn, _way, _posture)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,8 +14,7 @@ from bunraku.apparel.body.network import BodyConfig, BodyNetwork, save_body
 from bunraku.apparel.displacement.graph import NodeGraph, node_graph
 from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.errors import OptionError
-from bunraku.nn.averaged_run import AveragedRun, share_done
-from bunraku.nn.runs import Stop, append_row, plain_settings
+from bunraku.nn.drawn_run import DrawnRun
 from bunraku.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku.training.losses.apparel_losses import edge_loss, smoothness_loss, vertex_loss
 
@@ -95,7 +95,7 @@ def posed_joints(turns: np.ndarray, joints: np.ndarray) -> np.ndarray:
     return np.concatenate([turns, moved[..., None]], axis=3).astype(np.float32)
 
 
-class BodyTrainer(AveragedRun[BodyNetwork]):
+class BodyTrainer(DrawnRun[BodyNetwork]):
     """One run in memory.
 
     Args:
@@ -105,6 +105,8 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
         held_out: To validate on, in `held_poses`.
         held_poses: As `poses`.
     """
+
+    kind = "apparel-body"
 
     def __init__(
         self, config: BodyTrainConfig, characters: Sequence[MeshSample], poses: np.ndarray,
@@ -119,10 +121,6 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
         model, average = (BodyNetwork(config.network) for _ in range(2))
         adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
         super().__init__(config.out, model, average, adam)
-
-    def progress(self) -> float:
-        """How far the run is, 0 to 1."""
-        return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
 
     @staticmethod
     def weights(model: BodyNetwork, meshes: Sequence[MeshSample]) -> tuple[torch.Tensor, NodeGraph]:
@@ -182,19 +180,9 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
         whole, body, cloth = 100 * np.mean(found, axis=0)
         return {"pmd": float(whole), "pmd_body": float(body), "pmd_apparel": float(cloth)}
 
-    def save(self, results: dict[str, float]) -> Path:
-        """Write the training state and the checkpoint; a kill leaves the last ones."""
-        settings = plain_settings(asdict(self.config))
-        self.save_state(settings, {"rng": self.rng.bit_generator.state})
-        note = {"training": settings, "seconds": self.seconds, "steps": self.step, "results": results}
-        return save_body(self.out / "apparel-body.safetensors", self.average, note, half=True)
-
-    def resume(self) -> bool:
-        """Go on from the run's folder, if it holds a state; whether it did."""
-        state = self.restore_state()
-        if state is not None:
-            self.rng.bit_generator.state = state.values["rng"]
-        return state is not None
+    def write(self, note: dict[str, Any]) -> Path:
+        """Write the checkpoint."""
+        return save_body(self.checkpoint, self.average, note, half=True)
 
 
 def train_body(config: BodyTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
@@ -217,20 +205,4 @@ def train_body(config: BodyTrainConfig, report: Callable[[dict[str, float]], Non
     meshes = build_meshes(config.meshes or out.with_name(f"{out.name}-meshes"), config.characters)
     poses, held_poses = pose_bank(config.data, "train"), pose_bank(config.data, "val", 500)
     trainer = BodyTrainer(config, meshes["train"], poses, meshes["val"], held_poses)
-    trainer.resume()
-    rows: list[dict[str, float]] = []
-    checkpoint = out / "apparel-body.safetensors"
-    stop = Stop()
-    with stop.listening():
-        while trainer.progress() < 1 and not stop.asked:
-            rows.append(trainer.train_step())
-            if trainer.progress() < 1 and trainer.step % config.validate_every and not stop.asked:
-                continue
-            row = {name: float(np.mean([r[name] for r in rows])) for name in rows[0]}
-            results = trainer.validate() if trainer.held_out else {}
-            checkpoint, rows = trainer.save(results), []
-            row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results}
-            append_row(out / "log.csv", row)
-            if report:
-                report(row)
-    return checkpoint
+    return trainer.learn(report)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,8 +20,7 @@ from bunraku.apparel.displacement.network import (
     save_displacement,
 )
 from bunraku.apparel.displacement.recurrent import past_of_states
-from bunraku.nn.averaged_run import AveragedRun, share_done
-from bunraku.nn.runs import Stop, append_row, plain_settings
+from bunraku.nn.drawn_run import DrawnRun
 from bunraku.training.apparel.node_bank import HEADS, BankCharacter, build_bank
 from bunraku.training.losses.apparel_losses import edge_loss, vertex_loss
 
@@ -85,7 +85,7 @@ class _Block:
     graph: NodeGraph
 
 
-class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
+class DisplacementTrainer(DrawnRun[DisplacementNetwork]):
     """One run in memory.
 
     Args:
@@ -93,6 +93,9 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
         characters: To learn from.
         held_out: To validate on.
     """
+
+    kind = "apparel"
+    columns = ("head_loss", "recurrent_loss", "rate")
 
     def __init__(
         self,
@@ -108,10 +111,6 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
         normalize_inputs(model, nodes)
         adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
         super().__init__(config.out, model, average, adam)
-
-    def progress(self) -> float:
-        """How far the run is, 0 to 1."""
-        return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
 
     def _draw(self, count: int) -> list[BankCharacter]:
         return [self.characters[number] for number in self.rng.integers(len(self.characters), size=count)]
@@ -231,23 +230,13 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
         return {"rigid": sums[0] / (windows // 4), "head_over_rigid": sums[1] / sums[0],
                 "both_over_rigid": sums[2] / sums[0]}  # fmt: skip
 
-    def save(self, results: dict[str, float]) -> Path:
-        """Write the training state and the checkpoint; a kill leaves the last ones."""
-        settings = plain_settings(asdict(self.config))
-        self.save_state(settings, {"rng": self.rng.bit_generator.state})
-        note = {"training": settings, "seconds": self.seconds, "steps": self.step, "results": results}
+    def write(self, note: dict[str, Any]) -> Path:
+        """Write the checkpoint."""
         whole = self.average
         if self.progress() <= self.config.head:  # what has not learned is not handed on
             whole = DisplacementNetwork(replace(self.config.network, recurrent=0))
             whole.anchor.load_state_dict(self.average.anchor.state_dict())
-        return save_displacement(self.out / "apparel.safetensors", whole, note, half=True)
-
-    def resume(self) -> bool:
-        """Go on from the run's folder, if it holds a state; whether it did."""
-        state = self.restore_state()
-        if state is not None:
-            self.rng.bit_generator.state = state.values["rng"]
-        return state is not None
+        return save_displacement(self.checkpoint, whole, note, half=True)
 
 
 def train_displacement(
@@ -277,21 +266,4 @@ def train_displacement(
         for split in ("train", "val")  # type: ignore[arg-type]
     )
     trainer = DisplacementTrainer(config, characters, held_out)
-    trainer.resume()
-    rows: list[dict[str, float]] = []
-    checkpoint = out / "apparel.safetensors"
-    stop = Stop()
-    with stop.listening():
-        while trainer.progress() < 1 and not stop.asked:
-            rows.append(trainer.train_step())
-            if trainer.progress() < 1 and trainer.step % config.validate_every and not stop.asked:
-                continue
-            columns = ("head_loss", "recurrent_loss", "rate")
-            row = {name: float(np.mean([r[name] for r in rows if name in r] or [0.0])) for name in columns}
-            results = trainer.validate() if held_out else {}
-            checkpoint, rows = trainer.save(results), []
-            row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results}
-            append_row(out / "log.csv", row)
-            if report:
-                report(row)
-    return checkpoint
+    return trainer.learn(report)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,8 +17,7 @@ from bunraku.apparel.segmentation.network import (
     save_segmentation,
 )
 from bunraku.errors import OptionError
-from bunraku.nn.averaged_run import AveragedRun, share_done
-from bunraku.nn.runs import Stop, append_row, plain_settings
+from bunraku.nn.drawn_run import DrawnRun
 from bunraku.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku.training.losses.apparel_losses import mask_loss
 
@@ -63,7 +63,7 @@ class SegmentationTrainConfig:
     network: SegmentationConfig = field(default_factory=SegmentationConfig)
 
 
-class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
+class SegmentationTrainer(DrawnRun[SegmentationNetwork]):
     """One run in memory.
 
     Args:
@@ -71,6 +71,8 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
         characters: To learn from.
         held_out: To validate on.
     """
+
+    kind = "apparel-mask"
 
     def __init__(
         self, config: SegmentationTrainConfig, characters: Sequence[MeshSample], held_out: Sequence[MeshSample] = ()
@@ -85,10 +87,6 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
         model.mean[:], model.std[:] = features.mean(dim=0), features.std(dim=0).clamp(min=1e-3)
         adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
         super().__init__(config.out, model, average, adam)
-
-    def progress(self) -> float:
-        """How far the run is, 0 to 1."""
-        return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
 
     def train_step(self) -> dict[str, float]:
         """One step; its loss."""
@@ -128,19 +126,9 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
                 errors.append(float(np.abs(scores[:, 1] - one.stiffness)[one.apparel].mean()))
         return {"iou": float(np.mean(found)), "least_iou": float(np.min(found)), "stiffness": float(np.mean(errors))}
 
-    def save(self, results: dict[str, float]) -> Path:
-        """Write the training state and the checkpoint; a kill leaves the last ones."""
-        settings = plain_settings(asdict(self.config))
-        self.save_state(settings, {"rng": self.rng.bit_generator.state})
-        note = {"training": settings, "seconds": self.seconds, "steps": self.step, "results": results}
-        return save_segmentation(self.out / "apparel-mask.safetensors", self.average, note, half=True)
-
-    def resume(self) -> bool:
-        """Go on from the run's folder, if it holds a state; whether it did."""
-        state = self.restore_state()
-        if state is not None:
-            self.rng.bit_generator.state = state.values["rng"]
-        return state is not None
+    def write(self, note: dict[str, Any]) -> Path:
+        """Write the checkpoint."""
+        return save_segmentation(self.checkpoint, self.average, note, half=True)
 
 
 def _mirrored_bones() -> list[int]:
@@ -179,20 +167,4 @@ def train_segmentation(
     out.mkdir(parents=True, exist_ok=True)
     meshes = build_meshes(out.with_name(f"{out.name}-meshes"), config.characters)
     trainer = SegmentationTrainer(config, meshes["train"], meshes["val"])
-    trainer.resume()
-    rows: list[dict[str, float]] = []
-    checkpoint = out / "apparel-mask.safetensors"
-    stop = Stop()
-    with stop.listening():
-        while trainer.progress() < 1 and not stop.asked:
-            rows.append(trainer.train_step())
-            if trainer.progress() < 1 and trainer.step % config.validate_every and not stop.asked:
-                continue
-            row = {name: float(np.mean([r[name] for r in rows])) for name in rows[0]}
-            results = trainer.validate() if trainer.held_out else {}
-            checkpoint, rows = trainer.save(results), []
-            row = {"step": trainer.step, "seconds": round(trainer.seconds, 1), **row, **results}
-            append_row(out / "log.csv", row)
-            if report:
-                report(row)
-    return checkpoint
+    return trainer.learn(report)

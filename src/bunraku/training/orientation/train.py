@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,8 +15,8 @@ from bunraku.datasets.characters.training_character import AugmentConfig, Traini
 from bunraku.errors import OptionError
 from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.handles.orientation_net import OrientationConfig, OrientationPredictor, save_orientation_predictor
-from bunraku.nn.averaged_run import AveragedRun, share_done
-from bunraku.nn.runs import append_row, plain_settings
+from bunraku.nn.drawn_run import DrawnRun
+from bunraku.nn.runs import append_row
 from bunraku.training.orientation.measures import (
     FRONTS,
     OTHERS,
@@ -73,7 +74,7 @@ class OrientationTrainConfig:
     augment: AugmentConfig = field(default_factory=lambda: AugmentConfig(poses=0))
 
 
-class OrientationTrainer(AveragedRun[OrientationPredictor]):
+class OrientationTrainer(DrawnRun[OrientationPredictor]):
     """One training run in memory: the network, its optimiser, and the characters.
 
     Args:
@@ -82,6 +83,8 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         held_out: To validate on.
         reference: The reference body's shapes, mixed in.
     """
+
+    kind = "orientation"
 
     def __init__(
         self,
@@ -102,10 +105,6 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         folders = [c.name.rpartition("/")[0] for c in self.characters]
         share = np.array([folders.count(f) ** -0.5 for f in folders])
         self.chances = share / share.sum()
-
-    def progress(self) -> float:
-        """How far the run is through its limits, 0 to 1."""
-        return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
 
     def loss(self, tokens: torch.Tensor, others: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Cross-entropy of the upright orientation against the three other fronts and a sample of the rest; and the
@@ -141,20 +140,15 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         return {"loss": float(loss.detach()), "won": won, "rate": rate}
 
     def save(self, results: dict[str, float], temperature: float = 1.0) -> Path:
-        """Write the training state and the checkpoint; a kill leaves the last ones."""
-        settings = plain_settings(asdict(self.config))
-        self.save_state(settings, {"rng": self.rng.bit_generator.state})
-        shipped = OrientationPredictor(replace(self.average.config, temperature=temperature))
-        shipped.load_state_dict(self.average.state_dict())
-        note = {"training": settings, "seconds": self.seconds, "steps": self.step, "results": results}
-        return save_orientation_predictor(self.out / "orientation.safetensors", shipped, note, half=True)
+        """Write the training state and the checkpoint, whose scores a temperature divides; a kill leaves the last."""
+        self.temperature = temperature
+        return super().save(results)
 
-    def resume(self) -> bool:
-        """Go on from the run's folder, if it holds a state; whether it did."""
-        state = self.restore_state()
-        if state is not None:
-            self.rng.bit_generator.state = state.values["rng"]
-        return state is not None
+    def write(self, note: dict[str, Any]) -> Path:
+        """Write the checkpoint."""
+        shipped = OrientationPredictor(replace(self.average.config, temperature=self.temperature))
+        shipped.load_state_dict(self.average.state_dict())
+        return save_orientation_predictor(self.checkpoint, shipped, note, half=True)
 
 
 def train_orientation(config: OrientationTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
