@@ -310,7 +310,7 @@ export function replayLink(one: Take): string {
     script: one.script,
     seed: one.seed,
     steps: Number(told["steps"] ?? 20),
-    guidance: Number(told["guidance"] ?? 3),
+    guidance: Number(told["guidance"] ?? 3.5),
     loop: Boolean(told["loop"]),
     inPlace: Boolean(told["in_place"]),
     path: (told["path"] as Doc["path"] | null) ?? [],

@@ -34,7 +34,7 @@ const EMPTY: Doc = {
   loop: false,
   inPlace: false,
   apparel: "rigid",
-  guidance: 3,
+  guidance: 3.5,
   steps: 20,
   pins: [],
   poses: [],

@@ -1,11 +1,14 @@
 """The committed page is what its sources give, and small enough."""
 
 import gzip
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+
+from bunraku.diffusion.drawing import GUIDANCE
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "src" / "bunraku" / "studio" / "static"
@@ -20,6 +23,13 @@ def test_the_page_names_no_other_host():
     page = (STATIC / "index.html").read_text(encoding="utf-8")
     assert "//" not in page and "<style" not in page and " onload=" not in page
     assert "three 0." in (STATIC / "LICENSES.txt").read_text(encoding="utf-8")
+
+
+def test_the_page_asks_for_the_guidance_that_the_library_takes():
+    texts = [(ROOT / "studio" / "src" / name).read_text(encoding="utf-8") for name in ("state.ts", "actions.ts")]
+    pattern = r'guidance(?:: |"] \?\? )([0-9.]+)'
+    found = [float(value) for text in texts for value in re.findall(pattern, text)]
+    assert found == [GUIDANCE] * 2
 
 
 def test_the_lock_file_names_no_registry():

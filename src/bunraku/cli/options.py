@@ -31,7 +31,7 @@ class GeneratingOptions:
     steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
     """Sampling steps, 1 to 1000; more is slower. Default: 20."""
     guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
-    """How closely to follow the sentence, 0 to 20. Default: 3."""
+    """How closely to follow the sentence, 0 to 20. Default: 3.5."""
     fps: float = 30.0
     """Frames a second of the files, 1 to 120."""
     handles: Literal["predict", "rig"] = "predict"

@@ -38,7 +38,7 @@ class Sampling:
 
     Args:
         steps: Sampling steps, 1 to 1,000; None takes 20.
-        guidance: Classifier-free guidance scale, 0 to 20; None takes 3.
+        guidance: Classifier-free guidance scale, 0 to 20; None takes 3.5.
         mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
             generate for no mesh in particular.
         progress: Called with a stage's name and the share done.
