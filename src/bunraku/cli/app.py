@@ -42,6 +42,11 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "CharacterBank",
         "pack rigged characters for the losses of mesh-specific motion learning",
     ),
+    ("data", "examples"): (
+        "data.examples",
+        "Examples",
+        "pack captured stretches that generated motion may start from",
+    ),
     ("data", "wardrobe"): (
         "data.wardrobe",
         "Wardrobe",

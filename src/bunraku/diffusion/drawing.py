@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from bunraku.diffusion.denoiser import Denoiser
+    from bunraku.diffusion.examples.guide import Lead
     from bunraku.diffusion.ranking import Drawn
 
 __all__ = ["GUIDANCE", "STEPS", "Sampling", "draw_candidates", "frames_of", "way_of"]
@@ -46,6 +47,8 @@ class Sampling:
         candidates: How many motions are drawn for each that is given back: the one that the ranker likes best
             (`diffusion.ranking`), 1 to 16. The first has the noise that it has alone. Where none has the side, the turn
             or the direction that the sentence says, as many are drawn again, three times at the most.
+        examples: All candidates but the first start from captured examples where there are any that fit
+            (`diffusion.examples`). They are of people.
 
     Raises:
         OptionError: A setting is outside what can be done.
@@ -57,6 +60,7 @@ class Sampling:
     progress: Callable[[str, float], None] | None = None
     checkpoint: str | Path | None = None
     candidates: int = 1
+    examples: bool = True
 
     def __post_init__(self) -> None:
         if not 1 <= self.candidates <= 16:
@@ -96,6 +100,7 @@ def draw_candidates(
     how: Sampling,
     loop: bool,
     path: GroundPath | None,
+    leads: Sequence[Lead | None],
 ) -> list[Drawn]:
     """One candidate for each script from its own noise, all in one batch.
 
@@ -107,6 +112,7 @@ def draw_candidates(
         how: How they are drawn.
         loop: Make loops.
         path: What the root follows, in metres of the reference body; None for its own way.
+        leads: Examples that it starts from, None for none.
     """
     import torch
 
@@ -137,6 +143,8 @@ def draw_candidates(
         own_ways = [ways[row] for row in owners] if ways else None
         held = _held(own_ways, [stands[row] for row in owners], sizes, statistics, model.config.fps)
 
+    guide = _led(leads, lengths, sizes, statistics)
+
     def refine(values: Tensor) -> Tensor:
         parts = list(values.split(sizes))
         for place, track in enumerate(tracks, len(scripts)):
@@ -151,12 +159,13 @@ def draw_candidates(
             seeds=noise,
             refine=refine if loop or tracks else None,
             known=held,
+            guide=guide,
             **how.options(model, len(text.mask)),
         )
     for track, own in zip(tracks, found[len(scripts) :], strict=True):
         found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
     drawn = []
-    for part, script, own_lengths in zip(found, scripts, lengths, strict=False):
+    for part, script, own_lengths, lead in zip(found, scripts, lengths, leads, strict=False):
         frames = np.arange(sum(own_lengths) + loop) % len(part.values)
         timed = [(prompt, length) for (prompt, _), length in zip(script, own_lengths, strict=True)]
         features = steadied(statistics.restore(part.values.cpu().numpy()), loop)
@@ -165,7 +174,7 @@ def draw_candidates(
             features = turned_as_asked(features, timed, model.config.fps)
         features = features[frames]
         said = script_agreement(features, timed) if how.candidates > 1 and path is None else None
-        drawn.append(Drawn(features, part.adaptation.cpu().numpy()[frames], timed, said))
+        drawn.append(Drawn(features, part.adaptation.cpu().numpy()[frames], timed, said, lead is not None))
     return drawn
 
 
@@ -202,6 +211,25 @@ def _held(
         start += size
     known = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
     return torch.from_numpy(known), torch.from_numpy(share)
+
+
+def _led(
+    leads: Sequence[Lead | None], lengths: Sequence[list[int]], sizes: Sequence[int], statistics: FeatureStatistics
+) -> tuple[Tensor, Tensor] | None:
+    """What candidates start from, in network units, (F, D), and how far, (F, 1); None where no one has an example.
+    Time lines behind those of the candidates have none.
+    """
+    import torch
+
+    if not any(leads):
+        return None
+    values, share = np.zeros((sum(sizes), FEATURE_SIZE), np.float32), np.zeros((sum(sizes), 1), np.float32)
+    ends = np.cumsum(sizes)
+    for lead, own, stop, size in zip(leads, lengths, ends, sizes, strict=False):
+        if lead is not None:
+            guide = lead.on(own, size, statistics)
+            values[stop - size : stop], share[stop - size : stop, 0] = guide.values, guide.share
+    return torch.from_numpy(values), torch.from_numpy(share)
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:

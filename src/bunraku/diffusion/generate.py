@@ -15,7 +15,7 @@ import numpy as np
 from bunraku.core.ground_path import GroundPath
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import moved
-from bunraku.diffusion.drawing import GUIDANCE, STEPS, Sampling, draw_candidates, way_of
+from bunraku.diffusion.drawing import GUIDANCE, STEPS, Sampling, draw_candidates, frames_of, way_of
 from bunraku.diffusion.features import decode
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextEncoder, encoder_of, text_encoder
@@ -23,6 +23,8 @@ from bunraku.language.prompts import check_prompt
 
 if TYPE_CHECKING:
     from bunraku.diffusion.denoiser import Denoiser
+    from bunraku.diffusion.examples.guide import Lead
+    from bunraku.diffusion.examples.leads import Leads
     from bunraku.diffusion.ranking import Drawn
 
 __all__ = ["GUIDANCE", "STEPS", "Sampling", "adapt", "generate_motion", "generate_motions", "load_generator"]
@@ -85,11 +87,21 @@ def generate_motions(
         how.progress("generate", 0.0)
     model, encoder = load_generator(how.checkpoint)
     noise = drawn_noise(seeds, len(scripts))
+    led = _leads(model, encoder, scripts) if how.candidates > 1 and how.examples and not loop else None
+
+    def lead(row: int, place: int) -> Lead | None:
+        attempt, number = divmod(place, how.candidates)
+        if led is None or number == 0:
+            return None
+        lengths = frames_of([seconds for _, seconds in scripts[row]], model.config.fps)
+        script = [(sentence, length) for (sentence, _), length in zip(scripts[row], lengths, strict=True)]
+        return led.lead(script, noise[row], attempt * (how.candidates - 1) + number - 1)
 
     def draw(rows: list[int], places: list[int]) -> list[Drawn]:
         pairs = [(noise[row][0], noise[row][1] + _APART * place) for row, place in zip(rows, places, strict=True)]
         again = how if not any(place >= how.candidates for place in places) else replace(how, progress=None)
-        return draw_candidates(model, encoder, [scripts[row] for row in rows], pairs, again, loop, path)
+        leads = [lead(row, place) for row, place in zip(rows, places, strict=True)]
+        return draw_candidates(model, encoder, [scripts[row] for row in rows], pairs, again, loop, path, leads)
 
     rows = list(range(len(scripts)))
     if how.candidates > 1:
@@ -122,6 +134,24 @@ def _ranked(model: Denoiser, encoder: TextEncoder) -> Callable[[Sequence[Drawn]]
             return script_scores(ranker, own, [one.motion for one in drawn], [one.script for one in drawn])
 
     return score
+
+
+def _leads(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[tuple[str, float]]]) -> Leads | None:
+    """Examples for all sentences; None where the file was taken away."""
+    from bunraku.diffusion.examples.leads import Leads
+    from bunraku.diffusion.examples.pack import load_examples
+    from bunraku.diffusion.matching import RADIUS, embed_sentences
+    from bunraku.diffusion.ranking import load_ranker
+    from bunraku.nn.threads import fitting_threads
+
+    pack = load_examples()
+    if pack is None:
+        return None
+    ranker = load_ranker()
+    sentences = [sentence for script in scripts for sentence, _ in script]
+    with fitting_threads(model):
+        vectors = embed_sentences(ranker, encoder_of(ranker.config.text_encoder, encoder), sentences)
+    return Leads(pack, {sentence: vector / RADIUS for sentence, vector in vectors.items()})
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:

@@ -24,6 +24,8 @@ __all__ = ["Drawn", "choose", "load_ranker", "script_agreement", "script_scores"
 
 WEIGHT = 0.5
 """Of what is plainly said beside a cosine; candidates' cosines differ by a tenth."""
+CAPTURED = 0.1
+"""For a candidate that starts from a captured example: the ranker hardly sees that a motion is too small."""
 ENOUGH = 0.75
 """Agreement below which a motion is drawn again."""
 ATTEMPTS = 4
@@ -42,12 +44,14 @@ class Drawn:
         adaptation: Offsets of local translations [m], shape (N, K, 3).
         script: Its sentences with the frames that each lasts.
         agreement: How far it does what they plainly say; None where they say nothing of the kind.
+        captured: It starts from a captured example.
     """
 
     motion: np.ndarray
     adaptation: np.ndarray
     script: Sequence[tuple[str, int]]
     agreement: float | None = None
+    captured: bool = False
 
 
 def load_ranker(path: str | Path | None = None) -> Extractor:
@@ -140,7 +144,7 @@ def choose(
         places = [attempt * candidates + place for _ in wanted for place in range(candidates)]
         drawn = draw(rows, places)
         for motion, one, cosine in zip(rows, drawn, score(drawn).tolist(), strict=True):
-            total = cosine + WEIGHT * (one.agreement or 0.0)
+            total = cosine + WEIGHT * (one.agreement or 0.0) + CAPTURED * one.captured
             if motion not in best or total > best[motion][0]:
                 best[motion] = (total, one)
         wanted = [motion for motion in wanted if (said := best[motion][1].agreement) is not None and said < ENOUGH]

@@ -99,6 +99,7 @@ def generate(
     after: HandleMotion | None = ...,
     path: GroundPath | None = ...,
     candidates: int = ...,
+    creature: bool = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> HandleMotion: ...
@@ -117,6 +118,7 @@ def generate(
     after: HandleMotion | None = ...,
     path: GroundPath | None = ...,
     candidates: int = ...,
+    creature: bool = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> list[HandleMotion]: ...
@@ -134,6 +136,7 @@ def generate(
     after: HandleMotion | None = None,
     path: GroundPath | None = None,
     candidates: int = CANDIDATES,
+    creature: bool = False,
     anyway: bool = False,
     progress: Progress | None = None,
 ) -> HandleMotion | list[HandleMotion]:
@@ -153,6 +156,8 @@ def generate(
         path: What the root follows on the ground, in metres of the reference body.
         candidates: How many motions are drawn for each that is given back, the one that the ranker likes best, 1 to
             16. A motion that follows another is drawn once.
+        creature: The character does not stand upright as people do (`retarget.stages.rest_pose.upright`): what is said
+            of a person is said of "it", and no captured motion of people is followed.
         anyway: Generate even where no movement of a sentence is understood.
         progress: Called with a stage's name and the share done.
 
@@ -165,9 +170,19 @@ def generate(
     prompts = [prompt] if isinstance(prompt, str) else list(prompt)
     scripts = _scripts(prompts, seconds, anyway)
     check_together("rigid", loop=loop, after=after is not None, path=path is not None)
-    how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "progress": progress}
+    how: dict[str, Any] = {
+        "steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "examples": not creature,
+        "progress": progress,
+    }  # fmt: skip
+    if creature:
+        scripts = _of_creature(scripts)
     motions = _generated(scripts, seed, loop, after, path, candidates, how)
     return motions[0] if isinstance(prompt, str) else motions
+
+
+def _of_creature(scripts: Scripts) -> Scripts:
+    """Scripts whose sentences are said of "it"."""
+    return [[(of_creature(clause), length) for clause, length in script] for script in scripts]
 
 
 def _generated(
@@ -300,6 +315,7 @@ def animate_each(
         in_place=in_place, pins=bool(pins),
     )  # fmt: skip
     check_apparel_option(apparel, stiffness)
+    creature = False
     moved_by = apparel_way(character, apparel, handles)
     if moved_by != "handles" and (path is not None or pins):
         moved_by = "handles"  # what goes along a path or meets pins
@@ -311,11 +327,14 @@ def animate_each(
         if not isinstance(handles, Handles):
             handles = rig(character, handles=handles or "predict", progress=progress)
         feature = handles.features
-        if not upright(handles):
-            scripts = [[(of_creature(clause), length) for clause, length in script] for script in scripts]
+        creature = not upright(handles)
+        if creature:
+            scripts = _of_creature(scripts)
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
     way = path if isinstance(handles, str) else reference_path(path, character, handles)
-    how: dict[str, Any] = {"steps": steps, "guidance": guidance, "mesh_feature": feature, "progress": progress}
+    how: dict[str, Any] = {
+        "steps": steps, "guidance": guidance, "mesh_feature": feature, "examples": not creature, "progress": progress,
+    }  # fmt: skip
     for start in range(0, len(scripts), AT_ONCE):
         some = scripts[start : start + AT_ONCE]
         wanted = [only is None or number in only for number in range(start, start + len(some))]

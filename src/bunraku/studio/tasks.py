@@ -20,6 +20,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
+from bunraku.retarget.stages.rest_pose import upright
 from bunraku.studio.clips import Take, save_handles
 from bunraku.studio.opened import Settings, opened_character, told
 from bunraku.studio.workshop import Workshop
@@ -118,6 +119,7 @@ def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> 
         "seconds": float(params["seconds"]), "mesh_feature": handles.features, "loop": loop,
         "after": None if before is None else reference_of(before), "guidance": params.get("guidance"),
         "path": reference_path(path, character, handles), "anyway": bool(params.get("anyway")),
+        "creature": not upright(handles),
     }  # fmt: skip
 
     def fitted(motion: HandleMotion, draft: bool) -> Take:

@@ -21,6 +21,8 @@ __all__ = [
 # which costs half. The early, noisy steps decide what is done. In the late ones the scale only enlarges details: waves
 # trembled above 5 Hz. (Guidance on an interval of noise: Kynkaanniemi et al. 2024.)
 GUIDED_FROM = 500
+# Down to this step a guide stands for what the network would predict: a log signal-to-noise ratio of about -1.5.
+LED_UNTIL = 750
 GROUP = 16  # windows that go through the denoiser at once; more gain nothing on a CPU and take memory
 
 Progress = Callable[[int, int], None]
@@ -176,6 +178,7 @@ def sample_windows(
     rescale: float = 0.0,
     seed: int = 0,
     known: tuple[Tensor, Tensor] | None = None,
+    guide: tuple[Tensor, Tensor] | None = None,
     refine: Callable[[Tensor], Tensor] | None = None,
     method: str = "dpm",
     bf16: bool = False,
@@ -199,6 +202,8 @@ def sample_windows(
         rescale: As in `sample`.
         seed: Of the noise that the ancestral sampler adds.
         known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
+        guide: What is predicted while the noise is strong, and how far, shapes (F, D) and (F, 1): where the motion
+            starts from.
         refine: Changes the predicted x0 (F, D) at each step, before what is known overwrites it.
         method: As in `sample`.
         bf16: As in `sample`.
@@ -220,6 +225,7 @@ def sample_windows(
         total.index_add_(0, group.frames[group.real], group.share[group.real][:, None])
     total = total.clamp(min=1e-8)
     held = None if known is None else (known[0].to(device), known[1].to(device))
+    led = None if guide is None else (guide[0].to(device), guide[1].to(device))
     visited = sampling_steps(steps)
     last = torch.zeros(len(noise), config.handles, 3, device=device)
 
@@ -235,6 +241,8 @@ def sample_windows(
         x0 /= total
         if step == visited[-1]:
             last.copy_(adaptation / total[..., None])
+        if led is not None and step >= LED_UNTIL:
+            x0 = torch.lerp(x0, *led)
         if refine is not None:
             x0 = refine(x0)
         return x0 if held is None else torch.lerp(x0, *held)

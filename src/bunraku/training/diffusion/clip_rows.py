@@ -13,6 +13,7 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FeatureStatistics, decode, feature_weights, mirror
+from bunraku.diffusion.splicing import join_point, splice
 from bunraku.language.captions import caption_group, mirror_words
 from bunraku.language.description.describe import describe, inside
 from bunraku.language.description.track import Phrase
@@ -20,8 +21,8 @@ from bunraku.language.stretches import goes_on, joined_sentence
 from bunraku.language.wording import borrowed_sentence, can_do, computed_sentence, creature_subjects, verbs
 from bunraku.training.diffusion.clip_data import MIN_FRAMES
 from bunraku.training.diffusion.event_pool import EventPool
-from bunraku.training.diffusion.joining import join_point, link, splice
-from bunraku.training.diffusion.joins import Joins
+from bunraku.training.diffusion.joining import link
+from bunraku.training.diffusion.joins import goes, joins_of
 from bunraku.training.diffusion.training_clip import TrainingClip
 
 __all__ = ["ClipSet", "MotionBatch", "Row"]
@@ -94,7 +95,7 @@ class ClipSet:
         ]
         self.probability = self._probability(creatures) if self.clips else np.zeros(0)
         self._named = {clip.name: clip for clip in self.clips if clip.watched}
-        self.joins = Joins(self.clips, statistics) if self._named else None
+        self.joins = joins_of(self.clips, statistics) if self._named else None
         self._of_character: dict[str | None, np.ndarray] = {}
         for character in {clip.character for clip in self.clips if clip.species} | {None}:
             members = [
@@ -228,7 +229,7 @@ class ClipSet:
 
     def _lengthened(self, clip: TrainingClip, target: int, random: np.random.Generator) -> np.ndarray:
         if clip.loop is None and clip.species is None and self.joins is not None:
-            values = self.joins.around(clip, clip.values, target, random)
+            values = self.joins.around(clip.values, target, goes(clip), random)
             if values is not clip.values:
                 return values
         return clip.lengthened(target, self._still, random)
@@ -237,9 +238,7 @@ class ClipSet:
         """Something that is plain to see in a clip's numbers (a turn, a jump, a punch, sitting down), cut out and told
         by them alone.
         """
-        if self._pool is None:
-            self._pool = EventPool(self.clips, self._all_phrases, self._motion, self.frames)
-        found = self._pool.draw(random)
+        found = self.event_pool().draw(random)
         if found is None:
             return None
         clip, phrase, phrases = found
@@ -251,8 +250,15 @@ class ClipSet:
             return None
         values = clip.values[start:stop]
         if self.joins is not None and random.random() < 0.8:
-            values = self.joins.around(clip, values, int(random.integers(stop - start, self.frames + 1)), random)
+            target = int(random.integers(stop - start, self.frames + 1))
+            values = self.joins.around(values, target, goes(clip), random)
         return Row(values, sentence, clip.character)
+
+    def event_pool(self) -> EventPool:
+        """What is plain to see in the clips' numbers, found once."""
+        if self._pool is None:
+            self._pool = EventPool(self.clips, self._all_phrases, self._motion, self.frames)
+        return self._pool
 
     def _motion(self, clip: TrainingClip) -> HandleMotion:
         return decode(self.statistics.restore(clip.values))

@@ -1,4 +1,4 @@
-"""Clips joined into one: where to leave one motion for another, the cross-fade, and the sentence in the right order."""
+"""One sentence for clips that are joined into one, in the right order."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bunraku.geometry.easing import smooth_step
 from bunraku.language.grammar import conjugate, is_stative
 
-__all__ = ["join_point", "link", "splice"]
+__all__ = ["link"]
 
-_BLEND = 6
 _SUBJECTS = ("a person", "someone", "the character", "a human", "the person", "a man", "a woman", "he", "she")
 # {1t} is the first clause in the third person, {2g} the second as a gerund, {1p} plain; {s} the subject
 _TWO = (
@@ -30,44 +28,6 @@ _THREE = (
     "after {1g}, {s} {2t} and then {3t}",
     "{s} starts by {1g}, then {2t}, and finally {3t}",
 )  # fmt: skip
-
-
-def join_point(
-    tail: np.ndarray,
-    head: np.ndarray,
-    weights: np.ndarray,
-    blend: int = _BLEND,
-    most: tuple[int | None, int | None] = (None, None),
-) -> tuple[int, int, float]:
-    """Where to leave one motion and enter another so that pose and velocity agree best.
-
-    Args:
-        tail: Motion to leave in its last quarter, shape (N, D), network units.
-        head: Motion to enter in its first quarter, shape (M, D).
-        weights: Share of each feature, shape (D,).
-        blend: Frames that both must still have after that.
-        most: Frames at the most, beside the blend, that are lost of the tail's end and of the head's beginning; None
-            for a quarter.
-
-    Returns:
-        Frame i of the tail, frame j of the head, and the mean squared difference there.
-    """
-    last = max(len(tail) - blend + 1, 1)
-    first = min(3 * len(tail) // 4, last - 1) if most[0] is None else max(last - 1 - most[0], 0)
-    stop = max(1, min(len(head) // 4 if most[1] is None else most[1] + 1, len(head) - blend))
-    scale = np.sqrt(weights / weights.sum())
-    a, b = tail[first:last] * scale, head[:stop] * scale
-    distance = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * a @ b.T
-    i, j = np.unravel_index(int(distance.argmin()), distance.shape)
-    return first + int(i), int(j), float(max(distance[i, j], 0))
-
-
-def splice(tail: np.ndarray, head: np.ndarray, i: int, j: int, blend: int = _BLEND) -> np.ndarray:
-    """`tail` up to frame i, then `head` from frame j, cross-faded over the next `blend` frames of both."""
-    blend = min(blend, len(tail) - i, len(head) - j)
-    share = smooth_step(np.linspace(0, 1, blend + 2, dtype=np.float32)[1:-1, None])
-    mixed = tail[i : i + blend] * (1 - share) + head[j : j + blend] * share
-    return np.concatenate([tail[:i], mixed, head[j + blend :]])
 
 
 def link(phrases: Sequence[str], random: np.random.Generator, subjects: Sequence[str] = _SUBJECTS) -> str:

@@ -1,120 +1,28 @@
-"""What training rows are joined to: people who stand and wait, and people who walk on.
-
-A motion that is done once gets longer only by what goes before and after it: somebody stands, turns left, and stands.
-Playing it again would be another motion than its sentence tells.
-"""
+"""What training rows of people are joined to: how people stand and walk in the training clips."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
+from bunraku.diffusion.examples.joins import FEWEST, Joins, standing_stretches
+from bunraku.diffusion.features import FeatureStatistics
+from bunraku.training.diffusion.training_clip import TrainingClip
 
-from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.training.diffusion.joining import join_point, splice
-from bunraku.training.diffusion.training_clip import TrainingClip, played
-
-__all__ = ["Joins"]
-
-FEWEST = 24
-"""Frames of a stretch of standing that is kept."""
-TRIED = 20
-NEAR = 0.5
-"""Mean squared difference in network units up to which two poses are joined."""
-_BLEND = 10
-_LOST = 3
+__all__ = ["goes", "joins_of"]
 
 
-class Joins:
-    """Banks of standing and of walking, and how a row is joined to them.
-
-    Args:
-        clips: Training clips; people's are searched.
-        statistics: Units of the network.
-    """
-
-    def __init__(self, clips: Sequence[TrainingClip], statistics: FeatureStatistics):
-        self._share = feature_weights()
-        people = [clip for clip in clips if clip.species is None]
-        self.standing = [part for clip in people for part in _standing(clip.values, statistics)]
-        self.walking = [
-            clip
-            for clip in people
-            if clip.loop is not None and clip.actions in (("walk",), ("run",)) and len(clip.values) >= FEWEST
-        ]
-
-    def around(self, clip: TrainingClip, values: np.ndarray, target: int, random: np.random.Generator) -> np.ndarray:
-        """The motion with standing before and after it, or walking on after it, as far as poses agree.
-
-        Args:
-            clip: What the motion is of.
-            values: Its frames, shape (N, D).
-            target: Frames wanted.
-            random: Draws the pieces.
-
-        Returns:
-            The very array where nothing fits, else a longer one of at most `target` frames.
-        """
-        room = target - len(values)
-        before = int(random.integers(6, 50)) if random.random() < 0.6 else 0
-        if 0 < before <= room and self.standing:
-            values = self._led(values, before, random)
-        if len(values) < target:
-            goes = bool({"walk", "run"} & set(clip.actions)) and bool(self.walking)
-            values = self._followed(values, target, goes, random)
-        return values[:target]
-
-    def _led(self, values: np.ndarray, frames: int, random: np.random.Generator) -> np.ndarray:
-        best: tuple[float, int, int, np.ndarray] | None = None
-        for index in random.integers(len(self.standing), size=TRIED):
-            piece = self._idle(int(index), frames + _BLEND)
-            i, j, distance = join_point(piece, values, self._share, _BLEND, (min(8, len(piece) // 3), _LOST))
-            if best is None or distance < best[0]:
-                best = (distance, i, j, piece)
-        if best is None or best[0] > NEAR:
-            return values
-        _, i, j, piece = best
-        return splice(piece[max(0, i - frames) :], values, min(i, frames), j, _BLEND)
-
-    def _followed(self, values: np.ndarray, target: int, goes: bool, random: np.random.Generator) -> np.ndarray:
-        best: tuple[float, int, int, np.ndarray] | None = None
-        bank = len(self.standing) + (len(self.walking) if goes else 0)
-        if bank == 0:
-            return values
-        for _ in range(TRIED):
-            wanted = target - len(values) + _BLEND + _LOST
-            if goes and random.random() < 0.6:
-                clip = self.walking[int(random.integers(len(self.walking)))]
-                assert clip.loop is not None
-                piece = played(clip.values, clip.loop, wanted)
-            elif self.standing:
-                piece = self._idle(int(random.integers(len(self.standing))), wanted)
-            else:
-                continue
-            i, j, distance = join_point(values, piece, self._share, _BLEND, (_LOST, min(16, len(piece) // 2)))
-            if best is None or distance < best[0]:
-                best = (distance, i, j, piece)
-        if best is None or best[0] > NEAR:
-            return values
-        _, i, j, piece = best
-        return splice(values, piece, i, j, _BLEND)
-
-    def _idle(self, index: int, frames: int) -> np.ndarray:
-        piece = self.standing[index]
-        if len(piece) >= frames:
-            return piece
-        i, j, _ = join_point(piece, piece, self._share)
-        return played(piece, (i, j), frames) if i - j >= 6 else piece
+def goes(clip: TrainingClip) -> bool:
+    """Whether somebody walks or runs in it, and may walk on."""
+    return bool({"walk", "run"} & set(clip.actions))
 
 
-def _standing(values: np.ndarray, statistics: FeatureStatistics) -> list[np.ndarray]:
-    """Stretches in which somebody stands upright and hardly moves."""
-    if len(values) < FEWEST:
-        return []
-    features = statistics.restore(values)
-    change = (np.diff(values[:, 4:], axis=0, prepend=values[:1, 4:]) ** 2).mean(1)
-    calm = (
-        (change < 0.004) & (np.abs(features[:, :3]).max(1) < 0.25) & (features[:, 3] > -0.1) & (features[:, 8] > 0.95)
-    )
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], calm.astype(np.int8), [0]])))
-    return [values[start:stop] for start, stop in zip(edges[::2], edges[1::2], strict=True) if stop - start >= FEWEST]
+def joins_of(clips: Sequence[TrainingClip], statistics: FeatureStatistics) -> Joins:
+    """Banks of all stretches of standing, and of all walks and runs that can be played again."""
+    people = [clip for clip in clips if clip.species is None]
+    standing = [part for clip in people for part in standing_stretches(clip.values, statistics)]
+    walking = [
+        (clip.values, clip.loop)
+        for clip in people
+        if clip.loop is not None and clip.actions in (("walk",), ("run",)) and len(clip.values) >= FEWEST
+    ]
+    return Joins(standing, walking)

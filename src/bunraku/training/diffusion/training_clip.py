@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
+from bunraku.diffusion.splicing import held, join_point, played
 from bunraku.language.actions import CYCLIC, main_actions
 from bunraku.language.captions import caption_group
 from bunraku.language.stretches import agreeing, stretch_phrases, stretch_variants
 from bunraku.language.wording import all_variants, clauses
-from bunraku.training.diffusion.joining import join_point, splice
 
 __all__ = ["TrainingClip"]
 
@@ -163,21 +163,4 @@ def may_loop(texts: tuple[str, ...], species: str | None, action: str | None) ->
     """Whether what the captions say is still true when the motion is played again."""
     if species is not None:
         return action not in _FINAL
-    return all(word in CYCLIC for word in main_actions(texts)) and not _ONCE.search(texts[0])
-
-
-def played(values: np.ndarray, loop: tuple[int, int], target: int) -> np.ndarray:
-    """A motion played on from frame j after frame i until it has at least `target` frames."""
-    i, j = loop
-    longer = values
-    while len(longer) < target:
-        longer = splice(longer, values, len(longer) - len(values) + i, j)
-    return longer
-
-
-def held(values: np.ndarray, frames: int, still: np.ndarray) -> np.ndarray:
-    """A motion with its last pose held for so many frames, its root coming to rest."""
-    hold = np.repeat(values[-1:], frames, axis=0)
-    fade = 0.5 ** np.arange(1, len(hold) + 1, dtype=np.float32)[:, None]
-    hold[:, :3] = still + (hold[:, :3] - still) * fade
-    return np.concatenate([values, hold])
+    return all(word in CYCLIC for word in main_actions(texts)) and not any(_ONCE.search(text) for text in texts)

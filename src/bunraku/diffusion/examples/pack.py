@@ -1,0 +1,224 @@
+"""Captured examples in one file: short stretches of motion with sentences, and where the ranker's network places both.
+
+A stretch is kept as the motion of a skeleton of 22 joints: the root's position and the joints' rotations at 20 frames a
+second, in steps of half a millimetre and of a milliradian, their differences packed by LZMA: 50 bytes a frame.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import lzma
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.body.layout import JOINT_COUNT
+from bunraku.errors import WeightsError
+from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+
+__all__ = [
+    "KIND",
+    "Example",
+    "ExamplePack",
+    "fingerprint",
+    "load_examples",
+    "packed_stretch",
+    "read_pack",
+    "unpacked_stretch",
+    "write_pack",
+]
+
+KIND = "examples"
+FPS = 20.0
+MOST_FRAMES = 2_000
+"""Of one stretch; what a file says beyond is damage."""
+_METRES, _RADIANS = 5e-4, 1e-3
+_NUMBERS = 3 + 3 * JOINT_COUNT
+_FILTERS: list[dict[str, Any]] = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME, "dict_size": 1 << 16}]
+
+
+@dataclass(frozen=True)
+class Example:
+    """One stretch of a captured or keyframed clip.
+
+    Args:
+        name: The clip it is of, and its first frame there.
+        texts: Sentences that tell it, the fullest first; none where somebody only stands, for others to be joined to.
+        frames: How many it has.
+        loop: Frames (i, j) such that playing on from j after i is smooth and the sentences stay true; None where it is
+            done once.
+    """
+
+    name: str
+    texts: tuple[str, ...]
+    frames: int
+    loop: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class ExamplePack:
+    """Examples with their vectors, each as it is and in the mirror.
+
+    Args:
+        examples: E of them.
+        data: Packed stretches.
+        owners: Which example each sentence is of, shape (T,).
+        texts: Unit vectors of the sentences and of the mirrored ones, shape (2, T, V).
+        motions: Unit vectors of the stretches and of their mirror images, shape (2, E, V).
+        ranker: What tells the ranker's weights that made the vectors.
+    """
+
+    examples: tuple[Example, ...]
+    data: tuple[bytes, ...]
+    owners: np.ndarray
+    texts: np.ndarray
+    motions: np.ndarray
+    ranker: str
+
+    @functools.cached_property
+    def standing(self) -> tuple[int, ...]:
+        """Which ones are there for others to be joined to."""
+        return tuple(index for index, one in enumerate(self.examples) if not one.texts)
+
+    def features(self, index: int) -> np.ndarray:
+        """What the denoiser sees of an example (see `diffusion.features`), shape (N, 271)."""
+        return _features(self.data[index], self.examples[index].frames)
+
+
+@functools.lru_cache(maxsize=64)
+def _features(data: bytes, frames: int) -> np.ndarray:
+    from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
+    from bunraku.body.reference import reference_body
+    from bunraku.core.motion import SkeletalMotion, Skeleton
+    from bunraku.diffusion.features import encode
+    from bunraku.retarget.body_motion import body_handle_motion
+
+    root, rotations = unpacked_stretch(data, frames)
+    parents = np.asarray(JOINT_PARENTS)
+    skeleton = Skeleton(JOINT_NAMES, parents, reference_body().skeleton.offsets)
+    return encode(body_handle_motion(SkeletalMotion(skeleton, rotations, root, FPS)))
+
+
+def packed_stretch(root: np.ndarray, rotations: np.ndarray) -> bytes:
+    """A skeleton's motion in few bytes.
+
+    Args:
+        root: Position of the root in each frame [m], shape (N, 3).
+        rotations: Of the 22 joints relative to their parents, shape (N, 22, 3, 3).
+    """
+    turns = axis_angle_from_matrix(rotations.astype(float)).reshape(len(root), -1)
+    values = np.concatenate([root / _METRES, turns / _RADIANS], axis=1)
+    steps = np.diff(np.rint(values).astype(np.int64), axis=0, prepend=0)
+    folded = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4").T.copy()  # small numbers of either sign
+    planes = folded.view(np.uint8).reshape(-1, 4).T.tobytes()  # the high bytes, nearly all zero, stand together
+    return lzma.compress(planes, lzma.FORMAT_RAW, filters=_FILTERS)
+
+
+def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """Root (N, 3) and rotations (N, 22, 3, 3) of what `packed_stretch` packed.
+
+    Raises:
+        WeightsError: The bytes are none of that.
+    """
+    size = 4 * frames * _NUMBERS
+    try:
+        if not 0 < frames <= MOST_FRAMES:
+            raise ValueError
+        planes = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_FILTERS).decompress(data, size + 1)
+        if len(planes) != size:
+            raise ValueError
+    except (lzma.LZMAError, ValueError, EOFError) as error:
+        raise WeightsError("the examples are damaged; install Bunraku again or build them again") from error
+    folded = np.frombuffer(planes, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(_NUMBERS, frames)
+    values = folded.T.astype(np.int64)
+    values = np.where(values & 1, -(values + 1) // 2, values // 2)
+    values = np.cumsum(values, axis=0)
+    turns = (values[:, 3:] * _RADIANS).reshape(frames, JOINT_COUNT, 3)
+    return values[:, :3] * _METRES, matrix_from_axis_angle(turns)
+
+
+def write_pack(path: str | Path, pack: ExamplePack, notes: dict[str, Any]) -> Path:
+    """Write examples with what is to be known of them: where they are from, and how they were chosen."""
+    import torch
+
+    from bunraku.nn.checkpoints import save_checkpoint
+
+    table = [[one.name, list(one.texts), one.frames, list(one.loop or ())] for one in pack.examples]
+    tensors = {
+        "data": np.frombuffer(b"".join(pack.data), np.uint8),
+        "sizes": np.array([len(part) for part in pack.data], np.int32),
+        "owners": pack.owners.astype(np.int32),
+        "texts": pack.texts.astype(np.float16),
+        "motions": pack.motions.astype(np.float16),
+    }
+    state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
+    return save_checkpoint(path, state, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND)
+
+
+def read_pack(path: str | Path) -> ExamplePack:
+    """Read examples.
+
+    Raises:
+        WeightsError: The file is missing, damaged or of another kind.
+    """
+    from bunraku.nn.checkpoints import fitting_config, load_checkpoint
+
+    state, config = load_checkpoint(path, KIND)
+    with fitting_config(path):
+        sizes = state["sizes"].tolist()
+        ends = np.cumsum([0, *sizes])
+        data = state["data"].numpy().tobytes()
+        if min(sizes, default=0) < 0 or ends[-1] != len(data):
+            raise ValueError("the sizes of the stretches do not add up")
+        examples = tuple(
+            Example(str(name), tuple(map(str, texts)), int(frames), (int(loop[0]), int(loop[1])) if loop else None)
+            for name, texts, frames, loop in config["examples"]
+        )
+        owners = state["owners"].numpy()
+        found = ExamplePack(
+            examples,
+            tuple(data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)),
+            owners,
+            state["texts"].numpy(),
+            state["motions"].numpy(),
+            str(config["ranker"]),
+        )
+        fits = found.texts.shape[:2] == (2, len(owners)) and found.motions.shape[:2] == (2, len(examples))
+        if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
+            raise ValueError("its tables have different lengths")
+    return found
+
+
+def load_examples() -> ExamplePack | None:
+    """The examples beside the shipped weights, kept between calls as long as the file does not change; None where there
+    are none.
+
+    Raises:
+        WeightsError: The file is damaged, or was made with another ranker than the one beside it.
+    """
+    from bunraku.formats.files import weights_folder
+    from bunraku.nn.checkpoints import dated_checkpoint
+
+    path = weights_folder() / "examples.safetensors"
+    if not path.is_file():
+        return None
+    return _load(*dated_checkpoint("examples", path), *dated_checkpoint("ranker"))
+
+
+@functools.lru_cache(maxsize=2)
+def _load(path: Path, changed: int, ranker: Path, ranker_changed: int) -> ExamplePack:
+    found = read_pack(path)
+    if found.ranker != fingerprint(ranker):
+        raise WeightsError(
+            f"{path}: the examples were made with another ranker than {ranker.name} beside them; build them again with "
+            "'bunraku data examples', or take them away"
+        )
+    return found
+
+
+def fingerprint(path: Path) -> str:
+    """What tells a ranker's weights from others."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]

@@ -1,0 +1,81 @@
+"""Which captured examples show what a sentence says.
+
+An example must do the very actions that are asked for, on the side and in the direction that is asked for; of those,
+the nearest are taken by the ranker's vectors of sentences and motions.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bunraku.diffusion.examples.pack import ExamplePack
+from bunraku.language.actions import main_actions
+from bunraku.language.captions import mirror_words
+from bunraku.language.cues import said_cues
+
+__all__ = ["Found", "retrieve"]
+
+MOST = 8
+"""Examples that are offered for a sentence."""
+NEAR = 0.12
+"""Mean cosine by which an example may be farther than the nearest one."""
+LEAST = 0.6
+"""Mean cosine from which an example is one at all."""
+SAME = 0.9
+"""Cosine of two sentences that mean the same, whatever words `language.actions` finds in them."""
+_SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in ("arm", "leg", "turn", "go")) | {
+    "forward",
+    "backwards",
+    "sideways",
+    "half",
+    "full",
+    "gets up",
+    "lies",
+    "sits",
+    "in place",
+}
+
+
+class Found(NamedTuple):
+    """An example that fits a sentence.
+
+    Args:
+        place: Which one of the pack.
+        mirrored: Its mirror image is meant.
+        score: Mean of the cosine of the sentence with its nearest sentence, and of that with its motion.
+    """
+
+    place: int
+    mirrored: bool
+    score: float
+
+
+def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found]:
+    """Examples that show what a sentence says, the nearest first; none where there is none.
+
+    Args:
+        pack: To choose from.
+        sentence: In English, of one thing that is done.
+        vector: The ranker's unit vector of it, shape (V,).
+    """
+    actions, cues = frozenset(main_actions([sentence])), said_cues(sentence) & _SIDED
+    found = []
+    for mirrored in (False, True):
+        near = pack.texts[int(mirrored)].astype(float) @ vector
+        best = np.full(len(pack.examples), -1.0)
+        np.maximum.at(best, pack.owners, near)
+        score = 0.5 * (best + pack.motions[int(mirrored)].astype(float) @ vector)
+        for index in np.flatnonzero(score >= LEAST).tolist():
+            if _fits(pack.examples[index].texts, mirrored, actions, cues, float(best[index])):
+                found.append(Found(index, mirrored, float(score[index])))
+    found.sort(key=lambda one: -one.score)
+    return [one for one in found if one.score >= found[0].score - NEAR][:MOST]
+
+
+def _fits(texts: tuple[str, ...], mirrored: bool, actions: frozenset[str], cues: frozenset[str], near: float) -> bool:
+    if near < SAME and frozenset(main_actions(texts)) != actions:
+        return False
+    told = frozenset[str]().union(*(said_cues(mirror_words(text) if mirrored else text) for text in texts))
+    return cues <= told

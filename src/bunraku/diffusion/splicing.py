@@ -1,0 +1,66 @@
+"""Motions cut and put together: where to leave one for another, the cross-fade, playing on, and holding still."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bunraku.geometry.easing import smooth_step
+
+__all__ = ["held", "join_point", "played", "splice"]
+
+_BLEND = 6
+
+
+def join_point(
+    tail: np.ndarray,
+    head: np.ndarray,
+    weights: np.ndarray,
+    blend: int = _BLEND,
+    most: tuple[int | None, int | None] = (None, None),
+) -> tuple[int, int, float]:
+    """Where to leave one motion and enter another so that pose and velocity agree best.
+
+    Args:
+        tail: Motion to leave in its last quarter, shape (N, D), network units.
+        head: Motion to enter in its first quarter, shape (M, D).
+        weights: Share of each feature, shape (D,).
+        blend: Frames that both must still have after that.
+        most: Frames at the most, beside the blend, that are lost of the tail's end and of the head's beginning; None
+            for a quarter.
+
+    Returns:
+        Frame i of the tail, frame j of the head, and the mean squared difference there.
+    """
+    last = max(len(tail) - blend + 1, 1)
+    first = min(3 * len(tail) // 4, last - 1) if most[0] is None else max(last - 1 - most[0], 0)
+    stop = max(1, min(len(head) // 4 if most[1] is None else most[1] + 1, len(head) - blend))
+    scale = np.sqrt(weights / weights.sum())
+    a, b = tail[first:last] * scale, head[:stop] * scale
+    distance = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * a @ b.T
+    i, j = np.unravel_index(int(distance.argmin()), distance.shape)
+    return first + int(i), int(j), float(max(distance[i, j], 0))
+
+
+def splice(tail: np.ndarray, head: np.ndarray, i: int, j: int, blend: int = _BLEND) -> np.ndarray:
+    """`tail` up to frame i, then `head` from frame j, cross-faded over the next `blend` frames of both."""
+    blend = min(blend, len(tail) - i, len(head) - j)
+    share = smooth_step(np.linspace(0, 1, blend + 2, dtype=np.float32)[1:-1, None])
+    mixed = tail[i : i + blend] * (1 - share) + head[j : j + blend] * share
+    return np.concatenate([tail[:i], mixed, head[j + blend :]])
+
+
+def played(values: np.ndarray, loop: tuple[int, int], target: int) -> np.ndarray:
+    """A motion played on from frame j after frame i until it has at least `target` frames."""
+    i, j = loop
+    longer = values
+    while len(longer) < target:
+        longer = splice(longer, values, len(longer) - len(values) + i, j)
+    return longer
+
+
+def held(values: np.ndarray, frames: int, still: np.ndarray) -> np.ndarray:
+    """A motion with its last pose held for so many frames, its root coming to rest."""
+    hold = np.repeat(values[-1:], frames, axis=0)
+    fade = 0.5 ** np.arange(1, len(hold) + 1, dtype=np.float32)[:, None]
+    hold[:, :3] = still + (hold[:, :3] - still) * fade
+    return np.concatenate([values, hold])

@@ -1,0 +1,28 @@
+import numpy as np
+import pytest
+
+from bunraku.body.from_handles import skeleton_from_handles
+from bunraku.diffusion.examples.pack import Example, ExamplePack, packed_stretch
+from bunraku.diffusion.features import decode
+
+
+@pytest.fixture
+def pack(features):
+    """A wave with the left hand that goes on, and a kick with the right leg that is done once; each has a unit vector
+    of its own for its sentence and its motion, and others for their mirror images.
+    """
+    motions = [features("left_elbow", frames=40), features("right_knee", frames=30)]
+    data = []
+    for values in motions:
+        skeleton = skeleton_from_handles(decode(values))
+        data.append(packed_stretch(skeleton.root_translation, skeleton.rotations))
+    examples = (
+        Example("wave", ("a person waves with the left hand", "waves"), 40, (30, 10)),
+        Example("kick", ("a person kicks with the right leg",), 30),
+    )
+    axes = np.eye(4)
+    owners = np.array([0, 0, 1])
+    return ExamplePack(
+        examples, tuple(data), owners, np.stack([axes[[0, 0, 1]], axes[[2, 2, 3]]]),
+        np.stack([axes[[0, 1]], axes[[2, 3]]]), "none",
+    )  # fmt: skip

@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from bunraku.diffusion.examples.guide import fits_into, hurried, laid, laid_script
+from bunraku.diffusion.examples.leads import Leads
+from bunraku.diffusion.examples.retrieve import Found
+from bunraku.diffusion.features import FeatureStatistics, mirror
+
+WAVE, KICK = Found(0, False, 0.9), Found(1, False, 0.9)
+
+
+@pytest.fixture
+def units(pack):
+    return FeatureStatistics.measure([pack.features(0), pack.features(1)])
+
+
+def lay(pack, units, found, frames):
+    return units.restore(laid(pack, found, frames, units, np.random.default_rng(0)))
+
+
+def test_what_goes_on_is_played_on_or_cut(pack, units):
+    long, short = (lay(pack, units, WAVE, frames) for frames in (100, 25))
+    assert len(long) == 100 and len(short) == 25
+    step = np.abs(np.diff(pack.features(0), axis=0)).max()
+    assert np.abs(np.diff(long, axis=0)).max() < 1.1 * step
+    assert np.abs(np.diff(long[-30:], axis=0)).max() > 0.5 * step  # it waves to the end
+
+
+def test_what_is_done_once_has_rest_around_it(pack, units):
+    long, kick = lay(pack, units, KICK, 100), pack.features(1)
+    assert len(long) == 100
+    start = next(at for at in range(71) if np.allclose(long[at : at + 30, 3:], kick[:, 3:], atol=1e-4))
+    assert 0 < start <= 30
+    assert np.ptp(long[:start, 3:], axis=0).max() < 1e-4 and np.ptp(long[start + 30 :, 3:], axis=0).max() < 1e-4
+    np.testing.assert_allclose(long[-1, :3], 0, atol=1e-3)
+
+
+def test_what_is_done_once_is_sped_up_a_little_but_never_cut(pack, units):
+    short = lay(pack, units, KICK, 25)
+    np.testing.assert_allclose(short[[0, -1], 3:], pack.features(1)[[0, -1], 3:], atol=1e-4)
+    assert fits_into(pack, KICK, 25) and not fits_into(pack, KICK, 20)
+    assert fits_into(pack, WAVE, 5)
+
+
+def test_who_hurries_gets_as_far():
+    walk = np.zeros((41, 271), np.float32)
+    walk[:, 2] = 1.5
+    fast = hurried(walk, 31)
+    assert fast[1:, 2].sum() == pytest.approx(walk[1:, 2].sum(), rel=1e-6)
+
+
+def test_the_mirror_image_is_one(pack, units):
+    left = laid(pack, WAVE, 40, units, np.random.default_rng(3))
+    right = laid(pack, Found(0, True, 0.9), 40, units, np.random.default_rng(3))
+    np.testing.assert_allclose(units.restore(right), mirror(units.restore(left)), atol=1e-4)
+
+
+def test_sentences_without_an_example_are_the_samplers_own(pack, units):
+    guide = laid_script(pack, [(WAVE, 60), (None, 50)], 110, units, np.random.default_rng(0))
+    assert guide.values.shape == (110, 271)
+    assert (guide.share[60:] == 0).all() and (guide.share[:50] == 1).all()
+    assert (np.diff(guide.share[50:60]) < 0).all()
+
+
+def test_other_seeds_and_candidates_take_others_and_the_same_ones_the_same(pack):
+    axes = np.eye(4)
+    leads = Leads(pack, {"someone waves": (axes[0] + axes[2]) / 2**0.5, "jumps": 0.8 * axes[1] + 0.6 * axes[3]})
+    script = [("someone waves", 60)]
+    first, second, again = (leads.lead(script, (7, 0), number) for number in (0, 1, 0))
+    assert first == again and {first.found[0].mirrored, second.found[0].mirrored} == {False, True}
+    assert len({leads.lead(script, (seed, 0), 0).found[0].mirrored for seed in range(20)}) == 2
+    assert leads.lead([("jumps", 60)], (7, 0), 0) is None
