@@ -110,6 +110,16 @@ def test_all_rows_and_keys(folder, tmp_path):
     json.dumps(result)
 
 
+def test_what_is_chosen_has_a_row_of_its_own(folder, tmp_path):
+    result = evaluate_motion(replace(settings(folder, tmp_path), best_of=2, mdm=None))
+    rows = result["rows"]
+    assert set(rows) == {"real", "tapmo", "tapmo_chosen"}
+    assert rows["tapmo_chosen"]["fid"] != rows["tapmo"]["fid"]
+    assert result["r_precision_1_over_real_chosen"] == pytest.approx(
+        rows["tapmo_chosen"]["r_precision_1"]["mean"] / rows["real"]["r_precision_1"]["mean"]
+    )
+
+
 def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path, monkeypatch):
     first = evaluate_motion(settings(folder, tmp_path))
 

@@ -22,7 +22,7 @@ _COLUMNS = (
     ("r_precision_1", "R-Prec. 1"), ("r_precision_2", "R-Prec. 2"), ("r_precision_3", "R-Prec. 3"), ("fid", "FID"),
     ("mm_dist", "MM-Dist"), ("diversity", "Diversity"), ("multimodality", "MModality"),
 )  # fmt: skip
-_NAMES = {"real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)"}
+_NAMES = {"real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_chosen": "- as chosen"}
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,11 @@ class EvaluateMotion:
     guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
     """Classifier-free guidance scale, 0 to 20. Default: the sampler's."""
     best_of: int = 1
-    """Of how many the ranker chooses each motion of what a viewer sees, 1 to 16; `bunraku animate` takes 3."""
+    """Of how many the ranker chooses each motion of what a viewer sees, and of a row of the table, 1 to 16; `bunraku
+    animate` takes 3.
+    """
+    examples: bool = True
+    """What is chosen from starts from captured examples."""
     reference_steps: int = 0
     """Compare the default sampler with so many steps of DDPM's, 1000 for the paper's; hours on a processor. 0 leaves it
     out.
@@ -105,7 +109,8 @@ class EvaluateMotion:
             runs=self.runs or (3 if self.quick else 20),
             references=1000 if self.quick else 3000, prompts=8 if self.quick else 20, repeats=4 if self.quick else 10,
             candidates=self.candidates,
-            steps=self.steps, guidance=self.guidance, best_of=self.best_of, reference_steps=self.reference_steps,
+            steps=self.steps, guidance=self.guidance, best_of=self.best_of, examples=self.examples,
+            reference_steps=self.reference_steps,
             reference_clips=self.reference_clips, seed=self.seed,
         )  # fmt: skip
         with stages() as report:

@@ -15,17 +15,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode
 from bunraku.errors import OptionError
-from bunraku.formats.files import atomic_write
+from bunraku.formats.files import atomic_write, weights_folder
 
 if TYPE_CHECKING:
     from bunraku.diffusion.denoiser import Denoiser
     from bunraku.language.encoders import TextEncoder
 
-__all__ = ["Request", "SamplerSettings", "checkpoint_digest", "make_motions"]
+__all__ = ["Request", "SamplerSettings", "checkpoint_digest", "choose_motions", "make_motions"]
 
 BATCH = 32
+CHOOSING = ("ranker", "examples")
+"""Weights that choosing takes beside the denoiser's."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +52,16 @@ class SamplerSettings:
         guidance: Scale of classifier-free guidance.
         method: "dpm", or "ddpm" for the ancestral reference.
         seed: Of the noise.
+        candidates: Of how many each motion is chosen, as `animate` does; 1 for none.
+        examples: Candidates start from captured examples.
     """
 
     steps: int
     guidance: float
     method: str = "dpm"
     seed: int = 0
+    candidates: int = 1
+    examples: bool = True
 
 
 def checkpoint_digest(path: Path) -> str:
@@ -114,32 +120,89 @@ def make_motions(
     if bf16 is None:
         bf16 = bool(torch.cpu._is_avx512_bf16_supported()) if model.mean.device.type == "cpu" else True
     home = None if folder is None else folder / _key(digest, requests, sampling, mesh_feature, adapt, bf16)
-    if home is not None:
-        home.mkdir(parents=True, exist_ok=True)
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     mesh = (
         None
         if mesh_feature is None or not model.knows_meshes
         else torch.as_tensor(np.asarray(mesh_feature, np.float32))[None]
     )
+
+    def drawn(rows: list[int], number: int) -> np.ndarray:
+        with fitting_threads(model):
+            found = sample(
+                model, encoder.encode([requests[row].sentence for row in rows]), requests[rows[0]].frames,
+                mesh_features=None if mesh is None else mesh.expand(len(rows), -1), steps=sampling.steps,
+                guidance=sampling.guidance,
+                seed=sampling.seed + 104_729 * (number + 1), method=sampling.method, bf16=bf16,
+            )  # fmt: skip
+        values = statistics.restore(found.values.float().cpu().numpy()).astype(np.float32)
+        if adapt:
+            local = found.adaptation[:, :, 1:].float().cpu().numpy()
+            values[..., 10:].reshape(*values.shape[:2], -1, 9)[..., :3] += local
+        return np.asarray(values)
+
+    return _kept(requests, home, drawn, progress)
+
+
+def choose_motions(
+    requests: Sequence[Request],
+    sampling: SamplerSettings,
+    checkpoint: Path,
+    *,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[np.ndarray]:
+    """Motions as `bunraku animate` makes and chooses them, before they are fitted to a character; otherwise as
+    `make_motions`.
+
+    Args:
+        requests: What to make.
+        sampling: How, and of how many candidates.
+        checkpoint: Weights of the denoiser.
+        folder: Where batches are kept; None keeps nothing.
+        progress: Called with (motions done, total).
+    """
+    from bunraku.diffusion.generate import generate_motions
+
+    home = (
+        None if folder is None else folder / _key(checkpoint_digest(checkpoint), requests, sampling, None, True, False)
+    )
+
+    def drawn(rows: list[int], number: int) -> np.ndarray:
+        motions = generate_motions(
+            [[(requests[row].sentence, requests[row].frames / 20)] for row in rows],
+            seeds=[sampling.seed + 104_729 * (number + 1) + place for place in range(len(rows))],
+            steps=sampling.steps, guidance=sampling.guidance, checkpoint=checkpoint,
+            candidates=sampling.candidates, examples=sampling.examples,
+        )  # fmt: skip
+        return np.stack([encode(motion) for motion in motions])
+
+    return _kept(requests, home, drawn, progress)
+
+
+def _kept(
+    requests: Sequence[Request],
+    home: Path | None,
+    make: Callable[[list[int], int], np.ndarray],
+    progress: Callable[[int, int], None] | None,
+) -> list[np.ndarray]:
+    """Motions in the order of the requests, made in batches, each read from its folder where it is there already.
+
+    Args:
+        requests: What to make.
+        home: Folder of these very requests, weights and settings; None keeps nothing.
+        make: Makes the rows of batch `number`, shape (B, N, 271).
+        progress: Called with (motions done, total).
+    """
+    if home is not None:
+        home.mkdir(parents=True, exist_ok=True)
     out: list[np.ndarray] = [np.zeros((0, FEATURE_SIZE), np.float32)] * len(requests)
     done = 0
     for number, rows in enumerate(_batches(requests)):
         path = None if home is None else home / f"{number:04d}.npz"
-        shape = (len(rows), requests[rows[0]].frames, model.config.features)
-        values = None if path is None else _stored(path, shape)
+        values = None if path is None else _stored(path, (len(rows), requests[rows[0]].frames, FEATURE_SIZE))
         if values is None:
-            with fitting_threads(model):
-                found = sample(
-                    model, encoder.encode([requests[row].sentence for row in rows]), shape[1],
-                    mesh_features=None if mesh is None else mesh.expand(len(rows), -1), steps=sampling.steps,
-                    guidance=sampling.guidance,
-                    seed=sampling.seed + 104_729 * (number + 1), method=sampling.method, bf16=bf16,
-                )  # fmt: skip
-            values = statistics.restore(found.values.float().cpu().numpy()).astype(np.float32)
-            if adapt:
-                local = found.adaptation[:, :, 1:].float().cpu().numpy()
-                values[..., 10:].reshape(*shape[:2], -1, 9)[..., :3] += local
+            values = make(rows, number)
             if path is not None:
                 with atomic_write(path) as file:
                     np.savez(file, features=values.astype(np.float16))
@@ -172,6 +235,9 @@ def _key(
 ) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
     how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, bf16, BATCH]
+    if sampling.candidates > 1:
+        files = [path for name in CHOOSING if (path := weights_folder() / f"{name}.safetensors").is_file()]
+        how += [sampling.candidates, sampling.examples, *map(checkpoint_digest, files)]
     say = [digest, wanted, how, None if mesh is None else np.asarray(mesh, float).round(4).tolist()]
     return hashlib.sha256(json.dumps(say).encode()).hexdigest()[:20]
 

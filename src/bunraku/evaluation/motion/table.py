@@ -21,7 +21,7 @@ import numpy as np
 from bunraku.diffusion.matching import Extractor, embed_motions, embed_sentences, load_extractor
 from bunraku.errors import OptionError
 from bunraku.evaluation.motion.metrics import diversity, fid, interval, multimodal_distance, multimodality, r_precision
-from bunraku.evaluation.motion.samples import Request, SamplerSettings, checkpoint_digest, make_motions
+from bunraku.evaluation.motion.samples import Request, SamplerSettings, checkpoint_digest, choose_motions, make_motions
 from bunraku.evaluation.motion.train_extractor import people
 from bunraku.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
 from bunraku.language.encoders import encoder_of
@@ -53,7 +53,9 @@ class MotionEvalConfig:
         repeats: Motions of each of them.
         steps: Steps of the default sampler; None takes the default.
         guidance: Scale of classifier-free guidance; None takes the default.
-        best_of: Of how many the ranker chooses each motion of the second table, as `animate` does; 1 for none.
+        best_of: Of how many the ranker chooses each motion of the second table, and of a row of the first, as `animate`
+            does; 1 for none, and no such row.
+        examples: What is chosen from starts from captured examples, as in `animate`.
         reference_steps: Steps of DDPM's sampler that the default is compared with; 0 leaves the comparison out.
         reference_clips: Motions that it is compared on.
         seed: Of everything random.
@@ -76,6 +78,7 @@ class MotionEvalConfig:
     steps: int | None = None
     guidance: float | None = None
     best_of: int = 1
+    examples: bool = True
     reference_steps: int = 0
     reference_clips: int = 256
     seed: int = 0
@@ -225,6 +228,13 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         )
         vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
         rows[name] = Row(embed_motions(extractor, motions), vectors)
+    if config.best_of > 1:
+        chosen = choose_motions(
+            [Request(window.sentence, window.frames) for window in windows],
+            replace(sampling, candidates=config.best_of, examples=config.examples), models["tapmo"],
+            folder=config.work, progress=lambda done, total: report("motions as chosen", done / total),
+        )  # fmt: skip
+        rows["tapmo_chosen"] = Row(embed_motions(extractor, chosen))
     measure_rows(rows, references, windows, clips, sentences, config, report)
 
     result = _summary(rows)
@@ -320,6 +330,9 @@ def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
     for place in (1, 2, 3):
         key = f"r_precision_{place}"
         result[f"{key}_over_real"] = ours[key]["mean"] / max(real[key]["mean"], 1e-12)
+    chosen = table.get("tapmo_chosen")
+    best = None if chosen is None else chosen["r_precision_1"]["mean"] / max(real["r_precision_1"]["mean"], 1e-12)
+    result["r_precision_1_over_real_chosen"] = best
     mdm = table.get("tapmo_mdm")
     result["fid_over_tapmo_mdm"] = None if mdm is None else ours["fid"]["mean"] / max(mdm["fid"]["mean"], 1e-12)
     result["fid_real"] = real["fid"]["mean"]
