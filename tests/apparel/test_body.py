@@ -24,7 +24,7 @@ from bunraku.training.losses.apparel_losses import edge_loss, mask_loss, smoothn
 
 
 def test_the_attention_map_by_hand():
-    """With an f_m that says nothing, M is the softmax of 4 exp(-8 G)."""
+    """With an f_m that says nothing, M is the softmax of 2 exp(-8 G)."""
     network = BodyNetwork(BodyConfig(features=4, width=8))
     with torch.no_grad():
         network.attention[-1].weight.zero_()
@@ -32,7 +32,7 @@ def test_the_attention_map_by_hand():
     distances = torch.full((1, JOINT_COUNT), 50.0)
     distances[0, 3] = 0.0
     attention = network.attention_map(distances)[0]
-    assert float(attention.detach()[3]) == pytest.approx(math.exp(4) / (math.exp(4) + JOINT_COUNT - 1), rel=1e-5)
+    assert float(attention.detach()[3]) == pytest.approx(math.exp(2) / (math.exp(2) + JOINT_COUNT - 1), rel=1e-5)
     assert float(attention.detach().sum()) == pytest.approx(1)
 
 

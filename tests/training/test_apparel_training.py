@@ -7,7 +7,10 @@ import pytest
 import torch
 
 from bunraku.apparel.body.network import BodyConfig
-from bunraku.apparel.displacement.network import DisplacementConfig, load_displacement
+from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, load_displacement
+from bunraku.apparel.refinement.network import RefinementConfig, load_refinement
+from bunraku.apparel.refinement.seam import seam_of
+from bunraku.apparel.sampled_mesh import point_features
 from bunraku.apparel.segmentation.network import SegmentationConfig, load_segmentation
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.core.skinning import skin
@@ -15,11 +18,18 @@ from bunraku.datasets.apparel import ApparelData
 from bunraku.datasets.apparel.build import build_apparel
 from bunraku.datasets.apparel.plan import choose_motions, motion_sources, plan_shards, wardrobe_sources
 from bunraku.datasets.motions.clips import write_clip, write_index
+from bunraku.errors import OptionError
 from bunraku.evaluation.transfer.stock_motions import stock_motion
 from bunraku.training.apparel.body import BodyTrainConfig, BodyTrainer, pose_bank, posed_joints
 from bunraku.training.apparel.displacement import DisplacementTrainConfig, DisplacementTrainer
 from bunraku.training.apparel.mesh_bank import build_meshes
-from bunraku.training.apparel.node_bank import build_bank
+from bunraku.training.apparel.mesh_variation import varied, welded_parts
+from bunraku.training.apparel.node_bank import build_bank, truth_wearer
+from bunraku.training.apparel.refinement import (
+    RefinementTrainConfig,
+    RefinementTrainer,
+    seam_sample,
+)
 from bunraku.training.apparel.segmentation import SegmentationTrainConfig, SegmentationTrainer, mask_iou
 
 
@@ -112,6 +122,62 @@ def test_the_mask_is_learned(meshes, tmp_path):
     assert again.resume() and again.step == 80
 
 
+def test_parts_that_touch_are_welded():
+    points = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.03, 0, 0], [1, 0, 0], [1.01, 0, 0], [1.02, 0, 0], [1.03, 0, 0]])
+    part = np.array([5, 5, 7, 9, 9, 9, 11])
+    random = np.random.default_rng(0)
+    # 5 and 7 touch, 9 and 11 too, but 9 has the most points and stays alone
+    assert welded_parts(points, part, 1.0, random).tolist() == [0, 0, 0, 1, 1, 1, 2]
+    assert welded_parts(points, part, 1.0, random, body=True).tolist() == [0, 0, 0, 1, 1, 1, 1]
+    assert welded_parts(points, part, 0.0, random).tolist() == [0, 0, 1, 2, 2, 2, 3]
+    cloth = np.array([0, 0, 0, 0, 1, 0, 1])
+    for _ in range(8):  # one pair of four parts: the one whose parts both have apparel
+        assert welded_parts(points, part, 0.25, random, True, cloth).tolist() == [0, 0, 1, 2, 2, 2, 2]
+
+
+def test_a_varied_character_is_one_still(meshes):
+    random = np.random.default_rng(1)
+    sample = meshes[0]
+    for _ in range(6):
+        other = varied(sample, random)
+        mesh = other.mesh
+        assert len(mesh.points) == len(other.apparel) == len(other.weights) <= len(sample.apparel)
+        assert mesh.features.shape == (len(mesh.points), sample.mesh.features.shape[1])
+        assert (mesh.part[mesh.neighbours] == mesh.part[:, None]).all()
+        np.testing.assert_allclose(
+            mesh.points[:, 1], sample.mesh.points[np.searchsorted(sample.mesh.clean, mesh.clean), 1]
+        )
+    same = sample.mesh
+    again = point_features(same.points, same.features[:, 3:6], same.joints, same.part)
+    np.testing.assert_allclose(again, same.features, atol=1e-4)  # places are kept in single precision
+
+
+def test_the_recurrent_part_goes_about_a_trained_head(bank, tmp_path):
+    shape = DisplacementConfig(8, 1, 0)
+    config = DisplacementTrainConfig(out=tmp_path / "a", minutes=0, steps=3, head=1.0, batch=2, warmup=1, network=shape)
+    first = DisplacementTrainer(config, bank)
+    for _ in range(3):
+        first.train_step()
+    path = first.save({})
+    head = load_displacement(path).anchor.state_dict()
+    second = replace(
+        config, out=tmp_path / "b", start=path, head=0.0, clips=1, shortest=5, longest=6,
+        network=DisplacementConfig(8, 1, 8),
+    )  # fmt: skip
+    trainer = DisplacementTrainer(second, bank)
+    for _ in range(3):
+        assert "recurrent_loss" in trainer.train_step()
+    done = load_displacement(trainer.save({}))
+    assert done.recurrent is not None
+    for (
+        name,
+        value,
+    ) in done.anchor.state_dict().items():  # the head did not learn; matrices are stored in half precision
+        assert torch.allclose(value, head[name], atol=1e-3)
+    with pytest.raises(OptionError, match="another shape"):
+        DisplacementTrainer(replace(second, network=DisplacementConfig(16, 1, 8)), bank)
+
+
 def test_overlap_by_hand():
     assert mask_iou(np.array([1, 1, 0, 0]) > 0, np.array([0, 1, 1, 0]) > 0) == pytest.approx(1 / 3)
     assert mask_iou(np.zeros(3, bool), np.zeros(3, bool)) == 1
@@ -143,3 +209,40 @@ def test_posed_joints_by_hand():
     ankle = affine[7, :, :3] @ joints[7] + affine[7, :, 3]
     np.testing.assert_allclose(ankle, [0, 0.5, -0.5], atol=1e-6)
     np.testing.assert_allclose(affine[1], np.eye(3, 4), atol=1e-6)
+
+
+def test_the_refinement_is_learned(data, tmp_path):
+    """Both modules' results are the truth with a torn seam; what is learned closes it."""
+    found = ApparelData(data)
+    clip = found.clips[0]
+    wearer = truth_wearer(found.character(clip))
+    frames = np.array([4, 8])
+    network = DisplacementNetwork(DisplacementConfig(8, 1, 0)).eval()
+    transforms = found.shard(clip.shard).frames("transforms", clip.first, clip.first + 9)
+    truth = found.window(clip, 0, 9).vertices[frames]
+    sample = seam_sample(wearer, wearer.weights, transforms, truth, frames, network)
+    assert sample.places.shape == sample.truth.shape and len(sample.places) == 2
+    torn = sample.truth.copy()
+    torn[:, ::3, 1] += 0.02
+    seam = seam_of(wearer, wearer.weights)
+    affine = eq4_transforms(transforms[frames], wearer.joints)
+    rows = []
+    for frame in range(2):
+        places = np.array(truth[frame], np.float32)
+        places[seam.vertices[::3], 1] += 0.02 * wearer.scale
+        rows.append(seam.frame(places, affine[frame]))
+    sample = replace(
+        sample, places=torn, inputs=np.stack([row.inputs for row in rows]),
+        vectors=np.stack([row.vectors for row in rows]), turns=np.stack([row.turns for row in rows]),
+    )  # fmt: skip
+    config = RefinementTrainConfig(
+        out=tmp_path, minutes=0, steps=60, batch=1, warmup=5, rate=1e-2, decay=0.9, network=RefinementConfig(16)
+    )
+    trainer = RefinementTrainer(config, [sample], [sample])
+    assert trainer.validate()["vertices"] == pytest.approx(1)
+    for _ in range(60):
+        trainer.train_step()
+    results = trainer.validate()
+    assert results["vertices"] < 0.8 and results["edges"] < 0.7
+    assert load_refinement(trainer.save(results)).config.width == 16
+    assert RefinementTrainer(config, [sample]).resume()

@@ -15,7 +15,9 @@ from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
 from bunraku.geometry.normals import vertex_normals
 
-__all__ = ["NEIGHBOURS", "POINTS", "POINT_FEATURES", "SampledMesh", "joint_distances", "sampled_mesh"]
+__all__ = [
+    "NEIGHBOURS", "POINTS", "POINT_FEATURES", "SampledMesh", "joint_distances", "point_features", "sampled_mesh",
+]  # fmt: skip
 
 POINTS = 1024
 NEIGHBOURS = 6
@@ -79,27 +81,38 @@ def sampled_mesh(
     origin = np.array([joints[0, 0], low, joints[0, 2]])
     points = (places[chosen] - origin) / height
     bones = (np.asarray(joints, np.float64) - origin) / height
-    normals = vertex_normals(clean.vertices, clean.faces)[chosen]
-    sizes = np.stack([np.ptp(points[part[chosen] == number], axis=0) for number in range(part.max() + 1)])[part[chosen]]
-    lows = np.array([points[part[chosen] == number, 1].min() for number in range(part.max() + 1)])[part[chosen]]
-    way, gaps = _bone_ways(points, bones)
-    features = np.concatenate(
-        [
-            points,
-            normals,
-            way,
-            gaps.min(axis=1, keepdims=True),
-            np.exp(-8 * gaps),
-            sizes,
-            (points[:, 1] - lows)[:, None],
-        ],
-        axis=1,
-    )
+    features = point_features(points, vertex_normals(clean.vertices, clean.faces)[chosen], bones, part[chosen])
     neighbours, nearest, shares = _near(places, part, chosen)
     return SampledMesh(
-        chosen, points.astype(np.float32), bones.astype(np.float32), features.astype(np.float32), part[chosen],
+        chosen, points.astype(np.float32), bones.astype(np.float32), features, part[chosen],
         neighbours, clean.index, nearest[clean.index], shares[clean.index],
     )  # fmt: skip
+
+
+def point_features(points: np.ndarray, normals: np.ndarray, joints: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """What the segmentation network is told of points, shape (S, POINT_FEATURES), float32: place, normal, the way from
+    the nearest bone and its length, how near each bone is, the extent of the point's part, its height above the part's
+    lowest point.
+
+    Args:
+        points: In units of the height, as of `SampledMesh`, shape (S, 3).
+        normals: Shape (S, 3).
+        joints: J in the same units, shape (22, 3).
+        part: Loose part of each point, shape (S,).
+    """
+    numbers, own = np.unique(part, return_inverse=True)
+    sides = np.array([(points[own == number].min(axis=0), points[own == number].max(axis=0))
+                      for number in range(len(numbers))])  # fmt: skip
+    low, high = sides[own, 0], sides[own, 1]
+    way, gaps = _bone_ways(points, joints)
+    found = np.concatenate(
+        [
+            points, normals, way, gaps.min(axis=1, keepdims=True), np.exp(-8 * gaps), high - low,
+            (points[:, 1] - low[:, 1])[:, None],
+        ],
+        axis=1,
+    )  # fmt: skip
+    return np.asarray(found, np.float32)
 
 
 def _chosen(part: np.ndarray, most: int, rng: np.random.Generator) -> np.ndarray:

@@ -68,6 +68,7 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
     ("train", "ranker"): ("train", "ranker", "train the ranker that chooses among candidates"),
     ("train", "apparel-mask"): ("train", "apparel_mask", "train the network that finds apparel on a mesh"),
     ("train", "apparel-body"): ("train", "apparel_body", "train skinning weights by geodesic attention"),
+    ("train", "apparel-refinement"): ("train", "apparel_refinement", "train what merges body and apparel"),
     ("train", "apparel"): ("train", "apparel", "train the network that moves apparel"),
     ("train", "adaptation"): ("train", "adaptation", "fine-tune the adaptation of motions to meshes"),
     ("evaluate", "handles"): ("evaluate.handles", "EvaluateHandles", "measure the handles on rigged characters"),

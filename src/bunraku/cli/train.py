@@ -13,6 +13,7 @@ __all__ = [
     "apparel",
     "apparel_body",
     "apparel_mask",
+    "apparel_refinement",
     "diffusion",
     "extractor",
     "handles",
@@ -158,6 +159,18 @@ def apparel_body() -> tuple[type, Callable[[Any], None]]:
     from bunraku.training.apparel.body import BodyTrainConfig, train_body
 
     return BodyTrainConfig, lambda config: print(f"wrote {train_body(config, _told)}")
+
+
+def apparel_refinement() -> tuple[type, Callable[[Any], None]]:
+    """Train the joint refinement (section 4.4 of MMDMC), which merges what the body and the apparel network say.
+
+    The same command goes on where a run stopped. The other networks are the shipped ones, or those that are named.
+
+    Example: bunraku train apparel-refinement --data data/apparel --out runs/apparel-refinement
+    """
+    from bunraku.training.apparel.refinement import RefinementTrainConfig, train_refinement
+
+    return RefinementTrainConfig, lambda config: print(f"wrote {train_refinement(config, _told)}")
 
 
 def apparel() -> tuple[type, Callable[[Any], None]]:

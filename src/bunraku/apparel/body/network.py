@@ -51,7 +51,7 @@ class BodyNetwork(nn.Module):
         self.joint_codes = nn.Parameter(0.1 * torch.randn(JOINT_COUNT, wide))
         self.encoder = nn.Sequential(nn.Linear(JOINT_INPUT, 32), nn.GELU(), nn.Linear(32, wide))
         self.attention = nn.Sequential(nn.Linear(JOINT_COUNT, 64), nn.GELU(), nn.Linear(64, JOINT_COUNT))
-        entering = JOINT_COUNT * 4 + 6 if config.geodesics == "sorted" else wide + 6
+        entering = {"attention": wide + JOINT_COUNT, "none": wide, "sorted": 4 * JOINT_COUNT}[config.geodesics] + 6
         self.enter = nn.Sequential(nn.Linear(entering, config.width), nn.GELU(), nn.Linear(config.width, config.width))
         self.block = EdgeBlock(config.width)
         self.pooled = nn.Linear(config.width, config.width)
@@ -63,10 +63,10 @@ class BodyNetwork(nn.Module):
         """M = Softmax(f_m(G)), how much each joint counts for each vertex [MMDMC 5], shape (N, J) -> (N, J).
 
         Distances go in as closeness, exp(-8 G) with G over the height, and beside what f_m makes of them the raw ones
-        count, so that it begins as the prior that they are.
+        count, so that it begins as the prior that they are; softly, so that what joints farther off say is not lost.
         """
         close = torch.exp(-8 * geodesics)
-        out: torch.Tensor = torch.softmax(4 * close + self.attention(close), dim=1)
+        out: torch.Tensor = torch.softmax(2 * close + self.attention(close), dim=1)
         return out
 
     def fused(self, features: torch.Tensor, attention: torch.Tensor) -> torch.Tensor:
@@ -78,6 +78,8 @@ class BodyNetwork(nn.Module):
         graph: NodeGraph,
     ) -> torch.Tensor:  # fmt: skip
         """Skinning weights W = Softmax(f_s(P')) [MMDMC 7], shape (N, J), rows sum to 1.
+
+        Beside P' ours is given the place, the normal and the attention map itself, which says how far each joint is.
 
         Args:
             points: Of B meshes in units of their heights (`SampledMesh.points`), shape (N, 3).
@@ -96,9 +98,11 @@ class BodyNetwork(nn.Module):
         else:
             pair = torch.cat([way, length, normals[:, None].expand_as(way)], dim=2)
             features = self.encoder(pair) + self.joint_codes
-            even = torch.full_like(geodesics, 1 / JOINT_COUNT)
-            attention = self.attention_map(geodesics) if self.config.geodesics == "attention" else even
-            fused = self.fused(features, attention)
+            if self.config.geodesics == "attention":
+                attention = self.attention_map(geodesics)
+                fused = torch.cat([self.fused(features, attention), JOINT_COUNT * attention], dim=1)
+            else:
+                fused = features.mean(dim=1)  # Eq. 6 with the same attention for each joint
         x = self.block(self.enter(torch.cat([fused, own], dim=1)), graph)
         rows = graph.owner[:, None].expand_as(x)
         whole = x.new_full((len(joints), x.shape[1]), -1e4).scatter_reduce(0, rows, x, "amax")

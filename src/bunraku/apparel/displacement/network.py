@@ -85,4 +85,3 @@ def normalize_inputs(model: DisplacementNetwork, nodes: torch.Tensor) -> None:
         if part is not None:
             part.encoder.mean[: len(mean)] = mean
             part.encoder.std[: len(std)] = std
-            part.encoder.std[len(std) :] = 0.1

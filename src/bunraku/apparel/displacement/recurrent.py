@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -16,9 +17,13 @@ from bunraku.apparel.displacement.anchor import Inputs, NodeEncoder
 
 __all__ = ["Past", "RecurrentPart", "node_state", "past_of_states"]
 
-KEEP = 0.95  # most of the difference from the head that a frame leaves
+KEEP = 0.97  # most of the difference from the head that a frame leaves
 MOST = 0.04  # largest change of it in a frame, over the wearer's size
-STATE = 5 * 3 + 1
+BEGIN = (3.0, -0.8, -1.6, -0.2, 0.0, 0.0, 0.0)
+"""What the decoder says before it has learned: about the best linear prediction of the wardrobe's apparel."""
+SPREADS = (0.02, 0.005, 0.003, 0.02, 0.03, 0.006, 0.005, 0.01)
+"""What the encoder divides by: difference, velocity, acceleration, inertia, lag, own change, head's change, speed."""
+STATE = 7 * 3 + 1
 
 
 @dataclass
@@ -28,7 +33,8 @@ class Past:
     Args:
         rest: Difference from the head (frame="joint"), in the frame of the carrying joint, or position from the pelvis
             (frame="world"), newest first, shape (3, M, 3).
-        whole: The displacement that was given out last, in the frame of the carrying joint, shape (M, 3).
+        whole: The last two displacements that were given out, in the frame of the carrying joint, newest first, shape
+            (2, M, 3).
         places: Positions of the last two frames in the world, newest first, shape (2, M, 3).
     """
 
@@ -51,7 +57,7 @@ def past_of_states(
     """
     world = places + torch.einsum("fmab,fmb->fma", turns, states)
     rest = world if part.world else states - heads
-    return Past(rest.flip(0), states[2], world.flip(0)[:2])
+    return Past(rest.flip(0), states.flip(0)[:2], world.flip(0)[:2])
 
 
 def node_state(past: torch.Tensor) -> torch.Tensor:
@@ -75,18 +81,27 @@ class RecurrentPart(nn.Module):
         super().__init__()
         self.world = world
         self.encoder = NodeEncoder(9 if world else STATE, width, blocks)
-        last = nn.Linear(width, 3 if world else 5)
+        last = nn.Linear(width, 3 if world else len(BEGIN))
         self.decoder = nn.Sequential(nn.Linear(width, width), nn.GELU(), last)
-        nn.init.zeros_(last.weight)  # it begins by forgetting slowly what it is told, and adds nothing
+        nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
+        spreads = torch.tensor([0.1] * 9 if world else [*np.repeat(SPREADS[:-1], 3), SPREADS[-1]])
+        self.encoder.std[-len(spreads) :] = spreads
+        if not world:
+            with torch.no_grad():
+                last.bias.copy_(torch.tensor(BEGIN))
 
     def forward(
         self, inputs: Inputs, past: Past, anchor: torch.Tensor, turns: torch.Tensor, places: torch.Tensor
     ) -> tuple[torch.Tensor, Past]:
         """The next displacement: the last state and a change of it [MMDMC 11], shape (M, 3), and the new past.
 
-        In the frame of the carrying joint, r(t) = a (r(t-1) + g dr(t-1)) + d and e(t) = e*(t) + r(t), with a and g
-        below 1 and d bounded, so r is bounded too.
+        In the frame of the carrying joint, e(t) = e*(t) + r(t) with
+
+            r(t) = a (r(t-1) + s dr(t-1) + g (u(t) - e(t-1)) - (1 - h) de*(t)) + d
+
+        where u is where inertia alone takes the node and e* what the head says. What the network sets is bounded: a
+        below 1, s + g too (they share 1), h between 0 and 1, and d. So what is remembered fades whatever it says.
 
         Args:
             inputs: Features of the frame.
@@ -100,16 +115,22 @@ class RecurrentPart(nn.Module):
             change = self.decoder(self.encoder(torch.cat([inputs.nodes(), state], dim=1), inputs))
             now = past.rest[0] + change
             moved = torch.einsum("mba,mb->ma", turns, now - places)
-            return moved, Past(torch.cat([now[None], past.rest[:2]]), moved, past.places)
-        carried_on = 2 * past.places[0] - past.places[1]  # where inertia alone takes the node
-        inertia = torch.einsum("mba,mb->ma", turns, carried_on - places) - anchor
-        late = past.whole - anchor
-        speed = state[:, 3:6].norm(dim=1, keepdim=True)
-        own = torch.cat([state, inertia, late, speed], dim=1)
+            whole = torch.stack([moved, past.whole[0]])
+            return moved, Past(torch.cat([now[None], past.rest[:2]]), whole, past.places)
+        carried_on = 2 * past.places[0] - past.places[1]
+        inertia = torch.einsum("mba,mb->ma", turns, carried_on - places) - past.whole[0]
+        late = past.whole[0] - anchor
+        own_change = past.whole[0] - past.whole[1]
+        head_change = past.rest[0] - late  # e*(t) - e*(t-1)
+        speed = own_change.norm(dim=1, keepdim=True)
+        own = torch.cat([state, inertia, late, own_change, head_change, speed], dim=1)
         out = self.decoder(self.encoder(torch.cat([inputs.nodes(), own], dim=1), inputs))
-        keep = KEEP * torch.sigmoid(out[:, :1] + 3)
-        swing = torch.sigmoid(out[:, 1:2])
-        rest = keep * (past.rest[0] + swing * state[:, 3:6]) + MOST * torch.tanh(out[:, 2:] / MOST)
+        keep = KEEP * torch.sigmoid(out[:, :1])
+        shares = torch.softmax(torch.cat([out[:, 1:3], torch.zeros_like(out[:, :1])], dim=1), dim=1)
+        followed = torch.sigmoid(out[:, 3:4])
+        kept = past.rest[0] + shares[:, :1] * state[:, 3:6] + shares[:, 1:2] * inertia - (1 - followed) * head_change
+        rest = keep * kept + MOST * torch.tanh(out[:, 4:] / MOST)
         moved = anchor + rest
         now = places + torch.einsum("mab,mb->ma", turns, moved)
-        return moved, Past(torch.cat([rest[None], past.rest[:2]]), moved, torch.cat([now[None], past.places[:1]]))
+        whole = torch.stack([moved, past.whole[0]])
+        return moved, Past(torch.cat([rest[None], past.rest[:2]]), whole, torch.cat([now[None], past.places[:1]]))

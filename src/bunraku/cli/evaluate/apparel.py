@@ -34,7 +34,11 @@ class EvaluateApparel:
     masks: Path | None = None
     """Segmentation network to measure. Default: the shipped one."""
     bodies: tuple[Path, ...] = ()
-    """Body networks to measure (Table 4). Default: the shipped one."""
+    """Body networks to measure (Table 4), the first in Table 3 too. Default: the shipped one."""
+    refinement: Path | None = None
+    """Joint refinement of Table 3. Default: the shipped one."""
+    literal: Path | None = None
+    """Displacement network of the paper's own form (trained with --network.frame world --head 0), for its rows."""
     quick: bool = False
     """A few clips, and what takes long left out."""
     json: bool = False
@@ -42,7 +46,8 @@ class EvaluateApparel:
 
     def run(self) -> None:
         check_range("--clips", self.clips, 1, 10_000)
-        for path in (*self.files, *self.bodies, *(p for p in (self.weights, self.masks) if p is not None)):
+        networks = (self.weights, self.masks, self.refinement, self.literal)
+        for path in (*self.files, *self.bodies, *(p for p in networks if p is not None)):
             check_input(path)
         check_source(self.motions, "name a folder that `bunraku data motions` wrote")
         from bunraku.evaluation.apparel.table import evaluate_apparel
@@ -50,7 +55,8 @@ class EvaluateApparel:
         with stages() as report:
             result = evaluate_apparel(
                 self.data, motions=self.motions, files=self.files, clips=6 if self.quick else self.clips,
-                weights=self.weights, masks=self.masks, bodies=self.bodies, quick=self.quick, progress=report,
+                weights=self.weights, masks=self.masks, bodies=self.bodies, refinement=self.refinement,
+                literal=self.literal, quick=self.quick, progress=report,
             )  # fmt: skip
         measured(result, self.json, _print)
 

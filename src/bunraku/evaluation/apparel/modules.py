@@ -11,10 +11,11 @@ import numpy as np
 from bunraku.apparel.body.network import load_body
 from bunraku.apparel.body.predict import body_weights
 from bunraku.apparel.displacement.network import DisplacementNetwork
-from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.fitting import fitted_wearer
+from bunraku.apparel.refinement.network import RefinementNetwork, refined
+from bunraku.apparel.refinement.seam import seam_of
+from bunraku.apparel.refinement.tiled import found_wearer, tiled
 from bunraku.apparel.segmentation.predict import find_apparel
-from bunraku.apparel.wearer import Wearer
 from bunraku.core.skinning import skin
 from bunraku.errors import WeightsError
 from bunraku.evaluation.apparel.clips import TrueClip
@@ -39,35 +40,39 @@ def mask_scores(clip: TrueClip, masks: Path | None = None) -> dict[str, float]:
     return {"iou": float(both / max(any_, 1)), "stiffness": float(error)}
 
 
-def module_row(clip: TrueClip, network: DisplacementNetwork, masks: Path | None = None) -> dict[str, dict[str, float]]:
-    """Table 3 for a clip: the body module alone, with apparel that is found, and with the file's mask. Body and apparel
-    are skinned by predicted weights, and nothing of the file but its joints is used where it does not say so.
+def module_row(
+    clip: TrueClip, network: DisplacementNetwork, masks: Path | None = None, body: Path | None = None,
+    refinement: RefinementNetwork | None = None,
+) -> dict[str, dict[str, float]]:  # fmt: skip
+    """Table 3 for a clip: the body module alone, with apparel that is found, with the joint refinement, and with the
+    file's mask. Body and apparel are skinned by predicted weights, and nothing of the file but its joints is used where
+    it does not say so.
     """
     true = clip.wearer
-    weights = body_weights(true.rest, true.faces, true.joints)
-    found = find_apparel(true.rest, true.faces, true.joints, masks)
-    guessed = fitted_wearer(true.rest, true.faces, true.joints, weights, found.mask, found.stiffness, found.damping)
+    guessed, weights = found_wearer(true, masks, body)
     told = fitted_wearer(
         true.rest, true.faces, true.joints, weights, true.apparel,
         true.stiffness[true.part] * true.apparel, true.damping[true.part] * true.apparel,
     )  # fmt: skip
-    bare = replace(guessed, apparel=np.zeros(len(true.rest), bool), part=np.full(len(true.rest), -1),
-                   stiffness=np.zeros(0, np.float32), damping=np.zeros(0, np.float32), weights=weights)  # fmt: skip
-    rows = {"body module": bare, "body + apparel": guessed, "with the true mask": told}
-    return {name: _whole(clip, wearer, network) for name, wearer in rows.items()}
+    frames = np.arange(0, len(clip.transforms), STRIDE)
+    short = replace(clip, transforms=clip.transforms[frames], offsets=clip.offsets[frames])
+    truth = short.truth(np.arange(len(true.rest)))
+    bare = np.asarray(skin(true.rest, weights, short.affine))
+    rows = {"body module": _whole(clip, bare, truth)}
+    for wearer, name in ((guessed, ""), (told, ", true mask")):
+        moved = tiled(wearer, clip.transforms, network, frames)
+        rows[f"body + apparel{name}"] = _whole(clip, moved, truth)
+        if refinement is not None:
+            seam = seam_of(wearer, weights)
+            merged = np.stack([refined(refinement, seam, *pair) for pair in zip(moved, short.affine, strict=True)])
+            rows[f"with joint refinement{name}"] = _whole(clip, merged, truth)
+    return rows
 
 
-def _whole(clip: TrueClip, wearer: Wearer, network: DisplacementNetwork) -> dict[str, float]:
+def _whole(clip: TrueClip, moved: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """PMD of all, apparel and body [cm], and ELS of the whole mesh."""
-    few = slice(0, None, STRIDE)
-    short = replace(clip, transforms=clip.transforms[few], offsets=clip.offsets[few])
-    everything = np.arange(len(wearer.rest))
-    truth = short.truth(everything)
-    moved = np.array(skin(wearer.rest, wearer.weights, short.affine))
-    if wearer.apparel.any():
-        player = ApparelPlayer(wearer, network)
-        moved[:, player.carrier.vertices] = player.clip(clip.transforms)[few]
-    cloth = clip.wearer.apparel
+    wearer = clip.wearer
+    cloth = wearer.apparel
     edges = unique_edges(np.asarray(wearer.faces, np.int64), len(wearer.rest))
     return {
         "PMD": 100 * float(point_distance(moved, truth).mean()),

@@ -16,10 +16,12 @@ from bunraku.apparel.displacement.graph import NodeGraph, node_graph
 from bunraku.apparel.displacement.network import (
     DisplacementConfig,
     DisplacementNetwork,
+    load_displacement,
     normalize_inputs,
     save_displacement,
 )
 from bunraku.apparel.displacement.recurrent import past_of_states
+from bunraku.errors import OptionError
 from bunraku.nn.drawn_run import DrawnRun
 from bunraku.training.apparel.node_bank import HEADS, BankCharacter, build_bank
 from bunraku.training.losses.apparel_losses import edge_loss, vertex_loss
@@ -34,6 +36,7 @@ class DisplacementTrainConfig:
     Args:
         data: Folder that `bunraku data apparel` wrote.
         out: Folder of the run.
+        start: Checkpoint whose head a new run takes over, with `head` 0 to train the recurrent part about it.
         minutes: Processor time of this run [min]; 0 counts steps instead.
         steps: Optimiser steps where `minutes` is 0.
         head: Share of the run in which only the head learns.
@@ -54,6 +57,7 @@ class DisplacementTrainConfig:
 
     data: Path = Path("data/apparel")
     out: Path = Path("runs/apparel")
+    start: Path | None = None
     minutes: float = 120.0
     steps: int = 60000
     head: float = 0.65
@@ -71,6 +75,20 @@ class DisplacementTrainConfig:
     threads: int = 1
     seed: int = 1
     network: DisplacementConfig = field(default_factory=DisplacementConfig)
+
+
+def take_head(model: DisplacementNetwork, path: Path) -> None:
+    """Put the head of a checkpoint in the place of a network's own.
+
+    Raises:
+        OptionError: The checkpoint's head has another shape.
+        WeightsError: It is missing or broken.
+    """
+    head = load_displacement(path).anchor
+    try:
+        model.anchor.load_state_dict(head.state_dict())
+    except RuntimeError as error:
+        raise OptionError(f"{path}: its head has another shape; give the --network settings that it has") from error
 
 
 @dataclass
@@ -109,6 +127,8 @@ class DisplacementTrainer(DrawnRun[DisplacementNetwork]):
         model, average = (DisplacementNetwork(config.network) for _ in range(2))
         nodes = torch.cat([self._block(self._draw(16), 1).inputs[0].nodes() for _ in range(12)])
         normalize_inputs(model, nodes)
+        if config.start is not None:
+            take_head(model, config.start)
         adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
         super().__init__(config.out, model, average, adam)
 

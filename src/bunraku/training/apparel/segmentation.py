@@ -19,6 +19,7 @@ from bunraku.apparel.segmentation.network import (
 from bunraku.errors import OptionError
 from bunraku.nn.drawn_run import DrawnRun
 from bunraku.training.apparel.mesh_bank import MeshSample, build_meshes
+from bunraku.training.apparel.mesh_variation import varied
 from bunraku.training.losses.apparel_losses import mask_loss
 
 __all__ = ["SegmentationTrainConfig", "SegmentationTrainer", "mask_iou", "train_segmentation"]
@@ -36,6 +37,7 @@ class SegmentationTrainConfig:
         batch: Characters in a step.
         overlap: Weight of 1 - (soft intersection over union) beside the cross entropy.
         stiffness: Weight of the error of stiffness and damping.
+        varied: Share of the characters that are varied (`mesh_variation`).
         rate: Highest learning rate.
         warmup: Steps until then.
         decay: Of the running mean of the weights.
@@ -53,6 +55,7 @@ class SegmentationTrainConfig:
     batch: int = 6
     overlap: float = 0.5
     stiffness: float = 0.05
+    varied: float = 0.7
     rate: float = 2e-3
     warmup: int = 100
     decay: float = 0.995
@@ -95,6 +98,7 @@ class SegmentationTrainer(DrawnRun[SegmentationNetwork]):
             self.model.train()
             rate = self.set_rate(config.rate, config.warmup, self.progress())
             chosen = [self.characters[number] for number in self.rng.integers(len(self.characters), size=config.batch)]
+            chosen = [varied(one, self.rng) if self.rng.random() < config.varied else one for one in chosen]
             features, graph = mesh_block([one.mesh for one in chosen])
             noise = torch.from_numpy(self.rng.normal(0, 0.003, (len(features), 3)).astype(np.float32))
             features[:, :3] += noise

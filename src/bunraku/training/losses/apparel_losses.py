@@ -1,5 +1,6 @@
-"""The losses of MMDMC's modules: apparel mask, body, apparel displacement. The paper weighs vertices by 1, edges by 100
-and smoothness by 0.01; our lengths are in metres, and what each run takes is in its settings.
+"""The losses of MMDMC's modules: apparel mask, body, apparel displacement, joint refinement. The paper weighs vertices
+by 1, edges by 100 and smoothness and the size of the refinement by 0.01; our lengths are in metres, and what each run
+takes is in its settings.
 """
 
 from __future__ import annotations
@@ -7,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-__all__ = ["edge_loss", "mask_loss", "smoothness_loss", "vertex_loss"]
+__all__ = ["edge_loss", "mask_loss", "refinement_loss", "smoothness_loss", "vertex_loss"]
 
 
 def mask_loss(logits: Tensor, truth: Tensor) -> Tensor:
@@ -52,6 +53,15 @@ def smoothness_loss(weights: Tensor, edges: Tensor) -> Tensor:
         edges: Pairs of vertices, shape (E, 2).
     """
     return (weights[edges[:, 0]] - weights[edges[:, 1]]).square().sum(-1).add(1e-12).sqrt().mean()
+
+
+def refinement_loss(change: Tensor) -> Tensor:
+    """Mean square of what the joint refinement adds, L_r of section 4.4.
+
+    Args:
+        change: Of each vertex, shape (..., N, 3).
+    """
+    return change.square().sum(-1).mean()
 
 
 def _lengths(points: Tensor, edges: Tensor) -> Tensor:
