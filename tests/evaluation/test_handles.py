@@ -150,12 +150,22 @@ def test_of_the_archive_only_what_training_never_saw_is_taken(folder):
 @needs_weights
 def test_the_table_as_a_whole(folder):
     calls = []
+    loads = folder_subjects(folder, True)
+    person = subject(sample_character("person", 0.3, rigged=True), "person")
     result = evaluate_handles(
-        folder_subjects(folder, True), speed=False, progress=lambda stage, share: calls.append((stage, share))
+        loads,
+        detailed={"kaykit/Other": loads["kaykit/Other"], "person": lambda: person},
+        speed=False,
+        progress=lambda stage, share: calls.append((stage, share)),
     )
     assert json.loads(json.dumps(result)) == result
     assert set(BARS) <= set(result) and result["seconds_5k"] is None and set(result["reached"]) == set(result["bars"])
-    assert result["counts"] == {"characters": 2, "humanoids": 2, "resampled": 2}
+    assert result["counts"] == {"characters": 2, "humanoids": 2, "resampled": 2, "detailed": 2}
+    purity = {row["name"]: row["part_purity"] for row in result["characters"]}
+    assert list(result["detailed"]) == ["kaykit/Other", "person"]
+    assert result["detailed"]["kaykit/Other"] == purity["kaykit/Other"]
+    assert result["part_purity_detailed"] == np.mean(list(result["detailed"].values()))
+    assert result["pose_error_creatures"] is None  # both are people
     assert list(result["left_out"]) == ["plain"] and "no rig" in result["left_out"]["plain"]
     assert result["same_meaning"] > 0.8 and result["pose_error"] < result["pose_error_bone_heat"]
     assert calls[-1] == ("speed", 1) and ("characters", 1) in calls and ("resolutions", 1) in calls

@@ -6,7 +6,8 @@ switched off, clean its motion and turn it into one of another character. They r
 - `smooth`: the generator's noise is taken out and fast moves stay (`retarget/stages/smooth.py`).
 - `rest_pose`: a limb that rests in another direction than the reference body's (arms down, A-pose, sitting, the front
   legs of a dog) is first turned into the reference's direction, so the motion means the same. Bodies that lie along
-  their spine take a third of the pelvis' tilt.
+  their spine take a third of the pelvis' tilt. Tails of creatures that are held up higher than they rest are lowered
+  (`retarget/creatures/tail.py`), whether this stage runs or not.
 - `attach`: local translations are set so that each handle stays joined to its parent at the place where their weights
   meet. It takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than
   the reference's.
@@ -37,6 +38,7 @@ from bunraku.errors import CharacterError
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.creatures.gait import stepping
+from bunraku.retarget.creatures.tail import lowered_tail
 from bunraku.retarget.decimate import decimated
 from bunraku.retarget.legs import find_arms, find_legs
 from bunraku.retarget.limbs import by_limb
@@ -132,6 +134,8 @@ def fit_motion(
             )
         else:
             turns, joints = still, rest[1]
+    if motion.native:
+        rotations = lowered_tail(rotations, handles, joints, motion.fps)
     stance = stance_of(character, handles, joints, turns)
     stands = standing(*stance)
     scale = stride_scale(*stance, stands)

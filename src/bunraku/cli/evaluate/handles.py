@@ -29,6 +29,10 @@ class EvaluateHandles:
     """Folder of rigged characters, searched through. Of the training archive only those that no training sees are
     taken.
     """
+    avatars: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Folder of avatars (PMX, VRM) for the list of detailed people, searched through. Without it those of the archive
+    and of the wardrobe are taken.
+    """
     all: bool = False
     """Take every character of the folder, those that were trained on too."""
     checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
@@ -44,18 +48,21 @@ class EvaluateHandles:
 
     def run(self) -> None:
         check_source(self.characters, "give one with rigged characters")
+        check_source(self.avatars, "give one with avatars")
         if self.all and self.characters is None:
             raise OptionError("--all needs --characters, the folder to take all characters of")
         if self.seed < 0:
             raise OptionError(f"--seed must be 0 or more, not {self.seed}")
         if self.checkpoint is not None:
             check_input(self.checkpoint)
+        from bunraku.evaluation.handles.detailed import detailed_subjects
         from bunraku.evaluation.handles.table import code_made_subjects, evaluate_handles, folder_subjects
 
         subjects = code_made_subjects() if self.characters is None else folder_subjects(self.characters, self.all)
         with stages() as report:
             result = evaluate_handles(
                 subjects,
+                detailed=detailed_subjects(self.characters, self.avatars),
                 checkpoint=self.checkpoint,
                 baselines=not self.no_baselines,
                 speed=not self.no_speed,
@@ -69,7 +76,10 @@ def _print(result: dict[str, Any]) -> None:
     from bunraku.evaluation.handles.table import BARS
 
     counts = result["counts"]
-    print(f"{counts['characters']} characters, {counts['humanoids']} humanoids; resolutions on {counts['resampled']}")
+    print(
+        f"{counts['characters']} characters, {counts['humanoids']} humanoids; resolutions on {counts['resampled']}; "
+        f"{counts['detailed']} detailed people"
+    )
     width = max(len(bar.title) for bar in BARS.values())
     print(f"{'measure':<{width}}  {'value':>8}  {'bar':>9}  reached")
     for key, bar in BARS.items():

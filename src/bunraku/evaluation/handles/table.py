@@ -18,6 +18,7 @@ from bunraku.evaluation.handles.trials import (
     Reference,
     measure_subject,
     prediction_seconds,
+    purity_of,
     resolution_differences,
 )
 from bunraku.handles.predict import predict_handles
@@ -57,9 +58,11 @@ class Bar:
 BARS: dict[str, Bar] = {
     "root_error": Bar("root: first handle to the root joint, over the height", 0.03),
     "part_purity": Bar("part purity: vertices of a part that share its main handle", 0.9, high=True),
+    "part_purity_detailed": Bar("part purity of detailed people", 0.9, high=True),
     "same_meaning": Bar("same meaning: named parts whose main handle is the reference body's", 0.9, high=True),
     "same_meaning_vertices": Bar("  the same, vertex by vertex"),
     "pose_error": Bar("pose error: random poses, over the height", 0.015),
+    "pose_error_creatures": Bar("pose error of non-humanoids", 0.015),
     "pose_error_clusters": Bar("  of 30 geodesic k-means clusters"),
     "pose_error_bone_heat": Bar("  of bone heat on an embedded skeleton"),
     "pose_error_together": Bar("  of the handles, their motions fitted to one another"),
@@ -114,6 +117,7 @@ def _mean(rows: Iterable[dict[str, Any]], key: str) -> float | None:
 def evaluate_handles(
     subjects: dict[str, Load],
     *,
+    detailed: dict[str, Load] | None = None,
     checkpoint: str | Path | None = None,
     baselines: bool = True,
     speed: bool = True,
@@ -124,6 +128,7 @@ def evaluate_handles(
 
     Args:
         subjects: How to load each character, by name (`folder_subjects`, `code_made_subjects`).
+        detailed: Detailed people, of whom only the purity of parts is taken (`detailed_subjects`).
         checkpoint: Weights of the predictor; the shipped ones when None.
         baselines: Also pose the characters by clusters and by bone heat.
         speed: Also take the time of predictions.
@@ -132,7 +137,8 @@ def evaluate_handles(
 
     Returns:
         Numbers and lists that JSON can say: the measures of `BARS` (shares, or seconds; None where no character fits
-        one), "bars", "reached", "counts", "left_out" (name: reason) and "characters" with a row for each.
+        one), "bars", "reached", "counts", "left_out" (name: reason), "characters" with a row for each, and "detailed"
+        with the part purity of each detailed person.
 
     Raises:
         OptionError: None of the characters can be measured.
@@ -160,7 +166,10 @@ def evaluate_handles(
         row["resolutions"] = resolution_differences(subjects[row["name"]](), predict)
         row["resolution_l1"] = float(np.mean(list(row["resolutions"].values())))
         report("resolutions", (number + 1) / len(chosen))
+    fine = _detailed(detailed or {}, {row["name"]: row["part_purity"] for row in rows}, predict, left_out, report)
     result: dict[str, Any] = {key: _mean(rows, key) for key in BARS if not BARS[key].seconds}
+    result["part_purity_detailed"] = float(np.mean(list(fine.values()))) if fine else None
+    result["pose_error_creatures"] = _mean((row for row in rows if not row["humanoid"]), "pose_error")
     for number, (key, count) in enumerate(SPEEDS.items()):
         result[key] = prediction_seconds(count, predict) if speed else None
         report("speed", (number + 1) / len(SPEEDS))
@@ -175,5 +184,26 @@ def evaluate_handles(
         "characters": len(rows),
         "humanoids": sum(row["humanoid"] for row in rows),
         "resampled": len(chosen),
+        "detailed": len(fine),
     }
-    return result | {"left_out": left_out, "characters": rows}
+    return result | {"left_out": left_out, "characters": rows, "detailed": fine}
+
+
+def _detailed(
+    people: dict[str, Load],
+    known: dict[str, float | None],
+    predict: Predict,
+    left_out: dict[str, str],
+    report: Callable[[str, float], None],
+) -> dict[str, float]:
+    """Part purity of each detailed person by name; those that are measured already are not looked at again."""
+    out: dict[str, float] = {}
+    for number, (name, load) in enumerate(people.items()):
+        try:
+            value = known[name] if name in known else purity_of(load(), predict)
+            if value is not None:
+                out[name] = value
+        except BunrakuError as error:
+            left_out[name] = str(error)
+        report("detailed people", (number + 1) / len(people))
+    return out

@@ -24,7 +24,7 @@ from bunraku.evaluation.handles.stretch import FAR, stretch_of
 from bunraku.evaluation.handles.subjects import Subject
 from bunraku.geometry.areas import vertex_areas
 
-__all__ = ["Predict", "Reference", "measure_subject", "prediction_seconds", "resolution_differences"]
+__all__ = ["Predict", "Reference", "measure_subject", "prediction_seconds", "purity_of", "resolution_differences"]
 
 POSES = 4
 MOST_POSED = 50_000
@@ -75,6 +75,12 @@ def measure_subject(
     row |= _pose_errors(one, weights, baselines, seed)
     row["top4_error"] = _top4(one, handles)
     return row | _walk(one, handles)
+
+
+def purity_of(one: Subject, predict: Predict) -> float | None:
+    """Part purity of one character; None where no vertex is surely of one part."""
+    weights = predict(one.character).weights[one.surface]
+    return measure.part_purity(measure.main_handles(weights), one.truth.weights[one.surface])
 
 
 def _random(one: Subject, seed: int) -> np.random.Generator:
