@@ -8,7 +8,7 @@ import pytest
 from bunraku.datasets.motions.clips import write_clip
 from bunraku.diffusion.features import decode, encode, mirror
 from bunraku.errors import FormatError
-from bunraku.evaluation.motion.action_test import (
+from bunraku.evaluation.motion.viewer.action_test import (
     SENTENCES,
     ActionClip,
     action_clips,

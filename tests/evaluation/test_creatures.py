@@ -10,7 +10,6 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.datasets.motions.clips import write_clip
 from bunraku.errors import FormatError
-from bunraku.evaluation.motion.classifier import action_features
 from bunraku.evaluation.motion.creatures import (
     CLASSES,
     creature_accuracy,
@@ -19,6 +18,7 @@ from bunraku.evaluation.motion.creatures import (
     real_accuracy,
     train_classifier,
 )
+from bunraku.evaluation.motion.viewer.classifier import action_features
 
 KINDS = {
     "walk": (0.4, 1.0, 1.0),

@@ -21,7 +21,7 @@ from bunraku.evaluation.motion import samples as motion_samples
 from bunraku.evaluation.motion.blocks import BARS
 from bunraku.evaluation.motion.samples import Request, SamplerSettings, make_motions
 from bunraku.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
-from bunraku.evaluation.motion.viewer_prompts import VIEWER_BARS
+from bunraku.evaluation.motion.viewer.prompts import VIEWER_BARS
 from bunraku.evaluation.motion.windows import Window
 from bunraku.geometry.rotations import matrix_y
 

@@ -11,7 +11,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.datasets.motions.clips import write_clip, write_index
 from bunraku.diffusion.features import decode, encode, mirror
 from bunraku.evaluation.motion.blocks import Bar
-from bunraku.evaluation.motion.viewer import (
+from bunraku.evaluation.motion.viewer.measures import (
     DOERS,
     floating,
     heading_drift,
@@ -27,7 +27,7 @@ from bunraku.evaluation.motion.viewer import (
     wave_of,
     waving_side,
 )
-from bunraku.evaluation.motion.viewer_prompts import Captured, captured_clips
+from bunraku.evaluation.motion.viewer.prompts import Captured, captured_clips
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 
 FRAMES = 80

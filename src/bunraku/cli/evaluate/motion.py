@@ -99,7 +99,7 @@ class EvaluateMotion:
                 check_input(path)
         from bunraku.evaluation.motion.blocks import add_blocks
         from bunraku.evaluation.motion.table import MotionEvalConfig, evaluate_motion
-        from bunraku.evaluation.motion.viewer_prompts import viewer_figures
+        from bunraku.evaluation.motion.viewer.prompts import viewer_figures
 
         pool = self.pool or max(256 if self.quick else 1600, self.clips or 0)
         config = MotionEvalConfig(
@@ -124,7 +124,7 @@ class EvaluateMotion:
 
 def _print(result: dict[str, Any]) -> None:
     from bunraku.evaluation.motion.blocks import BARS
-    from bunraku.evaluation.motion.viewer_prompts import VIEWER_BARS
+    from bunraku.evaluation.motion.viewer.prompts import VIEWER_BARS
 
     if "rows" in result:
         _print_rows(result)

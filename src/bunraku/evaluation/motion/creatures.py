@@ -14,7 +14,7 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.datasets.motions.clips import load_clip, load_index
 from bunraku.errors import FormatError
-from bunraku.evaluation.motion.classifier import ActionClassifier, fit_classifier
+from bunraku.evaluation.motion.viewer.classifier import ActionClassifier, fit_classifier
 
 __all__ = [
     "CLASSES", "CreatureCase", "creature_accuracy", "load_cases", "main_action", "real_accuracy", "train_classifier",

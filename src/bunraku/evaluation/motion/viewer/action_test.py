@@ -16,7 +16,7 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.datasets.motions.clips import load_clip, load_index
 from bunraku.errors import FormatError
-from bunraku.evaluation.motion.classifier import ActionClassifier, action_features, fit_classifier
+from bunraku.evaluation.motion.viewer.classifier import ActionClassifier, action_features, fit_classifier
 from bunraku.language.actions import actions_of, main_actions
 from bunraku.language.description.track import SIDES, Track
 

@@ -1,7 +1,7 @@
 """What somebody who watches a motion sees: does it turn, wave, kick with the leg that was asked for, float, tremble?
 
 Each function measures one motion of the reference body, in its own metres and with y = 0 as the ground. Left and right
-are the body's own. `viewer_prompts` asks for motions and sums the measures up.
+are the body's own. `viewer.prompts` asks for motions and sums the measures up.
 """
 
 from __future__ import annotations

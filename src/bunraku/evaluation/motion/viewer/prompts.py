@@ -1,7 +1,7 @@
 """What `bunraku evaluate motion` asks for to see what a viewer sees, and the figures that sum it up.
 
 Motions of the reference body are made of plain sentences, several seeds each, and measured by the functions of
-`viewer`. Speed and trembling are compared with captured clips that are said to do the same.
+`viewer.measures`. Speed and trembling are compared with captured clips that are said to do the same.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.datasets.motions.clips import load_clip, load_index
 from bunraku.errors import FormatError
-from bunraku.evaluation.motion import viewer
-from bunraku.evaluation.motion.action_test import SENTENCES, action_clips, by_turns, captured_classifier, named
 from bunraku.evaluation.motion.blocks import Bar
 from bunraku.evaluation.motion.seams import measure_seams
 from bunraku.evaluation.motion.table import MotionEvalConfig, Report
+from bunraku.evaluation.motion.viewer import measures as viewer
+from bunraku.evaluation.motion.viewer.action_test import SENTENCES, action_clips, by_turns, captured_classifier, named
 from bunraku.language.actions import main_actions
 from bunraku.language.description.track import SIDES
 
