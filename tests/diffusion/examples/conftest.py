@@ -8,10 +8,13 @@ from bunraku.diffusion.features import decode
 
 @pytest.fixture
 def pack(features):
-    """A wave with the left hand that goes on, and a kick with the right leg that is done once; each has a unit vector
-    of its own for its sentence and its motion, and others for their mirror images.
+    """A wave with the left hand that goes on, and a kick with the right leg that is done once, from rest to rest.
+
+    Each has a unit vector of its own for its sentence and its motion, and others for their mirror images.
     """
-    motions = [features("left_elbow", frames=40), features("right_knee", frames=30)]
+    kick = features("right_knee", frames=20)
+    kick = np.concatenate([np.repeat(kick[:1], 5, axis=0), kick, np.repeat(kick[:1], 5, axis=0)])
+    motions = [features("left_elbow", frames=40), kick]
     data = []
     for values in motions:
         skeleton = skeleton_from_handles(decode(values))

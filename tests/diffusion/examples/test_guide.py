@@ -1,10 +1,14 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from bunraku.diffusion.examples.guide import fits_into, hurried, laid, laid_script
+from bunraku.body.from_handles import skeleton_from_handles
+from bunraku.diffusion.examples.guide import fills, fits_into, hurried, laid, laid_script
 from bunraku.diffusion.examples.leads import Leads
+from bunraku.diffusion.examples.pack import packed_stretch
 from bunraku.diffusion.examples.retrieve import Found
-from bunraku.diffusion.features import FeatureStatistics, mirror
+from bunraku.diffusion.features import FeatureStatistics, decode, mirror
 
 WAVE, KICK = Found(0, False, 0.9), Found(1, False, 0.9)
 
@@ -15,7 +19,7 @@ def units(pack):
 
 
 def lay(pack, units, found, frames):
-    return units.restore(laid(pack, found, frames, units, np.random.default_rng(0)))
+    return units.restore(laid(pack, found, frames, units, np.random.default_rng(0)).values)
 
 
 def test_what_goes_on_is_played_on_or_cut(pack, units):
@@ -35,6 +39,24 @@ def test_what_is_done_once_has_rest_around_it(pack, units):
     np.testing.assert_allclose(long[-1, :3], 0, atol=1e-3)
 
 
+def test_around_what_stops_in_midmotion_the_sampler_is_left_to_itself(pack, units):
+    walk = pack.features(0).copy()
+    walk[:, 2] = 1.2
+    skeleton = skeleton_from_handles(decode(walk))
+    data = (packed_stretch(skeleton.root_translation, skeleton.rotations), pack.data[1])
+    cut = replace(pack, examples=(replace(pack.examples[0], loop=None), pack.examples[1]), data=data)
+    guide = laid(cut, WAVE, 100, units, np.random.default_rng(0))
+    led = np.flatnonzero(guide.share == 1)
+    assert len(led) == 40 and (np.diff(led) == 1).all()
+    np.testing.assert_allclose(units.restore(guide.values[led])[:, 3:], cut.features(0)[:, 3:], atol=1e-4)
+    assert guide.share[0] == guide.share[-1] == 0 and np.abs(np.diff(guide.share)).max() < 0.2
+    assert (laid(pack, KICK, 100, units, np.random.default_rng(0)).share == 1).all()  # it can be held
+
+
+def test_what_fills_the_time_is_told_from_what_is_over_soon(pack):
+    assert fills(pack, WAVE, 1000) and fills(pack, KICK, 50) and not fills(pack, KICK, 51)
+
+
 def test_what_is_done_once_is_sped_up_a_little_but_never_cut(pack, units):
     short = lay(pack, units, KICK, 25)
     np.testing.assert_allclose(short[[0, -1], 3:], pack.features(1)[[0, -1], 3:], atol=1e-4)
@@ -52,7 +74,7 @@ def test_who_hurries_gets_as_far():
 def test_the_mirror_image_is_one(pack, units):
     left = laid(pack, WAVE, 40, units, np.random.default_rng(3))
     right = laid(pack, Found(0, True, 0.9), 40, units, np.random.default_rng(3))
-    np.testing.assert_allclose(units.restore(right), mirror(units.restore(left)), atol=1e-4)
+    np.testing.assert_allclose(units.restore(right.values), mirror(units.restore(left.values)), atol=1e-4)
 
 
 def test_sentences_without_an_example_are_the_samplers_own(pack, units):

@@ -19,12 +19,16 @@ from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, mirror
 from bunraku.diffusion.splicing import held, played
 from bunraku.geometry.easing import smooth_step
 
-__all__ = ["Guide", "fits_into", "laid", "laid_script"]
+__all__ = ["Guide", "fills", "fits_into", "laid", "laid_script"]
 
 HURRY = 1.35
 """Factor by which an example that is done once is sped up at the most to fit in."""
+FILLED = 0.6
+"""Share of the time that an example goes on for at least; shorter ones are taken where there are no others."""
 _LEAD = 30
 """Frames that somebody stands before what is done once, at the most."""
+_END = 4
+"""Frames that say whether somebody rests."""
 _FADE = 10
 """Frames over which the sampler is left to itself where one sentence goes over into the next."""
 
@@ -48,11 +52,17 @@ def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
     return example.loop is not None or example.frames <= HURRY * frames
 
 
+def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
+    """Whether an example goes on for most of so many frames."""
+    example = pack.examples[found.place]
+    return example.loop is not None or example.frames >= FILLED * frames
+
+
 def laid(
     pack: ExamplePack, found: Found, frames: int, statistics: FeatureStatistics, random: np.random.Generator
-) -> np.ndarray:
-    """An example made as long as is wanted, in network units, shape (frames, 271): what goes on is played on or cut,
-    what is done once has rest around it or is done faster.
+) -> Guide:
+    """An example made as long as is wanted: what goes on is played on or cut, what is done once is joined to standing,
+    or done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own.
 
     Args:
         pack: That it is of.
@@ -71,15 +81,31 @@ def laid(
     if loop is not None:
         values = played(values, loop, frames)
         start = int(random.integers(len(values) - frames + 1))
-        return values[start : start + frames]
+        return Guide(values[start : start + frames], np.ones(frames, np.float32))
     if len(values) < frames and pack.standing:
         standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in pack.standing]
         values = Joins(standing).around(values, frames, False, random)
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
     room = frames - len(values)
     lead = min(int(room * random.uniform(0.15, 0.5)), _LEAD)
+    share = np.ones(frames, np.float32)
+    if not rests(values[:_END], statistics):
+        share[:lead] = _rise(lead)
+    if not rests(values[-_END:], statistics):
+        share[frames - (room - lead) :] = _rise(room - lead)[::-1]
     values = held(values[::-1], lead, still)[::-1]
-    return held(values, room - lead, still)
+    return Guide(held(values, room - lead, still), share)
+
+
+def rests(values: np.ndarray, statistics: FeatureStatistics) -> bool:
+    """Whether somebody who moves like this could stay so: the root is slow and the pose hardly changes."""
+    speed = np.abs(statistics.restore(values)[:, :3]).max()
+    return bool(speed < 0.5 and (np.diff(values, axis=0)[:, 4:] ** 2).mean() < 0.02)
+
+
+def _rise(frames: int) -> np.ndarray:
+    """Shares of frames before something that is held: none, and a rise at the end."""
+    return smooth_step(np.clip(1 - (frames - np.arange(frames)) / _FADE, 0, 1)).astype(np.float32)
 
 
 def hurried(features: np.ndarray, frames: int) -> np.ndarray:
@@ -113,12 +139,12 @@ def laid_script(
     for number, (found, length) in enumerate(parts):
         own = frames - start if number == len(parts) - 1 else length  # frames that make up for a short motion
         if found is not None:
-            values[start : start + own] = laid(pack, found, own, statistics, random)
-            edge = np.minimum(
-                np.arange(own) + 1 if number else _FADE,
-                np.arange(own)[::-1] + 1 if own == length and number < len(parts) - 1 else _FADE,
-            )
-            share[start : start + own] = smooth_step(np.minimum(edge / _FADE, 1.0))
+            one = laid(pack, found, own, statistics, random)
+            values[start : start + own] = one.values
+            before = np.arange(own) + 1 if number else np.full(own, _FADE)
+            after = np.arange(own)[::-1] + 1 if number < len(parts) - 1 else np.full(own, _FADE)
+            edge = smooth_step(np.minimum(np.minimum(before, after) / _FADE, 1.0))
+            share[start : start + own] = one.share * edge
         start += own
     return Guide(values, share)
 

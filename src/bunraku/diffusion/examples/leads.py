@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bunraku.diffusion.examples.guide import Lead, fits_into
+from bunraku.diffusion.examples.guide import Lead, fills, fits_into
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found, retrieve
 
@@ -38,6 +38,7 @@ class Leads:
         chosen: list[Found | None] = []
         for sentence, frames in script:
             fitting = [one for one in self._found.get(sentence, ()) if fits_into(self.pack, one, frames)]
+            fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
             order = random.permutation(len(fitting))
             chosen.append(fitting[int(order[number % len(order)])] if fitting else None)
         return Lead(self.pack, tuple(chosen), (*seed, number)) if any(chosen) else None

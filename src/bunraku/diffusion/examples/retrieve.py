@@ -17,7 +17,7 @@ from bunraku.language.cues import said_cues
 
 __all__ = ["Found", "retrieve"]
 
-MOST = 8
+MOST = 16
 """Examples that are offered for a sentence."""
 NEAR = 0.12
 """Mean cosine by which an example may be farther than the nearest one."""
