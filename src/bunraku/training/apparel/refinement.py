@@ -26,7 +26,7 @@ from bunraku.training.losses.apparel_losses import edge_loss, refinement_loss, v
 
 __all__ = ["RefinementTrainConfig", "RefinementTrainer", "SeamSample", "seam_sample", "train_refinement"]
 
-FRAMES = (12, 24, 40, 60)
+FRAMES = (8, 16, 28, 40)
 """Frames of a clip that are learned from."""
 
 
