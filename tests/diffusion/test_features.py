@@ -4,7 +4,16 @@ import pytest
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_weights, mirror
+from bunraku.diffusion.features import (
+    FEATURE_SIZE,
+    FeatureStatistics,
+    decode,
+    encode,
+    feature_weights,
+    is_rotation,
+    mirror,
+    standing_legs,
+)
 from bunraku.errors import MotionError
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
@@ -117,3 +126,11 @@ def test_statistics_are_mirror_symmetric_bounded_and_invertible():
     weights = feature_weights()
     assert weights.mean() == pytest.approx(1, abs=1e-5)
     np.testing.assert_array_equal(weights, np.abs(mirror(weights)))
+
+
+def test_what_is_a_rotation_has_columns_of_length_one():
+    pose, _ = standing_legs()
+    turning = is_rotation()
+    assert turning.sum() == 6 * 30
+    assert (np.linalg.norm(pose[turning].reshape(-1, 2, 3), axis=-1) == 1).all()
+    assert (pose[~turning] == 0).all()

@@ -9,6 +9,7 @@ from bunraku.errors import FormatError
 from bunraku.language.captions import creature_variants
 from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.diffusion.clip_rows import ClipSet
+from bunraku.training.diffusion.training_clip import TrainingClip
 
 
 def entry(features, text, split="train"):
@@ -267,3 +268,22 @@ def test_actions_are_drawn_by_the_root_of_their_clips():
     chance = dict(zip((clip.name for clip in clips.clips), clips.probability, strict=True))
     walks = sum(chance[name] for name in found if name.startswith("walk"))
     assert walks / chance["wave"] == pytest.approx(np.sqrt(80) / np.sqrt(20))
+
+
+def test_who_lies_is_not_straightened_by_what_cuts_off_faults_of_capture(features):
+    standing = features("left_elbow", frames=40)
+    units = FeatureStatistics.measure([standing])
+    lying = standing.copy()
+    lying[:, 4:10] = [1, 0, 0, 0, 0, -1]  # on the back: y points to -z
+    lying[20, 1] = 500.0
+    clip = TrainingClip.prepare("lying", {"features": lying, "texts": ["a person lies"]}, units, 196)
+    np.testing.assert_allclose(units.restore(clip.values)[:, 4:10], lying[:, 4:10], atol=1e-5)
+    assert np.abs(clip.values[20, 1]) == 8.0
+
+
+def test_sitting_down_is_not_done_again_whatever_the_longest_caption_says(features):
+    wave = features("left_elbow", frames=60, period=20)
+    units = FeatureStatistics.measure([wave])
+    texts = ["a person bends the knees and lowers onto a chair", "sit down"]
+    assert TrainingClip.prepare("sit", {"features": wave, "texts": texts, "watched": True}, units, 196).loop is None
+    assert TrainingClip.prepare("wave", {"features": wave, "texts": ["waves"], "watched": True}, units, 196).loop

@@ -34,6 +34,7 @@ __all__ = [
     "feature_weights",
     "FeatureStatistics",
     "HANDLE_SIZE",
+    "is_rotation",
     "mirror",
     "root_velocities",
     "ROOT_SIZE",
@@ -199,6 +200,14 @@ def feature_mask(handles: np.ndarray) -> np.ndarray:
     `features`).
     """
     return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])
+
+
+def is_rotation() -> np.ndarray:
+    """Which features are numbers of a rotation, shape (271,), bool."""
+    mask = np.zeros(FEATURE_SIZE, bool)
+    mask[4:ROOT_SIZE] = True
+    mask[ROOT_SIZE:].reshape(-1, HANDLE_SIZE)[:, 3:] = True
+    return mask
 
 
 def standing_legs() -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ import pytest
 from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.diffusion.examples.guide import fills, fits_into, hurried, laid, laid_script
 from bunraku.diffusion.examples.leads import Leads
-from bunraku.diffusion.examples.pack import packed_stretch
+from bunraku.diffusion.examples.pack import ExamplePack, packed_stretch
 from bunraku.diffusion.examples.retrieve import Found
 from bunraku.diffusion.features import FeatureStatistics, decode, mirror
 
@@ -92,3 +92,19 @@ def test_other_seeds_and_candidates_take_others_and_the_same_ones_the_same(pack)
     assert first == again and {first.found[0].mirrored, second.found[0].mirrored} == {False, True}
     assert len({leads.lead(script, (seed, 0), 0).found[0].mirrored for seed in range(20)}) == 2
     assert leads.lead([("jumps", 60)], (7, 0), 0) is None
+
+
+def test_the_next_sentence_takes_what_begins_as_the_last_one_ends(pack, monkeypatch):
+    monkeypatch.setattr("bunraku.diffusion.examples.leads.NEAREST", 1)
+    low = pack.features(1).copy()
+    low[:, 3] -= 0.5
+    skeleton = skeleton_from_handles(decode(low))
+    data = (*pack.data, packed_stretch(skeleton.root_translation, skeleton.rotations))
+    axes = np.eye(4)
+    more = ExamplePack(
+        (*pack.examples, replace(pack.examples[1], name="low")), data, np.array([0, 0, 1, 2]),
+        np.stack([axes[[0, 0, 1, 1]], axes[[2, 2, 3, 3]]]), np.stack([axes[[0, 1, 1]], axes[[2, 3, 3]]]), "none",
+    )  # fmt: skip
+    leads = Leads(more, {"someone waves": axes[0], "someone kicks": axes[1]})
+    script = [("someone waves", 40), ("someone kicks", 40)]
+    assert {leads.lead(script, (seed, 0), 0).found[1].place for seed in range(20)} == {1}

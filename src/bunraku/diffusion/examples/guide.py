@@ -1,7 +1,7 @@
 """An example laid on a time line, for the sampler to start from.
 
 While the noise is strong the sampler takes the example for what it would predict itself, so it goes on from the example
-noised to a log signal-to-noise ratio of about -1.5 (as SDEdit does, Meng et al. 2022): what is done, when and how far
+noised to a log signal-to-noise ratio of about -0.4 (as SDEdit does, Meng et al. 2022): what is done, when and how far
 is the example's, and the rest is the network's.
 """
 

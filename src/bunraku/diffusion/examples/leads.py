@@ -1,4 +1,8 @@
-"""Which candidate starts from which example: other seeds and other candidates take others of those that fit."""
+"""Which candidate starts from which example: other seeds and other candidates take others of those that fit.
+
+Of sentences in a row, each takes one of the examples that begin most as the one before it ends: who stands up after
+sitting on a chair gets up from one.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,13 @@ import numpy as np
 from bunraku.diffusion.examples.guide import Lead, fills, fits_into
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found, retrieve
+from bunraku.diffusion.features import feature_weights, mirror
 
 __all__ = ["Leads"]
+
+NEAREST = 3
+WEIGHTS = feature_weights()[3:]
+"""Of what a pose is: all but the root's velocities."""
 
 
 class Leads:
@@ -39,6 +48,18 @@ class Leads:
         for sentence, frames in script:
             fitting = [one for one in self._found.get(sentence, ()) if fits_into(self.pack, one, frames)]
             fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
+            if chosen and chosen[-1] is not None:
+                fitting = self._following(chosen[-1], fitting)
             order = random.permutation(len(fitting))
             chosen.append(fitting[int(order[number % len(order)])] if fitting else None)
         return Lead(self.pack, tuple(chosen), (*seed, number)) if any(chosen) else None
+
+    def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
+        """The few that begin most as another ends."""
+        end = self._pose(last, -1)
+        away = [float((WEIGHTS * (self._pose(one, 0) - end) ** 2).sum()) for one in fitting]
+        return [fitting[place] for place in np.argsort(away, kind="stable")[:NEAREST].tolist()]
+
+    def _pose(self, found: Found, frame: int) -> np.ndarray:
+        features = self.pack.features(found.place)[[frame]]
+        return (mirror(features) if found.mirrored else features)[0, 3:]

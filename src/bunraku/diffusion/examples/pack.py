@@ -88,7 +88,7 @@ class ExamplePack:
         return _features(self.data[index], self.examples[index].frames)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=128)
 def _features(data: bytes, frames: int) -> np.ndarray:
     from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
     from bunraku.body.reference import reference_body

@@ -21,8 +21,9 @@ __all__ = [
 # which costs half. The early, noisy steps decide what is done. In the late ones the scale only enlarges details: waves
 # trembled above 5 Hz. (Guidance on an interval of noise: Kynkaanniemi et al. 2024.)
 GUIDED_FROM = 500
-# Down to this step a guide stands for what the network would predict: a log signal-to-noise ratio of about -1.5.
-LED_UNTIL = 750
+# Down to this step a guide stands for what the network would predict; the next one visited has a log signal-to-noise
+# ratio of about -0.4.
+LED_UNTIL = 600
 GROUP = 16  # windows that go through the denoiser at once; more gain nothing on a CPU and take memory
 
 Progress = Callable[[int, int], None]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.diffusion.features import FeatureStatistics, feature_weights
+from bunraku.diffusion.features import FeatureStatistics, feature_weights, is_rotation
 from bunraku.diffusion.splicing import held, join_point, played
 from bunraku.language.actions import CYCLIC, main_actions
 from bunraku.language.captions import caption_group
@@ -17,7 +17,11 @@ from bunraku.language.wording import all_variants, clauses
 
 __all__ = ["TrainingClip"]
 
-FARTHEST = 8.0  # standard deviations; beyond are faults of capture that would outweigh all else in a squared error
+FARTHEST = 8.0
+"""Standard deviations beyond which a velocity or a translation is a fault of capture, which would outweigh all else in a
+squared error. Rotations have no such faults: whoever lies is twelve deviations from standing.
+"""
+_FARTHEST = np.where(is_rotation(), np.inf, FARTHEST).astype(np.float32)
 _ONCE = re.compile(
     r"\b(then|once|twice|two|three|four|five|six|times|after|before|finally|first|ends?|ending|starts?|stops?|stopping|"
     r"begins?|halts?|until|again|turns?|turning|half ?way|back up|back to|straightens|stands? up|gets? up|rises?|"
@@ -108,7 +112,7 @@ class TrainingClip:
             statistics: Units of the network.
             frames: Only clips shorter than this are ever lengthened.
         """
-        values = np.clip(statistics.normalise(entry["features"]).astype(np.float32), -FARTHEST, FARTHEST)
+        values = np.clip(statistics.normalise(entry["features"]).astype(np.float32), -_FARTHEST, _FARTHEST)
         species, action = entry.get("species"), entry.get("action")
         creature = (species, action, entry.get("character")) if species and action else (None, action, None)
         texts = tuple(entry.get("texts") or [f"a {species}: {action}"])
