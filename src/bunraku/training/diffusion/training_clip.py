@@ -18,8 +18,8 @@ from bunraku.language.wording import all_variants, clauses
 __all__ = ["TrainingClip"]
 
 FARTHEST = 8.0
-"""Standard deviations beyond which a velocity or a translation is a fault of capture, which would outweigh all else in a
-squared error. Rotations have no such faults: whoever lies is twelve deviations from standing.
+"""Standard deviations beyond which a velocity or a translation is a fault of capture, which would outweigh all else in
+a squared error. Rotations have no such faults: whoever lies is twelve deviations from standing.
 """
 _FARTHEST = np.where(is_rotation(), np.inf, FARTHEST).astype(np.float32)
 _ONCE = re.compile(
