@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from bunraku.apparel.displacement.anchor import AnchorHead, Inputs
-from bunraku.apparel.displacement.body_points import BodyPoints, nearest_point
+from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
 from bunraku.apparel.displacement.carry import Carrier, polar_rotation
 from bunraku.apparel.displacement.features import (
     BASIS,
@@ -28,7 +28,7 @@ from bunraku.apparel.displacement.network import save_displacement as save
 from bunraku.apparel.displacement.nodes import apparel_nodes, part_neighbours
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.displacement.recurrent import KEEP, MOST, Past, RecurrentPart, node_state, past_of_states
-from bunraku.apparel.displacement.safety import Safety, SafetySettings
+from bunraku.apparel.displacement.safety import Safety, SafetySettings, known_share
 from bunraku.apparel.wearer import NORMAL_STIFFNESS, SOFTEST, Wearer, part_stiffness
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.body.reference import reference_body
@@ -265,7 +265,15 @@ def test_the_nearest_rotation():
     np.testing.assert_allclose(polar_rotation(turn @ stretch), turn, atol=1e-4)
     left, _, right = np.linalg.svd(turn @ stretch @ turn + 0.3)
     np.testing.assert_allclose(polar_rotation(turn @ stretch @ turn + 0.3), left @ right, atol=1e-3)
-    np.testing.assert_allclose(polar_rotation(np.diag([1.0, 1, -1])), np.eye(3))
+    np.testing.assert_allclose(polar_rotation(np.diag([1.0, 1, -1])), np.eye(3))  # none is nearer than others
+    many = np.random.default_rng(0).normal(size=(200, 3, 3)) * 10.0 ** np.linspace(-6, 6, 200)[:, None, None]
+    u, s, vt = np.linalg.svd(many)
+    sign = np.sign(np.linalg.det(u @ vt))
+    wanted = (u * np.stack([np.ones(200), np.ones(200), sign], axis=1)[:, None, :]) @ vt
+    clear = s[:, 1] + sign * s[:, 2] > 1e-2 * s[:, 0]
+    np.testing.assert_allclose(polar_rotation(many)[clear], wanted[clear], atol=1e-3)
+    thin = turn @ np.diag([1.0, 0.03, 0.03])  # a strand
+    np.testing.assert_allclose(polar_rotation(thin), turn, atol=1e-4)
 
 
 def test_vertices_turn_with_their_nodes():
@@ -287,7 +295,9 @@ def test_safety_by_hand():
     nodes = apparel_nodes(wearer, 12)
     empty = np.zeros((0, 3), np.float32)
     nothing = BodyPoints(empty, empty, np.zeros((0, JOINT_COUNT), np.float32), np.zeros(0, np.int64))
-    safety = Safety(nodes, nothing, settings=SafetySettings(passes=200))
+    carrier = Carrier(wearer, nodes)
+    safety = Safety(wearer, nodes, nothing, carrier, SafetySettings(passes=200))
+    affine = np.tile(np.eye(4)[:3], (JOINT_COUNT, 1, 1)).astype(np.float32)
     random = np.random.default_rng(0)
     far = nodes.rest + random.normal(0, 0.05, nodes.rest.shape)
     a, b = safety.edges.T
@@ -297,16 +307,33 @@ def test_safety_by_hand():
         ratio = np.linalg.norm(places[a] - places[b], axis=1) / safety.lengths
         return max((ratio[free] - 1.15).max(), (0.85 - ratio[free]).max())
 
-    done = safety(far, (empty, empty))
+    done = safety(far, affine)[0]
     assert worst(far) > 0.2 and worst(done) < 0.35 * worst(far)
-    np.testing.assert_array_equal(safety(nodes.rest, (empty, empty)), nodes.rest)
-    # a floor at the height of the nodes' middle pushes those under it up to it
-    height = float(np.median(nodes.rest[:, 1]))
-    floor = np.array([[0.0, height, nodes.rest[0, 2]]], np.float32), np.array([[0.0, 1, 0]], np.float32)
-    plane = BodyPoints(floor[0] - [0, 9, 0], floor[1], np.ones((1, JOINT_COUNT), np.float32), np.zeros(1, np.int64))
-    pushed = Safety(nodes, plane, settings=SafetySettings(shortest=0.0, longest=9.0, most=9.0))(nodes.rest, floor)
-    loose = nodes.distance >= 0.02
-    assert (pushed[loose, 1] >= height - 1e-5).all()
+    np.testing.assert_array_equal(safety(nodes.rest, affine)[0], nodes.rest)
+    assert safety(nodes.rest, affine)[1] is None  # there is no body to be out of
+
+
+def test_safety_pushes_out_of_the_body():
+    """A curtain that is blown against the thighs comes to lie on them, all of its neighbourhood with it."""
+    wearer = curtain(13, 9)
+    nodes = apparel_nodes(wearer, 64)
+    carrier = Carrier(wearer, nodes)
+    safety = Safety(wearer, nodes, body_points(wearer, 1500), carrier, SafetySettings(shortest=0.0, longest=9.0))
+    affine = np.tile(np.eye(4)[:3], (JOINT_COUNT, 1, 1)).astype(np.float32)
+    rest, unposed = safety(nodes.rest, affine)
+    np.testing.assert_allclose(rest, nodes.rest, atol=1e-6)
+    blown = nodes.rest - np.array([0, 0, 0.22], np.float32) * (nodes.distance / nodes.length)[:, None]
+    loose = safety.free[:, 0] > 0
+    before = safety.depth.at(blown)[0][loose]
+    after = safety.depth.at(safety(blown, affine)[0])[0][loose]
+    assert before.min() < -0.012 and after.min() > -0.006
+    vertices = wearer.rest[carrier.vertices] - np.array([0, 0, 0.16], np.float32)
+    assert safety.depth.at(vertices)[0].min() < -0.05
+    assert safety.depth.at(safety.vertices(vertices, unposed))[0].min() > -0.01
+
+
+def test_parts_stiffer_than_the_networks_know_stay():
+    assert known_share(np.array([-1.0, 1.5, 1.625, 1.75, 2.0])).tolist() == [1, 1, 0.5, 0, 0]
 
 
 def test_stiffness_by_hand():

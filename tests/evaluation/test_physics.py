@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from bunraku.apparel.body_volume import BodyVolume
 from bunraku.apparel.mask import apparel_mask
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.unified import UnifiedBody
@@ -18,7 +19,7 @@ from bunraku.core.skinning import skin
 from bunraku.datasets.apparel.build import body_animation
 from bunraku.errors import CharacterError, OptionError
 from bunraku.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
-from bunraku.evaluation.physics.penetration import BodyVolume, nearest_joint_vertices, sample_apparel
+from bunraku.evaluation.physics.penetration import nearest_joint_vertices, sample_apparel
 from bunraku.evaluation.physics.table import PHYSICS_BARS, joined, measure_physics
 from bunraku.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
 from bunraku.geometry.rotations import matrix_from_axis_angle

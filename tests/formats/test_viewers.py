@@ -23,7 +23,9 @@ FPS, FRAMES = 20.0, [3, 7, 11]
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A person who bows and turns an arm: the own rig, 30 handles, and handles with vertices that move on their own."""
+    """A person who bows and turns an arm: the own rig, 30 handles, and handles with vertices that move on their own, by
+    morph targets and by bones.
+    """
     folder, body = tmp_path_factory.mktemp("viewers"), reference_body()
     turns, moves = np.zeros((12, 22, 3)), np.zeros((12, 22, 3))
     turns[:, JOINT_NAMES.index("left_shoulder")] = np.linspace(0, 1, 12)[:, None] * [0.9, 0.2, -1.3]
@@ -35,9 +37,13 @@ def made(tmp_path_factory):
     rig = RigAnimation(character, matrix_from_axis_angle(turns), moves, FPS)
     handles = handle_animation(rig)
     made = {"rig": rig, "handles": Animation(character, handles.handles, handles.motion), "points": waving(handles)}
-    return {
+    out = {
         kind: (animation.save(folder / f"{kind}.glb"), animation.vertices(FRAMES)) for kind, animation in made.items()
     }
+    for shapes in ("mixed", "bones"):
+        file = made["points"].save(folder / f"{shapes}.glb", shapes=shapes, tolerance=1e-3)
+        out[shapes] = file, made["points"].vertices(FRAMES)
+    return out
 
 
 def compare(made, shown):

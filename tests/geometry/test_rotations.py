@@ -129,3 +129,11 @@ def test_slerp_agrees_with_scipy():
     np.testing.assert_allclose(
         rot.quaternion_slerp(quaternion[0], quaternion[0], np.array(0.5)), quaternion[0], atol=1e-12
     )
+
+
+def test_adjugates_are_inverses_times_determinants():
+    matrices = np.random.default_rng(0).normal(size=(5, 4, 3, 3))
+    wanted = np.linalg.inv(matrices) * np.linalg.det(matrices)[..., None, None]
+    np.testing.assert_allclose(rot.adjugates(matrices), wanted, atol=1e-12)
+    # of a matrix without an inverse too
+    np.testing.assert_allclose(rot.adjugates(np.diag([2.0, 3.0, 0.0])), np.diag([0.0, 0.0, 6.0]))

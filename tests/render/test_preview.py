@@ -12,6 +12,7 @@ from tubes import swinging
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
+from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import FormatError, OptionError
 from bunraku.render import (
     HANDLE_PALETTE,
@@ -189,3 +190,16 @@ def test_importing_loads_no_renderer():
     assert (
         subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, check=True).stdout.strip() == "[]"
     )
+
+
+def test_vertices_that_move_on_their_own_are_drawn_where_they_are():
+    animation = swinging()
+    count = len(animation.character.vertices)
+    offsets = np.random.default_rng(0).normal(0, 0.1, (len(animation.motion), count, 3)).astype(np.float32)
+    moved = PointAnimation(animation, offsets)
+    times = np.array([0.0, 3.5, 6.0]) / animation.motion.fps
+    drawn = list(frames_module._take(moved, times, "texture").frames())
+    known = moved.vertices()
+    np.testing.assert_allclose(drawn[0], known[0], atol=1e-5)
+    np.testing.assert_allclose(drawn[1], (known[3] + known[4]) / 2, atol=1e-5)
+    np.testing.assert_allclose(drawn[2], known[6], atol=1e-5)

@@ -57,6 +57,7 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "Apparel",
         "simulate the apparel of characters in motion, as data to train on",
     ),
+    ("data", "push-out"): ("data.push_out", "PushOutData", "push the apparel of stored data out of the bodies"),
     ("train", "handles"): ("train", "handles", "train the Mesh Handle Predictor"),
     ("train", "orientation"): ("train", "orientation", "train the network that knows how a character stands"),
     ("train", "diffusion"): ("train", "diffusion", "train the Shape-aware Motion Diffusion"),

@@ -106,10 +106,14 @@ def save_all(
         report("write", 1.0)
         for path in previews:
             from bunraku.core.animation import Animation
+            from bunraku.core.point_animation import PointAnimation
             from bunraku.render import save_preview
 
             make_folder(path)
-            shown = Animation(animation.character, animation.handles, animation.motion)
+            shown = (
+                animation if isinstance(animation, PointAnimation)
+                else Animation(animation.character, animation.handles, animation.motion)
+            )  # fmt: skip
             written.append(
                 save_preview(shown, path, fps=fps, progress=lambda done, total: report("preview", done / total))
             )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 __all__ = [
+    "adjugates",
     "axis_angle_from_matrix",
     "matrix_from_6d",
     "matrix_from_axis_angle",
@@ -177,3 +178,17 @@ def quaternion_slerp(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> n
     a = np.where(near, 1 - share, np.sin((1 - share) * angle) / safe)
     b = np.where(near, share, np.sin(share * angle) / safe)
     return _unit(np, a * start + b * end)
+
+
+def adjugates(matrices: np.ndarray) -> np.ndarray:
+    """Of 3x3 matrices, the inverse times the determinant, shape (..., 3, 3): many times as fast as `numpy.linalg.inv`
+    where they are many.
+    """
+    rows = [tuple(matrices[..., row, column] for column in range(3)) for row in range(3)]
+    out = np.empty_like(matrices)
+    for column in range(3):  # the cross product of the two other rows
+        (ax, ay, az), (bx, by, bz) = rows[(column + 1) % 3], rows[(column + 2) % 3]
+        out[..., 0, column] = ay * bz - az * by
+        out[..., 1, column] = az * bx - ax * bz
+        out[..., 2, column] = ax * by - ay * bx
+    return out

@@ -10,6 +10,7 @@ import numpy as np
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
+from bunraku.core.point_animation import PointAnimation
 from bunraku.core.skinning import skin_basis
 from bunraku.errors import OptionError
 from bunraku.render.backends import Renderer, open_renderer
@@ -84,7 +85,7 @@ def render_frames(
 
 
 def render_animation(
-    animation: Animation,
+    animation: Animation | PointAnimation,
     *,
     size: tuple[int, int] = SIZE,
     fps: float | None = None,
@@ -144,7 +145,7 @@ def render_still(
     return next(_draw(take, size, 20.0, background, axes=view_axes(yaw), renderer=renderer))
 
 
-def moments(animation: Animation, fps: float | None) -> np.ndarray:
+def moments(animation: Animation | PointAnimation, fps: float | None) -> np.ndarray:
     """Times of the pictures of a video at `fps`, or at the motion's own rate [s], shape (M,)."""
     motion = animation.motion
     if fps is None or fps == motion.fps:
@@ -152,7 +153,7 @@ def moments(animation: Animation, fps: float | None) -> np.ndarray:
     return np.arange(max(round(len(motion) / motion.fps * fps), 1)) / fps
 
 
-def _take(animation: Animation, times: np.ndarray, color: str) -> _Take:
+def _take(animation: Animation | PointAnimation, times: np.ndarray, color: str) -> _Take:
     if color not in ("texture", "handles"):
         raise OptionError(f"color must be 'texture' or 'handles', not {color!r}")
     character, motion = animation.character, animation.motion
@@ -166,14 +167,20 @@ def _take(animation: Animation, times: np.ndarray, color: str) -> _Take:
     share = np.clip(at - before, 0, 1).astype(np.float32)[:, None, None, None]
     basis = skin_basis(rest, weights)
     chunk = max(int(CHUNK_BYTES // (12 * len(rest))), 1)
+    own = animation.offsets if isinstance(animation, PointAnimation) else None
+    rows = slice(None) if origin is None else origin
 
     def frames() -> Iterator[np.ndarray]:
         for start in range(0, len(times), chunk):
             part = slice(start, start + chunk)
             blend = transforms[before[part]] * (1 - share[part]) + transforms[after[part]] * share[part]
             left = np.ascontiguousarray(blend.transpose(0, 2, 1, 3)).reshape(3 * len(blend), -1)
-            for posed in (left @ basis).reshape(len(blend), 3, -1):
-                yield np.ascontiguousarray(posed.T)
+            for number, posed in enumerate((left @ basis).reshape(len(blend), 3, -1), start):
+                vertices = np.ascontiguousarray(posed.T)
+                if own is not None:
+                    later = float(share[number, 0, 0, 0])
+                    vertices += (1 - later) * own[before[number]][rows] + later * own[after[number]][rows]
+                yield vertices
 
     return _Take(rest, faces, colors, frames, len(times), floor=float(rest[:, 1].min()))
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
+from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import OptionError
 from bunraku.render.camera import YAW
 from bunraku.render.frames import SIZE, moments, render_animation, render_still
@@ -25,7 +26,7 @@ Progress = Callable[[int, int], None]
 
 
 def save_preview(
-    animation: Animation,
+    animation: Animation | PointAnimation,
     path: str | Path,
     *,
     size: tuple[int, int] | None = None,

@@ -10,7 +10,7 @@ from bunraku.apparel.wearer import Wearer
 from bunraku.geometry.normals import vertex_normals
 from bunraku.handles.graph import farthest_points
 
-__all__ = ["BodyPoints", "body_points", "nearest_plane", "nearest_point"]
+__all__ = ["BodyPoints", "body_points", "nearest_index", "nearest_point"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +35,15 @@ class BodyPoints:
         Args:
             affine: Affine transforms of the joints, as `eq4_transforms` gives them, shape (22, 3, 4).
         """
-        blend = (self.weights @ affine.reshape(len(affine), 12)).reshape(-1, 3, 4)
-        points = (blend[..., :3] * self.rest[:, None, :]).sum(axis=-1) + blend[..., 3]
-        return points, (affine[self.joint, :, :3] * self.normals[:, None, :]).sum(axis=-1)
+        return self.placed(self.blends(affine)), (affine[self.joint, :, :3] * self.normals[:, None, :]).sum(axis=-1)
+
+    def blends(self, affine: np.ndarray) -> np.ndarray:
+        """Affine transform of each point, shape (B, 3, 4); `affine` as above."""
+        return (self.weights @ affine.reshape(len(affine), 12)).reshape(-1, 3, 4)
+
+    def placed(self, blends: np.ndarray) -> np.ndarray:
+        """Where these take the points [m], shape (B, 3)."""
+        return np.asarray((blends[..., :3] * self.rest[:, None, :]).sum(axis=-1) + blends[..., 3])
 
 
 def body_points(wearer: Wearer, most: int = 512) -> BodyPoints:
@@ -63,20 +69,15 @@ def nearest_point(points: np.ndarray, places: np.ndarray, normals: np.ndarray) -
         points: [m], shape (M, 3).
         places, normals: Of the posed body, shape (B, 3).
     """
-    place, normal = nearest_plane(points, places, normals)
     if not len(places):
-        return np.full(len(points), 10.0, np.float32), normal
-    return ((points - place) * normal).sum(axis=-1), normal
+        return np.full(len(points), 10.0, np.float32), np.zeros_like(points)
+    near = nearest_index(points, places)
+    return ((points - places[near]) * normals[near]).sum(axis=-1), normals[near]
 
 
-def nearest_plane(points: np.ndarray, places: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest body point to each point, and its normal, shape (M, 3) each; the point itself and 0 where there is no
-    body. Arguments are those of `nearest_point`.
-    """
-    if not len(places):
-        return points, np.zeros_like(points)
+def nearest_index(points: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Number of the nearest of some places to each point, shapes (M, 3) and (B, 3) -> (M,)."""
     # one product: the square of a point's own length is the same for all
     table = np.concatenate([-2 * places, np.square(places).sum(axis=1, keepdims=True)], axis=1, dtype=np.float32)
     ours = np.concatenate([points, np.ones((len(points), 1), np.float32)], axis=1, dtype=np.float32)
-    near = (ours @ table.T).argmin(axis=1)
-    return places[near], normals[near]
+    return np.asarray((ours @ table.T).argmin(axis=1))

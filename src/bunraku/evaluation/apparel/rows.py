@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.apparel.body_volume import BodyVolume
 from bunraku.apparel.displacement.body_points import body_points
 from bunraku.apparel.displacement.features import clip_features
 from bunraku.apparel.displacement.network import DisplacementNetwork
@@ -16,7 +17,6 @@ from bunraku.apparel.displacement.safety import Safety
 from bunraku.core.skinning import posed_points
 from bunraku.evaluation.apparel.clips import TrueClip
 from bunraku.evaluation.apparel.measures import edge_score, oracle_skinning, point_distance
-from bunraku.evaluation.physics.penetration import BodyVolume
 
 __all__ = ["clip_row", "drift_row", "frame_milliseconds", "safe_truth", "ten_frames"]
 
@@ -96,16 +96,18 @@ def safe_truth(clip: TrueClip, nodes: int = 256) -> np.ndarray:
 
     wearer = clip.wearer
     own = apparel_nodes(wearer, nodes)
-    points = body_points(wearer, SAFE_POINTS)
-    safety, carrier = Safety(own, points, wearer.scale), Carrier(wearer, own)
+    carrier = Carrier(wearer, own)
+    safety = Safety(wearer, own, body_points(wearer, SAFE_POINTS), carrier)
     affine = clip.affine
     turns = affine[:, own.joint, :, :3]
     true, carried = clip.truth(own.vertex), clip.carried(own.vertex)
     out = []
     for frame in range(len(affine)):
-        places = safety(true[frame], points.posed(affine[frame]))
+        kept = carried[frame] + safety.share * (true[frame] - carried[frame])
+        places, unposed = safety(kept, affine[frame])
         moved = (turns[frame].transpose(0, 2, 1) * (places - carried[frame])[:, None, :]).sum(axis=-1)
-        out.append(carrier.places(moved, affine[frame], wearer.weights, wearer.rest))
+        safe = carrier.places(moved, affine[frame], wearer.weights, wearer.rest).astype(np.float32)
+        out.append(safety.vertices(safe, unposed))
     return np.stack(out)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.apparel.body_volume import BodyVolume
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.character import Character
@@ -20,7 +21,7 @@ from bunraku.core.skinning import skin
 from bunraku.datasets.apparel.build import body_animation
 from bunraku.errors import BunrakuError, CharacterError
 from bunraku.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
-from bunraku.evaluation.physics.penetration import BodyVolume, deep_share, nearest_joint_vertices, sample_apparel
+from bunraku.evaluation.physics.penetration import deep_share, nearest_joint_vertices, sample_apparel
 from bunraku.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
 from bunraku.evaluation.transfer.table import Bar
 from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp

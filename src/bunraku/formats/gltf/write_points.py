@@ -1,7 +1,9 @@
-"""Write GLB where vertices move on their own: the skin for what it can say, and morph targets for the rest.
+"""Write GLB where vertices move on their own: the skin for what it can say, and bones of their own or morph targets for
+the rest, whichever is smaller.
 
-glTF adds morph targets before it skins, so each displacement is taken back through the skin of its frame. Targets hold
-only the vertices that leave their skin (sparse accessors), and as few shapes as a tolerance allows.
+Bones are fitted to the movement (`core.skin_decomposition`) and hang on the root handle beside the others. glTF adds
+morph targets before it skins, so each displacement is taken back through the skin of its frame. Targets hold only the
+vertices that leave their skin (sparse accessors), and as few shapes as a tolerance allows.
 """
 
 from __future__ import annotations
@@ -11,10 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bunraku.core.animation import Animation
+from bunraku.core.character import Handles
+from bunraku.core.motion import HandleMotion
 from bunraku.core.resample import checked_fps
+from bunraku.core.skin_decomposition import RigidBones, decomposed
 from bunraku.errors import OptionError
 from bunraku.formats.gltf.builder import GltfBuilder
-from bunraku.formats.gltf.handle_channels import add_motion
+from bunraku.formats.gltf.handle_channels import add_motion, handle_names
 from bunraku.formats.gltf.morph_targets import Shapes, key_shapes, mixed_shapes
 from bunraku.formats.gltf.write import build_document, document_of, finish_document, joint_attributes, keeps_positions
 
@@ -26,6 +32,8 @@ __all__ = ["write_point_animation"]
 TOLERANCE = 5e-4  # of the character's height
 FLATTEST = 0.1  # skin that squeezes a vertex's surroundings more than to this share is not taken back further
 CHUNK = 32  # frames at once
+FEWEST_BONES, MOST_BONES = 4, 256
+BONE_BYTES = 28  # of a bone in a frame: a translation and a quaternion
 ZERO = {"componentType": 5126, "type": "VEC3"}
 
 
@@ -36,7 +44,7 @@ def write_point_animation(
     fps: float | None = None,
     name: str | None = None,
     tolerance: float | None = None,
-    shapes: str = "mixed",
+    shapes: str = "auto",
 ) -> Path:
     """Write an animation whose vertices also move on their own as GLB.
 
@@ -46,34 +54,91 @@ def write_point_animation(
         fps: Frames a second [1/s]; those of the motion by default.
         name: The clip's name; the file's by default.
         tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
-        shapes: "mixed" takes the fewest shapes that all frames are mixed of; "keys" the shapes of some frames, of which
-            two at most show at any time, for players that cannot mix many. Those files are larger, by far where cloth
-            moves fast.
+        shapes: "bones" fits bones to the movement; "mixed" takes the fewest morph targets that all frames are mixed of;
+            "keys" those of some frames, of which two at most show at any time, for players that cannot mix many. Those
+            files are larger, by far where cloth moves fast. "auto" takes bones or mixed ones, whichever are smaller.
 
     Returns:
         The file that was written.
 
     Raises:
         FormatError: The file cannot be written.
-        OptionError: An option makes no sense.
+        OptionError: An option makes no sense, or no bones of this number come as near as the tolerance.
     """
-    if shapes not in ("keys", "mixed"):
-        raise OptionError(f"shapes are 'keys' or 'mixed', not {shapes!r}")
+    if shapes not in ("auto", "bones", "keys", "mixed"):
+        raise OptionError(f"shapes are 'auto', 'bones', 'keys' or 'mixed', not {shapes!r}")
     character = animation.character
     limit = TOLERANCE * character.height if tolerance is None else float(tolerance)
     if not 0 < limit < np.inf:
         raise OptionError(f"the tolerance must be a length over 0, not {tolerance!r}")
     moved = animation.at(checked_fps(fps, animation.motion.fps))
-    motion, handles = moved.motion, moved.animation.handles
     moving = np.flatnonzero((np.linalg.norm(moved.offsets, axis=-1) > 0.5 * limit).any(axis=0))
-    builder, joints = build_document(character, handles, path)
-    add_motion(builder, joints, handles.positions, motion, str(name) if name else path.stem)
-    if len(moving):
+    found = None
+    if len(moving) and shapes != "bones":
         local = _before_skin(moved, moving)
         found = (key_shapes if shapes == "keys" else mixed_shapes)(local, 0.95 * limit)
-        if len(found.shapes):
-            _add_targets(builder, moved, moving, found)
+    baked, count = moved.animation, len(moved.animation.handles.positions)
+    if len(moving) and shapes in ("auto", "bones"):
+        fitted = _with_bones(moved, moving, 0.95 * limit, None if found is None else found.size)
+        if fitted is None and shapes == "bones":
+            raise OptionError(
+                f"{MOST_BONES} bones do not come within {limit:.4g} m of this movement; give a larger tolerance or "
+                "take shapes='mixed'"
+            )
+        baked, found = (fitted, None) if fitted is not None else (baked, found)
+    builder, joints = build_document(character, baked.handles, path)
+    for number, joint in enumerate(joints):
+        builder.tree["nodes"][joint]["name"] = _bone_name(moved.animation.handles, number, count)
+    add_motion(builder, joints, baked.handles.positions, baked.motion, str(name) if name else path.stem)
+    if found is not None and len(found.shapes):
+        _add_targets(builder, moved, moving, found)
     return finish_document(builder, path)
+
+
+def _bone_name(handles: Handles, number: int, count: int) -> str:
+    return handle_names(handles)[number] if number < count else f"apparel_{number - count + 1}"
+
+
+def _with_bones(moved: PointAnimation, moving: np.ndarray, tolerance: float, most: int | None) -> Animation | None:
+    """The animation with the fewest bones more, of 4, 8, 16 and so on, that take some vertices where they go; None
+    where that takes too many, or more bytes than `most`.
+    """
+    animation = moved.animation
+    handles, motion = animation.handles, animation.motion
+    rest, root = moved.character.vertices[moving].astype(np.float64), handles.positions[0].astype(np.float64)
+    # bones hang on the root handle: y = R_g' (x - h_0 - t_g) + h_0 (Eq. 3)
+    away = moved.vertices()[:, moving] - root - motion.root_translation[:, None]
+    posed = np.einsum("nba,nmb->nma", motion.root_rotation, away) + root
+    bones = FEWEST_BONES
+    while bones <= MOST_BONES and bones <= len(rest):
+        size = bones * (BONE_BYTES * len(motion) + 64)
+        if most is not None and size >= most:
+            return None
+        found = decomposed(rest, posed, bones)
+        if found.error <= tolerance:
+            return _joined(animation, moving, found)
+        bones *= 2
+    return None
+
+
+def _joined(animation: Animation, moving: np.ndarray, found: RigidBones) -> Animation:
+    """An animation whose handles are followed by bones of some vertices."""
+    handles, motion = animation.handles, animation.motion
+    count, bones = len(handles.positions), found.weights.shape[1]
+    weights = np.zeros((len(handles.weights), count + bones), np.float32)
+    weights[:, :count] = handles.weights
+    weights[moving] = 0
+    weights[moving, count:] = found.weights
+    rest = animation.character.vertices[moving].astype(np.float64)
+    places = found.weights.T @ rest / np.maximum(found.weights.sum(axis=0), 1e-9)[:, None]
+    # R p + t = R (p - h) + h + s, so s = R h + t - h
+    shifts = np.einsum("nbac,bc->nba", found.rotations, places) + found.translations - places
+    whole = HandleMotion(
+        translations=np.concatenate([motion.translations, shifts], axis=1),
+        rotations=np.concatenate([motion.rotations, found.rotations], axis=1),
+        root_translation=motion.root_translation, root_rotation=motion.root_rotation, fps=motion.fps,
+    )  # fmt: skip
+    return Animation(animation.character, Handles(np.concatenate([handles.positions, places]), weights), whole)
 
 
 def _before_skin(moved: PointAnimation, moving: np.ndarray) -> np.ndarray:

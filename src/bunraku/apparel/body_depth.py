@@ -1,0 +1,158 @@
+"""How deep points are in a body, in any pose, at a few operations a point.
+
+The signed distance from the body in the rest pose is kept on a grid. A point of a pose is taken back to the rest pose
+by the transform of the body that is nearest to it, which is exact where the body is rigid and good to a millimetre or
+two where it bends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import label
+from scipy.spatial import cKDTree
+
+from bunraku.apparel.body_volume import BodyVolume
+from bunraku.geometry.rotations import adjugates
+
+__all__ = ["BodyDepth", "Unposed", "body_depth"]
+
+CELL = 0.015
+"""Of the grid, over the wearer's size [m]."""
+BAND = 0.09
+"""Distances beyond this are as good as this, over the wearer's size [m]."""
+_MOST_CELLS = 2_000_000
+_FACES = 6_000
+
+
+@dataclass(frozen=True, eq=False)
+class Unposed:
+    """The way back to the rest pose for M points of a frame: `back @ (x - shift)`.
+
+    Args:
+        back: Shape (M, 3, 3).
+        shift: [m], shape (M, 3).
+    """
+
+    back: np.ndarray
+    shift: np.ndarray
+
+    @classmethod
+    def of(cls, blend: np.ndarray) -> Unposed:
+        """From the affine transforms of the body nearest to each point, shape (M, 3, 4)."""
+        turn = blend[..., :3]
+        other = adjugates(turn)
+        volume = (turn[:, 0] * other[:, :, 0]).sum(axis=-1)
+        return cls(other / np.where(np.abs(volume) > 0.05, volume, 1.0)[:, None, None], blend[..., 3])
+
+    def take(self, rows: np.ndarray) -> Unposed:
+        """The same for some of the points, or for others that go with them."""
+        return Unposed(self.back[rows], self.shift[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class BodyDepth:
+    """The signed distance from a body in its rest pose, above 0 outside.
+
+    Args:
+        low: Where the grid begins [m], shape (3,).
+        cell: Width of a cell [m].
+        values: Distances at its corners [m], shape (X, Y, Z), float32.
+    """
+
+    low: np.ndarray
+    cell: float
+    values: np.ndarray
+
+    def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of points of the rest pose [m], shape (M,), and its gradient, shape (M, 3): linear within a cell."""
+        shape = np.array(self.values.shape)
+        place = np.clip((points - self.low) / np.float32(self.cell), 0, shape - 1.001).astype(np.float32)
+        first = place.astype(np.int64)
+        x, y, z = (place - first).T
+        steps = np.array([shape[1] * shape[2], shape[2], 1])
+        corner = first @ steps
+        v = self.values.reshape(-1)[corner[:, None] + _CORNERS @ steps].T
+        # along z, then y, then x
+        dz = v[1::2] - v[::2]
+        vz = v[::2] + z * dz
+        dy, dzy = vz[1::2] - vz[::2], dz[::2] + y * (dz[1::2] - dz[::2])
+        vy = vz[::2] + y * dy
+        dx = vy[1] - vy[0]
+        slope = np.stack([dx, dy[0] + x * (dy[1] - dy[0]), dzy[0] + x * (dzy[1] - dzy[0])], axis=1)
+        return vy[0] + x * dx, slope / np.float32(self.cell)
+
+    def depth(self, points: np.ndarray, unposed: Unposed) -> tuple[np.ndarray, np.ndarray]:
+        """Distance of points of a pose [m], shape (M,), and the step that makes it longer by a metre, shape (M, 3).
+
+        Args:
+            points: [m], shape (M, 3).
+            unposed: Their way back.
+        """
+        away = points - unposed.shift
+        distance, slope = self.at((unposed.back * away[:, None, :]).sum(axis=-1))
+        way = (unposed.back * slope[:, :, None]).sum(axis=1)
+        return distance, way / np.maximum(np.square(way).sum(axis=1), 0.1)[:, None]
+
+    def pushed(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> np.ndarray:
+        """Points moved out of the body until they are as far from it as `gap`, shape (M, 3).
+
+        Args:
+            points: [m], shape (M, 3).
+            unposed: Their way back.
+            gap: [m], below 0 where a point may be inside, shape (M,).
+            most: Points that would move by more stay: they are on the wrong side of something thin [m].
+        """
+        distance, way = self.depth(points, unposed)
+        step = gap - distance
+        step = np.where(step < most, np.maximum(step, 0), 0)
+        return np.asarray(points + step[:, None] * way)
+
+
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+
+
+def body_depth(
+    vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, scale: float = 1.0
+) -> BodyDepth | None:
+    """The grid of a character's body; None where all of it is apparel.
+
+    Args:
+        vertices: Rest mesh [m], shape (V, 3).
+        faces: Shape (F, 3).
+        weights: For the 22 joints, shape (V, 22).
+        apparel: Its mask, shape (V,), bool.
+        scale: The wearer's size.
+    """
+    import igl
+
+    if not len(faces[~apparel[faces].any(axis=1)]):
+        return None
+    volume = BodyVolume.of_mesh(vertices, faces, weights, apparel, "the mesh", _FACES)
+    band = BAND * scale
+    low = volume.rest.min(axis=0) - band
+    extent = volume.rest.max(axis=0) + band - low
+    cell = max(CELL * scale, float(np.cbrt(np.prod(extent) / _MOST_CELLS)))
+    shape = tuple(int(count) for count in np.ceil(extent / cell).astype(np.int64) + 1)
+    corners = np.stack(np.meshgrid(*(np.arange(count) for count in shape), indexing="ij"), axis=-1)
+    points = low + cell * corners.reshape(-1, 3)
+    sides = volume.rest[volume.faces]
+    middle = sides.mean(axis=1)
+    reach = np.linalg.norm(sides - middle[:, None], axis=-1).max(axis=1)
+    large = reach > cell  # faces that no point near their middle stands for
+    marks = np.concatenate([volume.rest, middle, *(0.5 * (sides[large, a] + sides[large, a - 1]) for a in range(3))])
+    found = cKDTree(marks).query(points, distance_upper_bound=band + cell)[0]
+    near = np.isfinite(found)
+    out = np.full(len(points), band, np.float32)
+    gap = np.sqrt(igl.point_mesh_squared_distance(points[near], volume.rest, volume.faces)[0])
+    inside = np.abs(igl.fast_winding_number(volume.rest, volume.faces, points[near])) > 0.5
+    out[near] = np.minimum(gap, band) * np.where(inside, -1, 1)
+    # what is far from all faces is inside or outside as a whole
+    regions, count = label(~near.reshape(shape))
+    regions = regions.reshape(-1)
+    if count:
+        first = np.array([np.flatnonzero(regions == number + 1)[0] for number in range(count)])
+        deep = np.abs(igl.fast_winding_number(volume.rest, volume.faces, points[first])) > 0.5
+        out[np.isin(regions, np.flatnonzero(deep) + 1)] = -band
+    return BodyDepth(low.astype(np.float32), float(cell), out.reshape(shape))

@@ -1,0 +1,53 @@
+"""How deep points are in a body, against a ball, of which it is known."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from bunraku.apparel.body_depth import BAND, CELL, Unposed, body_depth
+from bunraku.body.layout import JOINT_COUNT
+from bunraku.geometry.rotations import matrix_from_axis_angle
+
+RADIUS = 0.3
+
+
+@pytest.fixture(scope="module")
+def ball():
+    mesh = trimesh.creation.icosphere(4, RADIUS)
+    weights = np.zeros((len(mesh.vertices), JOINT_COUNT), np.float32)
+    weights[:, 0] = 1
+    none = np.zeros(len(mesh.vertices), bool)
+    return body_depth(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces), weights, none)
+
+
+def test_distances_from_a_ball(ball):
+    random = np.random.default_rng(0)
+    points = random.uniform(-0.4, 0.4, (500, 3)).astype(np.float32)
+    found, slope = ball.at(points)
+    wanted = np.clip(np.linalg.norm(points, axis=1) - RADIUS, -BAND, BAND)
+    near = np.abs(wanted) < BAND - 1.8 * CELL
+    assert np.abs(found - wanted)[near].max() < 0.1 * CELL and np.abs(found - wanted).max() < CELL
+    outward = points[near] / np.linalg.norm(points[near], axis=1, keepdims=True)
+    assert (slope[near] * outward).sum(axis=1).min() > 0.95
+    # beyond the grid it is as far as anything is, and its middle is inside although no face is near
+    assert ball.at(np.array([[9.0, 0, 0], [0, 0, 0]], np.float32))[0].tolist() == pytest.approx([BAND, -BAND])
+
+
+def test_points_are_pushed_out_in_any_pose(ball):
+    turn = matrix_from_axis_angle(np.array([0.4, -1.0, 0.7]))
+    shift = np.array([1.0, 2.0, -0.5])
+    rest = np.array([[0.25, 0, 0], [0, 0.31, 0], [0, 0, 0.26], [0, 0.35, 0.1]])
+    points = (rest @ turn.T + shift).astype(np.float32)
+    unposed = Unposed.of(np.repeat(np.concatenate([turn, shift[:, None]], axis=1)[None], 4, axis=0))
+    gap = np.array([0.02, 0.02, -0.05, 0.02], np.float32)
+    moved = (ball.pushed(points, unposed, gap, 0.1) - shift) @ turn
+    assert np.linalg.norm(moved, axis=1) == pytest.approx([0.32, 0.32, 0.26, np.hypot(0.35, 0.1)], abs=2e-3)
+    np.testing.assert_allclose(moved[3], rest[3], atol=1e-6)
+    np.testing.assert_allclose(ball.pushed(points, unposed, gap, 0.005)[0], points[0], atol=1e-6)  # too deep
+
+
+def test_what_is_all_apparel_has_no_body():
+    mesh = trimesh.creation.icosphere(1, RADIUS)
+    count = len(mesh.vertices)
+    weights = np.ones((count, JOINT_COUNT), np.float32) / JOINT_COUNT
+    assert body_depth(np.asarray(mesh.vertices), np.asarray(mesh.faces), weights, np.ones(count, bool)) is None
