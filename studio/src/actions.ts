@@ -23,8 +23,9 @@ export function asked(now: Doc): Record<string, unknown> {
     loop: now.loop,
     in_place: now.inPlace,
     apparel: now.apparel,
+    stiffness: now.stiffness,
     path: now.path.length > 1 ? now.path : [],
-    pins: now.apparel === "rigid" ? now.pins.filter((pin) => pin.time < now.script.reduce((sum, part) => sum + part.seconds, 0)) : [],
+    pins: now.apparel !== "simulate" ? now.pins.filter((pin) => pin.time < now.script.reduce((sum, part) => sum + part.seconds, 0)) : [],
   };
 }
 
@@ -101,6 +102,22 @@ export async function bend(): Promise<void> {
   });
 }
 
+/** Move the hair and clothes of the take otherwise; what was dressed before is dressed from the take that it came from. */
+export async function dress(): Promise<void> {
+  const one = take.value;
+  if (!one || one.state !== "done") {
+    return;
+  }
+  const { apparel, stiffness } = doc.value;
+  const parent = one.how === "dress" && one.parent ? one.parent : one.id;
+  await attempt(async () => {
+    settle("dress the take", await send<Made>("POST", `/takes/${parent}/change`, { prompt: "", apparel, stiffness }));
+    if (one.how === "dress") {
+      await send("DELETE", `/takes/${one.id}`);
+    }
+  });
+}
+
 export function choose(id: string): void {
   if (id !== doc.value.take) {
     change("", { take: id });
@@ -145,7 +162,7 @@ export const deleteCharacter = (id: string): Promise<void> => giveUp("characters
 
 function switchTo(id: string | null): void {
   const first = takes.value.filter((one) => one.character === id).sort((one, other) => other.created - one.created)[0];
-  doc.value = { ...doc.value, character: id, take: first?.id ?? null, pins: [], poses: [], path: [], span: null };
+  doc.value = { ...doc.value, character: id, take: first?.id ?? null, pins: [], poses: [], path: [], span: null, apparel: "rigid" };
   comparing.value = false;
   time.value = 0;
 }
@@ -189,6 +206,9 @@ export async function sample(name: string): Promise<void> {
   });
 }
 
+/** How apparel moves, as an address says it. */
+const worn = (): string => `&apparel=${doc.value.apparel}&stiffness=${doc.value.stiffness}`;
+
 function suffixOf(name: string): string {
   return /\.[a-z0-9]+$/i.exec(name)?.[0].toLowerCase() ?? "";
 }
@@ -224,7 +244,7 @@ export async function open(file: File): Promise<void> {
       if (!character.value) {
         throw new Error("drop a character first, then the motion that it is to make");
       }
-      const made = await upload<Made>(`/characters/${character.value.id}/transfer?name=${name}`, file, told);
+      const made = await upload<Made>(`/characters/${character.value.id}/transfer?name=${name}${worn()}`, file, told);
       uploading.value = null;
       settle("transfer a motion", made);
       await ended(made.job);
@@ -250,7 +270,7 @@ export async function openAsMotion(file: File): Promise<void> {
     return;
   }
   await attempt(async () => {
-    const made = await upload<Made>(`/characters/${one.id}/transfer?name=${encodeURIComponent(file.name)}`, file, () => undefined);
+    const made = await upload<Made>(`/characters/${one.id}/transfer?name=${encodeURIComponent(file.name)}${worn()}`, file, () => undefined);
     settle("transfer a motion", made);
     await ended(made.job);
   });
@@ -300,6 +320,8 @@ interface Replay {
   loop: boolean;
   inPlace: boolean;
   path: Doc["path"];
+  apparel?: Doc["apparel"];
+  stiffness?: number;
 }
 
 /** The address that makes a take again from its sentences and its seed. */
@@ -314,6 +336,8 @@ export function replayLink(one: Take): string {
     loop: Boolean(told["loop"]),
     inPlace: Boolean(told["in_place"]),
     path: (told["path"] as Doc["path"] | null) ?? [],
+    apparel: (told["apparel"] as Doc["apparel"] | null) ?? "rigid",
+    stiffness: Number(told["stiffness"] ?? 1),
   };
   const text = btoa(String.fromCharCode(...new TextEncoder().encode(JSON.stringify(replay))));
   return `${location.origin}/#replay=${text.replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "")}`;
@@ -333,7 +357,7 @@ export async function replay(text: string): Promise<void> {
     change("replay a link", {
       script: told.script.map((part) => ({ text: String(part.text), seconds: Number(part.seconds) })),
       seed: told.seed, count: 1, steps: told.steps, guidance: told.guidance, loop: told.loop, inPlace: told.inPlace,
-      path: told.path, pins: [], poses: [], sentence: 0,
+      path: told.path, apparel: told.apparel ?? "rigid", stiffness: told.stiffness ?? 1, pins: [], poses: [], sentence: 0,
     });
     await generate();
   });

@@ -9,6 +9,24 @@ export interface Clip {
   seconds: number;
   translations: Float32Array;
   rotations: Float32Array;
+  /** The joint that the camera follows. */
+  root: number;
+  apparel: Apparel | null;
+}
+
+/** How vertices leave their skin: for each primitive of the mesh which do, and in each frame where to, before the skin. */
+export interface Apparel {
+  unit: number; // metres of a displacement of 1
+  parts: { mesh: number; primitive: number; rows: Uint32Array; moves: Int16Array }[];
+}
+
+interface Header {
+  frames: number;
+  joints: number;
+  fps: number;
+  root?: number;
+  unit?: number;
+  parts?: { mesh: number; primitive: number; rows: number }[];
 }
 
 export function parseClip(data: ArrayBuffer): Clip {
@@ -18,15 +36,43 @@ export function parseClip(data: ArrayBuffer): Clip {
     throw new Error("this is no clip of Bunraku");
   }
   const length = view.getUint32(4, true);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))) as {
-    frames: number;
-    joints: number;
-    fps: number;
-  };
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))) as Header;
   const count = header.frames * header.joints;
   const translations = new Float32Array(data, 8 + length, count * 3);
   const rotations = new Float32Array(data, 8 + length + count * 12, count * 4);
-  return { ...header, seconds: Math.max(header.frames - 1, 1) / header.fps, translations, rotations };
+  return {
+    frames: header.frames,
+    joints: header.joints,
+    fps: header.fps,
+    root: header.root ?? 0,
+    seconds: Math.max(header.frames - 1, 1) / header.fps,
+    translations,
+    rotations,
+    apparel: header.unit ? parseApparel(data, 8 + length + count * 28, header, header.unit) : null,
+  };
+}
+
+function parseApparel(data: ArrayBuffer, start: number, header: Header, unit: number): Apparel {
+  let at = start;
+  const parts = (header.parts ?? []).map(({ mesh, primitive, rows }) => {
+    const count = header.frames * rows * 3;
+    const part = {
+      mesh,
+      primitive,
+      rows: new Uint32Array(data, at, rows),
+      moves: new Int16Array(data, at + rows * 4, count),
+    };
+    at += rows * 4 + (count + (count % 2)) * 2;
+    return part;
+  });
+  return { unit, parts };
+}
+
+/** The frames around a time [s], and the share of the later one. */
+export function between(clip: Clip, time: number): { frame: number; next: number; share: number } {
+  const place = Math.min(Math.max(time * clip.fps, 0), clip.frames - 1);
+  const frame = Math.floor(place);
+  return { frame, next: Math.min(frame + 1, clip.frames - 1), share: place - frame };
 }
 
 const here = new Vector3();
@@ -36,10 +82,7 @@ const other = new Quaternion();
 
 /** Put joints where the clip has them at a time [s]. */
 export function poseBones(clip: Clip, bones: readonly Bone[], time: number): void {
-  const place = Math.min(Math.max(time * clip.fps, 0), clip.frames - 1);
-  const frame = Math.floor(place);
-  const next = Math.min(frame + 1, clip.frames - 1);
-  const share = place - frame;
+  const { frame, next, share } = between(clip, time);
   const count = Math.min(clip.joints, bones.length);
   for (let joint = 0; joint < count; joint += 1) {
     const bone = bones[joint];
@@ -65,8 +108,8 @@ export function rootAt(clip: Clip, time: number): [number, number] {
   for (let frame = middle - reach; frame <= middle + reach; frame += 1) {
     const inside = Math.min(Math.max(frame, 0), clip.frames - 1);
     const weight = reach + 1 - Math.abs(frame - middle);
-    x += weight * (clip.translations[inside * clip.joints * 3] ?? 0);
-    z += weight * (clip.translations[inside * clip.joints * 3 + 2] ?? 0);
+    x += weight * (clip.translations[(inside * clip.joints + clip.root) * 3] ?? 0);
+    z += weight * (clip.translations[(inside * clip.joints + clip.root) * 3 + 2] ?? 0);
     total += weight;
   }
   return [x / total, z / total];

@@ -1,6 +1,6 @@
 // The page of the studio.
 
-import { effect } from "@preact/signals";
+import { batch, effect } from "@preact/signals";
 import { render } from "preact";
 import { useEffect } from "preact/hooks";
 import { choose, replay, star } from "./actions";
@@ -8,14 +8,15 @@ import { hashOf, send, setToken } from "./api";
 import { dropped } from "./drop";
 import { Header, Help, help, theme } from "./header";
 import { Characters, Takes } from "./panels";
-import { Prompt } from "./prompt";
+import { changing, Prompt } from "./prompt";
 import { Stage, viewer } from "./stage";
 import {
-  about, attempt, change, character, comparing, doc, drawing, follow, locked, notice, ownTakes, playing, redo, start, take,
-  time, undo, warm,
+  about, attempt, change, character, characters, colouring, comparing, doc, drawing, EMPTY, follow, locked, notice, online,
+  ownTakes, playing, redo, start, take, takes, time, undo, warm,
 } from "./state";
 import { Study } from "./study";
 import { pinPose, Timeline } from "./timeline";
+import type { Doc } from "./types";
 import "./style.css";
 
 function keys(event: KeyboardEvent): void {
@@ -200,11 +201,26 @@ declare global {
 }
 /** For tests: the state, and the view at a time of their choosing. */
 window.studio = {
+  /** As a page that was never used, on the oldest character and its newest take that is done. */
+  fresh: (values: Partial<Doc>) => {
+    const first = characters.value.find((one) => one.state === "ready") ?? null;
+    const done = takes.value.filter((one) => one.character === first?.id && one.state === "done");
+    const newest = done.sort((one, other) => other.created - one.created)[0];
+    batch(() => {
+      doc.value = { ...EMPTY, character: first?.id ?? null, take: newest?.id ?? null, ...values };
+      comparing.value = drawing.value = playing.value = changing.value = false;
+      follow.value = true;
+      colouring.value = "none";
+      notice.value = null;
+      time.value = 0;
+    });
+  },
   doc,
   take,
   character,
   takes: ownTakes,
   notice,
+  online,
   playing,
   time,
   change,

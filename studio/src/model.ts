@@ -2,7 +2,9 @@
 
 import {
   BufferAttribute,
+  BufferGeometry,
   Color,
+  DynamicDrawUsage,
   Group,
   Mesh,
   MeshStandardMaterial,
@@ -13,7 +15,7 @@ import {
   type Object3D,
 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
-import { poseBones, type Clip } from "./clip";
+import { between, poseBones, type Clip } from "./clip";
 
 export interface Model {
   key: string;
@@ -21,6 +23,10 @@ export interface Model {
   bones: Bone[];
   skins: SkinnedMesh[];
   plain: Map<SkinnedMesh, Material | Material[]>;
+  /** Which mesh and primitive of the file each is: "0:1". */
+  primitives: Map<SkinnedMesh, string>;
+  /** The geometry of each as it is without apparel that moves on its own. */
+  bare: Map<SkinnedMesh, BufferGeometry>;
 }
 
 const loader = new GLTFLoader();
@@ -38,7 +44,14 @@ export async function loadModel(key: string, data: ArrayBuffer): Promise<Model> 
     }
   });
   const plain = new Map(skins.map((skin) => [skin, skin.material]));
-  return { key, group: found.scene, bones: skins[0]?.skeleton.bones ?? [], skins, plain };
+  const primitives = new Map(
+    skins.map((skin) => {
+      const at = found.parser.associations.get(skin) as { meshes?: number; primitives?: number } | undefined;
+      return [skin, `${at?.meshes ?? 0}:${at?.primitives ?? 0}`];
+    }),
+  );
+  const bare = new Map(skins.map((skin) => [skin, skin.geometry as BufferGeometry]));
+  return { key, group: found.scene, bones: skins[0]?.skeleton.bones ?? [], skins, plain, primitives, bare };
 }
 
 /** Hues far apart for neighbouring numbers, by the golden angle. */
@@ -55,8 +68,9 @@ export function colour(model: Model, way: "none" | "handles" | "weights", handle
       skin.material = model.plain.get(skin) ?? painted;
       continue;
     }
-    const joints = skin.geometry.getAttribute("skinIndex");
-    const weights = skin.geometry.getAttribute("skinWeight");
+    const geometry = model.bare.get(skin) ?? skin.geometry;
+    const joints = geometry.getAttribute("skinIndex");
+    const weights = geometry.getAttribute("skinWeight");
     const colours = new Float32Array(joints.count * 3);
     const mixed = new Color();
     for (let vertex = 0; vertex < joints.count; vertex += 1) {
@@ -77,7 +91,6 @@ export function colour(model: Model, way: "none" | "handles" | "weights", handle
       mixed.toArray(colours, vertex * 3);
     }
     const own = model.plain.get(skin);
-    const geometry = skin.geometry;
     if (!geometry.userData["colour"]) {
       geometry.userData["colour"] = geometry.getAttribute("color") ?? null;
     }
@@ -87,7 +100,7 @@ export function colour(model: Model, way: "none" | "handles" | "weights", handle
     skin.material = material;
   }
   if (way === "none") {
-    for (const { geometry } of model.skins) {
+    for (const geometry of model.bare.values()) {
       const before = geometry.userData["colour"] as BufferAttribute | null | undefined;
       if (before) {
         geometry.setAttribute("color", before);
@@ -99,10 +112,81 @@ export function colour(model: Model, way: "none" | "handles" | "weights", handle
   }
 }
 
+const spot = new Vector3();
+const worn = new WeakMap<Clip, Map<SkinnedMesh, BufferGeometry>>();
+
+/** The geometry of a mesh with positions of its own, in which a clip moves apparel; all else of it is shared. */
+function dressed(bare: BufferGeometry, skin: SkinnedMesh, clip: Clip): BufferGeometry {
+  const made = worn.get(clip) ?? new Map<SkinnedMesh, BufferGeometry>();
+  worn.set(clip, made);
+  let geometry = made.get(skin);
+  if (!geometry) {
+    geometry = new BufferGeometry();
+    geometry.index = bare.index;
+    geometry.groups = bare.groups;
+    geometry.morphAttributes = bare.morphAttributes;
+    geometry.morphTargetsRelative = bare.morphTargetsRelative;
+    const rest = bare.getAttribute("position");
+    const places = new Float32Array(rest.count * 3);
+    for (let vertex = 0; vertex < rest.count; vertex += 1) {
+      spot.fromBufferAttribute(rest, vertex).toArray(places, vertex * 3);
+    }
+    geometry.setAttribute("position", new BufferAttribute(places, 3).setUsage(DynamicDrawUsage));
+    made.set(skin, geometry);
+  }
+  for (const name of new Set([...Object.keys(bare.attributes), ...Object.keys(geometry.attributes)])) {
+    if (name !== "position") {
+      const own = bare.attributes[name];
+      if (own) {
+        geometry.setAttribute(name, own);
+      } else {
+        geometry.deleteAttribute(name); // colours of handles that are not shown any more
+      }
+    }
+  }
+  return geometry;
+}
+
+/** Give back what the graphics card holds of a clip that is not shown any more. */
+export function forget(clip: Clip): void {
+  worn.get(clip)?.forEach((geometry) => geometry.dispose());
+  worn.delete(clip);
+}
+
+/** Put apparel that leaves its skin where the clip has it at a time [s]. */
+function wear(model: Model, clip: Clip | null, time: number): void {
+  for (const [skin, bare] of model.bare) {
+    const part = clip?.apparel?.parts.find((one) => `${one.mesh}:${one.primitive}` === model.primitives.get(skin));
+    if (!clip?.apparel || !part?.rows.length) {
+      skin.geometry = bare;
+      continue;
+    }
+    const geometry = dressed(bare, skin, clip);
+    const rest = bare.getAttribute("position");
+    const places = geometry.getAttribute("position") as BufferAttribute;
+    const { frame, next, share } = between(clip, time);
+    const { unit } = clip.apparel;
+    const { rows, moves } = part;
+    const width = rows.length * 3;
+    rows.forEach((vertex, row) => {
+      spot.fromBufferAttribute(rest, vertex).toArray(places.array, vertex * 3);
+      for (let axis = 0; axis < 3; axis += 1) {
+        const here = moves[frame * width + row * 3 + axis] ?? 0;
+        const there = moves[next * width + row * 3 + axis] ?? 0;
+        const to = vertex * 3 + axis;
+        places.array[to] = (places.array[to] ?? 0) + unit * (here + share * (there - here));
+      }
+    });
+    places.needsUpdate = true;
+    skin.geometry = geometry;
+  }
+}
+
 export function pose(model: Model, clip: Clip | null, time: number): void {
   if (clip) {
     poseBones(clip, model.bones, time);
   }
+  wear(model, clip, time);
   model.group.updateMatrixWorld(true);
 }
 
@@ -124,7 +208,7 @@ export function carried(model: Model, joint: number, rest: readonly [number, num
 export function dispose(model: Model): void {
   model.group.removeFromParent();
   for (const skin of model.skins) {
-    skin.geometry.dispose();
+    model.bare.get(skin)?.dispose();
     for (const material of [skin.material, model.plain.get(skin)].flat()) {
       if (material) {
         for (const value of Object.values(material)) {

@@ -1,7 +1,7 @@
 // What stands beside the view: characters with what was guessed of them, takes, and how they are made.
 
 import { useRef } from "preact/hooks";
-import { choose, deleteCharacter, deleteTake, mend, openAsMotion, replayLink, sample, select, star } from "./actions";
+import { choose, deleteCharacter, deleteTake, dress, mend, openAsMotion, replayLink, sample, select, star } from "./actions";
 import { send } from "./api";
 import { openAll } from "./drop";
 import { changing } from "./prompt";
@@ -9,7 +9,7 @@ import {
   about, attempt, change, character, characters, colouring, comparing, doc, ended, interrupted, ownTakes, running, say,
   take, uploading, weightOf,
 } from "./state";
-import type { Character, Take } from "./types";
+import type { Apparel as ApparelWay, Character, Take } from "./types";
 
 const UNITS: Record<string, string> = { m: "metres", cm: "centimetres", mm: "millimetres", in: "inches" };
 const HANDLES =
@@ -88,6 +88,59 @@ function Fit({ one }: { one: Character }) {
   );
 }
 
+/** How hair and clothes move, and the dial of learned ones. */
+function Apparel({ one }: { one: Character }) {
+  const now = doc.value;
+  const shown = take.value?.state === "done" ? take.value : null;
+  const ways: [ApparelWay, string, boolean][] = [
+    ["rigid", "move with the body", true],
+    ["simulate", "simulated by the file's physics", Boolean(one.physics)],
+    ["learn", "learned from cloth", Boolean(one.apparel)],
+  ];
+  return (
+    <>
+      <label class="field">
+        <span>hair and clothes</span>
+        <select id="apparel" value={now.apparel} onChange={(event) => change("", { apparel: event.currentTarget.value as ApparelWay })}>
+          {ways.map(
+            ([way, text, there]) =>
+              there && (
+                <option key={way} value={way}>
+                  {text}
+                </option>
+              ),
+          )}
+        </select>
+      </label>
+      {now.apparel === "learn" && (
+        <label class="field">
+          <span>stiffness ×{factor(now.stiffness)}</span>
+          <input
+            id="stiffness"
+            type="range"
+            min={-2}
+            max={2}
+            step={0.1}
+            value={Math.log10(now.stiffness)}
+            aria-valuetext={`${factor(now.stiffness)} times as stiff`}
+            onInput={(event) => change("stiffness", { stiffness: Number((10 ** Number(event.currentTarget.value)).toPrecision(3)) })}
+            onChange={() => shown?.stiffness && void dress()}
+          />
+        </label>
+      )}
+      {shown && (now.apparel === "learn" ? shown.stiffness !== now.stiffness : (shown.asked?.["apparel"] ?? "rigid") !== now.apparel) && (
+        <p class="hint">
+          <button class="link" id="dress" disabled={running.value.length > 0} onClick={() => void dress()}>
+            dress this take so
+          </button>
+        </p>
+      )}
+    </>
+  );
+}
+
+const factor = (stiffness: number): string => String(Number(stiffness.toPrecision(2)));
+
 export function Characters() {
   const files = useRef<HTMLInputElement>(null);
   const motion = useRef<HTMLInputElement>(null);
@@ -165,19 +218,7 @@ export function Characters() {
               </label>
             )}
           </div>
-          {now.physics && (
-            <label class="field">
-              <span>hair and clothes</span>
-              <select
-                id="apparel"
-                value={doc.value.apparel}
-                onChange={(event) => change("", { apparel: event.currentTarget.value as "rigid" | "simulate" })}
-              >
-                <option value="rigid">move with the body</option>
-                <option value="simulate">simulated by the file's physics</option>
-              </select>
-            </label>
-          )}
+          {(now.physics || now.apparel) && <Apparel one={now} />}
           <p class="hint">
             <button class="link" onClick={() => motion.current?.click()}>
               take the motion of a GLB or FBX…
@@ -213,6 +254,8 @@ const titleOf = (one: Take): string =>
   one.title ||
   (one.how === "edit"
     ? `${String(one.asked?.["prompt"] ?? "changed")}`
+    : one.how === "dress"
+      ? `dressed · ${one.script[0]?.text ?? ""}`
     : one.how === "bend"
       ? `pinned · ${one.script[0]?.text ?? ""}`
       : one.script.map((part) => part.text).join("; "));
@@ -229,7 +272,7 @@ function Row({ one }: { one: Take }) {
         {titleOf(one)}
         <small>
           {one.state === "done"
-            ? `${one.how === "transfer" ? "transfer" : `seed ${one.seed}`} · ${one.seconds?.toFixed(1)} s`
+            ? `${one.how === "transfer" ? "transfer" : `seed ${one.seed}`} · ${one.seconds?.toFixed(1)} s${one.stiffness ? ` · stiffness ×${factor(one.stiffness)}` : ""}`
             : one.error || (job ? `${job.stage || one.state} ${Math.round(job.done * 100)} %` : one.state)}
         </small>
         {job && <progress max={1} value={job.done} />}

@@ -5,7 +5,7 @@ import { useEffect, useRef } from "preact/hooks";
 import { bend } from "./actions";
 import { bytes } from "./api";
 import { parseClip, type Clip } from "./clip";
-import { colour, dispose, handleColour, loadModel, type Model } from "./model";
+import { colour, dispose, forget, handleColour, loadModel, type Model } from "./model";
 import {
   attempt, change, character, characters, colouring, comparing, doc, drawing, follow, ownTakes, playing, running, speed,
   take, takes, time, warm, weightOf,
@@ -44,8 +44,9 @@ function clip(one: Take): Promise<Clip> {
     found = bytes(`/takes/${one.id}/clip`).then(parseClip);
     found.catch(() => clips.delete(key));
     clips.set(key, found);
-    for (const old of [...clips.keys()].slice(0, -KEPT)) {
+    for (const [old, value] of [...clips].slice(0, -KEPT)) {
       clips.delete(old);
+      void value.then(forget).catch(() => undefined);
     }
   }
   return found;

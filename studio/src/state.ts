@@ -24,7 +24,8 @@ export const comparing = signal(false);
 export const drawing = signal(false);
 export const ghosts = signal(false);
 
-const EMPTY: Doc = {
+/** What a page that was never used holds. */
+export const EMPTY: Doc = {
   character: null,
   take: null,
   script: [{ text: "walks forward, then waves with the left hand", seconds: 4 }],
@@ -34,6 +35,7 @@ const EMPTY: Doc = {
   loop: false,
   inPlace: false,
   apparel: "rigid",
+  stiffness: 1,
   guidance: 3.5,
   steps: 20,
   pins: [],

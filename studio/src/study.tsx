@@ -30,7 +30,7 @@ function sampled(root: Object3D, animation: AnimationClip, model: Model): Clip {
   const frames = Math.max(Math.round(animation.duration * fps) + 1, 2);
   const joints = model.bones.length;
   const clip: Clip = {
-    fps, frames, joints, seconds: (frames - 1) / fps,
+    fps, frames, joints, root: 0, apparel: null, seconds: (frames - 1) / fps,
     translations: new Float32Array(frames * joints * 3),
     rotations: new Float32Array(frames * joints * 4),
   };

@@ -317,7 +317,7 @@ export function Timeline() {
             }}
           >
             {Array.from({ length: Math.floor(length()) + 1 }, (_, second) => (
-              <span key={second} style={{ left: percent(second) }}>
+              <span key={second} class={second > 0.97 * length() ? "last" : ""} style={{ left: percent(second) }}>
                 {second}
               </span>
             ))}

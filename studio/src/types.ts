@@ -31,6 +31,8 @@ export interface Character {
   joints?: number;
   rig?: boolean;
   physics?: boolean;
+  /** Whether there are hair or clothes that can be learned. */
+  apparel?: boolean;
   mmd?: boolean;
   roles?: number[];
   positions?: Vec3[];
@@ -38,6 +40,8 @@ export interface Character {
   ends?: LimbEnd[];
   clips?: string[];
 }
+
+export type Apparel = "rigid" | "simulate" | "learn";
 
 export interface Sentence {
   text: string;
@@ -50,7 +54,7 @@ export interface Take {
   created: number;
   state: "waiting" | "draft" | "done" | "failed" | "cancelled" | "interrupted";
   error: string;
-  how: "animate" | "edit" | "bend" | "transfer";
+  how: "animate" | "edit" | "bend" | "dress" | "transfer";
   star: boolean;
   title?: string;
   seed: number;
@@ -58,6 +62,8 @@ export interface Take {
   parent?: string;
   asked?: Record<string, unknown>;
   skin?: "handles" | "bones";
+  /** Of learned apparel; null where it is not learned. */
+  stiffness?: number | null;
   fps?: number;
   frames?: number;
   seconds?: number;
@@ -123,7 +129,8 @@ export interface Doc {
   count: 1 | 4;
   loop: boolean;
   inPlace: boolean;
-  apparel: "rigid" | "simulate";
+  apparel: Apparel;
+  stiffness: number;
   guidance: number;
   steps: number;
   pins: Pin[];

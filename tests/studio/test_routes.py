@@ -42,7 +42,8 @@ def test_a_take_is_queued_and_told(client, ready):
         ({"steps": 0}, "steps must be from 1"),
         ({"steps": True}, "steps must be a number"),
         ({"guidance": 21}, "guidance must be from 0 to 20"),
-        ({"apparel": "silk"}, "apparel is one of rigid, simulate"),
+        ({"apparel": "silk"}, "apparel is one of rigid, simulate, learn"),
+        ({"apparel": "learn", "stiffness": 0}, "stiffness must be from 0.001 to 1000"),
         ({"after": "../../x"}, "no such take"),
         ({"path": [[0]]}, "a path is a list of points"),
         ({"path": [[0, 1e9]]}, "must be from -500 to 500"),
@@ -226,3 +227,33 @@ def test_changes_need_something_kept(client, ready):
     assert "a span is two seconds" in ask(prompt="waves", span=[1]).json()["error"]
     assert ask(prompt="waves", keep=["legs"], span=[0.5, 1.5], poses=[{"time": 1}]).status_code == 202
     assert ask(pins=[{"part": "left_hand", "time": 1, "position": [0, 1, 0]}]).status_code == 202
+    assert ask(apparel="silk").status_code == 400
+
+
+def test_a_take_is_dressed_anew_and_what_comes_of_it_stays_dressed(client, ready):
+    desk = client.app.state.desk
+    asked = {"apparel": "rigid", "in_place": True}
+    one = desk.new_takes(ready, 1, how="animate", script=[{"text": "walks", "seconds": 2}], seeds=[7], asked=asked)
+    name = one[0]["id"]
+    desk.store.change("takes", name, state="done", skin="handles", stiffness=None)
+    made = client.post(f"/api/takes/{name}/change", json={"apparel": "learn", "stiffness": 3}).json()
+    record = client.get(f"/api/takes/{made['takes'][0]}").json()
+    assert (record["how"], record["parent"], record["seed"]) == ("dress", name, 7)
+    assert record["asked"] == {"apparel": "learn", "stiffness": 3, "in_place": True}
+    params = desk.jobs.get(made["job"])["params"]
+    assert (params["parent"], params["apparel"], params["stiffness"], params["in_place"]) == (name, "learn", 3, True)
+    desk.store.change("takes", name, stiffness=3.0)  # as the worker tells it of a dressed one
+    bent = client.post(
+        f"/api/takes/{name}/change", json={"pins": [{"part": "left_hand", "time": 1, "position": [0, 1, 0]}]}
+    ).json()
+    params = desk.jobs.get(bent["job"])["params"]
+    assert (params["apparel"], params["stiffness"]) == ("learn", 3.0)
+
+
+@pytest.mark.parametrize("stiffness", ["soft", "0", "nan"])
+def test_the_stiffness_of_an_address_is_checked(client, ready, stiffness):
+    answer = client.post(
+        f"/api/characters/{ready}/transfer?name=a.bvh&apparel=learn&stiffness={stiffness}", content=b"x"
+    )
+    assert answer.status_code == 400 and "stiffness must be" in answer.json()["error"]
+    assert client.get(f"/api/characters/{ready}/takes").json()["takes"] == []

@@ -1,7 +1,8 @@
 """A take on the wire, and on disk.
 
-The page gets a character's mesh and skin once, as GLB, and of each take only what the skin's joints do: the very tracks
-that the GLB of the take would hold (`formats.gltf.handle_channels.joint_tracks`), so what is shown is what is saved.
+The page gets a character's mesh and skin once, as GLB, and of each take only what the skin's joints do, and
+where apparel moves on its own how it leaves its skin: the very tracks that the GLB of the take would hold
+(`formats.gltf.handle_channels.joint_tracks`, `formats.gltf.write_points`), so what is shown is what is saved.
 """
 
 from __future__ import annotations
@@ -9,22 +10,75 @@ from __future__ import annotations
 import io
 import json
 import struct
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
+from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
 from bunraku.formats.arrays.npy import npz_names, open_npz, read_member
-from bunraku.formats.arrays.npz import pack_animation, read_motion, read_positions, read_reference
+from bunraku.formats.arrays.npz import (
+    REFERENCE,
+    motion_arrays,
+    pack_animation,
+    read_motion,
+    read_positions,
+    read_reference,
+)
 from bunraku.formats.files import atomic_write, read_bounded
 from bunraku.formats.gltf.handle_channels import joint_tracks
+from bunraku.formats.gltf.write_points import before_skin, shapes_of_meshes
 
-__all__ = ["Take", "load_handles", "load_take", "packed_clip", "save_handles", "save_take", "unpacked_clip"]
+__all__ = [
+    "APPAREL", "Dressed", "Take", "body_of", "load_handles", "load_take", "packed_clip", "save_handles", "save_take",
+    "unpacked_apparel", "unpacked_clip",
+]  # fmt: skip
 
-Take = Animation | RigAnimation
+APPAREL = "apparel.npz"
+"""The file beside a take's motion that says where its learned apparel is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dressed:
+    """A take whose apparel is learned.
+
+    Args:
+        body: What moves the body.
+        points: The same at the rate of apparel, with where that is.
+        stiffness: Factor on how stiff it was taken to be.
+    """
+
+    body: Animation | RigAnimation
+    points: PointAnimation
+    stiffness: float
+
+    @property
+    def handles(self) -> Handles:
+        """What moves its skin."""
+        return self.points.handles
+
+    @property
+    def fps(self) -> float:
+        """Frames a second [1/s]."""
+        return self.points.fps
+
+    def __len__(self) -> int:
+        return len(self.points.motion)
+
+
+Take = Animation | RigAnimation | Dressed
+
+
+def body_of(take: Take) -> Animation | RigAnimation:
+    """What moves the body of a take."""
+    return take.body if isinstance(take, Dressed) else take
+
+
 MAGIC = b"BNRC"
 _VERSION = 1
 
@@ -32,45 +86,86 @@ _VERSION = 1
 def packed_clip(take: Take) -> bytes:
     """What the joints of a take do: magic, bytes of the header, a JSON header padded to four bytes, then float32
     translations [m] (N, K, 3) and quaternions xyzw (N, K, 4), both in the frame of each joint's parent as in the GLB.
+
+    Where apparel is learned, for each primitive that the header names (`parts`: mesh, primitive, rows) follow uint32
+    indices of its vertices that leave their skin (R,) and int16 displacements before the skin (N, R, 3), padded to four
+    bytes, in units of the header's `unit` [m].
     """
-    translations, rotations = joint_tracks(take.handles.positions, take.motion)
+    shown = take.points if isinstance(take, Dressed) else take
+    translations, rotations = joint_tracks(shown.handles.positions, shown.motion)
     frames, joints = translations.shape[:2]
-    header = json.dumps({"version": _VERSION, "frames": frames, "joints": joints, "fps": float(take.fps)}).encode()
-    header += b" " * (-len(header) % 4)
-    return b"".join(
-        [
-            MAGIC,
-            struct.pack("<I", len(header)),
-            header,
-            translations.astype("<f4").tobytes(),
-            rotations.astype("<f4").tobytes(),
-        ]
-    )
+    header: dict[str, Any] = {"version": _VERSION, "frames": frames, "joints": joints, "fps": float(take.fps)}
+    if not isinstance(body_of(take), Animation):  # the first joint of bones stands still
+        middle = shown.character.vertices.mean(axis=0)
+        header["root"] = 1 + int(np.argmin(np.linalg.norm(shown.handles.positions[1:] - middle, axis=1)))
+    arrays: list[np.ndarray] = [translations.astype("<f4"), rotations.astype("<f4")]
+    if isinstance(take, Dressed):
+        moving = np.flatnonzero(take.points.offsets.any(axis=(0, 2)))
+        moved = before_skin(take.points, moving)
+        meshes = shapes_of_meshes(take.points.character, moving, moved)
+        parts = []
+        unit = max((float(np.abs(group.shapes).max(initial=0)) for groups in meshes for group in groups), default=0.0)
+        unit = max(unit, 1e-9) / np.iinfo(np.int16).max
+        for mesh, groups in enumerate(meshes):
+            own = {member: group for group in groups for member in group.primitives}
+            for primitive, member in enumerate(sorted(own)):
+                rows = own[member].rows
+                parts.append({"mesh": mesh, "primitive": primitive, "rows": len(rows)})
+                values = np.round(own[member].shapes / unit).astype("<i2").reshape(-1)
+                arrays += [rows.astype("<u4"), np.pad(values, (0, values.size % 2))]
+        header |= {"unit": unit, "parts": parts}
+    words = json.dumps(header).encode()
+    words += b" " * (-len(words) % 4)
+    return b"".join([MAGIC, struct.pack("<I", len(words)), words, *(array.tobytes() for array in arrays)])
 
 
 def unpacked_clip(data: bytes) -> tuple[float, np.ndarray, np.ndarray]:
     """Frames a second, translations (N, K, 3) and quaternions (N, K, 4) of `packed_clip`."""
     length = struct.unpack("<I", data[4:8])[0]
     header = json.loads(data[8 : 8 + length])
-    values = np.frombuffer(data[8 + length :], "<f4")
     shape = header["frames"], header["joints"]
-    split = shape[0] * shape[1] * 3
-    return header["fps"], values[:split].reshape(*shape, 3), values[split:].reshape(*shape, 4)
+    count = shape[0] * shape[1]
+    values = np.frombuffer(data[8 + length :], "<f4", count * 7)
+    return header["fps"], values[: count * 3].reshape(*shape, 3), values[count * 3 :].reshape(*shape, 4)
+
+
+def unpacked_apparel(data: bytes) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]:
+    """Of `packed_clip`, by mesh and primitive: vertices that leave their skin (R,), how far before it [m] (N, R, 3)."""
+    length = struct.unpack("<I", data[4:8])[0]
+    header = json.loads(data[8 : 8 + length])
+    at = 8 + length + header["frames"] * header["joints"] * 28
+    parts = {}
+    for part in header.get("parts", ()):
+        rows = np.frombuffer(data, "<u4", part["rows"], at)
+        values = np.frombuffer(data, "<i2", header["frames"] * len(rows) * 3, at + rows.nbytes)
+        at += rows.nbytes + 2 * (values.size + values.size % 2)
+        parts[part["mesh"], part["primitive"]] = rows, values.reshape(-1, len(rows), 3) * header["unit"]
+    return parts
 
 
 def save_take(take: Take, path: Path) -> None:
-    """Write a take so that `load_take` gives it back.
+    """Write a take so that `load_take` gives it back: its motion, and `APPAREL` beside it where that is learned.
 
     Raises:
         FormatError: The file cannot be written.
     """
+    if isinstance(take, Dressed):
+        offsets = take.points.offsets
+        moving = np.flatnonzero(offsets.any(axis=(0, 2)))
+        packed = io.BytesIO()
+        np.savez_compressed(
+            packed, vertices=moving.astype(np.int32), offsets=offsets[:, moving], stiffness=np.float32(take.stiffness)
+        )
+        with atomic_write(path.with_name(APPAREL)) as file:
+            file.write(packed.getvalue())
+        take = take.body
     if isinstance(take, Animation):
         data = pack_animation(take)
     else:
+        arrays: dict[str, Any] = {} if take.reference is None else motion_arrays(take.reference, REFERENCE)
+        arrays |= {"bone_rotations": take.rotations, "bone_translations": take.translations}
         packed = io.BytesIO()
-        np.savez_compressed(
-            packed, bone_rotations=take.rotations, bone_translations=take.translations, bone_fps=np.float32(take.fps)
-        )
+        np.savez_compressed(packed, bone_fps=np.float32(take.fps), **arrays)
         data = packed.getvalue()
     with atomic_write(path) as file:
         file.write(data)
@@ -83,13 +178,37 @@ def load_take(path: Path, character: Character, handles: Handles) -> Take:
         FormatError: The file is broken, or was made for other handles.
         MotionError: What it holds breaks the rules of a motion.
     """
+    from bunraku.pipelines.apparel import RATE
+
+    body = _load_body(path, character, handles)
+    beside = path.with_name(APPAREL)
+    if not beside.is_file():
+        return body
+    data = read_bounded(beside)
+    with open_npz(beside, data) as archive:
+        if not {"vertices", "offsets", "stiffness"} <= npz_names(archive):
+            raise FormatError(beside, "it holds no apparel; make the take again")
+        moving, offsets, stiffness = (
+            read_member(beside, archive, name, len(data)) for name in ("vertices", "offsets", "stiffness")
+        )
+    moved = body.at(RATE)
+    skinned = moved.animation() if isinstance(moved, RigAnimation) else moved
+    shape = len(skinned.motion), len(moving), 3
+    if offsets.shape != shape or moving.ndim != 1 or (moving >= len(character.vertices)).any() or (moving < 0).any():
+        raise FormatError(beside, "its apparel is of another mesh or clip; make the take again")
+    everywhere = np.zeros((len(offsets), len(character.vertices), 3), np.float32)
+    everywhere[:, moving.astype(np.int64)] = offsets
+    return Dressed(body, PointAnimation(skinned, everywhere), float(stiffness))
+
+
+def _load_body(path: Path, character: Character, handles: Handles) -> Animation | RigAnimation:
     data = read_bounded(path)
     with open_npz(path, data) as archive:
         if "bone_rotations" in npz_names(archive):
             rotations, translations, fps = (
                 read_member(path, archive, f"bone_{name}", len(data)) for name in ("rotations", "translations", "fps")
             )
-            return RigAnimation(character, rotations, translations, float(fps))
+            return RigAnimation(character, rotations, translations, float(fps), read_reference(path, data))
     positions = read_positions(path, data)
     if positions is None or positions.shape != handles.positions.shape:
         raise FormatError(path, "this take was made for other handles of the character; make it again")

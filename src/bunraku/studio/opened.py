@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +19,7 @@ from bunraku.pipelines.standing import FileStanding, file_standing
 
 __all__ = ["MAX_VERTICES", "Settings", "opened_character", "told"]
 
+_log = logging.getLogger(__name__)
 MAX_VERTICES = 1_000_000
 """A browser draws more only on a large machine."""
 assert MAX_BYTES  # the bound of files on disk; uploads have a smaller one
@@ -88,6 +90,7 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
     from bunraku.handles.from_rig import rig_handles
     from bunraku.physics.from_file import apparel_rig
     from bunraku.retarget.stages.pins import limb_ends
+    from bunraku.studio.dressing import is_worn
 
     try:
         usable = character.rig is not None and rig_handles(character) is not None
@@ -97,6 +100,11 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
         physics = apparel_rig(character) is not None
     except Exception:  # broken physics are no reason not to open a character
         physics = False
+    try:
+        worn = is_worn(character, handles)
+    except Exception:  # nor are clothes that nobody finds
+        _log.exception("apparel could not be looked for")
+        worn = False
     low, high = character.vertices[character.surface].min(axis=0), character.vertices[character.surface].max(axis=0)
     used = np.flatnonzero(handles.weights.max(axis=0) > 0.01)
     return {
@@ -107,6 +115,7 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
         "joints": 0 if character.rig is None else len(character.rig.names),
         "rig": usable,
         "physics": physics,
+        "apparel": worn,
         "mmd": mmd_model(character) is not None,
         "roles": handles.played.tolist(),
         "positions": handles.positions.astype(float).round(5).tolist(),

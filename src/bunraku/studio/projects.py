@@ -19,9 +19,12 @@ MOST_UNPACKED = 1 << 30
 MOST_ENTRIES = 5000
 _FILES = ("mesh.glb", "handles.npz", "bones.glb")
 _TAKE_FILES = ("clip.bin", "motion.npz")
-_KEPT = ("name", "settings", "axes", "unit", "vertices", "faces", "height", "bounds", "joints", "rig", "physics", "mmd",
-         "roles", "positions", "used", "ends", "clips", "file")  # fmt: skip
-_TAKE_KEPT = ("script", "asked", "how", "seed", "seeds", "star", "title", "skin", "fps", "frames", "seconds", "clip")
+_MAY_HAVE = "apparel.npz"
+"""Of takes whose apparel is learned."""
+_KEPT = ("name", "settings", "axes", "unit", "vertices", "faces", "height", "bounds", "joints", "rig", "physics",
+         "apparel", "mmd", "roles", "positions", "used", "ends", "clips", "file")  # fmt: skip
+_TAKE_KEPT = ("script", "asked", "how", "seed", "seeds", "star", "title", "skin", "fps", "frames", "seconds", "clip",
+              "stiffness")  # fmt: skip
 
 
 def pack_project(store: Store, character: str, view: dict[str, Any], path: Path) -> None:
@@ -48,8 +51,9 @@ def pack_project(store: Store, character: str, view: dict[str, Any], path: Path)
             if source.is_file():
                 out.writestr(_entry(f"character/{source.relative_to(place).as_posix()}"), source.read_bytes())
         for take in takes:
-            for name in _TAKE_FILES:
-                data = (store.place("takes", take["id"]) / name).read_bytes()
+            folder = store.place("takes", take["id"])
+            for name in (*_TAKE_FILES, *((_MAY_HAVE,) if (folder / _MAY_HAVE).is_file() else ())):
+                data = (folder / name).read_bytes()
                 out.writestr(_entry(f"takes/{take['id']}/{name}"), data)
 
 
@@ -95,7 +99,8 @@ def unpack_project(store: Store, path: Path) -> dict[str, Any]:
                 new = store.new("takes", {"error": "", **values, "character": character["id"], "state": "waiting"})
                 made.append(("takes", new["id"]))
                 names[str(take["was"])] = new["id"]
-                for file in _TAKE_FILES:
+                known = f"takes/{take['was']}/{_MAY_HAVE}" in archive.NameToInfo
+                for file in (*_TAKE_FILES, *((_MAY_HAVE,) if known else ())):
                     target = store.place("takes", new["id"]) / file
                     _copy(archive, archive.getinfo(f"takes/{take['was']}/{file}"), target)
                 store.change("takes", new["id"], state="done")

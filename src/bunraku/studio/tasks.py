@@ -21,7 +21,8 @@ from bunraku.errors import OptionError
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
 from bunraku.retarget.stages.rest_pose import upright
-from bunraku.studio.clips import Take, save_handles
+from bunraku.studio.clips import Dressed, Take, body_of, save_handles
+from bunraku.studio.dressing import Apparel, dressed_anew
 from bunraku.studio.opened import Settings, opened_character, told
 from bunraku.studio.workshop import Workshop
 
@@ -32,6 +33,8 @@ Partly = Callable[[dict[str, Any]], None]
 Params = dict[str, Any]
 FPS = 20.0
 """What the network knows; takes of other rates, carried over from files, are resampled before they are changed."""
+BODIES = (".bvh", ".vrma", ".vmd", ".npz")
+"""Formats of the motion of a body, in which apparel has no place."""
 DRAFT_STEPS = 3
 DRAFT_STAGES = Stages(smooth=False, feet=False, floor=False)
 """Of a draft, which is there to be seen at once."""
@@ -94,26 +97,24 @@ def _stages(without: Sequence[str]) -> Stages | None:
 def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
     """Takes of one script: drafts first, all of them in one pass, then each in full."""
     from bunraku.pipelines.animate import generate
-    from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of, reference_path
+    from bunraku.pipelines.apply import apply_motion, apply_rigged, apply_simulated, reference_of, reference_path
     from bunraku.pipelines.together import check_together
 
     owner, takes, seeds = params["character"], params["takes"], [int(seed) for seed in params["seeds"]]
     character, handles = shop.character(owner)
     path, pins = _directed(params)
-    simulate, loop, in_place = params["apparel"] == "simulate", bool(params["loop"]), bool(params["in_place"])
-    before = shop.take(params["after"], owner) if params.get("after") else None
+    apparel, loop, in_place = Apparel.of(params), bool(params["loop"]), bool(params["in_place"])
+    before = body_of(shop.take(params["after"], owner)) if params.get("after") else None
     check_together(
-        params["apparel"],
+        apparel.way,
         loop=loop,
         after=before is not None,
         path=path is not None,
         in_place=in_place,
         pins=bool(pins),
     )
-    if simulate:
-        from bunraku.physics.animated import check_apparel
-
-        check_apparel(character)
+    apparel.check(character, float(params["seconds"]))
+    on_bones = apparel.on_bones(character, params.get("handles") != "rig", path is not None or bool(pins))
     stages = _stages(params.get("without", ()))
     how: dict[str, Any] = {
         "seconds": float(params["seconds"]), "mesh_feature": handles.features, "loop": loop,
@@ -123,12 +124,14 @@ def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> 
     }  # fmt: skip
 
     def fitted(motion: HandleMotion, draft: bool) -> Take:
-        if simulate and not draft:
-            return apply_simulated(motion, character, in_place=in_place, stages=stages)
-        return apply_motion(
+        if on_bones and not draft:
+            move = apply_simulated if apparel.way == "simulate" else apply_rigged
+            return apparel.put_on(move(motion, character, in_place=in_place, stages=stages), report)
+        body = apply_motion(
             motion, character, handles, loop=loop, in_place=in_place, after=before, path=path, pins=pins,
             stages=DRAFT_STAGES if draft else stages,
         )  # fmt: skip
+        return body if draft else apparel.put_on(body, report)
 
     prompts = [params["script"]] * len(seeds)
     if params.get("draft", True):
@@ -147,10 +150,14 @@ def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> 
 
 
 def _handles_take(shop: Workshop, params: Params) -> Animation:
-    take = shop.take(params["parent"], params["character"])
-    if not isinstance(take, Animation):
+    return _of_handles(shop.take(params["parent"], params["character"]))
+
+
+def _of_handles(take: Take) -> Animation:
+    body = body_of(take)
+    if not isinstance(body, Animation):
         raise OptionError("this take moves the bones of the file; make one that moves handles to change it")
-    return take
+    return body
 
 
 def _edit(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
@@ -158,7 +165,7 @@ def _edit(shop: Workshop, params: Params, report: Report, partly: Partly) -> dic
     from bunraku.pipelines.apply import GENERATED_STAGES
     from bunraku.pipelines.edit import edit
 
-    parent = _handles_take(shop, params).at(FPS)
+    parent, apparel = _handles_take(shop, params).at(FPS), Apparel.of(params)
     _, pins = _directed(params)
     poses = [float(pose["time"]) for pose in params.get("poses", ())]
     for pose in params.get("poses", ()):
@@ -176,7 +183,7 @@ def _edit(shop: Workshop, params: Params, report: Report, partly: Partly) -> dic
         def told(stage: str, done: float, number: int = number) -> None:
             report(stage, (number + 0.9 * done) / len(takes))
 
-        made = edit(parent, params["prompt"], seed=int(seed), progress=told, **how)
+        made = apparel.put_on(edit(parent, params["prompt"], seed=int(seed), progress=told, **how), report)
         partly({"take": name, "state": "done", **shop.keep(made, name, params["character"])})
     return {"takes": takes}
 
@@ -186,8 +193,7 @@ def _with_pose(clip: Animation, source: Take, time: float, at: float) -> Animati
     from bunraku.core.travel import placed_at
     from bunraku.pipelines.apply import reference_of
 
-    if not isinstance(source, Animation):
-        raise OptionError("the pose is of a take that moves the bones of the file; take one of handles")
+    source = _of_handles(source)
     frame = min(round(time * clip.fps), len(clip.motion) - 1)
     there = min(round(at * source.fps), len(source.motion) - 1)
 
@@ -212,9 +218,21 @@ def _bend(shop: Workshop, params: Params, report: Report, partly: Partly) -> dic
     report("fit", 0.2)
     _, pins = _directed(params)
     met = meet_pins(parent.motion, parent.character, parent.handles, pins)
-    made = Animation(parent.character, parent.handles, met, parent.reference)
+    made = Apparel.of(params).put_on(Animation(parent.character, parent.handles, met, parent.reference), report)
     (name,) = params["takes"]
     partly({"take": name, "state": "done", **shop.keep(made, name, params["character"])})
+    return {"takes": [name]}
+
+
+def _dress(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+    """A take of the same motion whose apparel moves otherwise."""
+    owner, (name,) = params["character"], params["takes"]
+    parent, (_, handles) = shop.take(params["parent"], owner), shop.character(owner)
+    made = dressed_anew(
+        parent, Apparel.of(params), handles, in_place=bool(params.get("in_place")),
+        stages=_stages(params.get("without", ())), report=report,
+    )  # fmt: skip
+    partly({"take": name, "state": "done", **shop.keep(made, name, owner)})
     return {"takes": [name]}
 
 
@@ -225,14 +243,15 @@ def _transfer(shop: Workshop, params: Params, report: Report, partly: Partly) ->
     owner, (name,) = params["character"], params["takes"]
     character, handles = shop.character(owner)
     file = shop.place("takes", name) / params["file"]
-    simulate = params.get("apparel") == "simulate"
+    apparel = Apparel.of(params)
+    apparel.check(character, 0)
     take = None
-    if simulate or params.get("onto") == "auto":
-        take = transfer(character, file, apparel="simulate" if simulate else "rigid", progress=report)
+    if apparel.way != "rigid" or params.get("onto") == "auto":
+        take = transfer(character, file, apparel="simulate" if apparel.way == "simulate" else "rigid", progress=report)
     if not isinstance(take, RigAnimation):  # on the handles that the studio shows
         take = transfer(character, file, onto="handles", handles=handles, progress=report)
     assert isinstance(take, Animation | RigAnimation)
-    partly({"take": name, "state": "done", **shop.keep(take, name, owner)})
+    partly({"take": name, "state": "done", **shop.keep(apparel.put_on(take, report), name, owner)})
     return {"takes": [name]}
 
 
@@ -245,7 +264,10 @@ def _export(shop: Workshop, params: Params, report: Report, partly: Partly) -> d
     report("write", 0.1)
     take = shop.take(params["take"], params["character"])
     options = {} if target.suffix in (".npz", ".vmd") else {"fps": float(params.get("fps", 30))}
-    take.save(target, **options)
+    if isinstance(take, Dressed):
+        (take.body if target.suffix in BODIES else take.points).save(target, **options)
+    else:
+        take.save(target, **options)
     return {"export": params["export"], "bytes": target.stat().st_size}
 
 
@@ -254,6 +276,7 @@ TASKS: dict[str, Callable[[Workshop, Params, Report, Partly], dict[str, Any]]] =
     "animate": _animate,
     "edit": _edit,
     "bend": _bend,
+    "dress": _dress,
     "transfer": _transfer,
     "export": _export,
 }

@@ -13,7 +13,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.formats.files import atomic_write
-from bunraku.studio.clips import Take, load_handles, load_take, packed_clip, save_take
+from bunraku.studio.clips import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
 from bunraku.studio.opened import Settings, opened_character
 
 __all__ = ["Workshop"]
@@ -80,20 +80,22 @@ class Workshop:
         """Write a take's files; what its record learns."""
         place = self.place("takes", name)
         clip = "draft.bin" if draft else "clip.bin"
+        shown = take.points if isinstance(take, Dressed) else take
         with atomic_write(place / clip) as file:
             file.write(packed_clip(take))
-        skin = "bones" if isinstance(take, RigAnimation) else "handles"
+        skin = "bones" if isinstance(body_of(take), RigAnimation) else "handles"
         if not draft:
             save_take(take, place / "motion.npz")
             mesh = self.place("characters", owner) / "bones.glb"
             if skin == "bones" and not mesh.is_file():
                 from bunraku.io import save_character
 
-                save_character(take.character, mesh, take.handles)
+                save_character(shown.character, mesh, shown.handles)
         return {
             "clip": clip,
             "skin": skin,
             "fps": float(take.fps),
-            "frames": len(take.motion),
-            "seconds": round(len(take.motion) / take.fps, 4),
+            "frames": len(shown.motion),
+            "seconds": round(len(shown.motion) / take.fps, 4),
+            "stiffness": take.stiffness if isinstance(take, Dressed) else None,
         }

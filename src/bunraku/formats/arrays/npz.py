@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "REFERENCE",
+    "motion_arrays",
     "pack_animation",
     "pack_motion",
     "read_any_motion",
@@ -59,17 +60,18 @@ def pack_animation(animation: Animation) -> bytes:
 
 def pack_motion(motion: HandleMotion, handles: Handles, reference: HandleMotion | None = None) -> bytes:
     """The NPZ of a motion of some handles, as `pack_animation` describes it."""
-    arrays: dict[str, Any] = _arrays(motion)
+    arrays: dict[str, Any] = motion_arrays(motion)
     arrays |= {"handle_positions": handles.positions, "handle_names": np.array(handle_names(handles))}
     if reference is not None:
-        arrays |= {f"{REFERENCE}{name}": array for name, array in _arrays(reference).items()}
+        arrays |= motion_arrays(reference, REFERENCE)
     packed = io.BytesIO()
     np.savez_compressed(packed, **arrays)
     return packed.getvalue()
 
 
-def _arrays(motion: HandleMotion) -> dict[str, np.ndarray]:
-    return {name: np.asarray(getattr(motion, name), np.float32) for name in (*_NEEDED, "native")}
+def motion_arrays(motion: HandleMotion, prefix: str = "") -> dict[str, np.ndarray]:
+    """The arrays of a motion by their names in an NPZ, with `prefix` before each."""
+    return {f"{prefix}{name}": np.asarray(getattr(motion, name), np.float32) for name in (*_NEEDED, "native")}
 
 
 def read_any_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:

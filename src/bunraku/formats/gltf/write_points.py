@@ -8,6 +8,7 @@ vertices that leave their skin (sparse accessors), and as few shapes as a tolera
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,9 +26,10 @@ from bunraku.formats.gltf.morph_targets import Shapes, key_shapes, mixed_shapes
 from bunraku.formats.gltf.write import build_document, document_of, finish_document, joint_attributes, keeps_positions
 
 if TYPE_CHECKING:
+    from bunraku.core.character import Character
     from bunraku.core.point_animation import PointAnimation
 
-__all__ = ["write_point_animation"]
+__all__ = ["GroupShapes", "before_skin", "shapes_of_meshes", "write_point_animation"]
 
 TOLERANCE = 5e-4  # of the character's height
 FLATTEST = 0.1  # skin that squeezes a vertex's surroundings more than to this share is not taken back further
@@ -75,7 +77,7 @@ def write_point_animation(
     moving = np.flatnonzero((np.linalg.norm(moved.offsets, axis=-1) > 0.5 * limit).any(axis=0))
     found = None
     if len(moving) and shapes != "bones":
-        local = _before_skin(moved, moving)
+        local = before_skin(moved, moving)
         found = (key_shapes if shapes == "keys" else mixed_shapes)(local, 0.95 * limit)
     baked, count = moved.animation, len(moved.animation.handles.positions)
     if len(moving) and shapes in ("auto", "bones"):
@@ -141,9 +143,64 @@ def _joined(animation: Animation, moving: np.ndarray, found: RigidBones) -> Anim
     return Animation(animation.character, Handles(np.concatenate([handles.positions, places]), weights), whole)
 
 
-def _before_skin(moved: PointAnimation, moving: np.ndarray) -> np.ndarray:
+@dataclass(frozen=True, eq=False)
+class GroupShapes:
+    """What shapes do to the vertices of some primitives of a mesh, which share them.
+
+    Args:
+        primitives: Which of the mesh's primitives, counted as its source counts them.
+        count: How many vertices they have.
+        rows: Those that move, ascending, shape (R,).
+        shapes: How far each shape takes them, in the mesh's own frame, shape (T, R, 3).
+    """
+
+    primitives: tuple[int, ...]
+    count: int
+    rows: np.ndarray
+    shapes: np.ndarray
+
+
+def shapes_of_meshes(character: Character, moving: np.ndarray, shapes: np.ndarray) -> list[list[GroupShapes]]:
+    """Shapes as the meshes of the character's document have them, in its order; of those that have vertices, an empty
+    list where nothing moves.
+
+    Args:
+        character: The character.
+        moving: Vertices that move, shape (M,).
+        shapes: How far each shape takes them [m], shape (T, M, 3).
+    """
+    source = document_of(character)
+    place = np.full(len(character.vertices), -1)
+    place[moving] = np.arange(len(moving))
+    out: list[list[GroupShapes]] = []
+    start = 0
+    for part in source.parts:
+        stop = start + sum(len(group.vertices) for group in part.groups)
+        index, at = source.index[start:stop], start
+        start = stop
+        if not len(index):
+            continue
+        out.append([])
+        if (place[index] < 0).all():
+            continue
+        kept = keeps_positions(part, character.vertices[index], character) and part.transform is not None
+        back = np.linalg.inv(part.transform[:3, :3]) if kept and part.transform is not None else np.eye(3)
+        for group in part.groups:
+            own = place[source.index[at : at + len(group.vertices)]]
+            at += len(group.vertices)
+            rows = np.flatnonzero(own >= 0)
+            values = np.ascontiguousarray((shapes @ back.T)[:, own[rows]], "<f4")
+            out[-1].append(GroupShapes(group.primitives, len(own), rows, values))
+    return out
+
+
+def before_skin(moved: PointAnimation, moving: np.ndarray) -> np.ndarray:
     """Displacements of some vertices in the rest pose that the four weights of the file take to where they are [m],
     shape (N, M, 3).
+
+    Args:
+        moved: The animation.
+        moving: Which vertices, shape (M,).
     """
     handles, rest = moved.animation.handles, moved.character.vertices[moving].astype(np.float64)
     joints, shares = joint_attributes(handles.weights[moving])
@@ -173,38 +230,20 @@ def _inverses(matrices: np.ndarray) -> np.ndarray:
 
 def _add_targets(builder: GltfBuilder, moved: PointAnimation, moving: np.ndarray, found: Shapes) -> None:
     """Add the shapes to the meshes that have such vertices, and their weights to the clip."""
-    source, character = document_of(moved.character), moved.character
-    place = np.full(len(character.vertices), -1)
-    place[moving] = np.arange(len(moving))
     times = builder.array((found.frames / moved.motion.fps).astype(np.float32)[:, None], bounds=True)
     nodes = builder.tree["scenes"][0]["nodes"][1:]
     clip = builder.tree["animations"][-1]
-    start, number = 0, 0
-    for part in source.parts:
-        stop = start + sum(len(group.vertices) for group in part.groups)
-        index, first = source.index[start:stop], start
-        start = stop
-        if not len(index):
+    for node, groups in zip(nodes, shapes_of_meshes(moved.character, moving, found.shapes), strict=True):
+        if not groups:
             continue
-        node = nodes[number]
-        number += 1
-        if (place[index] < 0).all():
-            continue
-        kept = keeps_positions(part, character.vertices[index], character) and part.transform is not None
-        back = np.linalg.inv(part.transform[:3, :3]) if kept and part.transform is not None else np.eye(3)
         mesh = builder.tree["meshes"][builder.tree["nodes"][node]["mesh"]]
-        own = {member: group for group in part.groups for member in group.primitives}
+        own: dict[int, list[dict[str, int]]] = {}
+        for group in groups:
+            own |= dict.fromkeys(group.primitives, _targets(builder, group))
         older = max((len(primitive.get("targets", [])) for primitive in mesh["primitives"]), default=0)
-        targets: dict[int, list[dict[str, int]]] = {}
-        at = first
-        for group in part.groups:
-            targets[id(group)] = _targets(
-                builder, place[source.index[at : at + len(group.vertices)]], found.shapes @ back.T
-            )
-            at += len(group.vertices)
         present = [primitive for primitive in mesh["primitives"] if primitive]
         for member, primitive in zip(sorted(own), present, strict=True):
-            primitive["targets"] = [*primitive.get("targets", []), *targets[id(own[member])]]
+            primitive["targets"] = [*primitive.get("targets", []), *own[member]]
         names = mesh.get("extras", {}).get("targetNames") if isinstance(mesh.get("extras"), dict) else None
         if isinstance(names, list) and len(names) == older:  # programs pass over lists of another length
             mesh["extras"]["targetNames"] = [*names, *(f"move_{shape}" for shape in range(len(found.shapes)))]
@@ -217,24 +256,16 @@ def _add_targets(builder: GltfBuilder, moved: PointAnimation, moving: np.ndarray
         )
 
 
-def _targets(builder: GltfBuilder, place: np.ndarray, shapes: np.ndarray) -> list[dict[str, int]]:
-    """Morph targets of a group of vertices.
-
-    Args:
-        builder: The document.
-        place: Which of the moving vertices each vertex of the group is, shape (V,), -1 for none.
-        shapes: Displacements of the moving ones, shape (T, M, 3).
-    """
-    rows = np.flatnonzero(place >= 0)
-    total = len(place)
+def _targets(builder: GltfBuilder, group: GroupShapes) -> list[dict[str, int]]:
+    """Morph targets of a group of vertices."""
+    rows, total = group.rows, group.count
     if not len(rows):
         accessor = builder.zeros({**ZERO, "count": total, "min": [0.0] * 3, "max": [0.0] * 3})
-        return [{"POSITION": accessor} for _ in shapes]
+        return [{"POSITION": accessor} for _ in group.shapes]
     code, kind = (5121, np.uint8) if total <= 256 else (5123, "<u2") if total <= 65536 else (5125, "<u4")
     where = {"bufferView": builder.view(rows.astype(kind).tobytes()), "componentType": code}
     out = []
-    for shape in shapes:
-        values = np.ascontiguousarray(shape[place[rows]], "<f4")
+    for values in group.shapes:
         low, high = values.min(axis=0), values.max(axis=0)
         if len(rows) < total:
             low, high = np.minimum(low, 0), np.maximum(high, 0)

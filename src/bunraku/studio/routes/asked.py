@@ -12,9 +12,10 @@ from starlette.requests import Request
 from bunraku.errors import OptionError
 from bunraku.studio.desk import Desk
 
-__all__ = ["body_of", "choice", "desk_of", "number", "text", "things"]
+__all__ = ["body_of", "choice", "desk_of", "number", "path_of", "sampling", "text", "things"]
 
 MOST_JSON = 4 << 20
+MOST_SEEDS = 8
 
 
 def desk_of(request: Request) -> Desk:
@@ -98,3 +99,65 @@ def things(body: dict[str, Any], name: str, most: int) -> list[Any]:
     if len(value) > most:
         raise OptionError(f"{name} has more than {most} entries")
     return value
+
+
+def sampling(body: dict[str, Any]) -> dict[str, Any]:
+    """How takes are drawn.
+
+    Raises:
+        OptionError: Something of it cannot be.
+    """
+    seeds = things(body, "seeds", MOST_SEEDS) or [0]
+    for seed in seeds:
+        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**53:
+            raise OptionError("seeds are whole numbers from 0 on")
+    return {
+        "seeds": seeds,
+        "steps": number(body, "steps", 1, 200),
+        "guidance": number(body, "guidance", 0, 20),
+        "candidates": number(body, "candidates", 1, 16, 3),
+        "anyway": bool(body.get("anyway")),
+        "without": [str(word) for word in things(body, "without", 10)],
+        "pins": _pins(body),
+    }
+
+
+def _pins(body: dict[str, Any]) -> list[dict[str, Any]]:
+    pins = []
+    for pin in things(body, "pins", 100):
+        if not isinstance(pin, dict):
+            raise OptionError("a pin has a part, a time and a position")
+        place = [number({"x": value}, "x", -1e4, 1e4) for value in things(pin, "position", 3)]
+        if len(place) != 3 or None in place:
+            raise OptionError("the position of a pin is three numbers")
+        turn = pin.get("rotation")
+        if turn is not None:
+            rows = [row for row in things(pin, "rotation", 3) if isinstance(row, list)]
+            if [len(row) for row in rows] != [3, 3, 3]:
+                raise OptionError("the rotation of a pin is a matrix of three rows")
+            turn = [[number({"x": value}, "x", -1, 1, 0) for value in row] for row in rows]
+        pins.append(
+            {
+                "part": text(pin, "part", 40),
+                "time": number(pin, "time", 0, 120, 0),
+                "position": place,
+                "rotation": turn,
+                "hold": number(pin, "hold", 0, 120, 0),
+            }
+        )
+    return pins
+
+
+def path_of(body: dict[str, Any]) -> list[list[float]] | None:
+    """Points of a path on the floor, x and z [m], or None where there is none.
+
+    Raises:
+        OptionError: They are none.
+    """
+    points = things(body, "path", 200)
+    found = []
+    for point in points:
+        if not isinstance(point, list) or len(point) != 2:
+            raise OptionError("a path is a list of points, each with x and z")
+        found.append([number({"x": value}, "x", -500, 500) for value in point])
+    return found or None

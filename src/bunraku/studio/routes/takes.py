@@ -10,56 +10,14 @@ from starlette.responses import FileResponse, JSONResponse, Response
 
 from bunraku.errors import FormatError, OptionError
 from bunraku.studio.desk import Desk
-from bunraku.studio.routes.asked import body_of, choice, desk_of, number, text, things
+from bunraku.studio.routes.asked import body_of, choice, desk_of, number, path_of, sampling, text, things
 from bunraku.studio.uploads import CHARACTERS, MOTIONS, plain_name, receive
 
 __all__ = ["ROUTES"]
 
 SUFFIXES = ("glb", "bvh", "vrma", "vmd", "npz", "fbx", "usdz", "usdc", "mp4", "gif")
-MOST_SEEDS = 8
-
-
-def _sampling(body: dict[str, Any]) -> dict[str, Any]:
-    """How takes are drawn, checked."""
-    seeds = things(body, "seeds", MOST_SEEDS) or [0]
-    for seed in seeds:
-        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**53:
-            raise OptionError("seeds are whole numbers from 0 on")
-    return {
-        "seeds": seeds,
-        "steps": number(body, "steps", 1, 200),
-        "guidance": number(body, "guidance", 0, 20),
-        "candidates": number(body, "candidates", 1, 16, 3),
-        "anyway": bool(body.get("anyway")),
-        "without": [str(word) for word in things(body, "without", 10)],
-        "pins": _pins(body),
-    }
-
-
-def _pins(body: dict[str, Any]) -> list[dict[str, Any]]:
-    pins = []
-    for pin in things(body, "pins", 100):
-        if not isinstance(pin, dict):
-            raise OptionError("a pin has a part, a time and a position")
-        place = [number({"x": value}, "x", -1e4, 1e4) for value in things(pin, "position", 3)]
-        if len(place) != 3 or None in place:
-            raise OptionError("the position of a pin is three numbers")
-        turn = pin.get("rotation")
-        if turn is not None:
-            rows = [row for row in things(pin, "rotation", 3) if isinstance(row, list)]
-            if [len(row) for row in rows] != [3, 3, 3]:
-                raise OptionError("the rotation of a pin is a matrix of three rows")
-            turn = [[number({"x": value}, "x", -1, 1, 0) for value in row] for row in rows]
-        pins.append(
-            {
-                "part": text(pin, "part", 40),
-                "time": number(pin, "time", 0, 120, 0),
-                "position": place,
-                "rotation": turn,
-                "hold": number(pin, "hold", 0, 120, 0),
-            }
-        )
-    return pins
+WAYS = ("rigid", "simulate", "learn")
+"""How apparel moves."""
 
 
 def _script(body: dict[str, Any]) -> tuple[str, float]:
@@ -104,38 +62,43 @@ def _make(desk: Desk, owner: str, body: dict[str, Any]) -> Any:
     from bunraku.language.sequence import parse_sequence
     from bunraku.language.understood import check_understood
 
-    _ready(desk, owner)
+    character = _ready(desk, owner)
     script, seconds = _script(body)
-    how = _sampling(body)
+    how = sampling(body)
     for sentence, _ in parse_sequence(script):
         check_understood(sentence, how["anyway"])
     params = {
         **how, "script": script, "seconds": seconds, "draft": body.get("draft", True) is not False,
         "loop": bool(body.get("loop")), "in_place": bool(body.get("in_place")),
-        "apparel": choice(body, "apparel", ("rigid", "simulate"), "rigid"), "path": _path(body),
-        "after": body["after"] if body.get("after") else None,
+        **_apparel(body), "path": path_of(body),
+        "after": body["after"] if body.get("after") else None, "handles": character["settings"]["handles"],
     }  # fmt: skip
     if params["after"] is not None:
         before = desk.store.get("takes", params["after"])
         if before["character"] != owner or before["state"] != "done" or before.get("skin") != "handles":
             raise OptionError("what is followed must be a finished take of handles of the same character")
-    asked = {
-        name: params[name] for name in ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "path", "pins")
-    }
+    kept = ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "stiffness", "path", "pins")
+    asked = {name: params[name] for name in kept}
     made = desk.new_takes(
         owner, len(how["seeds"]), how="animate", script=body["script"], asked=asked, seeds=how["seeds"]
     )
     return desk.make("animate", script, owner, made, params)
 
 
-def _path(body: dict[str, Any]) -> list[list[float]] | None:
-    points = things(body, "path", 200)
-    found = []
-    for point in points:
-        if not isinstance(point, list) or len(point) != 2:
-            raise OptionError("a path is a list of points, each with x and z")
-        found.append([number({"x": value}, "x", -500, 500) for value in point])
-    return found or None
+def _apparel(body: dict[str, Any]) -> dict[str, Any]:
+    """How apparel moves, checked."""
+    return {
+        "apparel": choice(body, "apparel", WAYS, "rigid"),
+        "stiffness": number(body, "stiffness", 0.001, 1000, 1.0),
+    }
+
+
+def _factor(word: str | None) -> float | None:
+    """A number of an address."""
+    try:
+        return None if word is None else float(word)
+    except ValueError:
+        raise OptionError("stiffness must be a number") from None
 
 
 async def take(request: Request) -> Any:
@@ -174,16 +137,22 @@ def _change(desk: Desk, name: str, body: dict[str, Any]) -> Any:
     if parent["state"] != "done":
         raise OptionError("this take is not finished; wait for it")
     _ready(desk, parent["character"])
-    how = _sampling(body)
+    how = sampling(body)
     prompt = text(body, "prompt", 1000).strip()
-    params: dict[str, Any] = {**how, "parent": name, "prompt": prompt}
+    worn = {"apparel": "learn" if parent.get("stiffness") else "rigid", "stiffness": parent.get("stiffness") or 1.0}
+    params: dict[str, Any] = {**how, **worn, "parent": name, "prompt": prompt}
     if not prompt:
-        if not how["pins"]:
+        kind, asked = "bend", {**worn, "pins": how["pins"]}
+        if "apparel" in body:
+            kind = "dress"
+            in_place = bool((parent.get("asked") or {}).get("in_place"))
+            asked = {**(parent.get("asked") or {}), **_apparel(body), "in_place": in_place}
+        elif not how["pins"]:
             raise OptionError("type what is done instead, or pin a hand or a foot")
-        made = desk.new_takes(
-            parent["character"], 1, how="bend", parent=name, script=parent["script"], asked={"pins": how["pins"]}
-        )
-        return desk.make("bend", "bend to the pins", parent["character"], made, params)
+        made = desk.new_takes(parent["character"], 1, how=kind, parent=name, script=parent["script"], asked=asked,
+                              seeds=[parent.get("seed", 0)])  # fmt: skip
+        title = "bend to the pins" if kind == "bend" else "dress anew"
+        return desk.make(kind, title, parent["character"], made, {**params, **asked})
     check_understood(prompt, how["anyway"])
     keep = [str(part) for part in things(body, "keep", 40)]
     if keep:
@@ -205,7 +174,7 @@ def _change(desk: Desk, name: str, body: dict[str, Any]) -> Any:
     if not keep and not span and not poses:
         raise OptionError("nothing is kept: select a span of time, keep parts of the body, or pin poses")
     params |= {"keep": keep, "span": span or None, "poses": poses}
-    asked = {key: params[key] for key in ("seeds", "keep", "span", "poses", "pins", "prompt")}
+    asked = {key: params[key] for key in ("seeds", "keep", "span", "poses", "pins", "prompt", "apparel", "stiffness")}
     made = desk.new_takes(
         parent["character"], len(how["seeds"]), how="edit", parent=name, script=parent["script"], asked=asked,
         seeds=how["seeds"],
@@ -220,16 +189,18 @@ async def transfer(request: Request) -> Any:
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*MOTIONS, *CHARACTERS):
         raise FormatError(f"{title}{suffix}", f"this is no format of motions; they are {', '.join(MOTIONS)} and .fbx")
-    apparel = choice(dict(request.query_params), "apparel", ("rigid", "simulate"), "rigid")
+    worn = _apparel({**request.query_params, "stiffness": _factor(request.query_params.get("stiffness"))})
     onto = choice(dict(request.query_params), "onto", ("auto", "handles"), "handles")
-    (made,) = desk.new_takes(owner, 1, how="transfer", script=[{"text": title, "seconds": 0}], asked={"file": title})
+    (made,) = desk.new_takes(
+        owner, 1, how="transfer", script=[{"text": title, "seconds": 0}], asked={"file": title, **worn}
+    )
     try:
         file = desk.store.place("takes", made["id"]) / f"motion-source{suffix}"
         await receive(request, file)
     except BaseException:
         desk.drop("takes", made["id"])
         raise
-    params = {"file": file.name, "apparel": apparel, "onto": onto}
+    params = {"file": file.name, **worn, "onto": onto}
     return JSONResponse(desk.make("transfer", f"transfer {title}", owner, [made], params), 202)
 
 
