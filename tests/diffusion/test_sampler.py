@@ -1,7 +1,17 @@
 import pytest
 import torch
 
-from bunraku.diffusion.sampling.sampler import GUIDED_FROM, Known, guided, sample, starting_noise, token_share
+from bunraku.diffusion.sampling.sampler import (
+    GUIDED_FROM,
+    LED_UNTIL,
+    Known,
+    Window,
+    guided,
+    sample,
+    sample_windows,
+    starting_noise,
+    token_share,
+)
 from bunraku.diffusion.sampling.schedule import alphas_cumprod, sampling_steps
 from bunraku.diffusion.sampling.solvers import ancestral, dpm_solver
 
@@ -163,3 +173,42 @@ def test_padding_does_not_count_in_rescaling(model, encoder):
     found = sample(model, text, [24, 40], steps=4, guidance=4.0, rescale=0.7).values
     alone = sample(model, encoder.encode(["walks"]), 24, steps=4, guidance=4.0, rescale=0.7).values
     torch.testing.assert_close(found[:1, :24], alone, atol=1e-4, rtol=1e-4)
+
+
+def test_a_guide_is_where_the_motion_starts_from_and_others_beside_it_are_as_without(model, encoder):
+    noise = starting_noise(2, 40, FEATURES, 5).flatten(0, 1)
+    windows = [Window(torch.arange(row * 40, row * 40 + 40), torch.ones(40), row) for row in range(2)]
+    text = encoder.encode(["a person waves", "a person kicks"])
+    truth = torch.sin(torch.arange(80)[:, None] / 5 + torch.arange(FEATURES))
+    share = torch.cat([torch.ones(40, 1), torch.zeros(40, 1)])
+
+    def draw(share):
+        return sample_windows(model, text, windows, noise, steps=20, guide=(truth, share)).values
+
+    led, beside = draw(share).split(40)
+    _, alone = sample_windows(model, text, windows, noise, steps=20).values.split(40)
+    torch.testing.assert_close(beside, alone, atol=1e-4, rtol=1e-4)
+    asked, _ = draw(share * (1 - 1e-6)).split(40)  # here the network is asked at each step, and overwritten
+    torch.testing.assert_close(led, asked, atol=1e-3, rtol=1e-3)
+
+    steps = sampling_steps(20)
+    first = next(step for step in steps if step < LED_UNTIL)
+    level = alphas_cumprod()[first]
+    seen = []
+    watched = model.forward
+
+    def watch(x, *rest, **options):
+        seen.append(x.clone())
+        return watched(x, *rest, **options)
+
+    model.forward = watch
+    sample_windows(
+        model,
+        text,
+        windows[:1],
+        noise[:40],
+        steps=20,
+        guide=(truth[:40], share[:40]),
+    )
+    start = level.sqrt() * truth[:40] + (1 - level).sqrt() * noise[:40]
+    torch.testing.assert_close(seen[0][0], start.float(), atol=1e-4, rtol=1e-4)

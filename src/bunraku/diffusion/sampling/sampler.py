@@ -216,10 +216,13 @@ def sample_windows(
     device, config = model.mean.device, model.config
     text, noise = text.to(device), noise.to(device)
     order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
+    led_whole = [guide is not None and bool((guide[1][window.frames.cpu()] >= 1).all()) for window in order]
     with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
         groups = [
-            _Group(model, text, order[start : start + GROUP], mesh_features, guidance, rescale)
-            for start in range(0, len(order), GROUP)
+            _Group(model, text, some[start : start + GROUP], mesh_features, guidance, rescale, led)
+            for led in (False, True)
+            for some in [[window for window, own in zip(order, led_whole, strict=True) if own == led]]
+            for start in range(0, len(some), GROUP)
         ]
     total = torch.zeros(len(noise), 1, device=device)
     for group in groups:
@@ -233,6 +236,8 @@ def sample_windows(
     def predict(x: Tensor, step: int) -> Tensor:
         x0, adaptation = torch.zeros_like(x), torch.zeros_like(last)
         for group in groups:
+            if group.led and step >= LED_UNTIL and step != visited[-1]:
+                continue  # whatever the network says, the guide overwrites it
             with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
                 values, offsets = group.predict(model, x, step, final=step == visited[-1])
             weight = group.share[group.real][:, None]
@@ -258,7 +263,9 @@ def sample_windows(
 
 
 class _Group:
-    """Windows that go through the denoiser together, with what does not depend on the step."""
+    """Windows that go through the denoiser together, with what does not depend on the step. All of a group are led by
+    a guide in all of their frames, or none is.
+    """
 
     def __init__(
         self,
@@ -268,7 +275,9 @@ class _Group:
         mesh_features: Tensor | None,
         guidance: float,
         rescale: float,
+        led: bool,
     ):
+        self.led = led
         device = model.mean.device
         count, longest = len(windows), max(len(window.frames) for window in windows)
         self.guidance, self.rescale, self.twice = guidance, rescale, 1 if guidance == 1 else 2
