@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bunraku.body.from_handles import skeleton_from_handles
-from bunraku.diffusion.examples.guide import fills, fits_into, hurried, laid, laid_script
+from bunraku.diffusion.examples.guide import fills, fits_into, hurried, laid, laid_script, liveliest
 from bunraku.diffusion.examples.leads import Leads
 from bunraku.diffusion.examples.pack import ExamplePack, packed_stretch
 from bunraku.diffusion.examples.retrieve import Found
@@ -64,6 +64,14 @@ def test_what_is_done_once_is_sped_up_a_little_but_never_cut(pack, units):
     assert fits_into(pack, WAVE, 5)
 
 
+def test_of_what_is_much_too_long_the_liveliest_part_is_taken(pack, units):
+    kick = pack.features(1)
+    long = np.concatenate([np.repeat(kick[:1], 40, axis=0), kick, np.repeat(kick[-1:], 40, axis=0)])
+    part = liveliest(long, 30, units)
+    assert len(part) == 30 and np.ptp(part[:, 3:], axis=0).max() == np.ptp(kick[:, 3:], axis=0).max()
+    assert liveliest(kick, 30, units) is kick
+
+
 def test_who_hurries_gets_as_far():
     walk = np.zeros((41, 271), np.float32)
     walk[:, 2] = 1.5
@@ -108,3 +116,23 @@ def test_the_next_sentence_takes_what_begins_as_the_last_one_ends(pack, monkeypa
     leads = Leads(more, {"someone waves": axes[0], "someone kicks": axes[1]})
     script = [("someone waves", 40), ("someone kicks", 40)]
     assert {leads.lead(script, (seed, 0), 0).found[1].place for seed in range(20)} == {1}
+
+
+def test_the_crouch_before_a_jump_is_not_held_but_a_seat_and_the_floor_are(pack, units):
+    def around(first, last):
+        values = pack.features(1).copy()
+        values[:, 3] = np.interp(np.arange(30), [5, 24], [first, last])
+
+        class Known(ExamplePack):
+            def features(self, place):
+                return values
+
+        known = Known(**vars(pack))
+        share = laid(known, KICK, 100, units, np.random.default_rng(0)).share
+        return bool(share[0] == 1), bool(share[-1] == 1)
+
+    assert around(0.0, 0.0) == (True, True)
+    assert around(-0.25, -0.25) == (False, False)
+    assert around(-0.4, 0.0) == (True, True)
+    assert around(0.0, -0.4) == (True, True)
+    assert around(-0.6, -0.6) == (True, True)

@@ -19,7 +19,7 @@ from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, mirror
 from bunraku.diffusion.splicing import held, played
 from bunraku.geometry.easing import smooth_step
 
-__all__ = ["Guide", "fills", "fits_into", "laid", "laid_script"]
+__all__ = ["Guide", "Lead", "fills", "fits_into", "hurried", "laid", "laid_script", "liveliest"]
 
 HURRY = 1.35
 """Factor by which an example that is done once is sped up at the most to fit in."""
@@ -27,6 +27,8 @@ FILLED = 0.6
 """Share of the time that an example goes on for at least; shorter ones are taken where there are no others."""
 _LEAD = 30
 """Frames that somebody stands before what is done once, at the most."""
+CROUCH = 0.12
+"""Height [m] by which somebody who stands is lower at the most."""
 _END = 4
 """Frames that say whether somebody rests."""
 _FADE = 10
@@ -76,7 +78,7 @@ def laid(
         features = mirror(features)
     loop = pack.examples[found.place].loop
     if loop is None and len(features) > frames:
-        features = hurried(features, frames)
+        features = hurried(liveliest(features, int(HURRY * frames), statistics), frames)
     values = statistics.normalise(features).astype(np.float32)
     if loop is not None:
         values = played(values, loop, frames)
@@ -89,9 +91,10 @@ def laid(
     room = frames - len(values)
     lead = min(int(room * random.uniform(0.15, 0.5)), _LEAD)
     share = np.ones(frames, np.float32)
-    if not rests(values[:_END], statistics):
+    first, last = (float(statistics.restore(values[[place]])[0, 3]) for place in (0, -1))
+    if not rests(values[:_END], statistics) or _crouches(first, last):
         share[:lead] = _rise(lead)
-    if not rests(values[-_END:], statistics):
+    if not rests(values[-_END:], statistics) or _crouches(last, first):
         share[frames - (room - lead) :] = _rise(room - lead)[::-1]
     values = held(values[::-1], lead, still)[::-1]
     return Guide(held(values, room - lead, still), share)
@@ -103,9 +106,26 @@ def rests(values: np.ndarray, statistics: FeatureStatistics) -> bool:
     return bool(speed < 0.5 and (np.diff(values, axis=0)[:, 4:] ** 2).mean() < 0.02)
 
 
+def _crouches(here: float, there: float) -> bool:
+    """Whether nobody stays at this height of the root over standing [m], whose motion has this one at its other end:
+    the crouch before a jump, and not the seat that somebody gets up from, nor the floor on which somebody lies on.
+    """
+    return here < -CROUCH and there < here + CROUCH and max(here, there) > -3 * CROUCH
+
+
 def _rise(frames: int) -> np.ndarray:
     """Shares of frames before something that is held: none, and a rise at the end."""
     return smooth_step(np.clip(1 - (frames - np.arange(frames)) / _FADE, 0, 1)).astype(np.float32)
+
+
+def liveliest(features: np.ndarray, frames: int, statistics: FeatureStatistics) -> np.ndarray:
+    """The part of a motion with the most movement, of at most so many frames, shape (M, D)."""
+    if len(features) <= frames:
+        return features
+    step = np.diff(statistics.normalise(features)[:, 3:], axis=0, prepend=statistics.normalise(features[:1])[:, 3:])
+    moved = np.concatenate([[0.0], np.cumsum((step**2).sum(axis=1))])
+    start = int((moved[frames:] - moved[:-frames]).argmax())
+    return features[start : start + frames]
 
 
 def hurried(features: np.ndarray, frames: int) -> np.ndarray:

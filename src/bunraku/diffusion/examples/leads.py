@@ -46,7 +46,8 @@ class Leads:
         random = np.random.default_rng(seed)
         chosen: list[Found | None] = []
         for sentence, frames in script:
-            fitting = [one for one in self._found.get(sentence, ()) if fits_into(self.pack, one, frames)]
+            offered = self._found.get(sentence, [])
+            fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
             fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
             if chosen and chosen[-1] is not None:
                 fitting = self._following(chosen[-1], fitting)

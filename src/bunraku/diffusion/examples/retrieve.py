@@ -6,6 +6,7 @@ the nearest are taken by the ranker's vectors of sentences and motions.
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ LEAST = 0.6
 """Mean cosine from which an example is one at all."""
 SAME = 0.9
 """Cosine of two sentences that mean the same, whatever words `language.actions` finds in them."""
+_CHAIR = re.compile(r"\b(chair|stool|bench|seat|sofa|couch|armchair)\b")
+_FLOOR = re.compile(r"\b(floor|ground|knees|l(ies|ying))\b")
 _SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in ("arm", "leg", "turn", "go")) | {
     "forward",
     "backwards",
@@ -61,6 +64,7 @@ def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found
         vector: The ranker's unit vector of it, shape (V,).
     """
     actions, cues = frozenset(main_actions([sentence])), said_cues(sentence) & _SIDED
+    seated = _CHAIR.search(sentence.lower()) is not None
     found = []
     for mirrored in (False, True):
         near = pack.texts[int(mirrored)].astype(float) @ vector
@@ -68,14 +72,18 @@ def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found
         np.maximum.at(best, pack.owners, near)
         score = 0.5 * (best + pack.motions[int(mirrored)].astype(float) @ vector)
         for index in np.flatnonzero(score >= LEAST).tolist():
-            if _fits(pack.examples[index].texts, mirrored, actions, cues, float(best[index])):
+            if _fits(pack.examples[index].texts, mirrored, actions, cues, seated, float(best[index])):
                 found.append(Found(index, mirrored, float(score[index])))
     found.sort(key=lambda one: -one.score)
     return [one for one in found if one.score >= found[0].score - NEAR][:MOST]
 
 
-def _fits(texts: tuple[str, ...], mirrored: bool, actions: frozenset[str], cues: frozenset[str], near: float) -> bool:
+def _fits(
+    texts: tuple[str, ...], mirrored: bool, actions: frozenset[str], cues: frozenset[str], seated: bool, near: float
+) -> bool:
     if near < SAME and frozenset(main_actions(texts)) != actions:
+        return False
+    if seated and any(_FLOOR.search(text.lower()) for text in texts):
         return False
     told = frozenset[str]().union(*(said_cues(mirror_words(text) if mirrored else text) for text in texts))
     return cues <= told
