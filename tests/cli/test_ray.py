@@ -16,12 +16,13 @@ ray = pytest.importorskip("ray", reason="ray is not installed; pip install 'bunr
 PAIRS = 40
 
 
-def slow_pair(pair: Pair, settings: object) -> str:
-    """In the place of a transfer: a moment's work that notes who did it."""
-    time.sleep(0.5)
-    with open(pair.output, "ab") as file:
-        file.write(b"x")
-    return ""
+def slow_batch(settings: object, batch: list[Pair]) -> list[str]:
+    """In the place of transfers: a moment's work that notes who did it."""
+    for pair in batch:
+        time.sleep(0.5)
+        with open(pair.output, "ab") as file:
+            file.write(b"x")
+    return [""] * len(batch)
 
 
 @pytest.fixture
@@ -44,8 +45,7 @@ def test_a_node_that_goes_away_loses_nothing(cluster, tmp_path, monkeypatch):
     """The transfers are stood in for, so that this is about the cluster; the transfers themselves have their tests."""
     found, second = cluster
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # its workers do not know the tests' folder
-    monkeypatch.setattr("bunraku.cli.transfer.runs.transfer_pair", slow_pair)
-    monkeypatch.setattr("bunraku.cli.transfer.runs._run_batch", run_batch)
+    monkeypatch.setattr("bunraku.cli.transfer.runs._run_batch", slow_batch)
     pairs = [Pair(Path("c.glb"), Path("m.bvh"), tmp_path / f"{number}.out") for number in range(PAIRS)]
     said: Counter[Path] = Counter()
     for done, (pair, reason) in enumerate(run_pairs(pairs, None, "ray")):
@@ -56,7 +56,3 @@ def test_a_node_that_goes_away_loses_nothing(cluster, tmp_path, monkeypatch):
             found.remove_node(second, allow_graceful=False)
     assert said == Counter({pair.output: 1 for pair in pairs})
     assert all(pair.output.stat().st_size >= 1 for pair in pairs)
-
-
-def run_batch(batch: list[Pair], settings: object) -> list[tuple[Pair, str]]:
-    return [(pair, slow_pair(pair, settings)) for pair in batch]

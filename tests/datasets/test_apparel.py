@@ -1,6 +1,5 @@
 """The apparel data set: plans, what is recorded, files that survive a kill, and readers that trust nobody."""
 
-import importlib.util
 import json
 import os
 import pickle
@@ -18,7 +17,6 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.datasets.apparel import ApparelData
 from bunraku.datasets.apparel import build as building
-from bunraku.datasets.apparel.jobs import run_jobs
 from bunraku.datasets.apparel.plan import (
     MotionSource,
     character_sources,
@@ -32,7 +30,7 @@ from bunraku.datasets.apparel.recording import record
 from bunraku.datasets.apparel.report import apparel_facts, facts_table, sway_frequency
 from bunraku.datasets.apparel.shards import SHARD_ARRAYS, Shard, shard_fingerprint, write_shard
 from bunraku.datasets.motions.clips import write_clip, write_index
-from bunraku.errors import FormatError, MissingExtraError, OptionError
+from bunraku.errors import FormatError, OptionError
 from bunraku.evaluation.transfer.stock_motions import stock_motion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.physics import simulate
@@ -326,12 +324,6 @@ def test_a_pickle_is_no_shard(built, tmp_path):
         (tmp_path / "shards" / f"{data.clips[0].shard}.safetensors").write_bytes(content)
         with pytest.raises(FormatError, match="damaged"):
             data.window(data.clips[0], 0, 1)
-
-
-@pytest.mark.skipif(importlib.util.find_spec("ray") is not None, reason="ray is installed")
-def test_ray_is_asked_for_by_name():
-    with pytest.raises(MissingExtraError, match="ray"):
-        list(run_jobs(os.path.join, [("a", "b")], "ray"))
 
 
 def test_what_went_wrong_is_named(tmp_path, plan):

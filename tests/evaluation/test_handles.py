@@ -174,6 +174,16 @@ def test_the_table_as_a_whole(folder):
     assert {key: first[key] for key in first.keys() - drawn} == {key: second[key] for key in first.keys() - drawn}
 
 
+@needs_weights
+def test_processes_give_the_same_table(folder):
+    names = {name: load for name, load in folder_subjects(folder, True).items() if name != "kaykit/Other"}
+    alone, shared = (evaluate_handles(names, baselines=False, speed=False, jobs=jobs) for jobs in (1, 2))
+    assert list(shared["left_out"]) == list(alone["left_out"]) == ["plain"]
+    for row, other in zip(alone["characters"], shared["characters"], strict=True):
+        numbers = {key: value for key, value in row.items() if isinstance(value, float)}
+        assert len(numbers) > 5 and {key: other[key] for key in numbers} == pytest.approx(numbers, abs=1e-3)
+
+
 def test_nothing_to_measure_is_said(tmp_path):
     save_character(sample_character("mushroom", 0.3), tmp_path / "plain.glb")
     if shipped_checkpoint("handles").is_file():

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from bunraku.core.motion import HandleMotion
@@ -73,6 +72,8 @@ class GroundPath:
         Raises:
             OptionError: The path's last time is after the end of the clip.
         """
+        from scipy.interpolate import PchipInterpolator  # takes a while, and few clips have a path
+
         points = np.asarray(self.points, float)
         seconds = max((frames - 1) / fps, 1e-9)
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)

@@ -15,6 +15,7 @@ import tyro
 from bunraku.cli.checks import check_folder, check_range, check_source
 from bunraku.cli.progress import stages
 from bunraku.errors import FormatError, OptionError
+from bunraku.nn.spread import parse_jobs
 
 if TYPE_CHECKING:
     from bunraku.datasets.apparel.build import BuildState
@@ -121,18 +122,8 @@ class Apparel:
 
 
 def process_count(text: str | None) -> int | str:
-    """What `--jobs` says, the number of cores where it says nothing.
-
-    Raises:
-        OptionError: It is no number from 1 to 1024, nor "ray".
-    """
-    if text is None:
-        return os.cpu_count() or 1
-    if text == "ray":
-        return text
-    if not text.isdecimal() or not 1 <= int(text) <= 1024:
-        raise OptionError(f"--jobs is a number from 1 to 1024, or ray, not '{text}'")
-    return int(text)
+    """What `--jobs` says, the number of cores where it says nothing (see `parse_jobs`)."""
+    return os.cpu_count() or 1 if text is None else parse_jobs(text)
 
 
 def _teller(report: Callable[[str, float], None]) -> Callable[[BuildState], None]:

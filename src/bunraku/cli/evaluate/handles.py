@@ -12,6 +12,7 @@ from bunraku.cli.checks import check_input, check_source
 from bunraku.cli.evaluate.report import measured
 from bunraku.cli.progress import stages
 from bunraku.errors import OptionError
+from bunraku.nn.spread import parse_jobs
 
 __all__ = ["EvaluateHandles"]
 
@@ -43,6 +44,8 @@ class EvaluateHandles:
     """Leave out the time that predictions take, which says little on a busy machine."""
     seed: int = 0
     """Of the random poses and the clusters."""
+    jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
+    """How many processes share the characters, or "ray" for a Ray cluster."""
     json: bool = False
     """Print JSON for programs, with a row for each character."""
 
@@ -55,6 +58,7 @@ class EvaluateHandles:
             raise OptionError(f"--seed must be 0 or more, not {self.seed}")
         if self.checkpoint is not None:
             check_input(self.checkpoint)
+        jobs = parse_jobs(self.jobs)
         from bunraku.evaluation.handles.detailed import detailed_subjects
         from bunraku.evaluation.handles.table import code_made_subjects, evaluate_handles, folder_subjects
 
@@ -67,6 +71,7 @@ class EvaluateHandles:
                 baselines=not self.no_baselines,
                 speed=not self.no_speed,
                 seed=self.seed,
+                jobs=jobs,
                 progress=report,
             )
         measured(result, self.json, _print)

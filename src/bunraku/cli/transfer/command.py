@@ -19,6 +19,7 @@ from bunraku.cli.progress import stages
 from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, holds_character, marks_of, pairs_of
 from bunraku.cli.transfer.runs import run_pairs
 from bunraku.errors import BunrakuError, FormatError, OptionError
+from bunraku.nn.spread import parse_jobs
 from bunraku.pipelines.together import check_apparel_option
 
 __all__ = ["Transfer"]
@@ -115,7 +116,7 @@ class Transfer:
             settings, file_up=self.file_up or "", file_unit=self.file_unit or "", unit=self.unit,
             stiffness=self.stiffness,
         )  # fmt: skip
-        jobs, suffix = _jobs(self.jobs), _suffix(self.format)
+        jobs, suffix = parse_jobs(self.jobs), _suffix(self.format)
         characters, motions, bad = self._sorted()
         single = len(characters) == len(motions) == 1 and not bad and not self._folder()
         if single:
@@ -236,14 +237,6 @@ def _outputs() -> tuple[str, ...]:
     from bunraku.io.table import FORMATS
 
     return tuple(suffix for found in FORMATS if found.animation for suffix in found.suffixes)
-
-
-def _jobs(text: str) -> int | str:
-    if text == "ray":
-        return text
-    if not text.isdecimal() or len(text) > 3 or not 1 <= int(text) <= 256:
-        raise OptionError(f"--jobs is a number from 1 to 256, or ray, not {text!r}")
-    return int(text)
 
 
 def _suffix(text: str) -> str:

@@ -1,22 +1,22 @@
-"""`bunraku animate --prompts`: one clip for each line of a file, several in one pass of the network."""
+"""Many clips of `bunraku animate`: one for each line of a file and each character of a folder, several in one pass of
+the network, in this process, on several, or on a Ray cluster.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bunraku.cli.checks import check_folder, check_input, check_sequence, slug
 from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.ledger import begin, note, still_to_do
 from bunraku.cli.progress import Report
 from bunraku.errors import FormatError, OptionError
+from bunraku.nn.spread import spread
 
-if TYPE_CHECKING:
-    from bunraku.core.animated import AnimatedCharacter
-
-__all__ = ["Clip", "clips_of", "clips_to_do", "read_lines", "save_clips"]
+__all__ = ["Clip", "characters_of", "clips_of", "clips_to_do", "make_clips", "passes", "read_lines"]
 
 LIMIT = 10_000
 
@@ -46,31 +46,68 @@ def read_lines(path: Path, seconds: float, anyway: bool) -> list[str]:
     return prompts
 
 
+def characters_of(folder: Path) -> dict[Path, str]:
+    """The characters of a folder, by their suffixes, each with the name of its own folder of results.
+
+    Raises:
+        FormatError: There is none, or the folder cannot be read.
+    """
+    from bunraku.io.table import FORMATS
+
+    suffixes = {suffix for kind in FORMATS if kind.character for suffix in kind.suffixes} - {".txt"}  # beside an OBJ
+    try:
+        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+    except OSError as error:
+        raise FormatError(folder, f"this folder cannot be read ({error.strerror}); name another") from None
+    if not found:
+        raise FormatError(folder, "no character lies in this folder; name one with meshes, such as .glb")
+    stems = [path.stem.lower() for path in found]
+    return {path: path.stem if stems.count(path.stem.lower()) == 1 else path.name for path in found}
+
+
 @dataclass(frozen=True)
 class Clip:
-    """A file to write, the prompt that it shows, and the fingerprint of what it is made of."""
+    """A file to write.
+
+    Args:
+        path: Of the file.
+        character: The file of who is shown.
+        place: Which of the prompts of its pass it shows.
+        beside: All prompts of that pass, which are generated along, so that a clip has the same bytes whether those
+            beside it are wanted or not.
+        mark: The fingerprint of what it is made of.
+    """
 
     path: Path
-    prompt: str
+    character: Path
+    place: int
+    beside: tuple[str, ...]
     mark: str
 
 
-def clips_of(folder: Path, prompts: list[str], mark: Callable[[str], str]) -> list[Clip]:
-    """A clip for each prompt, its file named after its number and words.
+def clips_of(
+    folder: Path, character: Path, prompts: list[str], at_once: int, mark: Callable[[Path, str], str]
+) -> list[Clip]:
+    """A clip of a character for each prompt, its file named after its number and words.
 
     Args:
         folder: Of all files.
+        character: Who is shown.
         prompts: What is to be shown.
-        mark: Gives the fingerprint of a prompt's clip.
+        at_once: Prompts in one pass of the network.
+        mark: Gives the fingerprint of a character's clip of a prompt.
     """
-    return [
-        Clip(folder / f"{number:03d}-{slug(prompt)}.glb", prompt, mark(prompt))
-        for number, prompt in enumerate(prompts, 1)
-    ]
+    out = []
+    for number, prompt in enumerate(prompts):
+        first = number - number % at_once
+        beside = tuple(prompts[first : first + at_once])
+        path = folder / f"{number + 1:03d}-{slug(prompt)}.glb"
+        out.append(Clip(path, character, number - first, beside, mark(character, prompt)))
+    return out
 
 
 def clips_to_do(clips: list[Clip], overwrite: bool) -> list[Clip]:
-    """The clips that are not there yet.
+    """The clips of one folder that are not there yet.
 
     Raises:
         FormatError: The folder is a file, or cannot be written to, or another file has a clip's name.
@@ -80,23 +117,76 @@ def clips_to_do(clips: list[Clip], overwrite: bool) -> list[Clip]:
         raise FormatError(folder, "this is a file; name a folder with -o, where each prompt gets a file")
     check_folder(folder)
     left = set(still_to_do({clip.path: clip.mark for clip in clips}, overwrite))
-    if len(left) < len(clips):
-        print(f"{len(clips) - len(left)} of {len(clips)} clips are there already")
     return [clip for clip in clips if clip.path in left]
 
 
-def save_clips(animations: Iterator[AnimatedCharacter], clips: list[Clip], fps: float, report: Report) -> None:
-    """Write each animation to its file as soon as it is made.
+def passes(clips: list[Clip]) -> list[list[Clip]]:
+    """The clips, those of one pass of the network together."""
+    out: list[list[Clip]] = []
+    for clip in clips:
+        last = out[-1][-1] if out else None
+        if last and (last.character, last.beside) == (clip.character, clip.beside) and last.place < clip.place:
+            out[-1].append(clip)
+        else:
+            out.append([clip])
+    return out
+
+
+def make_clips(
+    clips: list[Clip], work: Callable[[list[Clip]], Iterator[str]], jobs: int | str, report: Report
+) -> dict[str, str]:
+    """Make them all.
 
     Args:
-        animations: As many as clips.
-        clips: What they are.
-        fps: Frames a second [1/s].
+        clips: What is to do.
+        work: Makes the clips of a pass, and tells of each what went wrong, "" for nothing; what processes can be
+            handed. In this process it may raise what ends all.
+        jobs: How many processes, or "ray".
         report: Called with a stage's name and the share done.
+
+    Returns:
+        What failed, by file, with the reason.
     """
-    clips[0].path.parent.mkdir(exist_ok=True)
-    begin({clip.path: clip.mark for clip in clips})
-    for done, clip in enumerate(clips, 1):
-        wrote(next(animations).save(clip.path, fps=fps))
-        note(clip.path, clip.mark)
+    for folder in {clip.path.parent: None for clip in clips}:
+        folder.mkdir(exist_ok=True, parents=True)
+        begin({clip.path: clip.mark for clip in clips if clip.path.parent == folder})
+    failed: dict[str, str] = {}
+    for done, (clip, reason) in enumerate(_made(clips, work, jobs), 1):
+        if reason:
+            note(clip.path, "")  # nothing was made: what comes to lie there is another's
+            whose = str(clip.character) if reason.startswith(f"{clip.character}: ") else str(clip.path)
+            failed[whose] = reason.removeprefix(f"{whose}: ")
+        else:
+            note(clip.path, clip.mark)
+            wrote(clip.path)
         report("clips", done / len(clips))
+    for name, reason in failed.items():
+        print(f"bunraku: failed: {name}: {' '.join(reason.split())}", file=sys.stderr)
+    return failed
+
+
+def _made(
+    clips: list[Clip], work: Callable[[list[Clip]], Iterator[str]], jobs: int | str
+) -> Iterator[tuple[Clip, str]]:
+    if jobs == 1:
+        for some in passes(clips):
+            yield from zip(some, work(some), strict=True)
+        return
+    own = {_resolved(clip) if jobs == "ray" else clip: clip for clip in clips}
+    for clip, reason in spread(_All(work), passes(list(own)), jobs, str):
+        yield own[clip], reason
+
+
+def _resolved(clip: Clip) -> Clip:
+    """The same for workers that run in folders of their own."""
+    return replace(clip, path=clip.path.resolve(), character=clip.character.resolve())
+
+
+@dataclass(frozen=True)
+class _All:
+    """The work, done to its end before anything is told."""
+
+    work: Callable[[list[Clip]], Iterator[str]]
+
+    def __call__(self, clips: list[Clip]) -> list[str]:
+        return list(self.work(clips))

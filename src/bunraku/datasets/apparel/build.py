@@ -10,7 +10,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ import numpy as np
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.core.character import Character
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.datasets.apparel.jobs import run_jobs
 from bunraku.datasets.apparel.mend import bare_wearer, pushed_out_clips
 from bunraku.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, ShardPlan
 from bunraku.datasets.apparel.reader import INDEX
@@ -27,6 +26,7 @@ from bunraku.datasets.apparel.recording import record
 from bunraku.datasets.apparel.shards import Shard, shard_fingerprint, write_shard
 from bunraku.errors import BunrakuError, CharacterError, FormatError
 from bunraku.formats.files import atomic_write, sweep
+from bunraku.nn.spread import spread
 
 __all__ = ["BuildState", "body_animation", "build_apparel", "build_shard"]
 
@@ -94,8 +94,7 @@ def build_apparel(
     started, before = time.monotonic(), state.built_minutes
     total = sum(shard.seconds for shard in todo) / 60
     tried = 0.0
-    for number, problem in run_jobs(build_shard, [(folder, shard) for shard in todo], jobs):
-        shard = todo[number]
+    for shard, problem in spread(partial(_build_batch, folder), [[shard] for shard in todo], jobs, str):
         tried += shard.seconds / 60
         if problem:
             state.failed[shard.name] = problem
@@ -106,6 +105,10 @@ def build_apparel(
         progress(state)
     assert state.built_minutes >= before
     return state
+
+
+def _build_batch(folder: Path, shards: list[ShardPlan]) -> list[str]:
+    return [build_shard(folder, shard) for shard in shards]
 
 
 def _path(folder: Path, shard: ShardPlan) -> Path:

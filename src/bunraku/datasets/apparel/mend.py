@@ -7,17 +7,18 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bunraku.apparel.wearer import Wearer
-from bunraku.datasets.apparel.jobs import run_jobs
 from bunraku.datasets.apparel.reader import INDEX, read_index
 from bunraku.datasets.apparel.shards import SHARD_ARRAYS, Shard, write_shard
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.formats.files import atomic_write, sweep
+from bunraku.nn.spread import spread
 
 __all__ = ["MendState", "mend_apparel", "mend_shard", "pushed_out_clips"]
 
@@ -91,9 +92,9 @@ def mend_apparel(
     names = list(index["shards"])
     state = MendState(len(names))
     todo = [name for name in names if not _inside(folder, name)]
-    for number, problem in run_jobs(mend_shard, [(source, folder, name) for name in todo], jobs):
+    for shard, problem in spread(partial(_mend_batch, source, folder), [[name] for name in todo], jobs, str):
         if problem:
-            state.failed[todo[number]] = problem
+            state.failed[shard] = problem
         state.done = sum(bool(_inside(folder, name)) for name in names)
         if progress:
             progress(state)
@@ -104,6 +105,10 @@ def mend_apparel(
     with atomic_write(folder / INDEX) as file:
         file.write(json.dumps(index | {"shards": kept}, indent=1).encode())
     return state
+
+
+def _mend_batch(source: Path, folder: Path, names: list[str]) -> list[str]:
+    return [mend_shard(source, folder, name) for name in names]
 
 
 def _inside(folder: Path, name: str) -> list[float]:

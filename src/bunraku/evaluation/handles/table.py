@@ -22,6 +22,7 @@ from bunraku.evaluation.handles.trials import (
     resolution_differences,
 )
 from bunraku.handles.predict import predict_handles
+from bunraku.nn.spread import spread
 
 __all__ = ["BARS", "Bar", "code_made_subjects", "evaluate_handles", "folder_subjects"]
 
@@ -94,18 +95,39 @@ def folder_subjects(folder: Path, everything: bool = False) -> dict[str, Load]:
 
 def code_made_subjects(count: int = 30) -> dict[str, Load]:
     """How to make each of the characters made by code that no training sees, by name."""
-    from bunraku.synthetic.families import EVALUATION_SEED, code_made_character, code_made_names
-
-    def make(family: str, seed: int) -> Subject:
-        return subject(code_made_character(family, seed), f"code_made/{family}_{seed}")
+    from bunraku.synthetic.families import EVALUATION_SEED, code_made_names
 
     return {
-        f"code_made/{family}_{seed}": partial(make, family, seed)
+        f"code_made/{family}_{seed}": partial(_code_made, family, seed)
         for family, seed in code_made_names(count, EVALUATION_SEED)
     }
 
 
-def _spread(names: list[str], count: int) -> set[str]:
+def _code_made(family: str, seed: int) -> Subject:
+    from bunraku.synthetic.families import code_made_character
+
+    return subject(code_made_character(family, seed), f"code_made/{family}_{seed}")
+
+
+def _measured(
+    predict: Predict, reference: Reference, baselines: bool, seed: int, subjects: list[tuple[str, Load]]
+) -> list[dict[str, Any] | str]:
+    """The row of each character, or why there is none."""
+    out: list[dict[str, Any] | str] = []
+    for _, load in subjects:
+        try:
+            one = load()
+            out.append(measure_subject(one, predict, reference, baselines, seed) | measure_orientation(one))
+        except BunrakuError as error:
+            out.append(str(error))
+    return out
+
+
+def _lost(reason: str) -> dict[str, Any] | str:
+    return reason
+
+
+def _evenly(names: list[str], count: int) -> set[str]:
     return {names[i] for i in np.unique(np.linspace(0, len(names) - 1, count).round().astype(int))}
 
 
@@ -122,6 +144,7 @@ def evaluate_handles(
     baselines: bool = True,
     speed: bool = True,
     seed: int = 0,
+    jobs: int | str = 1,
     progress: Callable[[str, float], None] | None = None,
 ) -> dict[str, Any]:
     """Measure the predictor on characters.
@@ -133,6 +156,7 @@ def evaluate_handles(
         baselines: Also pose the characters by clusters and by bone heat.
         speed: Also take the time of predictions.
         seed: Of the random poses and of the clusters.
+        jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
         progress: Called with a stage's name and the share done.
 
     Returns:
@@ -143,25 +167,27 @@ def evaluate_handles(
     Raises:
         OptionError: None of the characters can be measured.
         WeightsError: The checkpoint is missing or does not fit.
+        MissingExtraError: ray is not installed.
     """
     report = progress or (lambda stage, share: None)
     predict: Predict = partial(predict_handles, checkpoint=checkpoint)
     reference = Reference.of(predict)
-    rows: list[dict[str, Any]] = []
-    left_out: dict[str, str] = {}
-    for number, (name, load) in enumerate(subjects.items()):
-        try:
-            one = load()
-            rows.append(measure_subject(one, predict, reference, baselines, seed) | measure_orientation(one))
-        except BunrakuError as error:
-            left_out[name] = str(error)
-        report("characters", (number + 1) / len(subjects))
+    work = partial(_measured, predict, reference, baselines, seed)
+    batches = [[(name, load)] for name, load in subjects.items()]
+    alone = ((batch[0], work(batch)[0]) for batch in batches)
+    found: dict[str, dict[str, Any] | str] = {}
+    for (name, _), result_of in alone if jobs == 1 else spread(work, batches, jobs, _lost):
+        found[name] = result_of
+        report("characters", len(found) / len(subjects))
+    told = {name: found[name] for name in subjects}
+    rows = [row for row in told.values() if isinstance(row, dict)]
+    left_out = {name: reason for name, reason in told.items() if isinstance(reason, str)}
     if not rows:
         raise OptionError(
             f"none of the {len(subjects)} characters can be measured "
             f"({next(iter(left_out.values()), 'there are none')})"
         )
-    chosen = _spread([row["name"] for row in rows], RESAMPLED)
+    chosen = _evenly([row["name"] for row in rows], RESAMPLED)
     for number, row in enumerate(row for row in rows if row["name"] in chosen):
         row["resolutions"] = resolution_differences(subjects[row["name"]](), predict)
         row["resolution_l1"] = float(np.mean(list(row["resolutions"].values())))
