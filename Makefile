@@ -65,12 +65,15 @@ $(DEVELOP): .venv/.torch pyproject.toml
 	$(PIP) -e '.[dev]'
 	@touch $@ $(READY)
 
-demo: $(READY)
-	@$(BIN)/bunraku samples $(SAMPLE) -o demo
+demo: $(READY) demo/$(SAMPLE).glb
 	@$(BIN)/bunraku animate demo/$(SAMPLE).glb "$(PROMPT)" --seconds 4 -o demo/$(SAMPLE)-animated.glb --preview demo/$(SAMPLE)-animated.mp4
 	@test -s demo/$(SAMPLE)-animated.glb && test -s demo/$(SAMPLE)-animated.mp4
 	@echo "animation: demo/$(SAMPLE)-animated.glb"
 	@echo "video:     demo/$(SAMPLE)-animated.mp4"
+
+demo/$(SAMPLE).glb: $(READY) $(wildcard src/bunraku/synthetic/samples/*.py)
+	@$(BIN)/bunraku samples $(SAMPLE) -o demo
+	@touch $@
 
 test: $(DEVELOP) .venv/.validator .venv/.browser
 	$(BIN)/python -m pytest $(ARGS)
