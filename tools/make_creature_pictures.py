@@ -2,14 +2,15 @@
 docs/pictures, at most 300 kB each.
 
 `captured` puts the walk and the gallop of animals, written as captured skeletons, on the sample dog and on others;
-`gaits` shows a spider's legs; `support` what a dog does when it is told to bow; `page` what `bunraku rig --preview`
-says.
+`gaits` shows a spider's legs; `ways` bodies that fly, slither, swim and crawl; `support` what a dog does when it is
+told to bow; `page` what `bunraku rig --preview` says.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from bunraku.pipelines.apply import apply_motion
 from bunraku.render import contact_sheet, render_animation
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
+from bunraku.synthetic.families import EVALUATION_SEED, code_made_character
 from bunraku.synthetic.samples import sample_character
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
@@ -72,6 +74,26 @@ def gaits(characters: Path) -> None:
     contact_sheet(frames(walk, 10), None, OUT / "creatures-gait.png", columns=5, title="a spider walks forward")
 
 
+def ways(characters: Path) -> None:
+    """Bodies that fly, slither, swim and crawl as each does, and flight that goes from one winged body to another."""
+    fish, spider = "quaternius/cute_fish_pack/Tuna", "quaternius/easy_enemies_pack/Spider"
+    bodies = {
+        "a dragon flies": sample_character("dragon"),
+        "a bird flies": replace(code_made_character("bird", EVALUATION_SEED + 2), rig=None),
+        "a snake slithers": replace(code_made_character("snake", EVALUATION_SEED + 21), rig=None),
+        "a fish swims": facing_character(characters / f"{fish}.glb", fish),
+        "a spider crawls": facing_character(characters / f"{spider}.glb", spider),
+    }
+    images: list[np.ndarray] = []
+    labels: list[str] = []
+    for sentence, body in bodies.items():
+        moved = animate(body, sentence, seconds=2, seed=1, candidates=1, handles=rig(body))
+        assert isinstance(moved, Animation)
+        images += frames(moved)
+        labels += [sentence] + [""] * (SHOWN - 1)
+    contact_sheet(images, labels, OUT / "creatures-ways.png", columns=SHOWN, title="each in its own way")
+
+
 def support(characters: Path) -> None:
     """A dog that is told to bow, without the stage and with it."""
     dog = sample_character("dog")
@@ -100,6 +122,7 @@ def page(characters: Path) -> None:
 PICTURES: dict[str, Callable[[Path], None]] = {
     "captured": captured,
     "gaits": gaits,
+    "ways": ways,
     "support": support,
     "page": page,
 }

@@ -6,7 +6,7 @@ import pytest
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.evaluation.motion.ground import ground_heights, off_ground
+from bunraku.evaluation.transfer.ground import ground_heights, off_ground
 
 FPS = 20.0
 

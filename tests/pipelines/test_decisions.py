@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bunraku.body.reference import reference_body
-from bunraku.pipelines.decisions import body_facts, unable
+from bunraku.pipelines.decisions import body_facts, suited, unable
 from bunraku.retarget.creatures.plan import BodyPlan
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.synthetic.samples import sample_character
@@ -13,6 +13,9 @@ from bunraku.synthetic.samples import sample_character
 PERSON = BodyPlan(hind=2, front=0, upright=True, arms=True, wings=False, tail=False)
 DOG = BodyPlan(hind=2, front=2, upright=False, arms=True, wings=False, tail=True)
 FISH = BodyPlan(hind=0, front=0, upright=False, arms=False, wings=False, tail=True)
+SNAKE = BodyPlan(hind=0, front=0, upright=False, arms=False, wings=False, tail=True, long=True)
+BEE = BodyPlan(hind=0, front=0, upright=False, arms=False, wings=True, tail=False)
+MERMAID = BodyPlan(hind=0, front=0, upright=True, arms=True, wings=False, tail=True)
 BIRD = BodyPlan(hind=2, front=0, upright=False, arms=False, wings=True, tail=True)
 
 
@@ -44,9 +47,43 @@ def test_a_person_s_arms_are_arms():
         (FISH, "a fish waves", "moves arms, and none"),
         (PERSON, "flies away", "needs wings"),
         (BIRD, "a bird flies", ""),
+        (FISH, "a fish swims", ""),
+        (FISH, "walks", "it swims instead"),
+        (SNAKE, "a snake runs", "it slithers instead"),
+        (SNAKE, "slithers", ""),
+        (DOG, "swims", "paddles as it walks"),
+        (DOG, "a dog slithers", "walks slowly instead"),
+        (DOG, "crawls", ""),
+        (BIRD, "crawls", "needs forelegs or arms"),
+        (PERSON, "slithers", "crawls instead"),
+        (PERSON, "swims", ""),
         (BIRD, "waves", ""),
     ],
 )
 def test_what_a_sentence_asks_in_vain_is_said(plan, sentence, said):
     note = unable(plan, sentence)
     assert (said in note) if said else note == ""
+
+
+@pytest.mark.parametrize(
+    ("plan", "clause", "said", "way"),
+    [
+        (SNAKE, "a snake runs ahead", "a snake slithers fast ahead", "slither"),
+        (SNAKE, "crawls", "slithers", "slither"),
+        (FISH, "walks forward", "swims forward", "swim"),
+        (FISH, "swims", "swims", "swim"),
+        (BEE, "flies", "flies", "fly"),
+        (BEE, "walks forward", "walks forward", ""),
+        (DOG, "crawls", "walks slowly", ""),
+        (DOG, "swims", "walks", ""),
+        (DOG, "flies", "flies", ""),
+        (DOG, "walks", "walks", ""),
+        (PERSON, "crawls", "crawls", ""),
+        (PERSON, "slithers", "crawls", ""),
+        (PERSON, "swims", "swims", ""),
+        (MERMAID, "walks", "walks", ""),
+        (SNAKE, "bites", "bites", ""),
+    ],
+)
+def test_each_body_does_it_in_its_own_way(plan, clause, said, way):
+    assert suited(plan, clause) == (said, way)

@@ -325,3 +325,5 @@ def test_what_hovers_is_set_down_and_what_jumps_or_flies_is_not():
     np.testing.assert_allclose(
         settle_hovering(flying, character, handles, stands).root_translation[:, 1], height + 0.5, atol=1e-6
     )
+    grounded = settle_hovering(flying, character, handles, stands, flies=False).root_translation[:, 1]
+    assert np.abs(np.delete(grounded, np.arange(40, 50))).max() < 0.01

@@ -10,14 +10,19 @@ import pytest
 import bunraku
 from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.body.reference import reference_body
-from bunraku.core.motion import SkeletalMotion, Skeleton, local_rotations
+from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
 from bunraku.errors import CharacterError
 from bunraku.evaluation.transfer.quadrupeds import captured_animal
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y, rotation_between
 from bunraku.pipelines.to_reference import creature_motion
 from bunraku.retarget.creatures.plan import BodyPlan, check_plans, plan_of
-from bunraku.retarget.fit import Stages
+from bunraku.retarget.creatures.stance import find_limbs, find_stance
+from bunraku.retarget.creatures.ways import moved_so
+from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.stages.attach import attach_joints
+from bunraku.skeletons.bone_names import handle_of_joints
+from bunraku.synthetic.families import EVALUATION_SEED, code_made_character
 from bunraku.synthetic.samples import sample_character
 
 BARE = Stages(feet=False, floor=False, smooth=False, ground=False, hands=False)
@@ -165,3 +170,76 @@ def test_a_clip_written_as_a_captured_skeleton_has_the_same_paws(dog):
             joint = one.motion.skeleton.names.index(name)
             assert one.motion.world()[1][:, joint] == pytest.approx(bones[:, dog.rig.names.index(bone)], abs=1e-4)
     assert np.abs(np.linalg.norm(flat.motion.skeleton.offsets[:, 1:], axis=1)).min() < 1e-6  # bones along +X
+
+
+def flapping(seconds: float = 2.0) -> bunraku.Animation:
+    """The sample dragon on the spot, beating its wings."""
+    parts = RigParts.of(sample_character("dragon", rigged=True))
+    count = round(20 * seconds)
+    turns = np.tile(np.eye(3), (count, 30, 1, 1))
+    still = HandleMotion(np.zeros((count, 30, 3)), turns, np.zeros((count, 3)), turns[:, 0], 20.0, native=True)
+    flown = moved_so(still, "fly", slice(0, count), parts.character, parts.handles)
+    body = replace(parts.character, rig=None)
+    fitted = fit_motion(flown, body, parts.handles, Stages(smooth=False))
+    return bunraku.Animation(body, parts.handles, replace(fitted, root_translation=np.zeros((count, 3))))
+
+
+def test_what_flies_goes_onto_wings_in_the_air_and_onto_nothing_else(dog):
+    source = flapping()
+    found = creature_motion(source, fps=20.0)
+    assert found is not None and found.flies
+    parts = RigParts.of(code_made_character("bird", EVALUATION_SEED + 2))
+    assert plan_of(parts.character, parts.handles, parts.joints).wings
+    result = bunraku.transfer(replace(parts.character, rig=None), source, handles=parts.handles, fps=20.0)
+    vertices = result.vertices()
+    assert vertices[..., 1].min() > parts.character.vertices[:, 1].min() + 0.15 * parts.character.height
+    wing = parts.handles.weights[:, HANDLE_NAMES.index("left_wing")] > 0.5
+    trunk = parts.handles.weights[:, 0] > 0.5
+    beat = vertices[:, wing, 1].mean(axis=1) - vertices[:, trunk, 1].mean(axis=1)
+    assert np.ptp(beat) > 0.05 * parts.character.height
+    with pytest.raises(CharacterError, match="flown, and no wings"):
+        bunraku.transfer(replace(dog, rig=None), source, handles=RigParts.of(dog).handles)
+
+
+def test_two_legs_under_a_level_trunk_go_from_stance_to_stance_and_onto_people_by_the_reference_body():
+    parts = RigParts.of(code_made_character("dinosaur", EVALUATION_SEED))
+    count, body = 30, replace(parts.character, rig=None)
+    angles = np.zeros((count, 30, 3))
+    swing = SWING * np.sin(2 * np.pi * np.arange(count) / 15)
+    for name, sign in (("left", 1), ("right", -1)):
+        for part in ("hip", "knee", "ankle", "foot"):
+            angles[:, HANDLE_NAMES.index(f"{name}_{part}"), 0] = sign * swing
+    turns, still = matrix_from_axis_angle(angles), np.zeros((count, 3))
+    turns, moves = attach_joints(turns, parts.handles, parts.joints)
+    motion = HandleMotion(moves, turns, still, np.tile(np.eye(3), (count, 1, 1)), 20.0)
+    source = bunraku.Animation(body, parts.handles, motion)
+    found = creature_motion(source, fps=20.0)
+    assert found is not None and found.plan.kind == "two legs" and found.person is not None and not found.flies
+    same = bunraku.transfer(body, source, handles=parts.handles, fps=20.0, stages=BARE)
+    away = same.vertices() - source.vertices()
+    lift = away[0].mean(axis=0)  # the lowest point of the source is on the ground there
+    assert np.abs(lift[[0, 2]]).max() < 1e-3
+    assert np.linalg.norm(away - lift, axis=-1).mean() < 0.01 * body.height
+    person = reference_body()
+    moved = bunraku.transfer(person.character(), source, handles=person.handles, fps=20.0)
+    assert moved.reference is found.person or not moved.reference.native
+
+
+def test_a_clip_that_ends_amid_a_stride_has_the_same_stance_on_both_sides(dog):
+    whole, cut = (
+        trot(dog, frames=41, flat=True),
+        trot(dog, frames=11, flat=True),
+    )  # half a cycle: legs on one side ahead
+    stances = []
+    for motion in (whole, cut):
+        parts = handle_of_joints(motion.skeleton.names, motion.skeleton.parents)
+        limbs = find_limbs(parts, motion.skeleton.parents)
+        assert limbs is not None
+        stances.append((find_stance(motion, limbs, parts), limbs))
+    for stance, limbs in stances:
+        assert stance is not None and not stance.rest
+        for left, right in (limbs.hind, limbs.front):
+            for one, other in zip(left, right, strict=True):
+                mirrored = stance.positions[other] * [-1, 1, 1]
+                np.testing.assert_allclose(stance.positions[one], mirrored, atol=0.01)
+    np.testing.assert_allclose(stances[0][0].positions, stances[1][0].positions, atol=0.03)

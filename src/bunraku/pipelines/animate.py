@@ -16,12 +16,11 @@ from bunraku.core.ground_path import GroundPath
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
-from bunraku.language.clauses import of_creature
 from bunraku.pipelines.apply import apply_motion, apply_rigged, apply_simulated, reference_of, reference_path
+from bunraku.pipelines.bodies import Ways, as_bodies_do, moved_ways
 from bunraku.pipelines.together import check_apparel_option, check_together, moves_apparel
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
-from bunraku.retarget.stages.rest_pose import upright
 
 __all__ = ["animate", "animate_each", "generate", "rig"]
 
@@ -316,6 +315,7 @@ def animate_each(
     )  # fmt: skip
     check_apparel_option(apparel, stiffness)
     creature = False
+    ways: list[Ways] = [[] for _ in scripts]
     moved_by = apparel_way(character, apparel, handles)
     if moved_by != "handles" and (path is not None or pins):
         moved_by = "handles"  # what goes along a path or meets pins
@@ -328,8 +328,7 @@ def animate_each(
             handles = rig(character, handles=handles or "predict", progress=progress)
         feature = handles.features
         creature = not upright(handles)
-        if creature:
-            scripts = _of_creature(scripts)
+        scripts, ways = as_bodies_do(scripts, character, handles)
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
     way = path if isinstance(handles, str) else reference_path(path, character, handles)
     how: dict[str, Any] = {
@@ -340,7 +339,8 @@ def animate_each(
         wanted = [only is None or number in only for number in range(start, start + len(some))]
         if not any(wanted):
             continue
-        for motion in compress(_generated(some, [seed] * len(some), loop, before, way, candidates, how), wanted):
+        motions = _generated(some, [seed] * len(some), loop, before, way, candidates, how)
+        for number, motion in compress(enumerate(motions, start), wanted):
             if moved_by == "simulate":
                 yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
                 continue
@@ -349,6 +349,7 @@ def animate_each(
                     motion, character, in_place=in_place, stages=stages, progress=progress
                 )
             else:
+                motion = moved_ways(motion, ways[number], character, handles, loop)
                 moved = apply_motion(
                     motion, character, handles, loop=loop, in_place=in_place, after=after, path=path, pins=pins,
                     stages=stages, progress=progress

@@ -13,7 +13,7 @@ import numpy as np
 
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.animation import Animation
-from bunraku.core.character import Character
+from bunraku.core.character import Character, Handles
 from bunraku.core.mesh_motion import MeshMotion
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.rig_animation import RigAnimation
@@ -68,10 +68,19 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
 def creature_motion(
     motion: Motion, *, fps: float = 20.0, names: Mapping[str, str] | None = None
 ) -> CreatureMotion | None:
-    """The motion of a body on four legs and more, or on none; None of people and of others on two legs.
+    """The motion of a body on four legs and more, on none or on wings, or of one that lies along its spine on two legs;
+    None of people and of others that go upright.
 
     Arguments and errors are those of `reference_motion`.
     """
+    found = _creature_motion(motion, fps, names)
+    if found is not None and found.plan.kind == "two legs" and not found.flies:
+        person = replace(reference_motion(motion, fps=fps, names=names), native=False)
+        found = replace(found, person=person)
+    return found
+
+
+def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None) -> CreatureMotion | None:
     found: CreatureMotion | None = None
     if isinstance(motion, SkeletalMotion):
         return motion_of_skeleton(motion, fps, names)
@@ -86,7 +95,9 @@ def creature_motion(
                 character, rotations, positions = _facing(character, *world)
                 found = motion_of_rig(RigParts.of(character), rotations, positions, motion.motion.fps)
             except CharacterError:  # names that say nothing
-                return None
+                found = _creature_of_mesh(replace(motion.character, rig=None), motion.vertices(), motion.fps)
+    elif isinstance(motion, MeshMotion):
+        found = _creature_of_mesh(Character(motion.name, motion.vertices[0], motion.faces), motion.vertices, motion.fps)
     return None if found is None else found.at(fps)
 
 
@@ -150,9 +161,21 @@ def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
     """Of a moving mesh: its handles are predicted, registered (section A.2 of TapMo) and taken to the reference
     body.
     """
+    from bunraku.retarget.reference import motion_to_reference
+
+    motion, handles = _registered(rest, vertices, fps)
+    return motion_to_reference(motion, rest, handles)
+
+
+def _creature_of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> CreatureMotion | None:
+    motion, handles = _registered(rest, vertices, fps)
+    return motion_of_handles(motion, rest, handles)
+
+
+def _registered(rest: Character, vertices: np.ndarray, fps: float) -> tuple[HandleMotion, Handles]:
+    """How the predicted handles of a moving mesh move."""
     from bunraku.pipelines.animate import rig
     from bunraku.retarget.from_mesh import handle_motion_of_mesh
-    from bunraku.retarget.reference import motion_to_reference
 
     handles = rig(rest)
     areas = rest.areas
@@ -162,7 +185,7 @@ def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
         )
         for start in range(0, len(vertices), _CHUNK)
     ]
-    return motion_to_reference(HandleMotion.joined(parts), rest, handles)
+    return HandleMotion.joined(parts), handles
 
 
 def bone_rotations(animation: Animation) -> tuple[np.ndarray, np.ndarray]:

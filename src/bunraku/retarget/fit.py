@@ -16,7 +16,9 @@ switched off, clean its motion and turn it into one of another character. They r
   on.
 - `ground`: the lowest point of what the character stands on is as high above the ground, in its own scale, as that of
   the reference body, and a reference body that drifts off the ground for longer than a jump lasts is set back on it.
-  A `native` motion keeps its own height, but what hovers by less than a fifth of the body is set down.
+  A `native` motion keeps its own height where the body has wings or no legs or is upright, but what hovers by less
+  than a fifth of the body is set down. Heads of bodies that lie along their spine are kept out of the ground before
+  that (`retarget/creatures/front.py`).
 - `support`: who stands on four legs keeps two of them under each end of the trunk
   (`retarget/stages/support.py`).
 - `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/stages/feet.py`).
@@ -31,12 +33,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
+from bunraku.retarget.creatures.front import raised_front
 from bunraku.retarget.creatures.gait import stepping
 from bunraku.retarget.creatures.tail import lowered_tail
 from bunraku.retarget.decimate import decimated
@@ -54,6 +58,8 @@ from bunraku.retarget.stages.support import keep_support
 from bunraku.retarget.stance import rest_to_reference, stance_of
 
 __all__ = ["Stages", "fit_motion"]
+
+_WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 
 
 @dataclass(frozen=True)
@@ -134,8 +140,11 @@ def fit_motion(
             )
         else:
             turns, joints = still, rest[1]
+    legs = find_legs(character, handles, joints)
     if motion.native:
         rotations = lowered_tail(rotations, handles, joints, motion.fps)
+        if stages.ground and legs and not upright(handles):
+            motion, rotations = raised_front(motion, rotations, character, handles, joints)
     stance = stance_of(character, handles, joints, turns)
     stands = standing(*stance)
     scale = stride_scale(*stance, stands)
@@ -158,11 +167,12 @@ def fit_motion(
     if stages.rest_pose and not motion.native and not upright(handles):
         fitted = replace(fitted, root_rotation=_levelled(motion.root_rotation, motion.fps))
     if stages.ground and motion.native and heights is None:  # it brings its own height: a bird stays in the air
-        fitted = settle_hovering(fitted, character, handles, stands)
+        flies = not legs or upright(handles) or bool(joints.present[_WINGS].all())  # who is upright may climb or hang
+        fitted = settle_hovering(fitted, character, handles, stands, flies)
     elif stages.ground:
         fitted = set_on_ground(motion, fitted, character, handles, scale, stands, heights)
     if stages.feet or stages.floor or stages.hands or stages.support:
-        legs, contacts = find_legs(character, handles, joints), None
+        contacts = None
         arms = find_arms(character, handles, joints, legs)
         if stages.support:
             fitted = keep_support(fitted, character, handles, joints, legs, floors[0])

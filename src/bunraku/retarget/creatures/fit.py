@@ -26,8 +26,10 @@ def _own_stages(stages: Stages) -> Stages:
 
 
 def _heights(source: CreatureMotion) -> np.ndarray | None:
-    """How high what stands is over the ground; None of what swims or slides, which keeps the height of its path."""
-    return source.heights if source.plan.legs else None
+    """How high what stands is over the ground; None of what flies, swims or slides, which keeps the height of its
+    path.
+    """
+    return source.heights if source.plan.legs and not source.flies else None
 
 
 def fit_creature(source: CreatureMotion, character: Character, handles: Handles, stages: Stages) -> Animation:
@@ -42,7 +44,11 @@ def fit_creature(source: CreatureMotion, character: Character, handles: Handles,
     Raises:
         CharacterError: The character lacks what carries the source (see `check_plans`).
     """
-    check_plans(source.plan, plan_of(character, handles, find_joints(character, handles)), character.name)
+    plan = plan_of(character, handles, find_joints(character, handles))
+    if not source.suits(plan):
+        assert source.person is not None
+        return Animation(character, handles, fit_motion(source.person, character, handles, stages), source.person)
+    check_plans(source.plan, plan, character.name, source.flies)
     fitted = fit_motion(source.motion, character, handles, _own_stages(stages), heights=_heights(source))
     return Animation(character, handles, fitted, motion_to_reference(fitted, character, handles, native=True))
 
@@ -59,7 +65,10 @@ def fit_creature_rig(source: CreatureMotion, parts: RigParts, stages: Stages) ->
         CharacterError: The character lacks what carries the source (see `check_plans`).
     """
     plan = plan_of(parts.character, parts.handles, parts.joints)
-    check_plans(source.plan, plan, parts.character.name)
+    if not source.suits(plan):
+        assert source.person is not None
+        return fit_rig(source.person, parts, stages)
+    check_plans(source.plan, plan, parts.character.name, source.flies)
     still = replace(parts, rotations=np.tile(np.eye(3), (len(parts.rotations), 1, 1)))
     moved = fit_rig(source.motion, still, _own_stages(stages), heights=_heights(source))
     return replace(moved, reference=None)

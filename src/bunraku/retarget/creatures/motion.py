@@ -17,6 +17,7 @@ from bunraku.geometry.resampling import Resampling
 from bunraku.retarget.creatures.plan import BodyPlan, plan_of
 from bunraku.retarget.creatures.stance import find_limbs, find_stance
 from bunraku.retarget.creatures.sticks import stick_character
+from bunraku.retarget.creatures.ways import BEATS, in_air, wing_swing
 from bunraku.retarget.rig_motion import bones_to_handles
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.attach import Joints, attach_joints, downwards, find_joints, reference_joints
@@ -25,7 +26,6 @@ from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints
 
 __all__ = ["CreatureMotion", "motion_of_handles", "motion_of_rig", "motion_of_skeleton"]
 
-_AS_PEOPLE = ("person", "two legs")  # these go by way of the reference body
 STANDS = 0.05  # share of frames whose lowest point may be under the ground
 
 
@@ -39,16 +39,26 @@ class CreatureMotion:
             in the scale of the reference body, whose pelvis is as high above the ground as the body's root is.
         plan: What the body stands and moves with.
         heights: Of its lowest point over the ground, in the same scale [m], shape (N,).
+        flies: Whether wings that beat carry it.
+        person: Of a body that lies along its spine and walks on two legs: the same by way of the reference body, for
+            characters of other kinds.
     """
 
     motion: HandleMotion
     plan: BodyPlan
     heights: np.ndarray
+    flies: bool = False
+    person: HandleMotion | None = None
 
     def at(self, fps: float) -> CreatureMotion:
         """The same at another rate [1/s]."""
         heights = Resampling.of(len(self.heights), self.motion.fps, fps).linear(self.heights)
-        return replace(self, motion=resample(self.motion, fps), heights=heights)
+        person = None if self.person is None else resample(self.person, fps)
+        return replace(self, motion=resample(self.motion, fps), heights=heights, person=person)
+
+    def suits(self, plan: BodyPlan) -> bool:
+        """Whether it goes from how the one body stands to how the other does, and not by way of the reference body."""
+        return self.person is None or (plan.kind == "two legs" and not plan.upright)
 
 
 def motion_of_skeleton(
@@ -98,7 +108,7 @@ def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarra
 
 
 def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float) -> CreatureMotion | None:
-    """The motion of a rig that stands in its rest pose; None of a person and of whoever else walks on two legs.
+    """The motion of a rig that stands in its rest pose; None of a person and of whoever else goes upright on two legs.
 
     Args:
         rig: Facing +Z.
@@ -107,14 +117,14 @@ def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: 
         fps: Frames a second [1/s].
     """
     plan = plan_of(rig.character, rig.handles, rig.joints)
-    if plan.kind in _AS_PEOPLE:
+    if _as_people(plan) and not plan.wings:
         return None
     motion = bones_to_handles(rig, turns, positions, fps)
     return _creature(motion, rig.character, rig.handles, rig.joints, plan)
 
 
 def motion_of_handles(motion: HandleMotion, character: Character, handles: Handles) -> CreatureMotion | None:
-    """A motion of a character's handles; None of a person and of whoever else walks on two legs.
+    """A motion of a character's handles; None of a person and of whoever else goes upright on two legs.
 
     Args:
         motion: Of its handles, K = 30 with the reference body's meaning.
@@ -123,15 +133,25 @@ def motion_of_handles(motion: HandleMotion, character: Character, handles: Handl
     """
     joints = find_joints(character, handles)
     plan = plan_of(character, handles, joints)
-    if plan.kind in _AS_PEOPLE or len(handles.positions) != HANDLE_COUNT:
+    if (_as_people(plan) and not plan.wings) or len(handles.positions) != HANDLE_COUNT:
         return None
     return _creature(motion, character, handles, joints, plan)
 
 
+def _as_people(plan: BodyPlan) -> bool:
+    """Whether a body that walks goes by way of the reference body."""
+    return plan.kind == "person" or (plan.kind == "two legs" and plan.upright)
+
+
 def _creature(
     motion: HandleMotion, character: Character, handles: Handles, joints: Joints, plan: BodyPlan
-) -> CreatureMotion:
-    """A motion of a character's handles in the words of `CreatureMotion`."""
+) -> CreatureMotion | None:
+    """A motion of a character's handles in the words of `CreatureMotion`; None of one with wings that goes on its legs
+    as people do.
+    """
+    flies = plan.wings and wing_swing(motion) > BEATS
+    if _as_people(plan) and not flies:
+        return None
     own = joints.present & (handles.played == np.arange(len(handles.positions)))
     rotations = motion.rotations.astype(np.float64).copy()
     for handle in downwards(HANDLE_PARENTS)[1:]:
@@ -147,4 +167,4 @@ def _creature(
     path[:, 1] -= rise - floor
     scale = float(body.handles.positions[0, 1]) / max(float(handles.positions[0, 1]) - floor, 0.02 * character.height)
     moved = replace(motion, rotations=rotations, translations=translations, root_translation=path * scale, native=True)
-    return CreatureMotion(moved, plan, (ground - rise) * scale)
+    return CreatureMotion(in_air(moved) if flies else moved, plan, (ground - rise) * scale, flies)

@@ -20,6 +20,7 @@ _HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
 _ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("shoulder", "elbow")]
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
 _CHEST = HANDLE_NAMES.index("spine3")
+LONG = (3.5, 1.0)  # who is so many times as long as high, lying or with the head up, is a snake and no fish
 SPREAD = 0.15  # wings lie so far from the chest, over the height; a person's are the halves of the upper back
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
@@ -35,6 +36,7 @@ class BodyPlan:
         arms: Whether two arms are there, standing or not.
         wings: Whether two wings are there.
         tail: Whether a tail is there.
+        long: Whether it is longer than fish are, for its height.
     """
 
     hind: int
@@ -43,11 +45,27 @@ class BodyPlan:
     arms: bool
     wings: bool
     tail: bool
+    long: bool = False
 
     @property
     def legs(self) -> int:
         """How many legs it stands on."""
         return self.hind + self.front
+
+    @property
+    def slithers(self) -> bool:
+        """Whether it moves over the ground as snakes do."""
+        return self._tailed and self.long
+
+    @property
+    def swims(self) -> bool:
+        """Whether it moves through water as fish do."""
+        return self._tailed and not self.long
+
+    @property
+    def _tailed(self) -> bool:
+        """Whether it has a tail and neither legs nor wings; who is upright and has arms wears a gown."""
+        return self.tail and not self.legs and not self.wings and not (self.upright and self.arms)
 
     @property
     def kind(self) -> str:
@@ -88,23 +106,32 @@ def plan_of(character: Character, handles: Handles, joints: Joints) -> BodyPlan:
     there = {name: bool(own[parts].all()) for name, parts in (("arms", _ARMS), ("wings", _WINGS))}
     away = np.linalg.norm(handles.positions[_WINGS] - handles.positions[_CHEST], axis=1)
     there["wings"] &= bool((away > SPREAD * character.height).all())
+    extent, stands = np.ptp(character.vertices[character.surface], axis=0), upright(handles)
     return BodyPlan(
-        hind=hind, front=len(legs) - hind, upright=upright(handles), tail=bool(own[_TAIL].any()),
-        arms=there["arms"], wings=there["wings"],
+        hind=hind, front=len(legs) - hind, upright=stands, tail=bool(own[_TAIL].any()),
+        arms=there["arms"], wings=there["wings"], long=bool(extent[2] > LONG[stands] * extent[1]),
     )  # fmt: skip
 
 
-def check_plans(source: BodyPlan, target: BodyPlan, name: str) -> None:
+def check_plans(source: BodyPlan, target: BodyPlan, name: str, flies: bool = False) -> None:
     """Refuse a motion that the limbs of a character cannot make.
 
     Args:
         source: Of the body that moves.
         target: Of the character.
         name: Of the character.
+        flies: Whether the motion is carried by wings; then only these are needed.
 
     Raises:
         CharacterError: What carries the source is missing, or what carries the character would not be moved.
     """
+    if flies:
+        if not target.wings:
+            raise CharacterError(
+                f"{name}: the motion is flown, and no wings are found on this character; give it the motion of a body "
+                "of its own kind, or look at `bunraku inspect` if it was set up wrongly"
+            )
+        return
     has, needs = target.kind, source.kind
     if needs in ("four legs", "many legs") and has not in ("four legs", "many legs"):
         seen = "no legs" if has == "no legs" else "two legs, and no front legs that reach the ground"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import SkeletalMotion, local_rotations
-from bunraku.geometry.rotations import matrix_y, nearest_rotation
+from bunraku.geometry.rotations import matrix_y, nearest_rotation, rotation_between
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 
 __all__ = ["Limbs", "Stance", "find_limbs", "find_stance"]
@@ -18,6 +19,7 @@ DOWN = 0.55  # a leg stands whose end is so far below its top, over its length a
 CLEAR = 0.12  # who stands on the feet has the knees so far above them, over the height of the hips; who crawls has not
 NEAR = 0.35  # the ends of front legs are so near to those of the hind legs in height, over the height of the hips
 LEAST = 0.15  # share of the frames in which an animal stands on four legs, at the least
+MIRROR = np.array([-1.0, 1.0, 1.0])
 UPRIGHT = 55.0  # a rest pose whose trunk is steeper is that of a person [degrees]
 
 
@@ -41,7 +43,8 @@ class Stance:
     Args:
         turns: World rotation of each joint, shape (J, 3, 3).
         positions: Of the joints [m], shape (J, 3).
-        rest: Whether it is the skeleton's rest pose; otherwise the mean of the frames in which the animal stands.
+        rest: Whether it is the skeleton's rest pose; otherwise the mean of the frames in which the animal stands, and
+            of its left and right legs.
     """
 
     turns: np.ndarray
@@ -94,10 +97,13 @@ def find_stance(motion: SkeletalMotion, limbs: Limbs, parts: np.ndarray) -> Stan
     standing = _stands(positions.astype(np.float64), limbs)
     if standing.mean() < LEAST:
         return None
-    return _mean_stance(motion, world[standing].astype(np.float64), _heading(positions[standing], limbs))
+    return _mean_stance(motion, world[standing].astype(np.float64), _heading(positions[standing], limbs), limbs)
 
 
-def _mean_stance(motion: SkeletalMotion, world: np.ndarray, headings: np.ndarray) -> Stance:
+def _mean_stance(motion: SkeletalMotion, world: np.ndarray, headings: np.ndarray, limbs: Limbs) -> Stance:
+    """The mean of some frames, with legs as far ahead on the left as on the right: a clip that ends amid a stride, or
+    that begins with a leg ahead, has another mean on either side.
+    """
     parents, offsets = motion.skeleton.parents, motion.skeleton.offsets.astype(np.float64)
     local = local_rotations(np.swapaxes(matrix_y(headings), -1, -2)[:, None] @ world, parents)
     turns = nearest_rotation(local.mean(axis=0))
@@ -106,7 +112,28 @@ def _mean_stance(motion: SkeletalMotion, world: np.ndarray, headings: np.ndarray
         above = int(parents[joint])
         turns[joint] = turns[above] @ turns[joint]
         positions[joint] = positions[above] + turns[above] @ offsets[joint]
+    evened = _evening(positions, limbs)
+    for joint in range(1, len(parents)):
+        above = int(parents[joint])
+        if joint not in evened and above in evened:
+            evened[joint] = evened[above]
+        positions[joint] = positions[above] + evened.get(above, np.eye(3)) @ turns[above] @ offsets[joint]
+    turns = np.stack([evened.get(joint, np.eye(3)) @ turn for joint, turn in enumerate(turns)])
     return Stance(turns, positions, False)
+
+
+def _evening(positions: np.ndarray, limbs: Limbs) -> dict[int, np.ndarray]:
+    """The turns of the bones of the legs of an animal that faces +Z to where they and their mirror images meet."""
+    out: dict[int, np.ndarray] = {}
+    for left, right in (limbs.hind, limbs.front):
+        if len(left) != len(right):
+            continue
+        for (one, below), (other, under) in zip(pairwise(left), pairwise(right), strict=True):
+            bones = positions[below] - positions[one], (positions[under] - positions[other]) * MIRROR
+            middle = sum(bone / max(float(np.linalg.norm(bone)), 1e-12) for bone in bones)
+            out[one] = rotation_between(bones[0], middle)
+            out[other] = rotation_between(bones[1] * MIRROR, middle * MIRROR)
+    return out
 
 
 def _tops(positions: np.ndarray, lines: tuple[list[int], list[int]]) -> np.ndarray:

@@ -119,24 +119,29 @@ def set_on_ground(
     return replace(fitted, root_translation=moved)
 
 
-def settle_hovering(fitted: HandleMotion, character: Character, handles: Handles, stands: np.ndarray) -> HandleMotion:
+def settle_hovering(
+    fitted: HandleMotion, character: Character, handles: Handles, stands: np.ndarray, flies: bool = True
+) -> HandleMotion:
     """A motion that was generated for this very body, set down where it hovers: it brings its own height over the
     floor, and generators are a few centimetres off.
 
     Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the body thinks the
-    ground is. Jumps keep theirs, and what is farther up than `FLIES` means to be there.
+    ground is. Jumps keep theirs, and what can fly and is farther up than `FLIES` means to be there.
 
     Args:
         fitted: Motion of the character.
         character: In its rest pose.
         handles: Its handles.
         stands: What may stand on the ground, shape (V,), bool.
+        flies: Whether the body can be off the ground for long: with wings, without legs, or where it climbs.
     """
     floor = float(character.vertices[stands, 1].min())
     have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions) - floor
     window = 2 * round(0.75 * fitted.fps) + 1
     hovers = gaussian_filter1d(minimum_filter1d(have, window, mode="nearest"), 0.25 * fitted.fps, mode="nearest")
-    hovers = np.maximum(hovers, 0) * (1 - smooth_step(hovers / character.height, *FLIES))
+    hovers = np.maximum(hovers, 0)
+    if flies:
+        hovers = hovers * (1 - smooth_step(hovers / character.height, *FLIES))
     moved = fitted.root_translation.copy()
     moved[:, 1] -= hovers
     return replace(fitted, root_translation=moved)

@@ -1,0 +1,168 @@
+"""How bodies fly, swim and slither, whatever a generator made of it: wings beat in the air, a wave runs along a body.
+
+All is done to the motion of the reference body that is about to be fitted. Its rotations are turns of a character's
+parts in the root's frame, so what is turned here about the root's axes turns so on the character.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.geometry.easing import smooth_step
+from bunraku.geometry.heading import heading
+from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
+from bunraku.retarget.stages.attach import attach_joints, find_joints, reference_joints
+
+__all__ = ["HOVER", "in_air", "moved_so", "wing_swing"]
+
+HOVER = 0.8
+"""How high a body flies over where it stands, over the height of its root."""
+RISE = 0.7  # how long what flies takes up and down where something else follows [s]
+BEAT, SPREAD = 2.2, 0.6  # wing beats in a second, and how far a wing swings up and down [rad]
+BEATS = 0.5  # wings that swing through less than this do not beat [rad]
+BOB = 0.05  # how far a body sinks and rises with the beats, over the height of its root
+WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
+BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
+BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
+SPEED = {"swim": 0.7, "slither": 0.5}  # heights of the root in a second
+STAYS = 0.25  # who gets ahead by less than this share of that gets no farther alone
+_WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
+_LINE = {"head": -1.2, "neck": -0.9, "spine3": -0.6, "spine2": -0.4, "spine1": -0.2, "tail": 0.9, "tail_tip": 1.7}
+"""Parts along a body, and how far they are behind its middle in the wave [rad]; the size of their turn grows so too."""
+_TAIL = HANDLE_NAMES.index("tail_tip")
+_HEAD = [HANDLE_NAMES.index(name) for name in ("head", "face", "head_top")]
+
+
+def wing_swing(motion: HandleMotion) -> float:
+    """Through which angle the wings of a body swing, as 5 of 100 frames are beyond it at either end [rad]."""
+    turns = np.asarray(axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64)))
+    low, high = np.quantile(turns - turns.mean(axis=0), [0.05, 0.95], axis=0)
+    return float(np.linalg.norm(high - low, axis=-1).max())
+
+
+def moved_so(
+    motion: HandleMotion, way: str, where: slice, character: Character, handles: Handles, loop: bool = False
+) -> HandleMotion:
+    """The motion with what a way of moving needs in some of its frames; as it is for other ways than "fly", "swim" and
+    "slither".
+
+    Args:
+        motion: Of the reference body, generated for this character.
+        way: Of moving.
+        where: The frames.
+        character: Facing +Z.
+        handles: Its handles.
+        loop: Whether the last frame is the first again.
+    """
+    frames = np.arange(len(motion))[where]
+    if way not in ("fly", *WAVE) or len(frames) < 2:
+        return motion
+    if way == "fly":
+        return _flown(motion, frames, character, handles, loop)
+    return _waved(motion, way, frames, character, handles, loop)
+
+
+def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMotion:
+    """The motion at the height of flight in some frames, or in all; up and down between them and the others."""
+    share = np.ones(len(motion)) if frames is None else _amount(len(motion), frames, motion.fps)
+    path = motion.root_translation.astype(np.float64)
+    path[:, 1] += HOVER * _root() * share
+    return replace(motion, root_translation=path, native=True)
+
+
+def _root() -> float:
+    return float(reference_body().handles.positions[0, 1])
+
+
+def _amount(count: int, frames: np.ndarray, fps: float) -> np.ndarray:
+    """1 in some frames, 0 in others, and a soft way between, shape (N,)."""
+    soft, at = RISE * fps, np.arange(count)
+    up = np.ones(count) if frames[0] == 0 else smooth_step(at, frames[0] - 0.5 * soft, frames[0] + 0.5 * soft)
+    down = (
+        np.ones(count) if frames[-1] == count - 1 else smooth_step(at, frames[-1] + 0.5 * soft, frames[-1] - 0.5 * soft)
+    )
+    return np.asarray(up * down)
+
+
+def _phase(count: int, frames: np.ndarray, rate: float, fps: float, loop: bool) -> np.ndarray:
+    """Angle of a swing in each frame [rad], shape (N,); whole swings in a loop."""
+    span = (len(frames) - 1) / fps
+    turns = max(round(rate * span), 1) if loop else rate * span
+    return np.asarray(2 * np.pi * turns * (np.arange(count) - frames[0]) / max(len(frames) - 1, 1))
+
+
+def _flown(
+    motion: HandleMotion, frames: np.ndarray, character: Character, handles: Handles, loop: bool
+) -> HandleMotion:
+    motion = in_air(motion, frames)
+    if wing_swing(HandleMotion.take(motion, frames)) >= BEATS:
+        return motion
+    share = _amount(len(motion), frames, motion.fps)
+    phase = _phase(len(motion), frames, BEAT, motion.fps, loop)
+    rotations = motion.rotations.astype(np.float64).copy()
+    for wing in _WINGS:
+        axis = _lifting_axis(character, handles, wing)
+        angle = SPREAD * np.sin(phase) * share
+        rotations[:, wing] = matrix_from_axis_angle(angle[:, None] * axis) @ rotations[:, wing]
+    path = motion.root_translation.astype(np.float64)
+    path[:, 1] -= BOB * _root() * np.sin(phase - 0.5) * share
+    return _attached(motion, rotations, path)
+
+
+def _lifting_axis(character: Character, handles: Handles, wing: int) -> np.ndarray:
+    """The axis about which a wing turns upwards, from where it is joined to its middle, shape (3,)."""
+    joints = find_joints(character, handles)
+    out = handles.positions[wing] - joints.positions[wing]
+    axis = np.cross(out, [0.0, 1.0, 0.0])
+    if np.linalg.norm(axis) < 0.3 * max(float(np.linalg.norm(out)), 1e-9):  # it points up: it beats sideways
+        axis = np.array([0, 0, 1.0 if handles.positions[wing][0] > 0 else -1.0])
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def _waved(
+    motion: HandleMotion, way: str, frames: np.ndarray, character: Character, handles: Handles, loop: bool
+) -> HandleMotion:
+    some = HandleMotion.take(motion, frames)
+    share = _amount(len(motion), frames, motion.fps)
+    path = motion.root_translation.astype(np.float64)
+    ahead = matrix_y(np.asarray(heading(motion.root_rotation, motion.fps)))[:, :, 2]
+    own = float(((path[frames[-1]] - path[frames[0]]) * ahead[frames].mean(axis=0)).sum())
+    wanted = SPEED[way] * _root() * len(frames) / motion.fps
+    if own < STAYS * wanted:
+        path += np.cumsum(ahead * share[:, None] * wanted / len(frames), axis=0)
+    rotations = motion.rotations.astype(np.float64).copy()
+    turns = np.asarray(axis_angle_from_matrix(some.rotations[:, _TAIL].astype(np.float64)))
+    if float(np.ptp(turns, axis=0).max()) < BENDS:
+        phase = _phase(len(motion), frames, WAVE[way], motion.fps, loop)
+        axis = np.array([1.0, 0, 0]) if way == "swim" and _flat_tail(character, handles) else np.array([0, 1.0, 0])
+        for name, behind in _LINE.items():
+            angle = BENT[way] * abs(behind) / 1.7 * np.sin(phase - behind) * share
+            turn = matrix_from_axis_angle(angle[:, None] * axis)
+            for part in _HEAD if name == "head" else [HANDLE_NAMES.index(name)]:
+                rotations[:, part] = turn @ rotations[:, part]
+    return _attached(motion, rotations, path)
+
+
+def _flat_tail(character: Character, handles: Handles) -> bool:
+    """Whether the end of a tail is wider than high, as a whale's: it beats up and down."""
+    held = character.surface & (handles.weights[:, _TAIL] > 0.5)
+    if held.sum() < 3:
+        return False
+    size = np.ptp(character.vertices[held], axis=0)
+    return bool(size[0] > 1.5 * size[1])
+
+
+def _attached(motion: HandleMotion, rotations: np.ndarray, path: np.ndarray) -> HandleMotion:
+    """The motion with other rotations and another path; parts stay as far from their joints as they were."""
+    body, joints = reference_body().handles, reference_joints()
+    before = attach_joints(motion.rotations.astype(np.float64), body, joints)[1]
+    after = attach_joints(rotations, body, joints)[1]  # its rotations let a tail, which people lack, go with the hips
+    moved = motion.translations.astype(np.float64) - before + after
+    moved[:, 0] = 0
+    return replace(motion, rotations=rotations, translations=moved, root_translation=path)

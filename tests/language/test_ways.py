@@ -1,0 +1,38 @@
+"""Ways of moving that a clause says."""
+
+from __future__ import annotations
+
+import pytest
+
+from bunraku.language.ways import said_otherwise, way_of
+
+
+@pytest.mark.parametrize(
+    ("clause", "way"),
+    [
+        ("a bird flies away", "fly"),
+        ("it is hovering", "fly"),
+        ("a fish swims around", "swim"),
+        ("slithers to the left", "slither"),
+        ("a spider is crawling", "crawl"),
+        ("walks forward", "walk"),
+        ("a dog runs, flying over the grass", "run"),
+        ("jumps", ""),
+        ("waves", ""),
+    ],
+)
+def test_the_first_verb_of_moving_counts(clause, way):
+    assert way_of(clause) == way
+
+
+@pytest.mark.parametrize(
+    ("clause", "verb", "said"),
+    [
+        ("a dog crawls ahead", "walks", "a dog walks ahead"),
+        ("runs", "slithers fast", "slithers fast"),
+        ("a snake is walking to the left", "slithers", "a snake slithers to the left"),
+        ("waves", "walks", "waves"),
+    ],
+)
+def test_verbs_are_replaced_where_they_stand(clause, verb, said):
+    assert said_otherwise(clause, verb) == said
