@@ -29,7 +29,7 @@ MOMENTS = (15, 40, 65, 90, 115)  # frames of the files' dance
 def dance() -> None:
     """The generated dance on a mesh without a rig, as a sheet and as a moving picture."""
     character = replace(wardrobe_character(SEED), name="a mesh in a long skirt, with long hair", rig=None, source=None)
-    moved = bunraku.animate(character, PROMPT, seconds=SECONDS, seed=1, fps=30, apparel="learn")
+    moved = bunraku.animate(character, PROMPT, seconds=SECONDS, seed=1, apparel="learn")
     save_preview(moved, OUT / "apparel-learned.png", size=(180, 260), frames=10, columns=5)
     save_preview(moved, OUT / "apparel-learned.webp", size=(240, 320), fps=10)
 

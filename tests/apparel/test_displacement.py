@@ -29,9 +29,11 @@ from bunraku.apparel.displacement.nodes import apparel_nodes, part_neighbours
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.displacement.recurrent import KEEP, MOST, Past, RecurrentPart, node_state, past_of_states
 from bunraku.apparel.displacement.safety import Safety, SafetySettings, known_share
+from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.wearer import NORMAL_STIFFNESS, SOFTEST, Wearer, part_stiffness
-from bunraku.body.layout import JOINT_COUNT
+from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
+from bunraku.core.motion import line_up
 from bunraku.errors import CharacterError, WeightsError
 from bunraku.geometry.rotations import matrix_from_axis_angle
 
@@ -330,6 +332,30 @@ def test_safety_pushes_out_of_the_body():
     vertices = wearer.rest[carrier.vertices] - np.array([0, 0, 0.16], np.float32)
     assert safety.depth.at(vertices)[0].min() < -0.05
     assert safety.depth.at(safety.vertices(vertices, unposed))[0].min() > -0.01
+
+
+def test_safety_lays_a_skirt_over_a_lifted_leg():
+    """A thigh lifted through the curtain has it behind it, in nothing; the stage brings it in front again."""
+    wearer = curtain(13, 9)
+    nodes = apparel_nodes(wearer, 64)
+    points = body_points(wearer, 1500)
+    safety = Safety(wearer, nodes, points, Carrier(wearer, nodes))
+    pose = still(wearer, 1)[0]
+    hip, turn = JOINT_NAMES.index("left_hip"), matrix_from_axis_angle(np.array([-0.8, 0, 0]))
+    for joint in range(JOINT_COUNT):
+        if hip in line_up(joint, JOINT_PARENTS):
+            pose[joint, :, :3] = turn
+            pose[joint, :, 3] = wearer.joints[hip] + turn @ (wearer.joints[joint] - wearer.joints[hip])
+    affine = eq4_transforms(pose[None], wearer.joints)[0]
+    body = points.posed(affine)[0]
+
+    def behind(places):
+        """Nodes with a point of the body before them, 2 cm to the side at most."""
+        beside = np.linalg.norm(body[None, :, :2] - places[:, None, :2], axis=-1) < 0.02
+        return int((beside & (body[None, :, 2] > places[:, None, 2] + 0.02)).any(axis=1).sum())
+
+    assert behind(nodes.rest) > 3
+    assert behind(safety(nodes.rest, affine)[0]) < 0.4 * behind(nodes.rest)
 
 
 def test_parts_stiffer_than_the_networks_know_stay():

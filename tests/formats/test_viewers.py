@@ -13,6 +13,7 @@ from viewers import blender_missing, blender_vertices, three_missing, three_vert
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
+from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character
@@ -40,9 +41,11 @@ def made(tmp_path_factory):
     out = {
         kind: (animation.save(folder / f"{kind}.glb"), animation.vertices(FRAMES)) for kind, animation in made.items()
     }
-    for shapes in ("mixed", "bones"):
-        file = made["points"].save(folder / f"{shapes}.glb", shapes=shapes, tolerance=1e-3)
-        out[shapes] = file, made["points"].vertices(FRAMES)
+    vertices, head = made["handles"].vertices(), character.vertices[:, 1] > 1.45
+    nod = matrix_from_axis_angle(np.linspace(0, 0.7, 12)[:, None] * [1.0, 0.3, 0])
+    vertices[:, head] = np.einsum("nab,mb->nma", nod, character.vertices[head])
+    nodding = PointAnimation.of_vertices(made["handles"], vertices)
+    out["bones"] = nodding.save(folder / "bones.glb", shapes="bones", tolerance=1e-3), nodding.vertices(FRAMES)
     return out
 
 

@@ -17,10 +17,15 @@ from bunraku.apparel.displacement.body_points import BodyPoints, nearest_index
 from bunraku.apparel.displacement.carry import Carrier
 from bunraku.apparel.displacement.nodes import ApparelNodes
 from bunraku.apparel.wearer import Wearer
+from bunraku.body.layout import JOINT_NAMES
 
 __all__ = ["Safety", "SafetySettings", "known_share"]
 
 HELD = 0.02  # nodes as near to where their part is held do not move, over the wearer's size [m]
+BESIDE = 0.03  # how near to the way out through a node legs count, over the wearer's size [m]
+LEGS = tuple(
+    JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
+)
 FEW = 0.25  # share of the apparel around a node that must be pushed for it to move by as much
 
 
@@ -36,6 +41,7 @@ class SafetySettings:
         passes: Over all edges and the body.
         most: Nodes deeper than this are left where they are: they are on the wrong side of something thin, over the
             same [m].
+        lift: Nodes that hang from the pelvis are not moved farther to lie over the legs, over the same [m].
         stiff: Parts stiffer than the first begin to stay with their joints, those stiffer than the second do.
     """
 
@@ -46,6 +52,7 @@ class SafetySettings:
     spread: float = 0.04
     passes: int = 3
     most: float = 0.1
+    lift: float = 0.25
     stiff: tuple[float, float] = (1.5, 1.75)
 
 
@@ -98,6 +105,18 @@ class Safety:
             self.vertex_gap = np.minimum(self.depth.at(rest)[0], -self.settings.slack * scale)
             self.node = carrier.index[:, 0]
             self.around = _around(nodes, self.settings.spread * scale)
+            self.scale, self.legs = scale, np.flatnonzero(np.isin(points.joint, LEGS))
+            # in the rest pose the frame of the pelvis is the world's
+            middle = wearer.joints[0].astype(np.float32)
+            away = (nodes.rest - middle) * np.array([1, 0, 1], np.float32)
+            width = np.sqrt(np.square(away).sum(axis=1))
+            low = nodes.rest[:, 1] < wearer.joints[list(LEGS[:2]), 1].mean()
+            hung = (nodes.joint == 0) & low & (width > 0.03 * scale) & bool(len(self.legs))
+            self.hung = np.flatnonzero(hung)
+            self.outward = away[hung] / width[hung, None]
+            self.axis = nodes.rest[hung] - away[hung]
+            reach = self._reach(points.rest[self.legs]) if len(self.hung) else np.zeros(0)
+            self.leg_gap = np.minimum(width[hung] - reach, self.settings.clear * scale)
 
     def __call__(self, places: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, Unposed | None]:
         """Nodes made safe [m], shape (M, 3), and their way back to the rest pose.
@@ -107,6 +126,8 @@ class Safety:
             affine: Affine transforms of the joints (`eq4_transforms`), shape (22, 3, 4).
         """
         out = np.array(places, np.float32)
+        if self.depth is not None:
+            out = self._over_legs(out, affine)
         unposed = self.unposed(out, affine)
         for _ in range(self.settings.passes):
             out = self.outside(self._bounded(out), unposed)
@@ -130,6 +151,32 @@ class Safety:
         push = self.depth.pushed(places, unposed, self.gap, self.most) - places
         near = self.around @ np.concatenate([push, (push != 0).any(axis=1, keepdims=True)], axis=1, dtype=np.float32)
         return np.asarray(places + self.free * (near[:, :3] / np.maximum(near[:, 3:], FEW)))
+
+    def _over_legs(self, places: np.ndarray, affine: np.ndarray) -> np.ndarray:
+        """Nodes that hang from the pelvis, farther from its axis than what of the legs is between: a lifted knee that
+        has come through a skirt is no longer in it, and no depth says so.
+        """
+        if not len(self.hung):
+            return places
+        turn, shift = affine[0, :, :3], affine[0, :, 3]
+        legs = self.points.placed(self.points.blends(affine))[self.legs] @ turn - shift @ turn
+        own = places[self.hung] @ turn - shift @ turn
+        short = self.leg_gap + self._reach(legs) - ((own - self.axis) * self.outward).sum(axis=1)
+        short = np.where(short < self.settings.lift * self.scale, np.maximum(short, 0), 0)
+        push = np.zeros((len(places), 4), np.float32)
+        push[self.hung, :3] = (short[:, None] * self.outward) @ turn.T
+        push[self.hung, 3] = short > 0
+        near = self.around @ push
+        return np.asarray(places + self.free * (near[:, :3] / np.maximum(near[:, 3:], FEW)))
+
+    def _reach(self, legs: np.ndarray) -> np.ndarray:
+        """How far the legs, in the frame of the pelvis, reach along the way out through each hanging node [m], shape
+        (H,).
+        """
+        along = legs @ self.outward.T - (self.axis * self.outward).sum(axis=1)
+        square = np.square(legs).sum(axis=1)[:, None] - 2 * legs @ self.axis.T + np.square(self.axis).sum(axis=1)
+        beside = square - np.square(along) < (BESIDE * self.scale) ** 2
+        return np.asarray(np.where(beside, along, -1.0).max(axis=0))
 
     def vertices(self, places: np.ndarray, unposed: Unposed | None) -> np.ndarray:
         """Vertices that the carrier took along, out of the body where they are in it all the same [m], shape (A, 3).
