@@ -100,7 +100,7 @@ class BodyNetwork(nn.Module):
             features = self.encoder(pair) + self.joint_codes
             if self.config.geodesics == "attention":
                 attention = self.attention_map(geodesics)
-                fused = torch.cat([self.fused(features, attention), 4 * attention], dim=1)
+                fused = torch.cat([self.fused(features, attention), JOINT_COUNT * attention], dim=1)
             else:
                 fused = features.mean(dim=1)  # Eq. 6 with the same attention for each joint
         x = self.block(self.enter(torch.cat([fused, own], dim=1)), graph)
