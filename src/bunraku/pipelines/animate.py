@@ -21,6 +21,7 @@ from bunraku.pipelines.bodies import Ways, as_bodies_do, moved_ways
 from bunraku.pipelines.together import check_apparel_option, check_together, moves_apparel
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
+from bunraku.retarget.stages.rest_pose import upright
 
 __all__ = ["animate", "animate_each", "generate", "rig"]
 
@@ -181,6 +182,8 @@ def generate(
 
 def _of_creature(scripts: Scripts) -> Scripts:
     """Scripts whose sentences are said of "it"."""
+    from bunraku.language.clauses import of_creature
+
     return [[(of_creature(clause), length) for clause, length in script] for script in scripts]
 
 
