@@ -95,17 +95,28 @@ def export(page: Page) -> None:
     page.page.click("#export")
 
 
-STATES = {
+def apparel(page: Page) -> None:
+    """Learned apparel with its dial."""
+    page.page.select_option("#apparel", "learn")
+    page.page.click("#dress")
+    page.until("studio.take.value.how === 'dress' && studio.take.value.state === 'done'")
+    page.shown()
+    page.set(1.2)
+
+
+STATES = {  # those of a first visit before those that leave something behind
     "first": (first, False, 1280),
-    "sentence": (sentence, False, 1280),
-    "takes": (takes, False, 1280),
-    "handles": (handles, True, 1280),
-    "directing": (directing, False, 1280),
-    "export": (export, True, 1280),
     "dark": (first, True, 1280),
     "narrow": (first, False, 800),
+    "sentence": (sentence, False, 1280),
     "narrow-dark": (sentence, True, 800),
+    "handles": (handles, True, 1280),
+    "export": (export, True, 1280),
+    "apparel": (apparel, False, 1280),
+    "takes": (takes, False, 1280),
+    "directing": (directing, False, 1280),
 }
+"""What is done, whether it is dark, and how wide the window is."""
 
 
 def study(browser: object) -> None:
@@ -125,8 +136,8 @@ def study(browser: object) -> None:
         make_study(methods, [Line("dragon.glb", "jumps high")], folder / "study")
         shown = Studio(folder / "studio", "--study", str(folder / "study"))
         try:
-            page = Page(browser, shown)
-            page.page.wait_for_selector(".ranks", timeout=120_000)
+            page = Page(browser, shown, scale=1)
+            page.page.wait_for_selector(".ranks")
             page.page.wait_for_timeout(6000)
             for clip in range(3):
                 page.page.click(f".ranks fieldset:first-child [role=group] >> nth={clip} >> button >> nth={clip}")
@@ -149,12 +160,11 @@ def main(names: list[str]) -> None:
                 act, dark, width = STATES[name]
                 for project in studio.get("/api/about")["projects"]:
                     studio.ask("DELETE", f"/api/projects/{project['id']}")
-                page = Page(browser, studio, width=width, height=1100 if width < 900 else 800, dark=dark)
-                page.ready()
-                act(page)
-                page.page.wait_for_timeout(300)
-                shot(page, name)
-                page.close()
+                height = 1100 if width < 900 else 800
+                with Page(browser, studio, width=width, height=height, dark=dark, scale=1) as page:
+                    page.ready()
+                    act(page)
+                    shot(page, name)
         finally:
             studio.stop()
 

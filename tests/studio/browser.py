@@ -2,6 +2,7 @@
 
 import base64
 import contextlib
+import json
 import shutil
 import time
 from pathlib import Path
@@ -12,7 +13,8 @@ FLAGS = [
     "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
     "--disable-sync",
 ]  # fmt: skip
-SECONDS = 240  # that anything may take: a browser without a GPU, on a machine that does much else
+SECONDS = 600  # that anything may take: a browser without a GPU, on a machine that does much else
+SCALE = 0.5  # pixels drawn for each of the page: without a GPU they are what takes the time
 
 
 @contextlib.contextmanager
@@ -31,18 +33,23 @@ def chromium():
 class Page:
     """A page of a studio, and what went wrong in it."""
 
-    def __init__(self, browser, studio, width=1280, height=800, dark=False, path=""):
+    def __init__(self, browser, studio, width=1280, height=800, dark=False, path="", scale=SCALE):
         self.studio = studio
         self.context = browser.new_context(
             viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light",
-            reduced_motion="reduce", accept_downloads=True,
+            reduced_motion="reduce", accept_downloads=True, device_scale_factor=scale,
         )  # fmt: skip
-        self.page = self.context.new_page()
+        self.context.set_default_timeout(SECONDS * 1000)
         self.wrong, self.abroad = [], []
-        self.page.on("pageerror", lambda error: self.wrong.append(str(error)))
-        self.page.on("console", lambda said: self.wrong.append(said.text) if said.type == "error" else None)
-        self.page.on("request", self._request)
-        self.page.goto(studio.address.replace("/#", f"/#{path}&" if path else "/#"))
+        try:
+            self.page = self.context.new_page()
+            self.page.on("pageerror", lambda error: self.wrong.append(str(error)))
+            self.page.on("console", lambda said: self.wrong.append(said.text) if said.type == "error" else None)
+            self.page.on("request", self._request)
+            self.page.goto(studio.address.replace("/#", f"/#{path}&" if path else "/#"))
+        except BaseException:
+            self.context.close()  # or it would go on drawing beside those that come after it
+            raise
 
     def _request(self, request):
         if not request.url.startswith((self.studio.base, "blob:", "data:")):
@@ -70,6 +77,15 @@ class Page:
     def shown(self):
         """Wait until the take that is chosen is the one that is drawn."""
         self.until("studio.view().panes.some((pane) => pane.clip && pane.label === studio.take.value?.id)")
+
+    def reset(self, **doc):
+        """Leave the page as it was at first, with the first character, a done take of it, and takes that are made
+        quickly.
+        """
+        self.page.keyboard.press("Escape")
+        self.page.keyboard.press("Escape")
+        self.value(f"studio.fresh({json.dumps({'steps': 2, **doc})})")
+        self.ready()
 
     def set(self, seconds):
         """Go to a time and draw."""
@@ -99,7 +115,21 @@ class Page:
         self.until(f"studio.take.value && studio.take.value.id !== '{before}' && studio.take.value.state === 'done'")
         self.shown()
 
+    def check(self):
+        """Nothing may have gone wrong, and nothing may have been asked of another machine."""
+        wrong, abroad = list(self.wrong), list(self.abroad)
+        self.wrong.clear()
+        self.abroad.clear()
+        assert wrong == [] and abroad == []
+
     def close(self):
-        """Close it; nothing may have gone wrong, and nothing may have been asked of another machine."""
+        """Close it, however it stands."""
         self.context.close()
-        assert self.wrong == [] and self.abroad == []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, *_):
+        self.close()
+        if kind is None:
+            self.check()

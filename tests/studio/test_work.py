@@ -9,6 +9,7 @@ import urllib.request
 
 import numpy as np
 import pytest
+import trimesh
 
 import bunraku
 from bunraku.core.skinning import skin
@@ -258,6 +259,25 @@ def test_a_full_disk_is_said_and_nothing_is_lost(own_studio):
     assert [one["name"] for one in full.get("/api/characters")["characters"]] in (["dragon"], [])
     assert not list((full.folder / "characters").rglob("big*"))
     assert full.get("/api/jobs") == {"jobs": []}
+
+
+def test_a_disk_that_fills_while_a_take_is_made_is_said_and_the_next_take_is_made(own_studio):
+    """No file may grow beyond 300 kB: a small character and short takes fit, a minute of motion does not."""
+    bound = 300_000
+    full = own_studio(limit=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (bound, bound)))
+    box = trimesh.creation.icosphere(2, 0.8).export(file_type="stl")
+    made = full.post("/api/characters?name=ball.stl", data=box)
+    full.done(made["job"])
+    owner = made["character"]["id"]
+    long = full.animate(owner, "walks", seconds=60, steps=1, draft=False)
+    ended = full.ended(long["job"])
+    assert ended["state"] == "failed" and "free some space" in ended["error"]
+    assert full.get(f"/api/takes/{long['takes'][0]}")["state"] == "failed"
+    place = full.folder / "takes" / long["takes"][0]
+    assert sorted(path.name for path in place.iterdir()) == ["record.json"]  # nothing half-written
+    short = full.animate(owner, "walks", seconds=1, steps=1, draft=False)
+    full.done(short["job"])
+    assert full.get(f"/api/takes/{short['takes'][0]}")["state"] == "done"
 
 
 def test_others_need_a_password():
