@@ -42,6 +42,11 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "CharacterBank",
         "pack rigged characters for the losses of mesh-specific motion learning",
     ),
+    ("data", "bundle"): (
+        "data.bundle",
+        "DataBundle",
+        "pack the motion data into one file, to train with on another machine",
+    ),
     ("data", "examples"): (
         "data.examples",
         "Examples",

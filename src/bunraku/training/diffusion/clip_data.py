@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.core.motion import HandleMotion
+from bunraku.datasets.motions.bundle import read_bundle
 from bunraku.datasets.motions.clips import load_clip, load_index
 from bunraku.diffusion.features import encode
 from bunraku.errors import FormatError
@@ -18,8 +20,7 @@ __all__ = ["load_clips"]
 MIN_FRAMES = 8
 
 
-def _features(path: Path) -> np.ndarray:
-    motion = load_clip(path)
+def _features(path: Path, motion: HandleMotion) -> np.ndarray:
     if abs(motion.fps - 20) > 0.01:
         raise FormatError(
             path,
@@ -36,7 +37,8 @@ def load_clips(
     A clip with captions by time becomes one entry a stretch, "name@first frame", without those that are faulty.
 
     Args:
-        folder: What `bunraku data motions` wrote: `index.json` and one NPZ a clip.
+        folder: What `bunraku data motions` wrote: `index.json` and one NPZ a clip; or the one file that `bunraku data
+            bundle` made of it.
         progress: Called with (done, total).
         splits: "train", "val", "test": those to load; None for all.
 
@@ -44,20 +46,30 @@ def load_clips(
         FormatError: The index or a clip is missing or damaged.
     """
     folder = Path(folder)
-    index = load_index(folder)
+    bundle = read_bundle(folder) if folder.is_file() else None
+    index = load_index(folder) if bundle is None else bundle.clips
     found: dict[str, dict[str, Any]] = {}
     for done, (name, entry) in enumerate(sorted(index.items())):
         if (entry.get("texts") or entry.get("species")) and (splits is None or entry.get("split", "train") in splits):
-            features = _features(folder / f"{name}.npz")
-            if "stretches" in entry:
-                found |= _stretches(name, entry, features)
-            elif len(features) >= MIN_FRAMES:
-                found[name] = {**entry, "features": features}
+            path = folder / f"{name}.npz"
+            features = _features(path, load_clip(path)) if bundle is None else encode(bundle.motion(name))
+            try:
+                found |= _entries(name, entry, features)
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
+                raise FormatError(
+                    folder, f"what the index says of {name} cannot be read ({error!r}); build the data again"
+                ) from error
         if progress is not None:
             progress(done + 1, len(index))
     if not found:
         raise FormatError(folder, "there is no captioned clip; build the data with 'bunraku data motions'")
     return found
+
+
+def _entries(name: str, entry: dict[str, Any], features: np.ndarray) -> dict[str, dict[str, Any]]:
+    if "stretches" in entry:
+        return _stretches(name, entry, features)
+    return {name: {**entry, "features": features}} if len(features) >= MIN_FRAMES else {}
 
 
 def _stretches(name: str, entry: dict[str, Any], features: np.ndarray) -> dict[str, dict[str, Any]]:

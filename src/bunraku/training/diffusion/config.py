@@ -13,7 +13,7 @@ class TrainingConfig:
     """Settings of a training run.
 
     Args:
-        data: Folder that `bunraku data motions` wrote.
+        data: Folder that `bunraku data motions` wrote, or the file that `bunraku data bundle` made of it.
         out: Run folder; the same folder goes on with the same run.
         start: Weights to start a new run from, for example the shipped ones, to go on with them on other data.
         preset: "small" trains on a CPU, "paper" is TapMo's size, "mdm" is the encoder-only denoiser to compare with.
@@ -36,7 +36,8 @@ class TrainingConfig:
         events: Share of people's rows that are something plain to see in the numbers, such as a turn, cut out of a clip
             and told by them.
         ema: Decay of the averaged weights.
-        mesh_bank: NPZ with `features` (C, 448), f_phi of many characters; None trains with the null mesh only.
+        mesh_bank: NPZ with `features` (C, 448), f_phi of many characters; None takes those of the bundle, where the
+            data are one, else trains with the null mesh only.
         cross: Share of the people's motions that are given to any character of the banks, creatures too.
         character_bank: NPZ that `bunraku data character-bank` wrote, for the spring and the adversarial loss; None
             trains without them.

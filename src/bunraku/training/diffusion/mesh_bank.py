@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bunraku.datasets.motions.bundle import read_bundle
 from bunraku.errors import FormatError
 
 __all__ = ["MeshBank", "load_mesh_bank"]
@@ -67,16 +68,18 @@ def load_mesh_bank(path: Path, size: int) -> MeshBank:
     """The training rows of what `bunraku train handles` wrote.
 
     Args:
-        path: NPZ with `features` (C, `size`) and perhaps `names` (C,), `split` (C,) and `humanoid` (C,).
+        path: NPZ with `features` (C, `size`) and perhaps `names` (C,), `split` (C,) and `humanoid` (C,); or a bundle
+            that has them (see `datasets.motions.bundle`).
         size: Length of f_phi.
 
     Raises:
         FormatError: The file is damaged, or its features have another shape.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            found = {name: file[name] for name in ("features", "names", "split", "humanoid") if name in file.files}
-            bank = np.asarray(found["features"], np.float32)
+        found = _arrays(path)
+        bank = np.asarray(found["features"], np.float32)
+    except FormatError:
+        raise
     except Exception as error:
         raise FormatError(
             path, f"the mesh features cannot be read ({error}); write them with 'bunraku train handles'"
@@ -104,3 +107,10 @@ def load_mesh_bank(path: Path, size: int) -> MeshBank:
         {name: np.array(own) for name, own in rows.items()},
         upright if len(upright) else np.arange(len(kept)),
     )
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    if path.suffix == ".safetensors":
+        return read_bundle(path).meshes or {}
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in ("features", "names", "split", "humanoid") if name in file.files}

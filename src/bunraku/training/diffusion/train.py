@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from bunraku.datasets.motions.bundle import read_bundle
 from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
@@ -139,7 +140,10 @@ def train_diffusion(
             "pooled_size": encoder.pooled_size,
         }
         network = replace(PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh)
-    meshes = None if config.mesh_bank is None else load_mesh_bank(config.mesh_bank, network.mesh_features)
+    mesh_bank = config.mesh_bank
+    if mesh_bank is None and config.data.is_file() and read_bundle(config.data).meshes is not None:
+        mesh_bank = config.data
+    meshes = None if mesh_bank is None else load_mesh_bank(mesh_bank, network.mesh_features)
     characters = None if config.character_bank is None else load_character_bank(config.character_bank)
     if characters is not None and characters.features.shape[1] != network.mesh_features:
         sizes_differ = f"its f_phi has {characters.features.shape[1]} numbers, not {network.mesh_features}"
