@@ -1,0 +1,157 @@
+"""Train the denoiser on a machine with a GPU that is lent for minutes: pack, train there, join here.
+
+    python tools/gpu.py pack --data data/motions --mesh-bank data/mesh_bank.npz -o gpu
+    python gpu/gpu.py train --minutes 25 --limit 10 --out back
+    python tools/gpu.py join back -o runs/paper
+
+The second line is for that machine, as often as it takes.
+
+The packed folder holds the code, the text encoder and the data. There it needs Python 3.12 with torch, numpy, scipy,
+safetensors, tokenizers and rich; nothing is installed or fetched. See docs/gpu.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+SOURCES = (HERE if (HERE / "src").is_dir() else HERE.parent) / "src"
+sys.path.insert(0, str(SOURCES))
+
+BUNDLE, WEIGHTS, LOG = "bundle.safetensors", "diffusion.safetensors", "log.csv"
+TEXT = Path("bunraku") / "weights" / "text.safetensors"
+LARGEST = 1 << 18
+"""Of a file beside the code that goes along [bytes]; the page, the samples and all weights but one stay."""
+RESERVE = 25.0
+"""Of the limit, kept for writing the state and the pieces [s]."""
+
+
+def pack(options: argparse.Namespace) -> None:
+    from bunraku.datasets.motions.bundle import write_bundle
+
+    out = options.output
+    out.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(out / "src", ignore_errors=True)
+    for path in sorted((SOURCES / "bunraku").rglob("*")):
+        place = path.relative_to(SOURCES)
+        left = "__pycache__" in place.parts or "static" in place.parts
+        small = path.suffix == ".py" or path.stat().st_size <= LARGEST
+        if path.is_file() and not left and (("weights" not in place.parts and small) or place == TEXT):
+            (out / "src" / place).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, out / "src" / place)
+    shutil.copyfile(__file__, out / "gpu.py")
+    if options.bundle is not None:
+        shutil.copyfile(options.bundle, out / BUNDLE)
+    else:
+        facts = write_bundle(options.data, out / BUNDLE, options.mesh_bank, options.people)
+        print(f"{facts.clips} clips, handles off by {facts.error * 100:.2f} cm on average")
+    parts = {"data": [out / BUNDLE], "text encoder": [out / "src" / TEXT]}
+    parts["all"] = [path for path in out.rglob("*") if path.is_file()]
+    for name, paths in parts.items():
+        print(f"{name}: {sum(path.stat().st_size for path in paths) / 2**20:.1f} MiB")
+    print(f"wrote {out}")
+
+
+def train(options: argparse.Namespace) -> None:
+    begun = time.monotonic()
+
+    def late(number: int, frame: object) -> None:
+        raise SystemExit("the limit came before the first step; give more minutes")
+
+    signal.signal(signal.SIGTERM, late)
+    alarm = threading.Timer(max(60 * options.limit - RESERVE, 1.0), os.kill, (os.getpid(), signal.SIGTERM))
+    alarm.daemon = True
+    alarm.start()
+    from bunraku.training.diffusion.train import TrainingConfig, train_diffusion
+
+    settings = {"batch": options.batch, "learning_rate": options.learning_rate, "steps": options.steps}
+    config = TrainingConfig(
+        data=options.data or HERE / BUNDLE, out=options.run, preset=options.preset, start=options.start,
+        device=options.device, threads=options.threads or min(os.cpu_count() or 1, 16), minutes=options.minutes,
+        save_every=options.save_every, compose=0.15, creatures=0.2, events=0.3,
+        **{name: value for name, value in settings.items() if value is not None},
+    )  # fmt: skip
+    try:
+        train_diffusion(config)
+    finally:
+        alarm.cancel()
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    bring(options)
+    print(f"{time.monotonic() - begun:.0f} s in all")
+
+
+def bring(options: argparse.Namespace) -> None:
+    """Pieces of the weights, and the log, where they are fetched from."""
+    from bunraku.formats.pieces import split_file
+
+    pieces = split_file(options.run / WEIGHTS, options.out, options.piece << 20)
+    if len(pieces) + 1 > options.files:
+        raise SystemExit(f"{len(pieces)} pieces and the log are more than {options.files} files; allow larger ones")
+    shutil.copyfile(options.run / LOG, options.out / LOG)
+    print(f"wrote {len(pieces)} pieces and {LOG} to {options.out}")
+
+
+def join(options: argparse.Namespace) -> None:
+    from bunraku.diffusion.checkpoint import load_denoiser
+    from bunraku.formats.pieces import join_pieces
+
+    for path in join_pieces(options.folder, options.output):
+        notes = load_denoiser(path).notes
+        print(f"wrote {path}: {notes.get('steps')} steps, {notes.get('minutes')} minutes")
+    if (options.folder / LOG).is_file():
+        shutil.copyfile(options.folder / LOG, options.output / LOG)
+
+
+def parser() -> argparse.ArgumentParser:
+    whole = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    verbs = whole.add_subparsers(required=True)
+    one = verbs.add_parser("pack", help="here: code, text encoder and data in one folder")
+    one.add_argument("-o", "--output", type=Path, required=True, help="folder to write")
+    one.add_argument("--data", type=Path, default=Path("runs/data/motions"), help="of 'bunraku data motions'")
+    one.add_argument("--mesh-bank", type=Path, help="of 'bunraku data mesh-bank'")
+    one.add_argument("--people", default="skeleton", choices=("skeleton", "handles"), help="see 'bunraku data bundle'")
+    one.add_argument("--bundle", type=Path, help="of 'bunraku data bundle', in the place of the data")
+    one.set_defaults(do=pack)
+    one = verbs.add_parser("train", help="there: train, or go on, until the limit")
+    one.add_argument("--minutes", type=float, help="of training in all calls together; the rate falls towards its end")
+    one.add_argument("--limit", type=float, default=10.0, help="minutes after which this call is killed")
+    one.add_argument("--run", type=Path, default=HERE / "run", help="run folder; the same one goes on")
+    one.add_argument("--out", type=Path, default=Path(os.environ.get("OUT") or HERE / "back"), help="folder of pieces")
+    one.add_argument("--data", type=Path, help="bundle in the place of the packed one")
+    one.add_argument("--preset", default="paper")
+    one.add_argument("--start", type=Path, help="weights of the same preset to start from")
+    one.add_argument("--device", help="'cuda', 'cpu'; CUDA where it is there")
+    one.add_argument("--steps", type=int, help="at most")
+    one.add_argument("--batch", type=int)
+    one.add_argument("--learning-rate", type=float)
+    one.add_argument("--threads", type=int, help="of the processor")
+    one.add_argument("--save-every", type=float, default=2.0, help="minutes")
+    one.add_argument("--piece", type=int, default=16, help="MiB of the largest file that comes back")
+    one.add_argument("--files", type=int, default=8, help="files that come back at most")
+    one.set_defaults(do=train)
+    one = verbs.add_parser("join", help="here: the weights again, whole")
+    one.add_argument("folder", type=Path, help="with the pieces")
+    one.add_argument("-o", "--output", type=Path, required=True, help="run folder to write")
+    one.set_defaults(do=join)
+    return whole
+
+
+def main(words: list[str] | None = None) -> None:
+    from bunraku.errors import BunrakuError
+
+    options = parser().parse_args(words)
+    try:
+        options.do(options)
+    except BunrakuError as error:
+        raise SystemExit(f"gpu.py: error: {error}") from error
+
+
+if __name__ == "__main__":
+    main()
