@@ -138,7 +138,7 @@ def write_bundle(
             errors.append(_distances(motion, unpack_motion(data[-1], len(motion), form)))
         if progress is not None:
             progress(done + 1, len(index))
-    tensors = {
+    tensors: dict[str, np.ndarray] = {
         "data": np.frombuffer(b"".join(data), np.uint8),
         "sizes": np.array([len(part) for part in data], np.int64),
         "index": np.frombuffer(lzma.compress(json.dumps(kept).encode()), np.uint8),
