@@ -87,7 +87,7 @@ test: $(DEVELOP) .venv/.validator .venv/.browser
 	@touch $@
 
 browser: $(DEVELOP) .venv/.browser
-	BUNRAKU_BROWSER=1 $(BIN)/python -m pytest tests/studio/test_page.py $(ARGS)
+	$(BIN)/python -m pytest tests/studio/test_page.py $(ARGS)
 
 # The page is committed as it is built, so a wheel needs no node; `tests/studio` builds it again where there is npm.
 studio: studio/node_modules/.package-lock.json

@@ -23,9 +23,6 @@ from bunraku.studio.clips import load_handles, load_take
 from bunraku.synthetic.samples import sample_character
 
 pytestmark = [
-    pytest.mark.skipif(
-        not os.environ.get("BUNRAKU_BROWSER"), reason="a browser without a graphics card takes minutes: make browser"
-    ),
     pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium; on Debian: apt-get install chromium"),
     pytest.mark.skipif(
         importlib.util.find_spec("playwright") is None, reason="playwright is not installed: pip install playwright"
@@ -245,6 +242,7 @@ def test_the_pages_silhouette_is_the_renderers(page, sample):
         page.until(f"studio.character.value?.name === '{sample}' && studio.character.value.state === 'ready'")
         page.until("studio.take.value && studio.take.value.state === 'done'")
         page.shown()
+    page.type("walks")  # the last take may wear learned apparel
     take, owner = page.value("[studio.take.value.id, studio.character.value.id]")
     animation = take_of(page.studio, owner, take)
     vertices = animation.vertices([10])
@@ -254,7 +252,9 @@ def test_the_pages_silhouette_is_the_renderers(page, sample):
     size = (400, 300)
     flat = page.value(f"studio.view().silhouette(0.5, {size[0]}, {size[1]}, {eye.tolist()}, {target.tolist()})")
     seen = np.array(flat, bool).reshape(size[1], size[0])
-    camera = Camera.looking_at(target, eye)
+    back = (eye - target) / np.linalg.norm(eye - target)
+    right = np.cross([0.0, 1.0, 0.0], back) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], back))
+    camera = Camera(eye, np.stack([right, np.cross(back, right), back]))
     mask = silhouette(vertices[0], animation.character.faces, camera, size)
     overlap = (seen & mask).sum() / (seen | mask).sum()
     print(f"{sample}: overlap {overlap:.4f}")
@@ -362,7 +362,7 @@ def test_downloads(brief, tmp_path, format):
     data = path.read_bytes()
     assert data.startswith({"GLB": b"glTF", "BVH": b"HIERARCHY", "bunraku": b"PK", "GIF": b"GIF8"}[format])
     if format == "GLB":
-        assert len(load_clip_animation(path).motion) == 14  # half a second
+        assert len(load_clip_animation(path).motion) == 10  # half a second at the 20 frames a second of generation
     if format == "GIF":
         from PIL import Image
 

@@ -1,11 +1,13 @@
 """A studio in a process of its own, with its worker: from a sample to a file, and what goes wrong on the way."""
 
+import gzip
 import os
 import resource
 import signal
 import socket
 import struct
 import urllib.request
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from bunraku.formats.gltf.read import read_gltf
 from bunraku.geometry.rotations import matrix_from_quaternion
 from bunraku.io.clips import load_clip_animation
 from bunraku.studio.clips import load_handles, unpacked_clip
+
+FILES = Path(__file__).parents[1] / "formats" / "data"
 
 
 @pytest.fixture(scope="module")
@@ -278,6 +282,55 @@ def test_a_disk_that_fills_while_a_take_is_made_is_said_and_the_next_take_is_mad
     short = full.animate(owner, "walks", seconds=1, steps=1, draft=False)
     full.done(short["job"])
     assert full.get(f"/api/takes/{short['takes'][0]}")["state"] == "done"
+
+
+def resident(process):
+    """Memory of a process [MB]."""
+    text = Path(f"/proc/{process}/status").read_text()
+    return int(text.partition("VmRSS:")[2].split()[0]) / 1e3
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="this system does not tell the memory of a process")
+def test_fifty_queued_takes_leave_the_memory_flat(studio, character):
+    jobs = [
+        studio.animate(character["id"], "waves", seconds=1, seeds=[seed], steps=1, draft=False)["job"]
+        for seed in range(50)
+    ]
+    told = []
+    for number, job in enumerate(jobs, 1):
+        studio.done(job)
+        if number in (10, 50):
+            told.append([resident(studio.process.pid), resident(studio.get("/api/about")["worker"]["process"])])
+    print(f"server and worker after 10 and 50 takes: {told} MB")
+    (server, worker), (later, after) = told
+    assert later - server < 10 and after - worker < 40
+    takes = studio.get(f"/api/characters/{character['id']}/takes")["takes"]
+    assert set(range(50)) <= {take["seed"] for take in takes if take["state"] == "done"}
+
+
+@pytest.mark.parametrize("kind", ["fbx", "amass"])
+def test_motions_of_other_kinds_are_dropped(studio, character, tmp_path, kind):
+    if kind == "fbx":
+        data, name = gzip.decompress((FILES / "boxman_motion.fbx.gz").read_bytes()), "walk.fbx"
+    else:
+        poses = np.zeros((60, 156))
+        poses[:, 0] = np.pi / 2  # AMASS has +Z up
+        np.savez(tmp_path / "walk.npz", trans=np.tile([0.0, 0, 0.95], (60, 1)), poses=poses, betas=np.zeros(16),
+                 gender=np.array("female"), mocap_framerate=np.array(60.0))  # fmt: skip
+        data, name = (tmp_path / "walk.npz").read_bytes(), "walk.npz"
+    made = studio.post(f"/api/characters/{character['id']}/transfer?name={name}", data=data)
+    studio.done(made["job"])
+    take = studio.get(f"/api/takes/{made['takes'][0]}")
+    assert take["state"] == "done" and take["skin"] == "handles"
+    assert take["seconds"] == pytest.approx({"fbx": 0.5, "amass": 1.0}[kind], abs=0.07)
+
+
+def test_an_fbx_is_a_character(studio):
+    data = gzip.decompress((FILES / "boxman_z_up_cm.fbx.gz").read_bytes())
+    made = studio.post("/api/characters?name=boxman.fbx", data=data)
+    studio.done(made["job"])
+    record = studio.get(f"/api/characters/{made['character']['id']}")
+    assert record["state"] == "ready" and 1 < record["height"] < 3 and record["joints"] > 10
 
 
 def test_others_need_a_password():
