@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 
 from bunraku.diffusion.examples.retrieve import retrieve
@@ -32,3 +34,23 @@ def test_a_sentence_without_a_known_action_takes_only_what_means_the_same(pack):
 
 def test_what_is_far_is_no_example(pack):
     assert names(pack, "someone is waving", 0.5 * AXES[0] + 0.75**0.5 * AXES[1]) == []
+
+
+def test_a_pace_that_was_not_asked_for_and_the_floor_in_place_of_a_chair_are_no_example(pack):
+    def named(*texts):
+        return replace(pack, examples=(replace(pack.examples[0], texts=texts), pack.examples[1]))
+
+    slow = named("a person waves slowly with the left hand", "waves")
+    assert names(slow, "someone is waving", AXES[0]) == []
+    assert names(slow, "someone is waving slowly", AXES[0]) == [("wave", False)]
+    up = named("a person gets up from the floor", "stands up")
+    assert names(up, "someone gets up from a chair", AXES[0]) == []
+    assert names(up, "someone gets up", AXES[0]) == [("wave", False)]
+
+
+def test_plain_walks_take_only_what_is_near(pack):
+    walk = replace(pack, examples=(replace(pack.examples[0], texts=("a person walks", "walk")), pack.examples[1]))
+    for cosine, found in ((0.75, []), (0.85, [("wave", False)])):
+        near = cosine * AXES[0] + (1 - cosine**2) ** 0.5 * AXES[1]
+        assert names(walk, "somebody walks", near) == found
+        assert names(pack, "somebody waves", near) == [("wave", False)]

@@ -24,8 +24,12 @@ NEAR = 0.12
 """Mean cosine by which an example may be farther than the nearest one."""
 LEAST = 0.6
 """Mean cosine from which an example is one at all."""
+WALKING = 0.8
+"""The same for plain walks and runs, which the network does well by itself."""
 SAME = 0.9
 """Cosine of two sentences that mean the same, whatever words `language.actions` finds in them."""
+_PACE = {"slow", "fast"}
+"""What an example must not say that was not asked for."""
 _CHAIR = re.compile(r"\b(chair|stool|bench|seat|sofa|couch|armchair)\b")
 _FLOOR = re.compile(r"\b(floor|ground|knees|l(ies|ying))\b")
 _SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in ("arm", "leg", "turn", "go")) | {
@@ -38,6 +42,9 @@ _SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in 
     "lies",
     "sits",
     "in place",
+    "twice",
+    "thrice",
+    "often",
 }
 
 
@@ -63,27 +70,35 @@ def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found
         sentence: In English, of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    actions, cues = frozenset(main_actions([sentence])), said_cues(sentence) & _SIDED
-    seated = _CHAIR.search(sentence.lower()) is not None
+    asked = _Asked(
+        frozenset(main_actions([sentence])), said_cues(sentence), _CHAIR.search(sentence.lower()) is not None
+    )
+    least = WALKING if asked.actions <= {"walk", "run"} else LEAST
     found = []
     for mirrored in (False, True):
         near = pack.texts[int(mirrored)].astype(float) @ vector
         best = np.full(len(pack.examples), -1.0)
         np.maximum.at(best, pack.owners, near)
         score = 0.5 * (best + pack.motions[int(mirrored)].astype(float) @ vector)
-        for index in np.flatnonzero(score >= LEAST).tolist():
-            if _fits(pack.examples[index].texts, mirrored, actions, cues, seated, float(best[index])):
+        for index in np.flatnonzero(score >= least).tolist():
+            if _fits(pack.examples[index].texts, mirrored, asked, float(best[index])):
                 found.append(Found(index, mirrored, float(score[index])))
     found.sort(key=lambda one: -one.score)
     return [one for one in found if one.score >= found[0].score - NEAR][:MOST]
 
 
-def _fits(
-    texts: tuple[str, ...], mirrored: bool, actions: frozenset[str], cues: frozenset[str], seated: bool, near: float
-) -> bool:
-    if near < SAME and frozenset(main_actions(texts)) != actions:
+class _Asked(NamedTuple):
+    """What a sentence asks for: actions, cues (`language.cues`), and whether there is a chair."""
+
+    actions: frozenset[str]
+    cues: frozenset[str]
+    seated: bool
+
+
+def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) -> bool:
+    if near < SAME and frozenset(main_actions(texts)) != asked.actions:
         return False
-    if seated and any(_FLOOR.search(text.lower()) for text in texts):
+    if asked.seated and any(_FLOOR.search(text.lower()) for text in texts):
         return False
     told = frozenset[str]().union(*(said_cues(mirror_words(text) if mirrored else text) for text in texts))
-    return cues <= told
+    return asked.cues & _SIDED <= told and told & _PACE <= asked.cues
