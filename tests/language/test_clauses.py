@@ -1,6 +1,6 @@
 import pytest
 
-from bunraku.language.clauses import of_creature, split_clauses, timed_clauses
+from bunraku.language.clauses import of_creature, of_person, split_clauses, timed_clauses
 
 
 @pytest.mark.parametrize(
@@ -98,3 +98,11 @@ def test_what_is_done_once_gets_its_time_and_what_goes_on_the_rest():
 )
 def test_what_a_person_does_said_of_a_creature(clause, expected):
     assert of_creature(clause) == expected
+
+
+def test_who_does_it_is_a_person_unless_that_says_how():
+    assert of_person("a guard marches up and down") == "a person marches up and down"
+    assert of_person("the old woman sits down") == "a person sits down"
+    assert of_person("a drunk man walks home") == "a drunk man walks home"
+    assert of_person("the zombie walks") == "the zombie walks"
+    assert of_person("waves") == "waves"

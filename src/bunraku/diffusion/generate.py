@@ -142,16 +142,17 @@ def _leads(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[tup
     from bunraku.diffusion.examples.pack import load_examples
     from bunraku.diffusion.matching import RADIUS, embed_sentences
     from bunraku.diffusion.ranking import load_ranker
+    from bunraku.language.clauses import of_person
     from bunraku.nn.threads import fitting_threads
 
     pack = load_examples()
     if pack is None:
         return None
     ranker = load_ranker()
-    sentences = [sentence for script in scripts for sentence, _ in script]
+    plain = {sentence: of_person(sentence) for script in scripts for sentence, _ in script}
     with fitting_threads(model):
-        vectors = embed_sentences(ranker, encoder_of(ranker.config.text_encoder, encoder), sentences)
-    return Leads(pack, {sentence: vector / RADIUS for sentence, vector in vectors.items()})
+        vectors = embed_sentences(ranker, encoder_of(ranker.config.text_encoder, encoder), list(plain.values()))
+    return Leads(pack, {sentence: (said, vectors[said] / RADIUS) for sentence, said in plain.items()})
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:

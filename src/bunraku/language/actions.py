@@ -70,7 +70,7 @@ ACTIONS: dict[str, str] = {
     "phone": r"phone|telephon\w*",
     "wash": (
         r"wash\w*|wip(e|es|ing)|polish\w*|mop\w*|sweep\w*|broom|scrub\w*|clean\w*|brush\w*|vacuum\w*|rak(es|ing)|"
-        r"shovel\w*|dig(s|ging)?|paint\w*|hammer\w*|saw(s|ing)?"
+        r"shovel\w*|dig(s|ging)?|paint(s|ing)?\b|hammer\w*|saw(s|ing)?"
     ),
     "cook": r"cook\w*|stir\w*|chef|knead\w*|pour\w*|unscrew\w*",
     "pick up": (

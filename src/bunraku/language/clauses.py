@@ -20,6 +20,7 @@ __all__ = [
     "SHORTEST_CLAUSE",
     "clause_verbs",
     "of_creature",
+    "of_person",
     "script_spans",
     "split_clauses",
     "subject_of",
@@ -159,6 +160,16 @@ def of_creature(clause: str) -> str:
     if not subject:
         return with_subject(clause, "it")
     return f"it {rest}" if _PEOPLE.fullmatch(subject.lower()) else clause
+
+
+def of_person(clause: str) -> str:
+    """The clause with "a person" for whoever does it, where that says nothing of how: "a guard marches" as "a person
+    marches". "A drunk man walks" stays.
+
+    A sentence encoder takes "guard" for a stance of boxers.
+    """
+    subject, rest = subject_of(clause)
+    return clause if not subject or actions_of(subject) else f"a person {rest}"
 
 
 def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:

@@ -94,7 +94,13 @@ def test_sentences_without_an_example_are_the_samplers_own(pack, units):
 
 def test_other_seeds_and_candidates_take_others_and_the_same_ones_the_same(pack):
     axes = np.eye(4)
-    leads = Leads(pack, {"someone waves": (axes[0] + axes[2]) / 2**0.5, "jumps": 0.8 * axes[1] + 0.6 * axes[3]})
+    leads = Leads(
+        pack,
+        {
+            "someone waves": ("someone waves", (axes[0] + axes[2]) / 2**0.5),
+            "jumps": ("jumps", 0.8 * axes[1] + 0.6 * axes[3]),
+        },
+    )
     script = [("someone waves", 60)]
     first, second, again = (leads.lead(script, (7, 0), number) for number in (0, 1, 0))
     assert first == again and {first.found[0].mirrored, second.found[0].mirrored} == {False, True}
@@ -113,7 +119,7 @@ def test_the_next_sentence_takes_what_begins_as_the_last_one_ends(pack, monkeypa
         (*pack.examples, replace(pack.examples[1], name="low")), data, np.array([0, 0, 1, 2]),
         np.stack([axes[[0, 0, 1, 1]], axes[[2, 2, 3, 3]]]), np.stack([axes[[0, 1, 1]], axes[[2, 3, 3]]]), "none",
     )  # fmt: skip
-    leads = Leads(more, {"someone waves": axes[0], "someone kicks": axes[1]})
+    leads = Leads(more, {verb: (verb, axes[number]) for number, verb in enumerate(("someone waves", "someone kicks"))})
     script = [("someone waves", 40), ("someone kicks", 40)]
     assert {leads.lead(script, (seed, 0), 0).found[1].place for seed in range(20)} == {1}
 

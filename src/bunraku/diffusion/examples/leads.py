@@ -27,12 +27,12 @@ class Leads:
 
     Args:
         pack: To choose from.
-        vectors: The ranker's unit vector of each sentence.
+        sentences: Each sentence in the words that examples are looked up by, with the ranker's unit vector of these.
     """
 
-    def __init__(self, pack: ExamplePack, vectors: Mapping[str, np.ndarray]):
+    def __init__(self, pack: ExamplePack, sentences: Mapping[str, tuple[str, np.ndarray]]):
         self.pack = pack
-        self._found = {sentence: retrieve(pack, sentence, vector) for sentence, vector in vectors.items()}
+        self._found = {sentence: retrieve(pack, *words) for sentence, words in sentences.items()}
 
     def lead(self, script: Sequence[tuple[str, int]], noise: tuple[int, int], number: int) -> Lead | None:
         """What a candidate starts from; None where no sentence has an example.

@@ -30,6 +30,8 @@ SAME = 0.9
 """Cosine of two sentences that mean the same, whatever words `language.actions` finds in them."""
 _PACE = {"slow", "fast"}
 """What an example must not say that was not asked for."""
+_GOES = {"walk", "run", "jump", "long jump", "hop", "skip", "march", "sneak", "crawl"}
+_TURNS = {"turn", "turn around", "spin", "circle"}
 _CHAIR = re.compile(r"\b(chair|stool|bench|seat|sofa|couch|armchair)\b")
 _FLOOR = re.compile(r"\b(floor|ground|knees|l(ies|ying))\b")
 _SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in ("arm", "leg", "turn", "go")) | {
@@ -94,6 +96,12 @@ class _Asked(NamedTuple):
     cues: frozenset[str]
     seated: bool
 
+    @property
+    def shown(self) -> frozenset[str]:
+        """Cues that an example must say too: "forward" of who goes, "around" of who turns."""
+        idle = frozenset[str]() if self.actions & _GOES else {"forward"}
+        return (self.cues & _SIDED) - idle - (frozenset[str]() if self.actions & _TURNS else {"half", "full"})
+
 
 def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) -> bool:
     if near < SAME and frozenset(main_actions(texts)) != asked.actions:
@@ -101,4 +109,4 @@ def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) ->
     if asked.seated and any(_FLOOR.search(text.lower()) for text in texts):
         return False
     told = frozenset[str]().union(*(said_cues(mirror_words(text) if mirrored else text) for text in texts))
-    return asked.cues & _SIDED <= told and told & _PACE <= asked.cues
+    return asked.shown <= told and told & _PACE <= asked.cues
