@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -5,7 +7,7 @@ import torch
 from bunraku.diffusion.features import encode
 from bunraku.diffusion.generate import _APART, generate_motions
 from bunraku.diffusion.matching import RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences
-from bunraku.diffusion.ranking import ATTEMPTS, Drawn, choose, load_ranker, script_scores
+from bunraku.diffusion.ranking import ATTEMPTS, CAPTURED, Drawn, choose, load_ranker, script_scores
 from bunraku.language.encoders import text_encoder
 
 
@@ -73,11 +75,31 @@ def test_after_the_last_attempt_the_least_wrong_is_taken():
 
 
 def test_what_is_chosen_is_the_candidate_with_the_best_score():
-    script = [[("a person claps", 2.0)]]
+    script = [[("a person bows", 2.0)]]
     drawn = [generate_motions(script, seeds=[(5, place * _APART)], steps=4)[0] for place in range(3)]
     scores = script_scores(
-        load_ranker(), text_encoder(), [encode(motion) for motion in drawn], [[(script[0][0][0], 40)]] * 3
+        load_ranker(),
+        text_encoder(load_ranker().config.text_encoder),
+        [encode(motion) for motion in drawn],
+        [[(script[0][0][0], 40)]] * 3,
     )
-    (chosen,) = generate_motions(script, seeds=[5], steps=4, candidates=3)
+    (chosen,) = generate_motions(script, seeds=[5], steps=4, candidates=3, examples=False)
     apart = [float(np.abs(chosen.rotations - motion.rotations).max()) for motion in drawn]
     assert int(np.argmin(apart)) == int(np.argmax(scores)) and min(apart) < 1e-3
+
+
+def test_a_candidate_that_starts_from_an_example_is_worth_a_little_more():
+    def choice(cosines):
+        some = [replace(drawn(None, place), captured=place == 1) for place in range(2)]
+        (one,) = choose(lambda rows, places: some, 1, 2, lambda _: np.array(cosines))
+        return int(one.motion[0, 0])
+
+    assert choice([0.5, 0.5 - 0.9 * CAPTURED]) == 1 and choice([0.5, 0.5 - 1.1 * CAPTURED]) == 0
+
+
+def test_candidates_but_the_first_start_from_examples():
+    script = [[("a person waves with the right hand", 3.0)]]
+    plain, led = (generate_motions(script, seeds=[5], steps=4, candidates=3, examples=way)[0] for way in (False, True))
+    assert np.abs(plain.rotations - led.rotations).max() > 0.1
+    alone = [generate_motions(script, seeds=[5], steps=4, examples=way)[0] for way in (False, True)]
+    np.testing.assert_array_equal(alone[0].rotations, alone[1].rotations)  # one candidate starts from noise
