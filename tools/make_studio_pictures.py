@@ -27,7 +27,8 @@ def shot(page: Page, name: str) -> None:
 
     from PIL import Image
 
-    page.value("studio.view()?.panes.length && studio.view().draw(true)")
+    page.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    page.value("studio.view()?.panes.length && studio.view().draw(true)")  # a line more or less changes its size
     picture = Image.open(BytesIO(page.page.screenshot())).convert("RGB")
     path = OUT / f"{name}.png"
     picture.quantize(255, dither=Image.Dither.NONE).save(path, optimize=True)
@@ -97,6 +98,11 @@ def export(page: Page) -> None:
 
 def apparel(page: Page) -> None:
     """Learned apparel with its dial."""
+    page.page.click(".chips .chip:text-is('dancer')")
+    page.until("studio.character.value?.name === 'dancer' && studio.character.value.state === 'ready'")
+    page.until("studio.take.value && studio.take.value.state === 'done'")
+    page.shown()
+    page.type("a person dances and turns around")
     page.page.select_option("#apparel", "learn")
     page.page.click("#dress")
     page.until("studio.take.value.how === 'dress' && studio.take.value.state === 'done'")
