@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku.diffusion.features import FeatureStatistics
 from bunraku.geometry.easing import smooth_step
 
-__all__ = ["held", "join_point", "played", "splice"]
+__all__ = ["END", "held", "join_point", "played", "rests", "splice"]
 
+END = 4
+"""Frames that say whether somebody rests."""
 _BLEND = 6
 
 
@@ -64,3 +67,14 @@ def held(values: np.ndarray, frames: int, still: np.ndarray) -> np.ndarray:
     fade = 0.5 ** np.arange(1, len(hold) + 1, dtype=np.float32)[:, None]
     hold[:, :3] = still + (hold[:, :3] - still) * fade
     return np.concatenate([values, hold])
+
+
+def rests(values: np.ndarray, statistics: FeatureStatistics) -> bool:
+    """Whether somebody who moves like this could stay so: the root is slow and the pose hardly changes.
+
+    Args:
+        values: Frames at an end of a motion, network units, shape (N, D).
+        statistics: These units.
+    """
+    speed = np.abs(statistics.restore(values)[:, :3]).max()
+    return bool(speed < 0.5 and (np.diff(values, axis=0)[:, 4:] ** 2).mean() < 0.02)

@@ -7,11 +7,11 @@ renamed, so a file by that name is always whole.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -27,14 +27,18 @@ __all__ = [
     "dated_checkpoint",
     "fitting_config",
     "load_checkpoint",
+    "load_network",
     "load_training_state",
     "save_checkpoint",
+    "save_network",
     "save_training_state",
     "shipped_checkpoint",
 ]
 
 _FORMAT = "bunraku-1"
 _LARGE = 1024
+
+Network = TypeVar("Network", bound=torch.nn.Module)
 
 
 def _write(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
@@ -142,6 +146,40 @@ def fitting_config(path: str | Path) -> Iterator[None]:
         raise WeightsError(
             f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
         ) from error
+
+
+def save_network(
+    path: str | Path, model: torch.nn.Module, kind: str, note: dict[str, Any] | None = None, half: bool = False
+) -> Path:
+    """Write a network's weights with its config, a dataclass.
+
+    Args:
+        path: The file.
+        model: The network, its shape in `config`.
+        kind: Of the checkpoint.
+        note: Anything else to carry.
+        half: Store the matrices as float16.
+    """
+    config = {"network": asdict(cast(Any, model.config)), **(note or {})}
+    return save_checkpoint(path, model.state_dict(), config, kind, half=half)
+
+
+def load_network(path: str | Path, kind: str, build: Callable[[dict[str, Any]], Network]) -> Network:
+    """Read what `save_network` wrote, ready to use.
+
+    Args:
+        path: The file.
+        kind: Of the checkpoint.
+        build: The network of its config's fields.
+
+    Raises:
+        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """
+    state, config = load_checkpoint(path, kind)
+    with fitting_config(path):
+        model = build(config["network"])
+        model.load_state_dict(state)
+    return model.eval().requires_grad_(False)
 
 
 def dated_checkpoint(name: str, path: str | Path | None = None) -> tuple[Path, int]:

@@ -4,7 +4,7 @@ attention merges.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +13,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.graph import EdgeBlock, NodeGraph
 from bunraku.body.layout import JOINT_COUNT
-from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import load_network, save_network
 
 __all__ = ["BodyConfig", "BodyNetwork", "load_body", "save_body"]
 
@@ -112,8 +112,7 @@ class BodyNetwork(nn.Module):
 
 def save_body(path: str | Path, model: BodyNetwork, note: dict[str, Any] | None = None, half: bool = False) -> Path:
     """Write the weights with their config as a checkpoint of kind "apparel-body"."""
-    config = {"network": asdict(model.config), **(note or {})}
-    return save_checkpoint(path, model.state_dict(), config, "apparel-body", half=half)
+    return save_network(path, model, "apparel-body", note, half)
 
 
 def load_body(path: str | Path) -> BodyNetwork:
@@ -122,8 +121,4 @@ def load_body(path: str | Path) -> BodyNetwork:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    state, config = load_checkpoint(path, "apparel-body")
-    with fitting_config(path):
-        model = BodyNetwork(BodyConfig(**config["network"]))
-        model.load_state_dict(state)
-    return model.eval().requires_grad_(False)
+    return load_network(path, "apparel-body", lambda shape: BodyNetwork(BodyConfig(**shape)))

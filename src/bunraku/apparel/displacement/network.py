@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.anchor import AnchorHead
 from bunraku.apparel.displacement.recurrent import RecurrentPart
-from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import load_network, save_network
 
 __all__ = ["DisplacementConfig", "DisplacementNetwork", "load_displacement", "save_displacement"]
 
@@ -61,8 +61,7 @@ def save_displacement(
         note: Anything else to carry.
         half: Store the matrices as float16.
     """
-    config = {"network": asdict(model.config), **(note or {})}
-    return save_checkpoint(path, model.state_dict(), config, "apparel", half=half)
+    return save_network(path, model, "apparel", note, half)
 
 
 def load_displacement(path: str | Path) -> DisplacementNetwork:
@@ -71,11 +70,7 @@ def load_displacement(path: str | Path) -> DisplacementNetwork:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    state, config = load_checkpoint(path, "apparel")
-    with fitting_config(path):
-        model = DisplacementNetwork(DisplacementConfig(**config["network"]))
-        model.load_state_dict(state)
-    return model.eval().requires_grad_(False)
+    return load_network(path, "apparel", lambda shape: DisplacementNetwork(DisplacementConfig(**shape)))
 
 
 def normalize_inputs(model: DisplacementNetwork, nodes: torch.Tensor) -> None:

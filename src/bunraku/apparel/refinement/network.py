@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from bunraku.apparel.refinement.seam import BASIS, INPUTS, Seam
-from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import load_network, save_network
 
 __all__ = ["RefinementConfig", "RefinementNetwork", "load_refinement", "refined", "save_refinement"]
 
@@ -85,8 +85,7 @@ def save_refinement(
     path: str | Path, model: RefinementNetwork, note: dict[str, Any] | None = None, half: bool = False
 ) -> Path:
     """Write the weights with their config as a checkpoint of kind "apparel-refinement"."""
-    config = {"network": asdict(model.config), **(note or {})}
-    return save_checkpoint(path, model.state_dict(), config, "apparel-refinement", half=half)
+    return save_network(path, model, "apparel-refinement", note, half)
 
 
 def load_refinement(path: str | Path) -> RefinementNetwork:
@@ -95,8 +94,4 @@ def load_refinement(path: str | Path) -> RefinementNetwork:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    state, config = load_checkpoint(path, "apparel-refinement")
-    with fitting_config(path):
-        model = RefinementNetwork(RefinementConfig(**config["network"]))
-        model.load_state_dict(state)
-    return model.eval().requires_grad_(False)
+    return load_network(path, "apparel-refinement", lambda shape: RefinementNetwork(RefinementConfig(**shape)))

@@ -7,7 +7,7 @@ over the loose part that a point belongs to, hears of its neighbours there, and 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.graph import EdgeBlock, NodeGraph, node_graph
 from bunraku.apparel.sampled_mesh import POINT_FEATURES, SampledMesh
-from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import load_network, save_network
 
 __all__ = [
     "SegmentationConfig", "SegmentationNetwork", "load_segmentation", "mesh_block", "save_segmentation",
@@ -88,8 +88,7 @@ def save_segmentation(
     path: str | Path, model: SegmentationNetwork, note: dict[str, Any] | None = None, half: bool = False
 ) -> Path:
     """Write the weights with their config as a checkpoint of kind "apparel-mask"."""
-    config = {"network": asdict(model.config), **(note or {})}
-    return save_checkpoint(path, model.state_dict(), config, "apparel-mask", half=half)
+    return save_network(path, model, "apparel-mask", note, half)
 
 
 def load_segmentation(path: str | Path) -> SegmentationNetwork:
@@ -98,8 +97,4 @@ def load_segmentation(path: str | Path) -> SegmentationNetwork:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    state, config = load_checkpoint(path, "apparel-mask")
-    with fitting_config(path):
-        model = SegmentationNetwork(SegmentationConfig(**config["network"]))
-        model.load_state_dict(state)
-    return model.eval().requires_grad_(False)
+    return load_network(path, "apparel-mask", lambda shape: SegmentationNetwork(SegmentationConfig(**shape)))

@@ -6,15 +6,13 @@ beyond turning about joints; or, as a creature's always is, as that of all handl
 
 from __future__ import annotations
 
-import lzma
-from typing import Any
-
 import numpy as np
 
 from bunraku.body.from_handles import skeleton_from_handles
-from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT
 from bunraku.body.reference import reference_body
-from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
+from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.formats.whole_steps import lzma_filters, pack_steps, unpack_steps
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.retarget.body_motion import body_handle_motion
 
@@ -28,7 +26,7 @@ _METRES, _RADIANS = 1e-3, 2e-3
 _LARGEST = 1 << 24
 """Of a number in steps: 16 km, beyond which there is nothing but damage."""
 _NUMBERS = {"skeleton": 3 + 3 * JOINT_COUNT, "handles": 6 + 6 * (HANDLE_COUNT - 1)}
-_FILTERS: list[dict[str, Any]] = [{"id": lzma.FILTER_LZMA2, "preset": 6, "dict_size": 1 << 20}]
+_FILTERS = lzma_filters(6, 1 << 20)
 
 
 def pack_motion(motion: HandleMotion, form: str) -> bytes:
@@ -46,11 +44,7 @@ def pack_motion(motion: HandleMotion, form: str) -> bytes:
         lengths = np.concatenate([motion.root_translation[:, None], motion.translations[:, 1:]], axis=1)
         turns = np.concatenate([motion.root_rotation[:, None], motion.rotations[:, 1:]], axis=1)
     angles = axis_angle_from_matrix(turns.astype(float)).reshape(frames, -1)
-    values = np.concatenate([lengths.reshape(frames, -1) / _METRES, angles / _RADIANS], axis=1)
-    steps = np.diff(np.diff(np.rint(values).astype(np.int64), axis=0, prepend=0), axis=0, prepend=0)
-    folded = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4").T.copy()  # small numbers of either sign
-    planes = folded.view(np.uint8).reshape(-1, 4).T.tobytes()  # the high bytes, nearly all zero, stand together
-    return lzma.compress(planes, lzma.FORMAT_RAW, filters=_FILTERS)
+    return pack_steps(np.concatenate([lengths.reshape(frames, -1) / _METRES, angles / _RADIANS], axis=1), 2, _FILTERS)
 
 
 def unpack_motion(data: bytes, frames: int, form: str) -> HandleMotion:
@@ -61,25 +55,14 @@ def unpack_motion(data: bytes, frames: int, form: str) -> HandleMotion:
     """
     if form not in FORMS or not 0 < frames <= MOST_FRAMES:
         raise ValueError(f"no clip has the form {form!r} and {frames} frames")
-    numbers = _NUMBERS[form]
-    size = 4 * frames * numbers
-    try:
-        planes = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_FILTERS).decompress(data, size + 1)
-    except (lzma.LZMAError, EOFError) as error:
-        raise ValueError("a clip is no packed motion") from error
-    if len(planes) != size:
-        raise ValueError("a clip has another length than the index says")
-    folded = np.frombuffer(planes, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(numbers, frames)
-    steps = folded.T.astype(np.int64)
-    values = np.cumsum(np.cumsum(np.where(steps & 1, -(steps + 1) // 2, steps // 2), axis=0), axis=0)
+    values = unpack_steps(data, frames, _NUMBERS[form], 2, _FILTERS)
     if np.abs(values).max() > _LARGEST:
         raise ValueError("a clip leads out of all bounds")
     split = 3 if form == "skeleton" else 3 * HANDLE_COUNT
     lengths = (values[:, :split] * _METRES).reshape(frames, -1, 3)
     turns = matrix_from_axis_angle((values[:, split:] * _RADIANS).reshape(frames, -1, 3))
     if form == "skeleton":
-        skeleton = Skeleton(JOINT_NAMES, np.asarray(JOINT_PARENTS), reference_body().skeleton.offsets)
-        return body_handle_motion(SkeletalMotion(skeleton, turns, lengths[:, 0], FPS))
+        return body_handle_motion(SkeletalMotion(reference_body().skeleton, turns, lengths[:, 0], FPS))
     root_rotation, root = turns[:, 0].copy(), lengths[:, 0].copy()
     lengths[:, 0], turns[:, 0] = 0, np.eye(3)
     return HandleMotion(lengths, turns, root, root_rotation, FPS)

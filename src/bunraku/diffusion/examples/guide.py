@@ -16,7 +16,7 @@ from bunraku.diffusion.examples.joins import Joins
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, mirror
-from bunraku.diffusion.splicing import held, played
+from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
 
 __all__ = ["Guide", "Lead", "fills", "fits_into", "hurried", "laid", "laid_script", "liveliest"]
@@ -29,8 +29,6 @@ _LEAD = 30
 """Frames that somebody stands before what is done once, at the most."""
 CROUCH = 0.12
 """Height [m] by which somebody who stands is lower at the most."""
-_END = 4
-"""Frames that say whether somebody rests."""
 _FADE = 10
 """Frames over which the sampler is left to itself where one sentence goes over into the next."""
 
@@ -92,18 +90,12 @@ def laid(
     lead = min(int(room * random.uniform(0.15, 0.5)), _LEAD)
     share = np.ones(frames, np.float32)
     first, last = (float(statistics.restore(values[[place]])[0, 3]) for place in (0, -1))
-    if not rests(values[:_END], statistics) or _crouches(first, last):
+    if not rests(values[:END], statistics) or _crouches(first, last):
         share[:lead] = _rise(lead)
-    if not rests(values[-_END:], statistics) or _crouches(last, first):
+    if not rests(values[-END:], statistics) or _crouches(last, first):
         share[frames - (room - lead) :] = _rise(room - lead)[::-1]
     values = held(values[::-1], lead, still)[::-1]
     return Guide(held(values, room - lead, still), share)
-
-
-def rests(values: np.ndarray, statistics: FeatureStatistics) -> bool:
-    """Whether somebody who moves like this could stay so: the root is slow and the pose hardly changes."""
-    speed = np.abs(statistics.restore(values)[:, :3]).max()
-    return bool(speed < 0.5 and (np.diff(values, axis=0)[:, 4:] ** 2).mean() < 0.02)
 
 
 def _crouches(here: float, there: float) -> bool:
@@ -122,7 +114,8 @@ def liveliest(features: np.ndarray, frames: int, statistics: FeatureStatistics) 
     """The part of a motion with the most movement, of at most so many frames, shape (M, D)."""
     if len(features) <= frames:
         return features
-    step = np.diff(statistics.normalise(features)[:, 3:], axis=0, prepend=statistics.normalise(features[:1])[:, 3:])
+    pose = statistics.normalise(features)[:, 3:]
+    step = np.diff(pose, axis=0, prepend=pose[:1])
     moved = np.concatenate([[0.0], np.cumsum((step**2).sum(axis=1))])
     start = int((moved[frames:] - moved[:-frames]).argmax())
     return features[start : start + frames]

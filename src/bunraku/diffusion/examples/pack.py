@@ -17,6 +17,7 @@ import numpy as np
 
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.errors import WeightsError
+from bunraku.formats.whole_steps import lzma_filters, pack_steps, unpack_steps
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
 __all__ = [
@@ -37,7 +38,7 @@ MOST_FRAMES = 2_000
 """Of one stretch; what a file says beyond is damage."""
 _METRES, _RADIANS = 5e-4, 1e-3
 _NUMBERS = 3 + 3 * JOINT_COUNT
-_FILTERS: list[dict[str, Any]] = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME, "dict_size": 1 << 16}]
+_FILTERS = lzma_filters(9 | lzma.PRESET_EXTREME, 1 << 16)
 
 
 @dataclass(frozen=True)
@@ -90,16 +91,13 @@ class ExamplePack:
 
 @functools.lru_cache(maxsize=128)
 def _features(data: bytes, frames: int) -> np.ndarray:
-    from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
     from bunraku.body.reference import reference_body
-    from bunraku.core.motion import SkeletalMotion, Skeleton
+    from bunraku.core.motion import SkeletalMotion
     from bunraku.diffusion.features import encode
     from bunraku.retarget.body_motion import body_handle_motion
 
     root, rotations = unpacked_stretch(data, frames)
-    parents = np.asarray(JOINT_PARENTS)
-    skeleton = Skeleton(JOINT_NAMES, parents, reference_body().skeleton.offsets)
-    return encode(body_handle_motion(SkeletalMotion(skeleton, rotations, root, FPS)))
+    return encode(body_handle_motion(SkeletalMotion(reference_body().skeleton, rotations, root, FPS)))
 
 
 def packed_stretch(root: np.ndarray, rotations: np.ndarray) -> bytes:
@@ -110,11 +108,7 @@ def packed_stretch(root: np.ndarray, rotations: np.ndarray) -> bytes:
         rotations: Of the 22 joints relative to their parents, shape (N, 22, 3, 3).
     """
     turns = axis_angle_from_matrix(rotations.astype(float)).reshape(len(root), -1)
-    values = np.concatenate([root / _METRES, turns / _RADIANS], axis=1)
-    steps = np.diff(np.rint(values).astype(np.int64), axis=0, prepend=0)
-    folded = np.where(steps < 0, -2 * steps - 1, 2 * steps).astype("<u4").T.copy()  # small numbers of either sign
-    planes = folded.view(np.uint8).reshape(-1, 4).T.tobytes()  # the high bytes, nearly all zero, stand together
-    return lzma.compress(planes, lzma.FORMAT_RAW, filters=_FILTERS)
+    return pack_steps(np.concatenate([root / _METRES, turns / _RADIANS], axis=1), 1, _FILTERS)
 
 
 def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -123,19 +117,12 @@ def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         WeightsError: The bytes are none of that.
     """
-    size = 4 * frames * _NUMBERS
     try:
         if not 0 < frames <= MOST_FRAMES:
             raise ValueError
-        planes = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_FILTERS).decompress(data, size + 1)
-        if len(planes) != size:
-            raise ValueError
-    except (lzma.LZMAError, ValueError, EOFError) as error:
+        values = unpack_steps(data, frames, _NUMBERS, 1, _FILTERS)
+    except ValueError as error:
         raise WeightsError("the examples are damaged; install Bunraku again or build them again") from error
-    folded = np.frombuffer(planes, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(_NUMBERS, frames)
-    values = folded.T.astype(np.int64)
-    values = np.where(values & 1, -(values + 1) // 2, values // 2)
-    values = np.cumsum(values, axis=0)
     turns = (values[:, 3:] * _RADIANS).reshape(frames, JOINT_COUNT, 3)
     return values[:, :3] * _METRES, matrix_from_axis_angle(turns)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.diffusion.features import FeatureStatistics, feature_weights, is_rotation
-from bunraku.diffusion.splicing import held, join_point, played
+from bunraku.diffusion.splicing import END, held, join_point, played, rests
 from bunraku.language.actions import CYCLIC, main_actions
 from bunraku.language.captions import caption_group
 from bunraku.language.stretches import agreeing, stretch_phrases, stretch_variants
@@ -116,7 +116,7 @@ class TrainingClip:
         species, action = entry.get("species"), entry.get("action")
         creature = (species, action, entry.get("character")) if species and action else (None, action, None)
         texts = tuple(entry.get("texts") or [f"a {species}: {action}"])
-        watched, loop, rests = bool(entry.get("watched")), None, False
+        watched, loop, ends_at_rest = bool(entry.get("watched")), None, False
         if len(values) < frames:
             if may_loop(texts, species, action):
                 i, j, distance = join_point(values, values, feature_weights())
@@ -127,9 +127,7 @@ class TrainingClip:
                     and (turn < MOST_TURN or _TURNS & set(main_actions(texts)))
                 ):
                     loop = (i, j)
-            speed = np.abs(entry["features"][-4:, :3]).max()
-            change = float((np.diff(values[-4:], axis=0)[:, 4:] ** 2).mean())
-            rests = bool(speed < 0.5 and change < 0.02)
+            ends_at_rest = rests(values[-END:], statistics)
         labels = tuple(entry.get("labels") or ())
         return cls(
             name,
@@ -139,7 +137,7 @@ class TrainingClip:
             labels,
             float(entry.get("weight", 1.0)),
             loop,
-            rests,
+            ends_at_rest,
             entry.get("next"),
             *creature,
         )
