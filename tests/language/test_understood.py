@@ -25,7 +25,7 @@ KNOWN = (
     "moonwalks across the stage", "sneaks up behind someone", "jumps for joy", "waves hello", "bows politely",
     "shadow boxing", "does ten push-ups", "climbs a ladder", "picks up a box and carries it to the left",
     "sits cross-legged", "rolls over", "dances salsa", "kneel and pray", "dodges a punch", "staggers as if drunk",
-    "the dragon flaps its wings and roars", "spin around twice", "stretching before a run", "twirls gracefully",
+    "the dragon flaps its wings and roars", "spin around twice", "stretching before a run", "spins gracefully",
     "kicks a football", "hops on one foot", "shrugs", "golf swing", "falls asleep", "swing a baseball bat",
     "march in place", "crawls under a table", "zombie walk", "idle", "T-pose", "cartwheel", "make the robot dance",
     "run!", "hunch over", "clap", "turns left then right", "death", "a mushroom hops", "she ran, fell and got up again",

@@ -61,11 +61,20 @@ def played(values: np.ndarray, loop: tuple[int, int], target: int) -> np.ndarray
     return longer
 
 
-def held(values: np.ndarray, frames: int, still: np.ndarray) -> np.ndarray:
-    """A motion with its last pose held for so many frames, its root coming to rest."""
+def held(values: np.ndarray, frames: int, still: np.ndarray, ease: float = 0.0) -> np.ndarray:
+    """A motion with its last pose held for so many frames, its root coming to rest.
+
+    Args:
+        values: Frames, shape (N, D).
+        frames: To add.
+        still: What a resting root's velocities are, shape (3,).
+        ease: Share of the pose's change that is left from frame to frame; 0 stops it at once.
+    """
     hold = np.repeat(values[-1:], frames, axis=0)
-    fade = 0.5 ** np.arange(1, len(hold) + 1, dtype=np.float32)[:, None]
-    hold[:, :3] = still + (hold[:, :3] - still) * fade
+    count = np.arange(1, len(hold) + 1, dtype=np.float32)[:, None]
+    hold[:, :3] = still + (hold[:, :3] - still) * 0.5**count
+    if ease > 0 and len(values) > 1:
+        hold[:, 3:] += (values[-1:, 3:] - values[-2:-1, 3:]) * (ease * (1 - ease**count) / (1 - ease))
     return np.concatenate([values, hold])
 
 

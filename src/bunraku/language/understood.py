@@ -10,11 +10,12 @@ from __future__ import annotations
 import functools
 import logging
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bunraku.errors import OptionError
 from bunraku.language.known.nearest import nearest_sentences
 from bunraku.language.known.spelling import corrected
+from bunraku.language.known.synonyms import in_known_words
 from bunraku.language.known.vocabulary import FUNCTION_WORDS, says_action, words_of
 from bunraku.language.prompts import check_prompt
 from bunraku.language.words import Translation, translate
@@ -99,6 +100,10 @@ def understood(prompt: str) -> Understanding:
 
 
 def _english(prompt: str, language: str) -> Understanding:
+    said = in_known_words(prompt)
+    if said != prompt:
+        found = _english(said, language)
+        return replace(found, prompt=prompt, unknown=_placed(found.unknown, prompt))
     words = words_of(prompt)
     slips = {word: corrected(word.text) for word in words if not word.known}
     telling = [word for word in words if word.text.lower() not in FUNCTION_WORDS]
@@ -121,6 +126,17 @@ def _english(prompt: str, language: str) -> Understanding:
         tuple((word.text, slip) for word, slip in slips.items() if slip),
         nearest_sentences(known, [word.text for word in unknown]) if unknown else (),
     )
+
+
+def _placed(words: tuple[UnknownWord, ...], prompt: str) -> tuple[UnknownWord, ...]:
+    """Words of a sentence in other words with their places in the one that was given, which has them in this order."""
+    found, start = [], 0
+    for word in words:
+        at = prompt.find(word.word, start)
+        if at >= 0:
+            start = at + len(word.word)
+            found.append(UnknownWord(word.word, at, start))
+    return tuple(found)
 
 
 def _foreign(prompt: str, translation: Translation) -> Understanding:

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bunraku.body.from_handles import skeleton_from_handles
-from bunraku.diffusion.examples.guide import fills, fits_into, hurried, laid, laid_script, liveliest
+from bunraku.diffusion.examples.guide import fills, fits_into, goes_on, hurried, laid, laid_script, liveliest
+from bunraku.diffusion.examples.joins import on_one_leg
 from bunraku.diffusion.examples.leads import Leads
 from bunraku.diffusion.examples.pack import ExamplePack, packed_stretch
 from bunraku.diffusion.examples.retrieve import Found
@@ -142,3 +143,34 @@ def test_the_crouch_before_a_jump_is_not_held_but_a_seat_and_the_floor_are(pack,
     assert around(-0.4, 0.0) == (True, True)
     assert around(0.0, -0.4) == (True, True)
     assert around(-0.6, -0.6) == (True, True)
+
+
+def test_the_height_of_a_kick_is_joined_to_standing_and_none_of_the_kick_is_lost(pack, units):
+    kick = pack.features(1)
+    high = 5 + int(np.abs(np.diff(kick[5:25], axis=0)).sum(1).cumsum().argmax()) // 2
+    standing = np.repeat(kick[:1], 60, axis=0)
+    skeletons = [skeleton_from_handles(decode(values)) for values in (kick[: high + 1], standing)]
+    data = tuple(packed_stretch(one.root_translation, one.rotations) for one in skeletons)
+    examples = (
+        replace(pack.examples[1], frames=high + 1),
+        replace(pack.examples[1], name="stand", texts=(), frames=60),
+    )
+    short = replace(pack, examples=examples, data=data)
+    cut = short.features(0)
+    assert on_one_leg(cut[-4:]) and not on_one_leg(cut[:4])
+    guide = laid(short, Found(0, False, 0.9), 100, units, np.random.default_rng(0))
+    laid_out = units.restore(guide.values)
+    assert any(np.allclose(laid_out[at : at + len(cut), 3:], cut[:, 3:], atol=1e-3) for at in range(100 - len(cut)))
+    assert (guide.share == 1).all() and not on_one_leg(laid_out[-20:])
+
+
+def test_part_of_a_movement_is_not_played_on(pack):
+    half = replace(pack, examples=(replace(pack.examples[0], loop=(20, 12)), *pack.examples[1:]))
+    assert goes_on(pack, WAVE) and not goes_on(half, WAVE) and not goes_on(pack, KICK)
+
+
+def test_standing_on_one_leg_is_nothing_to_be_joined_to(pack, features):
+    examples = tuple(replace(one, texts=()) for one in pack.examples)
+    kick = pack.features(1)
+    assert on_one_leg(kick)
+    assert replace(pack, examples=examples).standing == (0,)

@@ -12,23 +12,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.diffusion.examples.joins import Joins
+from bunraku.diffusion.examples.joins import AROUND, Joins, on_one_leg
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, mirror
 from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
 
-__all__ = ["Guide", "Lead", "fills", "fits_into", "hurried", "laid", "laid_script", "liveliest"]
+__all__ = ["Guide", "Lead", "fills", "fits_into", "goes_on", "hurried", "laid", "laid_script", "liveliest"]
 
 HURRY = 1.35
 """Factor by which an example that is done once is sped up at the most to fit in."""
 FILLED = 0.6
 """Share of the time that an example goes on for at least; shorter ones are taken where there are no others."""
+UPRIGHT = 0.9
+"""Of the root's axis, in who stands."""
 _LEAD = 30
 """Frames that somebody stands before what is done once, at the most."""
 CROUCH = 0.12
 """Height [m] by which somebody who stands is lower at the most."""
+NEAR = 1.0
+"""Difference of two poses, in network units, up to which what rests is joined to standing; what stands in mid-motion is
+joined whatever it is. The sampler mends what is between.
+"""
+AIRBORNE = 0.1
+"""Height of the root over standing [m] from which on nobody stays."""
+GOES = 1.0
+"""Speed [m/s] of who goes on."""
+EASE = 0.6
+"""Share of a pose's change that is left from frame to frame where a motion comes to rest."""
+SHORTEST_LOOP = 12
+"""Frames under which what is played on is a part of a movement, half a punch."""
 _FADE = 10
 """Frames over which the sampler is left to itself where one sentence goes over into the next."""
 
@@ -48,14 +62,12 @@ class Guide:
 
 def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example is done within so many frames, or can be cut anywhere."""
-    example = pack.examples[found.place]
-    return example.loop is not None or example.frames <= HURRY * frames
+    return goes_on(pack, found) or pack.examples[found.place].frames <= HURRY * frames
 
 
 def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example goes on for most of so many frames."""
-    example = pack.examples[found.place]
-    return example.loop is not None or example.frames >= FILLED * frames
+    return goes_on(pack, found) or pack.examples[found.place].frames >= FILLED * frames
 
 
 def laid(
@@ -75,27 +87,58 @@ def laid(
     if found.mirrored:
         features = mirror(features)
     loop = pack.examples[found.place].loop
-    if loop is None and len(features) > frames:
+    if not goes_on(pack, found) and len(features) > frames:
         features = hurried(liveliest(features, int(HURRY * frames), statistics), frames)
     values = statistics.normalise(features).astype(np.float32)
-    if loop is not None:
+    if loop is not None and goes_on(pack, found):
         values = played(values, loop, frames)
         start = int(random.integers(len(values) - frames + 1))
         return Guide(values[start : start + frames], np.ones(frames, np.float32))
+    lead = min(int((frames - len(values)) * random.uniform(0.15, 0.5)), _LEAD)
+    first = _end(features[:END], values[:END], features[-1, 3], statistics)
+    last = _end(features[-END:], values[-END:], features[0, 3], statistics)
+    still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
+    led = longer = values
     if len(values) < frames and pack.standing:
         standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in pack.standing]
-        values = Joins(standing).around(values, frames, False, random)
-    still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
-    room = frames - len(values)
-    lead = min(int(room * random.uniform(0.15, 0.5)), _LEAD)
+        before, after = (Joins(standing, near=NEAR if end == "stays" else np.inf) for end in (first, last))
+        if first != "free" and lead > AROUND:  # nothing of the motion itself is cross-faded
+            eased = held(values[::-1], AROUND, still, EASE)[::-1]
+            led = before.led(eased, lead - AROUND, random)
+            led = values if led is eased else led
+        if last != "free" and len(led) + AROUND < frames:
+            eased = held(led, AROUND, still, EASE)
+            longer = after.followed(eased, frames, False, random)[:frames]
+        else:
+            longer = led
+    room = frames - len(longer)
+    lead = min(lead, room) if led is values else 0
     share = np.ones(frames, np.float32)
-    first, last = (float(statistics.restore(values[[place]])[0, 3]) for place in (0, -1))
-    if not rests(values[:END], statistics) or _crouches(first, last):
+    if first != "stays":
         share[:lead] = _rise(lead)
-    if not rests(values[-END:], statistics) or _crouches(last, first):
+    if last != "stays":
         share[frames - (room - lead) :] = _rise(room - lead)[::-1]
-    values = held(values[::-1], lead, still)[::-1]
-    return Guide(held(values, room - lead, still), share)
+    return Guide(held(held(longer[::-1], lead, still, EASE)[::-1], room - lead, still, EASE), share)
+
+
+def _end(features: np.ndarray, values: np.ndarray, other: float, statistics: FeatureStatistics) -> str:
+    """What may be done where a motion ends, of its last frames, shape (M, D), in both units, and the height of the root
+    at its other end [m]: it "stays"; it "moves" but stands, and can be joined to standing; or it is "free", left to the
+    sampler, as in the air, in a crouch and in a run.
+    """
+    height = float(features[:, 3].max())
+    if _crouches(height, other) or height > AIRBORNE or np.linalg.norm(features[:, 1:3], axis=1).mean() > GOES:
+        return "free"
+    stands = height > -CROUCH and float(features[:, 8].min()) > UPRIGHT
+    if (rests(values, statistics) and not (stands and on_one_leg(features))) or height < -3 * CROUCH:
+        return "stays"
+    return "moves" if stands else "free"
+
+
+def goes_on(pack: ExamplePack, found: Found) -> bool:
+    """Whether an example can be played on."""
+    loop = pack.examples[found.place].loop
+    return loop is not None and loop[0] - loop[1] >= SHORTEST_LOOP
 
 
 def _crouches(here: float, there: float) -> bool:

@@ -81,8 +81,12 @@ class ExamplePack:
 
     @functools.cached_property
     def standing(self) -> tuple[int, ...]:
-        """Which ones are there for others to be joined to."""
-        return tuple(index for index, one in enumerate(self.examples) if not one.texts)
+        """Which ones are there for others to be joined to: in which somebody stands, on both legs."""
+        from bunraku.diffusion.examples.joins import on_one_leg
+
+        return tuple(
+            index for index, one in enumerate(self.examples) if not one.texts and not on_one_leg(self.features(index))
+        )
 
     def features(self, index: int) -> np.ndarray:
         """What the denoiser sees of an example (see `diffusion.features`), shape (N, 271)."""

@@ -26,6 +26,8 @@ class TrainingConfig:
         weight_decay: AdamW's.
         velocity_weight: Weight of the frame-difference term.
         contact_weight: Weight of the contact loss: feet that stand do not slide or lift.
+        min_snr: Rows count by the lesser of this and the signal-to-noise ratio of their diffusion step (min-SNR); 0
+            counts all alike.
         drop_text: Share of rows without their sentence, for classifier-free guidance.
         drop_mesh: Share of rows without their mesh feature.
         compose: Share of rows that join two clips, "a person walks and then waves".
@@ -69,6 +71,7 @@ class TrainingConfig:
     weight_decay: float = 0.02
     velocity_weight: float = 2.0
     contact_weight: float = 0.02
+    min_snr: float = 0.0
     drop_text: float = 0.1
     drop_mesh: float = 0.2
     compose: float = 0.12

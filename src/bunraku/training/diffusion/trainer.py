@@ -26,7 +26,7 @@ from bunraku.training.diffusion.config import TrainingConfig
 from bunraku.training.diffusion.mesh_bank import MeshBank
 from bunraku.training.diffusion.mesh_learning import MeshDraw, MeshLearning
 from bunraku.training.losses.contact_loss import contact_loss
-from bunraku.training.losses.motion_loss import motion_losses
+from bunraku.training.losses.motion_loss import motion_losses, step_weights
 
 __all__ = ["Example", "Trainer", "TrainingConfig"]
 
@@ -87,6 +87,7 @@ class Trainer:
         groups = [{"params": decayed, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
         self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, betas=(0.9, 0.99), fused=True)
         self.curve = alphas_cumprod().to(self.device)
+        self.step_weights = step_weights(self.curve, config.min_snr)
         self.weights = torch.from_numpy(feature_weights()).to(self.device)
         self.mesh_bank = mesh_bank
         self.learning: MeshLearning | None = None
@@ -167,8 +168,9 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
         predicted, adaptation = self.predict(self.model, example)
+        share = self.step_weights[example.step]
         motion, velocity = (
-            part.mean() for part in motion_losses(predicted, example.clean, example.lengths, self.weights)
+            (share * part).mean() for part in motion_losses(predicted, example.clean, example.lengths, self.weights)
         )
         total = motion + config.velocity_weight * velocity
         told = {"motion": motion, "velocity": velocity}

@@ -1,0 +1,27 @@
+import pytest
+
+from bunraku.language.known.synonyms import in_known_words
+from bunraku.language.understood import understood
+
+
+@pytest.mark.parametrize(
+    ("said", "known"),
+    [
+        ("a person twirls around", "a person spins around"),
+        ("someone is twirling to the left", "someone is spinning to the left"),
+        ("he puts his hands up in surrender", "he raises both hands above the head"),
+        ("a girl bounces a ball", "a girl dribbles a basketball"),
+        ("she flings a stone, then collapses", "she throws a stone, then falls down"),
+        ("she flings her arms up", "she flings her arms up"),
+        ("a dog bounces", "a dog bounces"),
+        ("a person walks", "a person walks"),
+    ],
+)
+def test_rare_words_become_those_of_the_captions_in_the_same_form(said, known):
+    assert in_known_words(said) == known
+
+
+def test_unknown_words_beside_them_keep_their_places():
+    found = understood("a person pirouettes and snoofles")
+    assert found.english == "a person spins and snoofles"
+    assert [(word.word, word.start, word.stop) for word in found.unknown] == [("snoofles", 24, 32)]
