@@ -395,4 +395,4 @@ def test_what_the_data_are_like(built):
     character = ApparelData(built).character(clip)
     assert facts.share == pytest.approx(character.apparel.mean()) and facts.parts == len(character.spring)
     assert facts.offset > 0 and 0 < facts.frequency < 15
-    assert len(facts_table([facts]).splitlines()) == 6
+    assert len(facts_table([facts]).splitlines()) == 7

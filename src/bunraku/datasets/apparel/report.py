@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.apparel.standing_out import standing_out
+from bunraku.datasets.apparel.mend import bare_wearer
 from bunraku.datasets.apparel.reader import ApparelData
 
 __all__ = ["ApparelFacts", "apparel_facts", "facts_table", "sway_frequency"]
@@ -27,6 +29,7 @@ class ApparelFacts:
         offset: Root mean square of how far apparel is from rigid motion [cm].
         frequency: Centroid of the spectrum of that [1/s].
         spring: Median stiffness of the parts' joints [N m / rad].
+        stands_out: Share of the frames with calm legs in which its hem stands out.
     """
 
     name: str
@@ -35,6 +38,7 @@ class ApparelFacts:
     offset: float
     frequency: float
     spring: float
+    stands_out: float
 
 
 def apparel_facts(data: ApparelData) -> list[ApparelFacts]:
@@ -48,12 +52,18 @@ def apparel_facts(data: ApparelData) -> list[ApparelFacts]:
         character, shard = data.character(clip), data.shard(clip.shard)
         cloth = np.flatnonzero(character.apparel[character.loose])
         some = cloth[np.linspace(0, len(cloth) - 1, min(SOME, len(cloth))).astype(np.int64)]
-        away = shard.frames("offsets", clip.first, clip.first + clip.frames)[:, some].astype(np.float64)
+        span = clip.first, clip.first + clip.frames
+        loose = shard.frames("offsets", *span)
+        away = loose[:, some].astype(np.float64)
+        wearer = bare_wearer(
+            character.rest, character.faces, character.joints, character.weights, character.apparel, character.part
+        )
         out.append(
             ApparelFacts(
                 character.name, float(character.apparel.mean()), float(len(character.spring)),
                 100 * float(np.sqrt(np.square(away).sum(axis=-1).mean())) if len(some) else 0.0,
                 sway_frequency(away, data.fps), float(np.median(character.spring)),
+                standing_out(wearer, shard.frames("transforms", *span), character.loose, loose, data.fps),
             )
         )  # fmt: skip
     return out
@@ -72,6 +82,7 @@ def facts_table(facts: Sequence[ApparelFacts]) -> str:
         "share of vertices [%]": [100 * one.share for one in facts], "parts": [one.parts for one in facts],
         "offset, RMS [cm]": [one.offset for one in facts], "frequency [1/s]": [one.frequency for one in facts],
         "spring [N m / rad]": [one.spring for one in facts],
+        "hem stands out [%]": [100 * one.stands_out for one in facts],
     }  # fmt: skip
     lines = [f"{len(facts)} characters{'':<14}" + "".join(f"{f'{percent} %':>9}" for percent in (5, 25, 50, 75, 95))]
     for name, values in columns.items():

@@ -14,6 +14,7 @@ import numpy as np
 
 from bunraku.apparel.displacement.features import clip_features, static_features
 from bunraku.apparel.displacement.nodes import apparel_nodes, part_neighbours
+from bunraku.apparel.standing_out import standing_out
 from bunraku.apparel.stiffness import sprung_wearer
 from bunraku.apparel.wearer import Wearer
 from bunraku.datasets.apparel import ApparelData
@@ -25,7 +26,9 @@ __all__ = ["BANK_NODES", "BankCharacter", "build_bank", "load_bank", "truth_wear
 BANK_NODES = 128
 HEADS = (48, 72, 128)
 """Numbers of nodes that are trained on: heads of the same order, each with neighbours of its own."""
-_FORMAT = 1
+STANDS_OUT = 0.1
+"""Share of its calm frames in which the hem of a clip may stand out for the clip to be trained on."""
+_FORMAT = 2
 
 
 def truth_wearer(character: ApparelCharacter) -> Wearer:
@@ -123,7 +126,7 @@ def _by_character(data: ApparelData) -> Iterator[tuple[str, list[ApparelClip]]]:
 
 def _complete(found: BankCharacter, frames: int) -> bool:
     try:
-        return int(found.arrays["format"]) == _FORMAT and len(found) == frames
+        return int(found.arrays["format"]) == _FORMAT and int(found.arrays["of_frames"]) == frames
     except (OSError, ValueError, KeyError):
         return False
 
@@ -141,10 +144,15 @@ def _write(data: ApparelData, clips: list[ApparelClip], path: Path, most: int) -
     columns: dict[str, list[np.ndarray]] = {
         name: [] for name in ("vectors", "scalars", "whole", "truth", "turns", "places", "root")
     }
+    kept = []
     for clip in clips:
         shard = data.shard(clip.shard)
         transforms = shard.frames("transforms", clip.first, clip.first + clip.frames)
-        offsets = shard.frames("offsets", clip.first, clip.first + clip.frames)[:, rows].astype(np.float32)
+        loose = shard.frames("offsets", clip.first, clip.first + clip.frames)
+        if standing_out(wearer, transforms, character.loose, loose) > STANDS_OUT:
+            continue
+        kept.append(clip.frames)
+        offsets = loose[:, rows].astype(np.float32)
         offsets[:, rows < 0] = 0
         frames = clip_features(wearer, nodes, transforms)
         turns = np.stack([frame.turns for frame in frames])
@@ -153,6 +161,8 @@ def _write(data: ApparelData, clips: list[ApparelClip], path: Path, most: int) -
         columns["root"].append(transforms[:, 0, :, 3])
         for name in ("vectors", "scalars", "whole", "places"):
             columns[name].append(np.stack([getattr(frame, name) for frame in frames]))
+    if not kept:
+        raise FormatError(path, "the hem of the character stands out in all of its clips")
     for name, values in columns.items():
         kind = np.float32 if name in ("places", "root") else np.float16
         np.save(path / f"{name}.npy", np.concatenate(values).astype(kind))
@@ -161,8 +171,8 @@ def _write(data: ApparelData, clips: list[ApparelClip], path: Path, most: int) -
         f"neighbours_{size}": part_neighbours(nodes.rest[:size].astype(np.float64), nodes.part[:size]) for size in HEADS
     }
     still: dict[str, Any] = {
-        "format": _FORMAT, "frames": sum(clip.frames for clip in clips), "scale": wearer.scale,
-        "starts": np.cumsum([0, *(clip.frames for clip in clips)]), "static_vectors": vectors,
+        "format": _FORMAT, "frames": sum(kept), "of_frames": sum(clip.frames for clip in clips),
+        "scale": wearer.scale, "starts": np.cumsum([0, *kept]), "static_vectors": vectors,
         "static_scalars": scalars, "rest": nodes.rest, "part": nodes.part, "vertex": nodes.vertex, **heads,
     }  # fmt: skip
     np.savez(path / "static.npz", **still)
