@@ -26,3 +26,12 @@ def test_the_tersest_sentence_that_says_anything_decides():
     assert main_actions(["a person runs and then jumps", "jump over something", "hurdle"]) == ("jump",)
     assert main_actions(["nothing known"]) == ("other",)
     assert set(ACTIONS) >= CYCLIC
+
+
+@pytest.mark.parametrize(
+    ("sentence", "action"),
+    [("bow", "bow"), ("a person bows politely", "bow"), ("polite bow with joined hands", "bow"), ("draw bow", "shoot"),
+     ("aiming with a drawn bow", "shoot"), ("draws a bow", "shoot"), ("shoots an arrow", "shoot")],
+)  # fmt: skip
+def test_to_bow_is_told_from_an_archers_bow(sentence, action):
+    assert actions_of(sentence) == (action,)

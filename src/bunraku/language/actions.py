@@ -37,7 +37,8 @@ ACTIONS: dict[str, str] = {
     "sword": r"swords?|slash\w*|stab\w*|spear|axe|chops?|chopping|fenc\w*|shield",
     "shoot": (
         r"(aims?|aiming|shoots?|shooting|fires?|firing|point\w*) (a |the |with a )?(gun|pistol|rifle|bow|crossbow|"
-        r"arrow)|pistol|rifle|archer\w*|bow\b(?! down)"
+        r"arrow)|pistol|rifle|archer\w*|arrows?|crossbow|(draw\w*|aim\w*|shoot\w*|rais\w+|lower\w*|hold\w*|with|lifts?)"
+        r" (a |the )?(drawn )?bow\b"
     ),
     "dribble": r"dribbl\w*",
     "shoot a ball": (
@@ -57,8 +58,9 @@ ACTIONS: dict[str, str] = {
     "nod": r"nods?|nodding",
     "shake head": r"shak\w+ (the |its |his |her )?head|head ?shak\w*|says? no",
     "bow": (
-        r"bows?( deeply| politely| down| forward)?$|bowing|tak(es|ing)? a bow|curts\w*|bows (deeply|down|forward|"
-        r"politely|to|with|and|low)"
+        r"(?<!draw )(?<!with )(?<!drawn )(?<!aim )(?<!with a )(?<!draws a )bows?( deeply| politely| down| forward)?$|"
+        r"bowing|(deep|polite|low|slight) bow\b|tak(es|ing)? a bow|curts\w*|"
+        r"bows (deeply|down|forward|politely|to|with|and|low)"
     ),
     "salute": r"salut\w*",
     "point": r"points?|pointing",
