@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import functools
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -60,9 +61,11 @@ GALLERY_CHARACTERS = (
     "quaternius/easy_enemies_pack/Spider", "quaternius2019/Dragon", "quaternius/platformer_game_pack/Bee",
 )  # fmt: skip
 """Of the archive, none of them seen in training."""
+GALLERY_TIMES = (0.3, 1.0, 1.7, 2.4, 3.1, 3.8)
 FRAMES = 7
 SHEET = 40
 CHARACTERS: Path | None = None
+SUBJECTS: frozenset[str] = frozenset()
 
 
 def samples() -> None:
@@ -161,21 +164,27 @@ def characters() -> None:
 
 
 def gallery() -> None:
-    """Thirty sentences on each of ten characters that no training saw, or on the samples where no archive is given: a
-    sheet a character.
+    """Thirty sentences on the sample person and each of ten characters that no training saw, or on the samples where no
+    archive is given: a sheet a character.
     """
-    chosen: dict[str, Character] = {name: sample_character(name) for name in sample_names()}
+    chosen: dict[str, Callable[[], Character]] = {
+        name: functools.partial(sample_character, name) for name in sample_names()
+    }
     if CHARACTERS:
-        chosen = {
-            name.rpartition("/")[2]: bunraku.load_character(CHARACTERS / f"{name}.glb") for name in GALLERY_CHARACTERS
+        chosen = {"person": chosen["person"]} | {
+            name.rpartition("/")[2]: functools.partial(bunraku.load_character, CHARACTERS / f"{name}.glb")
+            for name in GALLERY_CHARACTERS
         }
-    for name, character in chosen.items():
+    for name, load in chosen.items():
+        if SUBJECTS and name.lower() not in SUBJECTS:
+            continue
+        character = load()
         handles = rig(character)
         pictures = []
         for prompt in GALLERY:
-            animation = animate(character, prompt, seconds=3.0, seed=1, handles=handles)
+            animation = animate(character, prompt, seconds=4.0, seed=1, handles=handles)
             pictures.append(
-                np.concatenate(list(render_animation(animation, size=(86, 104), times=(0.2, 1.0, 1.8, 2.7))), axis=1)
+                np.concatenate(list(render_animation(animation, size=(72, 96), times=GALLERY_TIMES)), axis=1)
             )
         contact_sheet(pictures, list(GALLERY), OUT / f"gallery-{name.lower()}.png", columns=3, title=name)
 
@@ -187,12 +196,13 @@ MAKERS: dict[str, Callable[[], None]] = {
 
 
 def main() -> None:
-    global CHARACTERS
+    global CHARACTERS, SUBJECTS
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MAKERS))
     parser.add_argument("--characters", type=Path, help="folder of the unpacked character archive, with its index.csv")
+    parser.add_argument("--subjects", nargs="+", default=(), help="of the gallery, only these")
     args = parser.parse_args()
-    CHARACTERS = args.characters
+    CHARACTERS, SUBJECTS = args.characters, frozenset(name.lower() for name in args.subjects)
     OUT.mkdir(parents=True, exist_ok=True)
     for name in args.names or MAKERS:
         if name not in MAKERS:

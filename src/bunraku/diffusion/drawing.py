@@ -49,6 +49,7 @@ class Sampling:
             or the direction that the sentence says, as many are drawn again, three times at the most.
         examples: All candidates but the first start from captured examples where there are any that fit
             (`diffusion.examples`). They are of people.
+        all_led: The first does so too.
 
     Raises:
         OptionError: A setting is outside what can be done.
@@ -61,6 +62,7 @@ class Sampling:
     checkpoint: str | Path | None = None
     candidates: int = 1
     examples: bool = True
+    all_led: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.candidates <= 16:

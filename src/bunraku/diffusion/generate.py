@@ -87,15 +87,16 @@ def generate_motions(
         how.progress("generate", 0.0)
     model, encoder = load_generator(how.checkpoint)
     noise = drawn_noise(seeds, len(scripts))
-    led = _leads(model, encoder, scripts) if how.candidates > 1 and how.examples and not loop else None
+    plain = 0 if how.all_led else 1  # candidates of a turn that start from no example
+    led = _leads(model, encoder, scripts) if how.candidates > plain and how.examples and not loop else None
 
     def lead(row: int, place: int) -> Lead | None:
         attempt, number = divmod(place, how.candidates)
-        if led is None or number == 0:
+        if led is None or number < plain:
             return None
         lengths = frames_of([seconds for _, seconds in scripts[row]], model.config.fps)
         script = [(sentence, length) for (sentence, _), length in zip(scripts[row], lengths, strict=True)]
-        return led.lead(script, noise[row], attempt * (how.candidates - 1) + number - 1)
+        return led.lead(script, noise[row], attempt * (how.candidates - plain) + number - plain)
 
     def draw(rows: list[int], places: list[int]) -> list[Drawn]:
         pairs = [(noise[row][0], noise[row][1] + _APART * place) for row, place in zip(rows, places, strict=True)]

@@ -22,7 +22,10 @@ _COLUMNS = (
     ("r_precision_1", "R-Prec. 1"), ("r_precision_2", "R-Prec. 2"), ("r_precision_3", "R-Prec. 3"), ("fid", "FID"),
     ("mm_dist", "MM-Dist"), ("diversity", "Diversity"), ("multimodality", "MModality"),
 )  # fmt: skip
-_NAMES = {"real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_chosen": "- as chosen"}
+_NAMES = {
+    "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_led": "- from examples",
+    "tapmo_chosen": "- as chosen",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -81,8 +81,9 @@ class Bar:
 
 BARS = (
     Bar("r_precision_1_over_real", "R-Precision top-1 over that of the real data, one sample", 0.92),
+    Bar("r_precision_1_over_real_led", "- one sample that starts from an example", 0.92),
     Bar("r_precision_1_over_real_chosen", "- as `animate` chooses (--best-of 3)", 0.97),
-    Bar("fid_over_tapmo_mdm", "FID over that of TapMo (MDM)", most=0.49),
+    Bar("fid_over_tapmo_mdm", "FID over that of TapMo (MDM)", most=0.45),
     Bar("fid_steps_ratio", "FID of the default sampler over that of the many steps", most=1.1),
     Bar("fid_real", "FID of the real data (what a perfect generator reaches)"),
     Bar("fid_real_halves", "FID between two halves of the real clips"),

@@ -53,7 +53,7 @@ class SamplerSettings:
         method: "dpm", or "ddpm" for the ancestral reference.
         seed: Of the noise.
         candidates: Of how many each motion is chosen, as `animate` does; 1 for none.
-        examples: Candidates start from captured examples.
+        examples: Candidates start from captured examples; where there is but one, it does.
     """
 
     steps: int
@@ -61,7 +61,7 @@ class SamplerSettings:
     method: str = "dpm"
     seed: int = 0
     candidates: int = 1
-    examples: bool = True
+    examples: bool = False
 
 
 def checkpoint_digest(path: Path) -> str:
@@ -173,7 +173,7 @@ def choose_motions(
             [[(requests[row].sentence, requests[row].frames / 20)] for row in rows],
             seeds=[sampling.seed + 104_729 * (number + 1) + place for place in range(len(rows))],
             steps=sampling.steps, guidance=sampling.guidance, checkpoint=checkpoint,
-            candidates=sampling.candidates, examples=sampling.examples,
+            candidates=sampling.candidates, examples=sampling.examples, all_led=sampling.candidates == 1,
         )  # fmt: skip
         return np.stack([encode(motion) for motion in motions])
 
@@ -235,7 +235,7 @@ def _key(
 ) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
     how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, bf16, BATCH]
-    if sampling.candidates > 1:
+    if sampling.candidates > 1 or sampling.examples:
         files = [path for name in CHOOSING if (path := weights_folder() / f"{name}.safetensors").is_file()]
         how += [sampling.candidates, sampling.examples, *map(checkpoint_digest, files)]
     say = [digest, wanted, how, None if mesh is None else np.asarray(mesh, float).round(4).tolist()]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -228,13 +229,14 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         )
         vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
         rows[name] = Row(embed_motions(extractor, motions), vectors)
-    if config.best_of > 1:
-        chosen = choose_motions(
+    ways = {"tapmo_led": 1, "tapmo_chosen": config.best_of} if config.examples else {"tapmo_chosen": config.best_of}
+    for name, candidates in ways.items() if config.best_of > 1 else ():
+        found = choose_motions(
             [Request(window.sentence, window.frames) for window in windows],
-            replace(sampling, candidates=config.best_of, examples=config.examples), models["tapmo"],
-            folder=config.work, progress=lambda done, total: report("motions as chosen", done / total),
+            replace(sampling, candidates=candidates, examples=config.examples), models["tapmo"],
+            folder=config.work, progress=partial(_told, report, f"motions of {name}"),
         )  # fmt: skip
-        rows["tapmo_chosen"] = Row(embed_motions(extractor, chosen))
+        rows[name] = Row(embed_motions(extractor, found))
     measure_rows(rows, references, windows, clips, sentences, config, report)
 
     result = _summary(rows)
@@ -268,6 +270,10 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()
     }
     return result
+
+
+def _told(report: Report, stage: str, done: int, total: int) -> None:
+    report(stage, done / total)
 
 
 def _check(config: MotionEvalConfig) -> None:
@@ -330,9 +336,10 @@ def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
     for place in (1, 2, 3):
         key = f"r_precision_{place}"
         result[f"{key}_over_real"] = ours[key]["mean"] / max(real[key]["mean"], 1e-12)
-    chosen = table.get("tapmo_chosen")
-    best = None if chosen is None else chosen["r_precision_1"]["mean"] / max(real["r_precision_1"]["mean"], 1e-12)
-    result["r_precision_1_over_real_chosen"] = best
+    for name in ("led", "chosen"):
+        row = table.get(f"tapmo_{name}")
+        share = None if row is None else row["r_precision_1"]["mean"] / max(real["r_precision_1"]["mean"], 1e-12)
+        result[f"r_precision_1_over_real_{name}"] = share
     mdm = table.get("tapmo_mdm")
     result["fid_over_tapmo_mdm"] = None if mdm is None else ours["fid"]["mean"] / max(mdm["fid"]["mean"], 1e-12)
     result["fid_real"] = real["fid"]["mean"]
