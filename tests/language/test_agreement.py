@@ -6,7 +6,7 @@ from moving_people import kick, person, ramp
 
 from bunraku.diffusion.features import decode, encode, mirror
 from bunraku.language.captions import mirror_words
-from bunraku.language.description.agreement import agreement, starts_standing
+from bunraku.language.description.agreement import agreement, goes_straight, starts_standing
 
 
 def turning(degrees):
@@ -85,3 +85,12 @@ def test_nothing_is_said_of_what_is_not_plain(sentence):
 )
 def test_who_goes_down_starts_standing(sentence, stands):
     assert starts_standing(sentence) is stands
+
+
+@pytest.mark.parametrize(
+    ("sentence", "straight"),
+    [("walks on", True), ("a person runs straight on", True), ("a person walks forward", True), ("walks", False),
+     ("walks on the hands", False), ("walks on in a circle", False), ("turns left and walks on", False)],
+)  # fmt: skip
+def test_who_goes_on_goes_straight(sentence, straight):
+    assert goes_straight(sentence) is straight

@@ -28,6 +28,7 @@ _ASIDE = (
     r"( \w+){0,3} (left|right)\b"
 )
 _GOES = r"\b(walk\w*|run\w*|jog\w*|march\w*|step\w*|mov\w+|sprint\w*|strid\w*|stroll\w*|shuffl\w*|sneak\w*)\b"
+_GOES_ON = r"\b(walk|run|jog|march|strid|stroll|sneak|go)\w* (straight )?(on(?! the| a)|along|ahead)\b"
 _WINDING = r"\b(turn\w*|spin\w*|circl\w*|curv\w*|around|round|danc\w*|zigzag\w*|corner|loop|eight|twirl\w*|arc|back)\b"
 _CIRCLE = r"\b(circles?|circling|spin\w*|twirl\w*|pirouett\w*|several|twice|two|double|times)\b"
 _LEVEL = 0.15  # m below the shoulder, from where on a hand is up
@@ -75,10 +76,12 @@ def agreement(sentence: str, motion: HandleMotion) -> float | None:
 
 
 def goes_straight(sentence: str) -> bool:
-    """Whether somebody is said to go forward, and nothing of a turn, a curve or a side."""
+    """Whether somebody is said to go forward or on, and nothing of a turn, a curve or a side."""
     said = said_cues(sentence)
     sided = {"left turn", "right turn", "left go", "right go"} & said
-    return "forward" in said and not sided and not _pattern(_WINDING).search(sentence.lower())
+    text = sentence.lower()
+    ahead = "forward" in said or _pattern(_GOES_ON).search(text) is not None
+    return ahead and not sided and not _pattern(_WINDING).search(text)
 
 
 def starts_standing(sentence: str) -> bool:
