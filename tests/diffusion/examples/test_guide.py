@@ -164,9 +164,24 @@ def test_the_height_of_a_kick_is_joined_to_standing_and_none_of_the_kick_is_lost
     assert (guide.share == 1).all() and not on_one_leg(laid_out[-20:])
 
 
-def test_part_of_a_movement_is_not_played_on(pack):
-    half = replace(pack, examples=(replace(pack.examples[0], loop=(20, 12)), *pack.examples[1:]))
-    assert goes_on(pack, WAVE) and not goes_on(half, WAVE) and not goes_on(pack, KICK)
+def _cut(pack, stop, loop):
+    """The pack with the first frames of its wave alone."""
+    skeleton = skeleton_from_handles(decode(pack.features(0)[:stop]))
+    data = (packed_stretch(skeleton.root_translation, skeleton.rotations), *pack.data[1:])
+    return replace(pack, examples=(replace(pack.examples[0], frames=stop, loop=loop), *pack.examples[1:]), data=data)
+
+
+def test_half_a_movement_is_not_played_on_and_a_whole_one_from_its_first_frame(pack, units):
+    wave = pack.features(0)
+    away = np.abs(wave[:, 3:] - wave[0, 3:]).sum(axis=1)
+    high, back = int(away[:20].argmax()), 20 + int(away[20:].argmin())
+    assert goes_on(pack, WAVE) and not goes_on(pack, KICK)
+    assert not goes_on(_cut(pack, high + 1, (high, high - 4)), WAVE)
+    whole = _cut(pack, back + 1, (high, high - 4))
+    assert goes_on(whole, WAVE)
+    long = lay(whole, units, WAVE, 3 * back)
+    np.testing.assert_allclose(long[:back, 3:], long[back : 2 * back, 3:], atol=0.05)
+    assert np.ptp(long[:, 3:], axis=0).max() > 0.9 * np.ptp(wave[:, 3:], axis=0).max()
 
 
 def test_standing_on_one_leg_is_nothing_to_be_joined_to(pack, features):

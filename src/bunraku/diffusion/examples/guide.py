@@ -15,7 +15,7 @@ import numpy as np
 from bunraku.diffusion.examples.joins import AROUND, Joins, on_one_leg
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found
-from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, mirror
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, feature_weights, mirror
 from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
 
@@ -43,6 +43,7 @@ EASE = 0.6
 """Share of a pose's change that is left from frame to frame where a motion comes to rest."""
 SHORTEST_LOOP = 12
 """Frames under which what is played on is a part of a movement, half a punch."""
+_SHARES = feature_weights()
 _FADE = 10
 """Frames over which the sampler is left to itself where one sentence goes over into the next."""
 
@@ -86,11 +87,11 @@ def laid(
     features = pack.features(found.place)
     if found.mirrored:
         features = mirror(features)
-    loop = pack.examples[found.place].loop
-    if not goes_on(pack, found) and len(features) > frames:
+    loop = _loop(pack, found)
+    if loop is None and len(features) > frames:
         features = hurried(liveliest(features, int(HURRY * frames), statistics), frames)
     values = statistics.normalise(features).astype(np.float32)
-    if loop is not None and goes_on(pack, found):
+    if loop is not None:
         values = played(values, loop, frames)
         start = int(random.integers(len(values) - frames + 1))
         return Guide(values[start : start + frames], np.ones(frames, np.float32))
@@ -137,8 +138,26 @@ def _end(features: np.ndarray, values: np.ndarray, other: float, statistics: Fea
 
 def goes_on(pack: ExamplePack, found: Found) -> bool:
     """Whether an example can be played on."""
+    return _loop(pack, found) is not None
+
+
+def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
+    """Frames (i, j) such that playing on from j after i goes on with what is done: the whole example, where that is at
+    least as smooth as the frames that were found for it; None where it is done once, or they span half a movement.
+    """
     loop = pack.examples[found.place].loop
-    return loop is not None and loop[0] - loop[1] >= SHORTEST_LOOP
+    if loop is None:
+        return None
+    features = pack.features(found.place)
+    whole = len(features) - 1, 0
+    if _seam(features, *whole) <= _seam(features, *loop):
+        return whole
+    return loop if loop[0] - loop[1] >= SHORTEST_LOOP else None
+
+
+def _seam(features: np.ndarray, i: int, j: int) -> float:
+    """How far the pose of one frame is from that of another."""
+    return float((_SHARES[3:] * (features[i, 3:] - features[j, 3:]) ** 2).sum())
 
 
 def _crouches(here: float, there: float) -> bool:
