@@ -18,6 +18,10 @@ __all__ = ["FoundApparel", "find_apparel"]
 
 VIEWS = 3
 """Samples of the mesh whose answers are averaged."""
+LIKELY = 1 / 3
+"""Probability from which on a vertex is apparel: where edges are in doubt, less than a half makes the most of the
+intersection over the union (0.739 in place of 0.719 on 44 characters for validation).
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +41,7 @@ class FoundApparel:
     @property
     def mask(self) -> np.ndarray:
         """Vertices that are apparel, shape (V,), bool."""
-        return np.asarray(self.likely > 0.5)
+        return np.asarray(self.likely > LIKELY)
 
 
 @lru_cache(maxsize=2)
