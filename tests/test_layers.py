@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "src"
 
 LAYERS = (
-    "interrupt", "errors", "geometry", "core", "body", "skeletons", "formats", "nn", "language", "handles", "synthetic",
-    "render", "retarget", "apparel",
+    "interrupt", "startup", "errors", "geometry", "core", "body", "skeletons", "formats", "nn", "language", "handles",
+    "synthetic", "render", "retarget", "apparel",
     "physics", "diffusion", "io", "pipelines", "bunraku", "baselines", "datasets", "training", "evaluation", "studio",
     "cli", "__main__",
 )  # fmt: skip

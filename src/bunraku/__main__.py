@@ -7,6 +7,7 @@ import sys
 from typing import NoReturn
 
 from bunraku.interrupt import leave, watch
+from bunraku.startup import end, hurry
 
 __all__ = ["run"]
 
@@ -14,6 +15,7 @@ __all__ = ["run"]
 def run() -> NoReturn:
     """Run the command line and leave with its exit status."""
     watched = watch()
+    hurry(sys.argv[1:])
     from bunraku.cli import main
 
     try:
@@ -22,7 +24,7 @@ def run() -> NoReturn:
         status = main()
     except KeyboardInterrupt:  # in the moment before `main` looks after it, or after
         leave(signal.SIGINT, None)
-    sys.exit(status)
+    end(status)
 
 
 if __name__ == "__main__":

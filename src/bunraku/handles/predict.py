@@ -71,13 +71,14 @@ def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarr
     import torch
 
     from bunraku.handles.graph import mesh_graph
-    from bunraku.nn.threads import fitting_threads
+    from bunraku.nn.threads import fitting_threads, side_by_side
 
     graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors).to(
         next(model.parameters()).device
     )
     with torch.no_grad(), fitting_threads(model):
-        plain, mirrored = model.eval()(graph), model(graph.mirrored())
+        model.eval()
+        plain, mirrored = side_by_side(lambda: model(graph), lambda: model(graph.mirrored()))
         weights = 0.5 * (plain.weights + mirrored.weights[:, list(HANDLE_MIRROR)])
     return weights.float().cpu().numpy(), plain.features.float().cpu().numpy()
 

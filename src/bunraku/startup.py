@@ -1,0 +1,156 @@
+"""A quick start of the command line: of what torch and scipy load, the parts that hardly a command uses wait until
+something touches them.
+
+`import torch` takes a second and a half, half of it for what compiles, exports, quantises and loads data. A module that
+is named here is found and entered in `sys.modules` as ever, and its code runs when an attribute of it is first asked
+for. What Python code sees is the same, only later.
+"""
+
+from __future__ import annotations
+
+import sys
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:  # the command line imports this before anything else
+    from collections.abc import Sequence
+    from importlib.machinery import ModuleSpec
+    from types import ModuleType
+    from typing import Any, NoReturn
+
+__all__ = ["LATER", "QUICK", "end", "hurry"]
+
+QUICK = ("animate", "edit", "inspect", "render", "rig", "samples", "transfer")
+"""Commands of some seconds. Those that train want all of torch."""
+TESTED = "2.13."
+"""The torch whose parts are known not to need one another while they load; another is loaded whole."""
+LATER = frozenset(
+    {
+        "numpy.ctypeslib", "numpy.f2py", "numpy.testing", "scipy.spatial.transform", "torch._meta_registrations",
+        "torch.ao", "torch.distributed._meta_registrations", "torch.distributions", "torch.export", "torch.masked",
+        "torch.nn.intrinsic", "torch.nn.qat", "torch.nn.quantizable", "torch.nn.quantized", "torch.quantization",
+        "torch.utils.data",
+    }
+)  # fmt: skip
+OBJECTS = 50_000
+"""New objects after which Python looks for garbage. The million that imports make would have it look a hundred times,
+for nothing.
+"""
+_status: int | None = None
+
+
+def hurry(words: Sequence[str]) -> None:
+    """Make the start of a command quick: let modules wait, and read torch's libraries beside what Python does.
+
+    Args:
+        words: The command line behind the program's name.
+    """
+    if not words or words[0] not in QUICK or "torch" in sys.modules:
+        return
+    import atexit
+    import gc
+    import os
+
+    # Products of a few thousand numbers are too short to share, threads that wait for them take half of the processor
+    # from who works, and one thread adds in one order on every machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    atexit.register(_leave)  # the first, which runs as the last
+    gc.set_threshold(OBJECTS)
+    sys.meta_path.insert(0, _finder())
+    if sys.platform == "linux" and words[0] not in ("inspect", "samples"):
+        from threading import Thread
+
+        Thread(target=_open_libraries, daemon=True).start()
+
+
+def end(status: int) -> NoReturn:
+    """Leave with an exit status; a command that hurries does not take its modules apart, which takes 0.2 s."""
+    global _status
+    _status = status
+    sys.exit(status)
+
+
+def _leave() -> None:
+    import os
+    from contextlib import suppress
+
+    if _status is not None:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError, AttributeError):  # there is none, or who reads it is gone
+                stream.flush()
+        os._exit(_status)
+
+
+def _open_libraries() -> None:
+    """Load torch's libraries, for which `import torch` would hold up all of Python. As a foreign function, `dlopen`
+    does not; whatever goes wrong goes wrong again, and is told, where torch is imported.
+    """
+    import ctypes
+    import os
+    from importlib.machinery import PathFinder
+
+    spec = PathFinder.find_spec("torch")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        path = os.path.join(folder, "lib", "libtorch_python.so")
+        if os.path.isfile(path):
+            ctypes.CDLL(None).dlopen(path.encode(), os.RTLD_LAZY)
+
+
+def _finder() -> Any:
+    """What finds the modules that may wait; classes are made here, since few processes need them."""
+    from importlib.machinery import PathFinder
+    from threading import RLock
+    from types import ModuleType
+
+    lock = RLock()
+    running: set[str] = set()
+
+    class Waiting(ModuleType):
+        def __getattr__(self, name: str) -> Any:
+            if name.startswith("__") and name != "__all__":
+                raise AttributeError(f"module '{self.__name__}' has no attribute '{name}'")
+            run(self)
+            return ModuleType.__getattribute__(self, name)
+
+        def __dir__(self) -> list[str]:
+            run(self)
+            return list(ModuleType.__dir__(self))
+
+    def run(module: ModuleType) -> None:
+        """Run a module that waits, once; who asks from another thread waits for its end."""
+        spec = module.__spec__
+        with lock:
+            if type(module) is not Waiting or spec is None or module.__name__ in running:
+                return
+            running.add(module.__name__)
+            try:
+                module.__loader__ = spec.loader = spec.loader.real  # type: ignore[union-attr]
+                spec.loader.exec_module(module)  # type: ignore[union-attr]
+                module.__class__ = ModuleType  # type: ignore[assignment]
+            finally:
+                running.discard(module.__name__)
+
+    class Later:
+        def __init__(self, real: Any):
+            self.real = real
+
+        def create_module(self, spec: ModuleSpec) -> ModuleType:
+            return Waiting(spec.name)
+
+        def exec_module(self, module: ModuleType) -> None:
+            """Nothing yet."""
+
+    class Finder:
+        @staticmethod
+        def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> Any:
+            parent = sys.modules.get(name.rpartition(".")[0])
+            if type(parent) is Waiting:  # a package runs before its parts
+                run(parent)
+            torch = sys.modules.get("torch")
+            if name not in LATER or (torch and not getattr(torch, "__version__", "").startswith(TESTED)):
+                return None
+            spec = PathFinder.find_spec(name, path, target)
+            if spec is not None and spec.loader is not None:
+                spec.loader = Later(spec.loader)  # type: ignore[assignment]
+            return spec
+
+    return Finder

@@ -1,0 +1,71 @@
+"""A quick start leaves nothing out: modules that wait run when they are touched, and are then as they always were."""
+
+import subprocess
+import sys
+
+import pytest
+
+from bunraku.cli.app import VERBS
+from bunraku.startup import LATER, QUICK
+
+
+def run(code):
+    """What a fresh interpreter prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_quick_commands_exist():
+    assert set(QUICK) <= {verb[0] for verb in VERBS}
+
+
+def test_modules_wait_and_are_whole_once_they_are_touched():
+    names = sorted(LATER)
+    code = f"""
+import importlib, sys
+from bunraku.startup import hurry
+hurry(["animate"])
+import numpy, scipy.spatial, torch
+waiting = [name for name in {names!r} if type(sys.modules.get(name)).__name__ == "Waiting"]
+assert "torch.export" in waiting and "torch.utils.data" in waiting, waiting
+assert torch.nn.Linear(3, 2)(torch.ones(1, 3)).shape == (1, 2)
+assert "torch.export" in [name for name in waiting if type(sys.modules[name]).__name__ == "Waiting"]
+from torch.utils.data import DataLoader
+import torch.export
+assert len(list(DataLoader(range(4), batch_size=2))) == 2
+assert callable(torch.export.export) and torch.distributions.Normal(0.0, 1.0).mean == 0
+for name in {names!r}:
+    dir(importlib.import_module(name))
+for name in {names!r}:  # again, since they enter their parts into each other
+    print(name, sorted(dir(sys.modules[name])))
+    assert type(sys.modules[name]).__name__ == "module", name
+"""
+    plain = f"""
+import importlib, numpy, scipy.spatial, torch
+for name in {names!r}:
+    print(name, sorted(dir(importlib.import_module(name))))
+"""
+    quick, ordinary = (dict(line.split(" ", 1) for line in run(one).splitlines()) for one in (code, plain))
+    assert set(quick) == set(names)
+    for name in names:
+        assert set(eval(ordinary[name])) <= set(eval(quick[name])), name
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    assert run(
+        "from bunraku.startup import hurry; hurry(['rig'])\nimport torch\n"
+        "try: torch.export.nothing_of_the_kind\nexcept AttributeError as error: print(error)"
+    ).endswith("no attribute 'nothing_of_the_kind'")
+
+
+@pytest.mark.parametrize("words", [["train", "handles"], ["evaluate", "motion"], ["--help"], []])
+def test_other_commands_load_all(words):
+    before = "import sys; print(len(sys.meta_path)); from bunraku.startup import hurry; "
+    assert len(set(run(f"{before}hurry({words!r}); print(len(sys.meta_path))").split())) == 1
+
+
+@pytest.mark.parametrize("words, status", [(["inspect", "nowhere.glb"], 2), (["samples", "--help"], 0)])
+def test_the_exit_status_and_what_was_said_survive(words, status):
+    done = subprocess.run([sys.executable, "-m", "bunraku", *words], capture_output=True, text=True)
+    assert done.returncode == status and (done.stdout or done.stderr).strip()
