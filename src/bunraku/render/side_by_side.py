@@ -71,8 +71,3 @@ def draw_side_by_side(opened: Callable[[], Renderer], frames: Iterable[Frame]) -
         pool.shutdown(wait=True, cancel_futures=True)
         for renderer in made:
             renderer.close()
-
-
-def _processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

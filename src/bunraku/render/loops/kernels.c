@@ -14,6 +14,14 @@
 #define PUBLIC __attribute__((visibility("default")))
 #endif
 
+/* On Intel and AMD each loop is there twice, and the machine that loads it takes the one that it can run: the library may lie
+   in a folder that others read. */
+#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__clang__) && __GNUC__ >= 12
+#define LOOP PUBLIC __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
+#define LOOP PUBLIC
+#endif
+
 /* Four numbers at once, one for each sample of a pixel. */
 typedef float four __attribute__((vector_size(16), aligned(4)));
 typedef int32_t four_ids __attribute__((vector_size(16), aligned(4)));
@@ -28,7 +36,7 @@ static inline double most(double a, double b) { return a > b ? a : b; }
 static const four SAMPLES_X = {0.375, 0.875, 0.125, 0.625};
 static const four SAMPLES_Y = {0.125, 0.375, 0.625, 0.875};
 
-PUBLIC void measure(int64_t count, const float *v, const double *axes, const double *slopes, float *bounds, double *support) {
+LOOP void measure(int64_t count, const float *v, const double *axes, const double *slopes, float *bounds, double *support) {
     for (int i = 0; i < 3; i++) {
         bounds[i] = INFINITY;
         bounds[3 + i] = -INFINITY;
@@ -49,7 +57,7 @@ PUBLIC void measure(int64_t count, const float *v, const double *axes, const dou
     }
 }
 
-PUBLIC void accumulate_normals(
+LOOP void accumulate_normals(
     const float *v, int64_t face_count, const int32_t *faces, const int32_t *clusters, int64_t count, float *out
 ) {
     memset(out, 0, 3 * count * sizeof(float));
@@ -77,7 +85,7 @@ PUBLIC void accumulate_normals(
     }
 }
 
-PUBLIC void project(
+LOOP void project(
     int64_t count, const float *v, const double *axes, const double *eye, double focal, int64_t width, int64_t height,
     float *out
 ) {
@@ -95,7 +103,7 @@ PUBLIC void project(
     }
 }
 
-PUBLIC void rasterise(
+LOOP void rasterise(
     const float *screen, int64_t face_count, const int32_t *faces, int64_t width, int64_t height, float *depth,
     int32_t *ids, int32_t *window
 ) {
@@ -145,7 +153,7 @@ PUBLIC void rasterise(
     window[3] = last_y;
 }
 
-PUBLIC void drop_shadow(
+LOOP void drop_shadow(
     const float *v, int64_t face_count, const int32_t *faces, double slope_x, double slope_z, double ground,
     double left, double near, double texel, int64_t lowest, int64_t size, float *heights
 ) {
@@ -183,7 +191,7 @@ PUBLIC void drop_shadow(
 }
 
 /* Mean over a square of odd `width`, zero outside the image; `sums` holds `size` numbers and `scratch` an image. */
-PUBLIC void box(int64_t size, int64_t width, const float *image, float *out, float *scratch, double *sums) {
+LOOP void box(int64_t size, int64_t width, const float *image, float *out, float *scratch, double *sums) {
     int64_t half = width / 2;
     double share = 1.0 / width;
     for (int64_t y = 0; y < size; y++) {
@@ -220,7 +228,7 @@ static inline double line(double position, double cell, double per_cell, double 
     return share + (width * per_cell - share) * blur;
 }
 
-PUBLIC void draw_grid(
+LOOP void draw_grid(
     int64_t width, int64_t height, const float *floor_, const double *offset, double cell, double thickness,
     const double *color, float *base, uint8_t *plain
 ) {
@@ -272,7 +280,7 @@ static inline int touch(const int32_t *f, const int32_t *g) {
     return 0;
 }
 
-PUBLIC void shade(
+LOOP void shade(
     int64_t width, int64_t height, const int32_t *window, const float *screen, const int32_t *faces,
     const float *points, const float *normals, const float *colors, const int32_t *ids, const float *base,
     const double *axes, const double *eye, double focal, double ground, const double *light, const double *lights,
