@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import json
+import os
 import sys
+import threading
 import time
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from bunraku.cli import main
 from bunraku.cli.transfer.jobs import Pair
 from bunraku.cli.transfer.runs import run_pairs
+from bunraku.evaluation.transfer.stock_motions import stock_motion
+from bunraku.io.play import load_animation
 
 ray = pytest.importorskip("ray", reason="ray is not installed; pip install 'bunraku[ray]'")
 PAIRS = 40
+CLIPS = int(os.environ.get("BUNRAKU_RAY_CLIPS", "12"))
+"""Real clips in the second test; 200 take some minutes."""
 
 
 def slow_batch(settings: object, batch: list[Pair]) -> list[str]:
@@ -56,3 +64,37 @@ def test_a_node_that_goes_away_loses_nothing(cluster, tmp_path, monkeypatch):
             found.remove_node(second, allow_graceful=False)
     assert said == Counter({pair.output: 1 for pair in pairs})
     assert all(pair.output.stat().st_size >= 1 for pair in pairs)
+
+
+def test_real_clips_are_all_there_once_where_a_node_goes_away(cluster, tmp_path):
+    found, second = cluster
+    main(["samples", "mushroom", "-o", str(tmp_path)])
+    motions = tmp_path / "motions"
+    motions.mkdir()
+    for number in range(CLIPS):
+        kind = ("walk", "dance", "kick")[number % 3]
+        stock_motion(kind, 0.5 + 0.05 * (number % 7), 20.0).save(motions / f"{kind}-{number:03d}.npz")
+    out, gone = tmp_path / "out", threading.Event()
+
+    def take_away() -> None:
+        while len(list(out.glob("*.glb"))) < CLIPS // 2 and not gone.wait(0.05):
+            pass
+        if not gone.is_set():
+            found.remove_node(second, allow_graceful=False)
+            gone.set()
+
+    watcher = threading.Thread(target=take_away)
+    watcher.start()
+    try:
+        words = ["transfer", str(tmp_path / "mushroom.glb"), "--motions", *map(str, sorted(motions.iterdir()))]
+        assert main([*words, "--jobs", "ray", "-o", str(out)]) == 0
+        midway = gone.is_set()
+    finally:
+        gone.set()
+        watcher.join()
+    assert midway and len([node for node in ray.nodes() if node["Alive"]]) == 1
+    clips = sorted(out.glob("*.glb"))
+    assert len(clips) == CLIPS and all(len(load_animation(clip).motion) >= 10 for clip in clips)
+    rows = [json.loads(line) for line in (out / ".bunraku-ledger.jsonl").read_text().splitlines()]
+    assert Counter(name for name, _, state in rows if state is not None) == Counter(clip.name for clip in clips)
+    assert not [path for path in out.iterdir() if path.suffix not in (".glb", ".jsonl")]

@@ -4,6 +4,9 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
+
+import pytest
 
 from bunraku.formats.files import STALE, atomic_write, sweep
 
@@ -21,6 +24,15 @@ def test_what_a_killed_run_left_is_removed(tmp_path):
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "out.glb")], check=False)
     assert len(list(tmp_path.iterdir())) == 1
     assert sweep(tmp_path) == 1 and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs the /proc of Linux")
+def test_a_killed_process_that_nobody_has_asked_after_is_gone(tmp_path):
+    with subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path / "out.glb")]) as process:
+        while Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z":
+            time.sleep(0.01)
+        assert len(list(tmp_path.iterdir())) == 1
+        assert sweep(tmp_path) == 1
 
 
 def test_what_is_being_written_and_what_is_not_ours_stays(tmp_path):

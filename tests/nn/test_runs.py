@@ -29,6 +29,12 @@ def test_rows_go_below_one_head_line(tmp_path):
     assert log.read_text().splitlines() == ["step,loss,later", "1,0.123457,", "2,,5"]
 
 
+def test_a_log_that_was_only_begun_gets_its_head_line(tmp_path):
+    (tmp_path / "log.csv").touch()
+    append_row(tmp_path / "log.csv", {"step": 1})
+    assert (tmp_path / "log.csv").read_text().split() == ["step", "1"]
+
+
 def test_a_run_goes_on_from_its_state_or_starts_anew(tmp_path):
     def parts():
         model, average = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)

@@ -19,6 +19,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from tiny_inputs import MADE
+
 from bunraku.cli.app import VERBS
 
 HOOK = '''
@@ -69,8 +71,118 @@ KILLED = (
         ),
         ("mushroom", "person", "clips"),
     ),
+    Command(
+        "animate a folder",
+        (
+            "animate", "IN/characters", "--prompts", "IN/lines.txt", "--seconds", "1", "--candidates", "1", "--jobs",
+            "2", "-o", "OUT",
+        ),
+        ("characters",),
+    ),
     Command("data wardrobe", ("data", "wardrobe", "-o", "OUT", "--count", "2")),
+    Command("data motions", ("data", "motions", "--source", "IN/archive", "-o", "OUT", "--jobs", "2"), ("archive",)),
+    Command(
+        "data characters",
+        ("data", "characters", "--source", "IN/characters", "-o", "OUT", "--vertices", "400", "--code-made", "2"),
+        ("characters",),
+    ),
+    Command("data mesh-bank", ("data", "mesh-bank", "--cache", "IN/cache", "-o", "OUT/bank.npz"), ("cache",)),
+    Command(
+        "data character-bank",
+        (
+            "data", "character-bank", "--source", "IN/characters", "--code-made", "1", "--variants", "1", "-o",
+            "OUT/characters.npz",
+        ),
+        ("characters",),
+    ),
+    Command(
+        "data bundle",
+        ("data", "bundle", "--data", "IN/motions", "-o", "OUT/bundle.safetensors"),
+        ("motions",),
+    ),
+    Command(
+        "data examples",
+        ("data", "examples", "--data", "IN/motions", "-o", "OUT/examples.safetensors"),
+        ("motions",),
+    ),
+    Command(
+        "data apparel",
+        (
+            "data", "apparel", "--motions", "IN/motions", "--wardrobe", "3", "--takes", "3", "--minutes", "0.2",
+            "--seconds", "2", "--jobs", "2", "-o", "OUT",
+        ),
+        ("motions",),
+    ),
+    Command("data push-out", ("data", "push-out", "IN/apparel", "--jobs", "2", "-o", "OUT"), ("apparel",)),
+    Command(
+        "train handles",
+        (
+            "train", "handles", "--cache", "IN/cache", "--out", "OUT", "--minutes", "0", "--epochs", "2", "--batch",
+            "2", "--validate-every", "1", "--predictor.levels", "8", "8", "8", "--predictor.hidden", "8", "8",
+            "--predictor.anchors", "8", "--predictor.depth", "1", "--predictor.mesh-vertices", "300",
+        ),
+        ("cache",),
+    ),
+    Command(
+        "train orientation",
+        (
+            "train", "orientation", "--cache", "IN/cache", "--out", "OUT", "--minutes", "0", "--steps", "6", "--batch",
+            "2", "--validate-every", "2", "--predictor.width", "8", "--predictor.layers", "1", "--predictor.heads", "2",
+            "--predictor.anchors", "8",
+        ),
+        ("cache",),
+    ),
+    Command(
+        "train diffusion",
+        (
+            "train", "diffusion", "--data", "IN/motions", "--out", "OUT", "--minutes", "None", "--steps", "5",
+            "--batch", "2", "--save-every", "0", "--validate-every", "2",
+        ),
+        ("motions",),
+    ),
+    *(
+        Command(
+            f"train {name}",
+            (
+                "train", name, "--data", "IN/motions", "--out", "OUT", "--minutes", "0", "--steps", "6", "--batch", "4",
+                "--validate-every", "2", f"--{network}.width", "16", f"--{network}.layers", "1", f"--{network}.heads",
+                "2", f"--{network}.feedforward", "16", f"--{network}.embedding", "8",
+            ),
+            ("motions",),
+        )
+        for name, network in (("extractor", "extractor"), ("ranker", "network"))
+    ),
+    *(
+        Command(
+            f"train {name}",
+            (
+                "train", name, *data, "--out", "OUT/run", "--minutes", "0", "--steps", "6", "--batch", "2",
+                "--validate-every", "2", "--network.width", "8",
+            ),
+            needs,
+        )
+        for name, data, needs in (
+            ("apparel-mask", ("--characters", "3", "--network.blocks", "1"), ()),
+            ("apparel-body", ("--data", "IN/apparel", "--characters", "3", "--network.features", "8"), ("apparel",)),
+            (
+                "apparel",
+                ("--data", "IN/apparel", "--clips", "1", "--shortest", "5", "--longest", "6", "--network.blocks", "1"),
+                ("apparel",),
+            ),
+            ("apparel-refinement", ("--data", "IN/apparel", "--characters", "2"), ("apparel",)),
+        )
+    ),
+    Command(
+        "train adaptation",
+        (
+            "train", "adaptation", "--diffusion", "IN/weights/diffusion.safetensors", "--cache", "IN/bank.npz",
+            "--data", "IN/motions", "--out", "OUT", "--pairs", "6", "--frames", "12", "--steps", "5", "--batch", "2",
+            "--edges", "100", "--mesh-size", "2", "--save-every", "0", "--validate-every", "2",
+        ),
+        ("motions", "bank", "weights"),
+    ),
 )  # fmt: skip
+"""All that may run for long, on inputs with which they take seconds."""
 _LIVE = (
     *KILLED,
     Command("animate", ("animate", "IN/person.glb", "a person walks", "-o", "OUT/a.glb"), ("person",)),
@@ -102,14 +214,22 @@ def run(*words: str, **how) -> subprocess.Popen:
 def make_inputs(folder: Path, commands: tuple[Command, ...]) -> None:
     """What the commands read, in `folder`."""
     needs = {need for command in commands for need in command.needs}
-    for sample in sorted(needs - {"clips"}):
-        _done(run("samples", sample, "-o", str(folder)))
     (folder / "lines.txt").write_text("\n".join(LINES) + "\n")
-    if "clips" in needs:
-        from bunraku import generate
-
-        for name, line in zip(("one", "two"), LINES, strict=False):
-            generate(line, seconds=1, candidates=1).save(folder / f"{name}.npz")
+    for need in sorted(needs):
+        if need in MADE:
+            MADE[need](folder)
+        else:
+            _done(run("samples", need, "-o", str(folder)))
+    for name, need, words in (
+        ("cache", "characters", ("characters", "--source", "{}", "--vertices", "400", "--code-made", "4")),
+        ("apparel", "motions", ("apparel", "--motions", "{}", "--wardrobe", "3", "--minutes", "0.2", "--seconds", "2")),
+        ("bank.npz", "characters", ("character-bank", "--source", "{}", "--code-made", "3", "--variants", "1")),
+    ):
+        if name.removesuffix(".npz") in needs:
+            if not (folder / need).is_dir():
+                MADE[need](folder)
+            given = [word.format(folder / need) for word in words]
+            _done(run("data", *given, "-o", str(folder / name)))
 
 
 def words_of(command: Command, inputs: Path, out: Path) -> list[str]:
@@ -136,16 +256,41 @@ def alone(session: int) -> bool:
 
 
 def contents(folder: Path) -> dict[str, object]:
-    """What a folder holds, but for when: files with their bytes, and the ledger's names with what they were made of."""
+    """What a folder holds, but for when and where: files with their bytes, the ledger's names with what they were made
+    of, and networks without the seconds that they took. What tells of the course of a training is left out.
+    """
     found: dict[str, object] = {}
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         name = str(path.relative_to(folder))
         if path.name == ".bunraku-ledger.jsonl":
             rows = [json.loads(line) for line in path.read_text().splitlines()]
             found[name] = {row[0]: row[1] for row in rows}
-        else:
+        elif path.suffix == ".safetensors":
+            found[name] = _network(path, str(folder))
+        elif path.name != "log.csv" and path.parent.name != "events":
             found[name] = path.read_bytes()
     return found
+
+
+def _network(path: Path, folder: str) -> object:
+    """The numbers of a checkpoint or a training state, and what is said of them."""
+    data = path.read_bytes()
+    end = 8 + int.from_bytes(data[:8], "little")
+    head = json.loads(data[8:end].decode().replace(folder, "OUT"))
+    said = {name: _timeless(json.loads(text)) if text[:1] in "{[" else text
+            for name, text in head.pop("__metadata__", {}).items()}  # fmt: skip
+    tensors = {name: (one["dtype"], one["shape"], data[end + one["data_offsets"][0] : end + one["data_offsets"][1]])
+               for name, one in head.items()}  # fmt: skip
+    return said, tensors
+
+
+def _timeless(value: object) -> object:
+    """JSON without what it took."""
+    if isinstance(value, dict):
+        return {name: _timeless(item) for name, item in value.items() if name not in ("seconds", "minutes")}
+    if isinstance(value, list):
+        return [_timeless(item) for item in value if not (isinstance(item, list) and item[:1] == ["seconds"])]
+    return value
 
 
 class Killer:
@@ -159,6 +304,7 @@ class Killer:
         self._run(folder / "whole" / "out", 0)
         self.events = self.tally.stat().st_size
         self.whole = contents(folder / "whole" / "out")
+        assert self.whole, f"{command.name} writes nothing"
 
     def _run(self, out: Path, fatal: int) -> int:
         """Exit status of a run that is killed at its event number `fatal`; 0 for none."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import torch
 from stops import INTERRUPTED, KILLED, Command, Killer, contents, interrupt, make_inputs
 
 from bunraku.cli.app import VERBS
+from bunraku.nn.checkpoints import save_checkpoint
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs the /proc of Linux")
 
@@ -15,7 +17,19 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="ne
 def test_every_command_is_interrupted_and_every_writer_is_killed():
     for verb in VERBS:
         assert any(command.words[: len(verb)] == verb for command in INTERRUPTED), verb
-    assert {command.name for command in KILLED} >= {"samples", "animate --prompts", "transfer"}
+    killed = {command.words[:2] for command in KILLED}
+    assert {words[0] for words in killed} >= {"samples", "animate", "transfer"}
+    assert killed >= {verb for verb in VERBS if verb[0] in ("data", "train")}
+
+
+def test_networks_are_compared_without_the_seconds_and_the_folder(tmp_path):
+    value = {"weight": torch.arange(4.0)}
+    for name, seconds, other in (("a", 1.0, 0), ("b", 2.0, 0), ("c", 1.0, 1)):
+        config = {"out": str(tmp_path / name), "seconds": seconds, "steps": 3}
+        save_checkpoint(tmp_path / name / "x.safetensors", {"weight": value["weight"] + other}, config, "handles")
+        (tmp_path / name / "log.csv").write_text(str(seconds))
+    first, second, third = (contents(tmp_path / name) for name in "abc")
+    assert first == second != third
 
 
 def test_samples_that_are_killed_are_made_again(tmp_path):

@@ -20,7 +20,7 @@ from bunraku.datasets.apparel.plan import choose_motions, motion_sources, plan_s
 from bunraku.datasets.motions.clips import write_clip, write_index
 from bunraku.errors import OptionError
 from bunraku.evaluation.transfer.stock_motions import stock_motion
-from bunraku.training.apparel.body import BodyTrainConfig, BodyTrainer, pose_bank, posed_joints
+from bunraku.training.apparel.body import BodyTrainConfig, BodyTrainer, pose_bank, posed_joints, train_body
 from bunraku.training.apparel.displacement import DisplacementTrainConfig, DisplacementTrainer
 from bunraku.training.apparel.mesh_bank import build_meshes
 from bunraku.training.apparel.mesh_variation import varied, welded_parts
@@ -197,6 +197,14 @@ def test_the_body_is_learned(meshes, data, tmp_path):
     assert results["pmd"] < 0.9 * before["pmd"] and results["pmd_body"] < before["pmd_body"]
     trainer.save(results)
     assert BodyTrainer(config, meshes, poses).resume()
+
+
+def test_the_body_learns_from_data_without_motions_to_validate_with(data, tmp_path):
+    assert pose_bank(data, "val").shape == (0, 22, 3, 3)
+    config = BodyTrainConfig(
+        data, tmp_path / "body", characters=2, minutes=0, steps=1, batch=1, poses=1, network=BodyConfig(8, 8)
+    )
+    assert train_body(config).is_file()
 
 
 def test_posed_joints_by_hand():

@@ -8,6 +8,7 @@ from bunraku.datasets.characters.build import training_character
 from bunraku.errors import OptionError
 from bunraku.geometry.axes import ORIENTATIONS
 from bunraku.handles.orientation_net import OrientationConfig
+from bunraku.nn.checkpoints import load_training_state
 from bunraku.synthetic.samples import sample_character
 from bunraku.training.orientation.measures import (
     UPRIGHT,
@@ -74,6 +75,35 @@ def test_a_run_goes_on_as_if_it_had_not_stopped(characters, tmp_path):
     path = train_orientation(broken)
     assert path.name == "orientation.safetensors" and path.read_bytes()[-2000:] == whole.read_bytes()[-2000:]
     assert len((tmp_path / "broken" / "log.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize("last", ["write", "save_state"])
+def test_a_kill_between_the_files_of_the_last_step_costs_nothing(characters, tmp_path, last):
+    cache = tmp_path / "cache" / "samples"
+    cache.mkdir(parents=True)
+    for character in characters:
+        character.save(cache / f"{character.name.split('/')[1]}.npz")
+    whole = train_orientation(settings(tmp_path, out=tmp_path / "whole", reference_share=0.0))
+    killed = settings(tmp_path, out=tmp_path / "killed", reference_share=0.0)
+    trainer = OrientationTrainer(killed, characters)
+    for step in range(6):
+        trainer.train_step()
+        if step == 2:
+            trainer.save({})
+    done = getattr(trainer, last)
+
+    def ended(*words):
+        done(*words)
+        raise KeyboardInterrupt
+
+    setattr(trainer, last, ended)
+    with pytest.raises(KeyboardInterrupt):
+        trainer.save({})
+    path = train_orientation(killed)
+    assert path.read_bytes()[-2000:] == whole.read_bytes()[-2000:]
+    state, other = (load_training_state(one.with_name("state.safetensors")) for one in (path, whole))
+    assert state.step == other.step == 6
+    assert all(torch.equal(value, other.models["model"][name]) for name, value in state.models["model"].items())
 
 
 def test_no_characters_is_one_sentence(tmp_path):

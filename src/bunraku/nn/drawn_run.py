@@ -51,10 +51,13 @@ class DrawnRun(AveragedRun[Network]):
         raise NotImplementedError
 
     def save(self, results: dict[str, float]) -> Path:
-        """Write the training state and the checkpoint; a kill leaves the last ones."""
+        """Write the checkpoint, then the training state: who is killed between goes on from the state before, and comes
+        to the same checkpoint again.
+        """
         settings = plain_settings(asdict(self.config))
+        path = self.write({"training": settings, "seconds": self.seconds, "steps": self.step, "results": results})
         self.save_state(settings, {"rng": self.rng.bit_generator.state})
-        return self.write({"training": settings, "seconds": self.seconds, "steps": self.step, "results": results})
+        return path
 
     def resume(self) -> bool:
         """Go on from the run's folder, if it holds a state; whether it did."""

@@ -97,7 +97,7 @@ def append_row(path: Path, row: dict[str, float], columns: Sequence[str] | None 
         row: Its figures by column.
         columns: The columns, of which a row may lack some or have more; those of the row when None.
     """
-    new = not path.is_file()
+    new = not path.is_file() or not path.stat().st_size  # who was killed here left an empty one
     with path.open("a", newline="") as file:
         writer = csv.DictWriter(file, list(columns or row), extrasaction="ignore")
         if new:

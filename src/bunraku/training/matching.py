@@ -17,7 +17,7 @@ from torch import Tensor
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.diffusion.matching import Extractor, ExtractorConfig, save_extractor
 from bunraku.language.encoders import TextEncoder
-from bunraku.nn.averaged_run import AveragedRun
+from bunraku.nn.averaged_run import AveragedRun, share_done
 from bunraku.nn.runs import append_row, plain_settings
 from bunraku.training.diffusion.text_bank import TextBank
 
@@ -31,7 +31,9 @@ class MatchingTrainConfig:
     Args:
         data: Folder that `bunraku data motions` wrote.
         out: Folder of the run; the same folder goes on with the same run.
-        minutes: Stop after this much processor time, over all sittings; the learning rate falls to nothing by then.
+        minutes: Stop after this much processor time, over all sittings; the learning rate falls to nothing by then. 0
+            counts steps instead.
+        steps: Stop after so many steps, where `minutes` is 0.
         threads: CPU threads.
         device: Where to train.
         batch: Pairs a step.
@@ -47,6 +49,7 @@ class MatchingTrainConfig:
     data: Path = Path("runs/data/motions")
     out: Path = Path("runs/matching")
     minutes: float = 25.0
+    steps: int = 3000
     threads: int = 1
     device: str = "cpu"
     batch: int = 96
@@ -105,7 +108,7 @@ class MatchingRun(AveragedRun[Extractor]):
 
     def progress(self) -> float:
         """How far the run is through its limits, 0 to 1."""
-        raise NotImplementedError
+        return share_done(self.seconds, self.settings.minutes, self.step, self.settings.steps)
 
     def step_loss(self) -> tuple[Tensor, dict[str, float]]:
         """The loss of the batch of this step, and what the log says of it besides."""
@@ -123,10 +126,11 @@ class MatchingRun(AveragedRun[Extractor]):
         return {"loss": float(loss.detach()), **figures, "rate": rate}
 
     def save(self, results: dict[str, float]) -> Path:
-        """Write the training state and the checkpoint."""
-        self.save_state(plain_settings(asdict(self.settings)), {})
+        """Write the checkpoint, then the training state: who is killed between comes to both again."""
         notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "clips": self.clip_count, **results}
-        return save_extractor(self.checkpoint, self.average, notes, self.kind)
+        path = save_extractor(self.checkpoint, self.average, notes, self.kind)
+        self.save_state(plain_settings(asdict(self.settings)), {})
+        return path
 
     def run(
         self,

@@ -31,7 +31,6 @@ from bunraku.evaluation.motion.metrics import r_precision
 from bunraku.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
 from bunraku.language.captions import caption_variants
 from bunraku.language.encoders import TextEncoder, text_encoder
-from bunraku.nn.averaged_run import share_done
 from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.diffusion.text_bank import TextBank
 from bunraku.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
@@ -44,13 +43,11 @@ class ExtractorTrainConfig(MatchingTrainConfig):
     """Settings of a training run: those of `MatchingTrainConfig`, and these.
 
     Args:
-        steps: Stop after so many steps, where `minutes` is 0.
         shortest: Frames; clips with fewer are left out.
         extractor: The network.
     """
 
     out: Path = Path("runs/extractor")
-    steps: int = 3000
     shortest: int = 24
     extractor: ExtractorConfig = field(default_factory=ExtractorConfig)
 
@@ -96,10 +93,6 @@ class ExtractorTrainer(MatchingRun):
         self.config, self.clips = config, clips
         statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
         super().__init__(config, config.extractor, statistics, bank, len(clips), KIND)
-
-    def progress(self) -> float:
-        """How far the run is through its limits, 0 to 1."""
-        return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
 
     def batch(self, number: int) -> list[Window]:
         """Batch `number` of the endless series of the seed: a quarter of four batches' windows, sorted by length."""

@@ -67,7 +67,9 @@ class BodyTrainConfig:
 
 
 def pose_bank(data: Path, split: str, most: int = 4000) -> np.ndarray:
-    """Turns of the joints in the motions of a data set, one frame of many, shape (P, 22, 3, 3), float32."""
+    """Turns of the joints in the motions of a data set, one frame of many, shape (P, 22, 3, 3), float32; none of a
+    split that has no motion.
+    """
     from bunraku.datasets.apparel import ApparelData
 
     found = ApparelData(data, split)  # type: ignore[arg-type]
@@ -76,7 +78,7 @@ def pose_bank(data: Path, split: str, most: int = 4000) -> np.ndarray:
     for clip in found.clips:
         turns = found.shard(clip.shard).frames("transforms", clip.first, clip.first + clip.frames)[..., :3]
         out.append(turns[np.linspace(0, len(turns) - 1, each).astype(np.int64)])
-    return np.concatenate(out)[:most].astype(np.float32)
+    return np.concatenate([np.zeros((0, JOINT_COUNT, 3, 3)), *out])[:most].astype(np.float32)
 
 
 def posed_joints(turns: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -204,5 +206,5 @@ def train_body(config: BodyTrainConfig, report: Callable[[dict[str, float]], Non
     out.mkdir(parents=True, exist_ok=True)
     meshes = build_meshes(config.meshes or out.with_name(f"{out.name}-meshes"), config.characters)
     poses, held_poses = pose_bank(config.data, "train"), pose_bank(config.data, "val", 500)
-    trainer = BodyTrainer(config, meshes["train"], poses, meshes["val"], held_poses)
+    trainer = BodyTrainer(config, meshes["train"], poses, meshes["val"] if len(held_poses) else [], held_poses)
     return trainer.learn(report)

@@ -194,12 +194,13 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         return {name: value / max(counts[name], 1) for name, value in sums.items()}
 
     def save(self, results: dict[str, float]) -> Path:
-        """Write the training state and the checkpoint; a kill leaves the last ones."""
+        """Write the checkpoint, then the training state: who is killed between comes to both again."""
         settings = plain_settings(asdict(self.config))
+        note = {"training": settings, "seconds": self.seconds, "epochs": self.epoch, "results": results}
+        path = save_predictor(self.out / "handles.safetensors", self.average, note)
         values = {"epoch": self.epoch, "rng": self.rng.bit_generator.state}
         self.save_state(settings, values, {"pairs": self.generator.get_state()})
-        note = {"training": settings, "seconds": self.seconds, "epochs": self.epoch, "results": results}
-        return save_predictor(self.out / "handles.safetensors", self.average, note)
+        return path
 
     def resume(self) -> bool:
         """Go on from the run's folder, if it holds a state; whether it did."""
@@ -306,7 +307,7 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
         if report:
             report(row)
     bank = out / "mesh_features.npz"
-    if result or not bank.is_file():
+    if not bank.is_file() or bank.stat().st_mtime < checkpoint.stat().st_mtime:  # older where a run was killed here
         write_mesh_bank(trainer.average, [*trainer.characters, *trainer.reference], bank)
     return checkpoint
 

@@ -23,7 +23,6 @@ from bunraku.errors import OptionError
 from bunraku.language.actions import actions_of
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
-from bunraku.nn.averaged_run import share_done
 from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.diffusion.clip_rows import ClipSet, MotionBatch
 from bunraku.training.diffusion.text_bank import TextBank
@@ -86,10 +85,6 @@ class RankerTrainer(MatchingRun):
     def __init__(self, config: RankerTrainConfig, rows: ClipSet, bank: TextBank):
         self.config, self.rows = config, rows
         super().__init__(config, config.network, rows.statistics, bank, len(rows.clips), RANKER)
-
-    def progress(self) -> float:
-        """How far the run is through its minutes, 0 to 1."""
-        return share_done(self.seconds, self.config.minutes, self.step, 1)
 
     def losses(self, model: Extractor, batch: MotionBatch, random: np.random.Generator) -> tuple[Tensor, float, float]:
         """The loss of a batch, the share of motions that find their sentence first, and of sentences that find their
@@ -171,8 +166,8 @@ def train_ranker(
         OptionError: A setting is out of range, or the run folder belongs to another network.
         FormatError: The data are missing or damaged.
     """
-    if config.batch < 2 or config.threads < 1 or config.minutes <= 0 or config.validate_every < 1:
-        raise OptionError("batch must be 2 or more, threads and validate-every 1 or more, minutes more than 0")
+    if config.batch < 2 or config.threads < 1 or config.minutes < 0 or config.steps < 1 or config.validate_every < 1:
+        raise OptionError("batch must be 2 or more, threads, steps and validate-every 1 or more, minutes 0 or more")
     torch.set_num_threads(config.threads)
     progress = progress or (lambda stage, done: None)
     config.out.mkdir(parents=True, exist_ok=True)
