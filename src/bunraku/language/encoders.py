@@ -16,11 +16,12 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from bunraku.errors import MissingExtraError, WeightsError
 from bunraku.language.cues import CUES, sentence_cues
 from bunraku.language.known.pieces import encoder_file, read_header
+from bunraku.language.known.tokenizer import WordPieces
 
 __all__ = [
     "TEXT_LENGTH",
@@ -116,7 +117,6 @@ class MiniLMEncoder:
 
     def __init__(self, folder: str | Path | None = None):
         from safetensors.torch import load_file
-        from tokenizers import Tokenizer
 
         path = encoder_file() if folder is None else Path(folder) / "model.safetensors"
         try:
@@ -126,7 +126,7 @@ class MiniLMEncoder:
             else:
                 config = json.loads((Path(folder) / "config.json").read_text(encoding="utf-8"))
                 words = (Path(folder) / "tokenizer.json").read_text(encoding="utf-8")
-            self._tokenizer = Tokenizer.from_str(words)
+            self._tokenizer = WordPieces(words)
             weights = load_file(path)
             self._words = weights.pop("embeddings.word_embeddings.weight")  # of which each sentence needs a few rows
             self._weights = {name: value.float() for name, value in weights.items()}
@@ -135,14 +135,12 @@ class MiniLMEncoder:
                 config["num_attention_heads"],
                 config["layer_norm_eps"],
             )
-            if config["hidden_size"] != self.token_size or len(self._words) != self._tokenizer.get_vocab_size():
+            if config["hidden_size"] != self.token_size or len(self._words) != len(self._tokenizer):
                 raise ValueError("it is another model")
         except WeightsError:
             raise
         except Exception as error:
             raise WeightsError(f"{path}: the text encoder cannot be read ({error}); install Bunraku again") from error
-        self._tokenizer.enable_truncation(TEXT_LENGTH)
-        self._tokenizer.enable_padding()
         self._cache = _Cache()
 
     def encode(self, sentences: Sequence[str]) -> TextBatch:
@@ -159,9 +157,10 @@ class MiniLMEncoder:
 
     @torch.inference_mode()
     def _compute(self, sentences: Sequence[str]) -> list[tuple[Tensor, Tensor]]:
-        encoded = self._tokenizer.encode_batch(list(sentences))
-        ids = torch.tensor([item.ids for item in encoded])
-        mask = torch.tensor([item.attention_mask for item in encoded], dtype=torch.bool)
+        numbers = [torch.tensor(self._tokenizer.numbers(sentence, TEXT_LENGTH)) for sentence in sentences]
+        ids = nn.utils.rnn.pad_sequence(numbers, batch_first=True)  # 0 is [PAD]
+        lengths = torch.tensor([len(own) for own in numbers])
+        mask = torch.arange(ids.shape[1]) < lengths[:, None]
         weights = self._weights
         x = self._words[ids].float() + weights["embeddings.position_embeddings.weight"][: ids.shape[1]]
         x = self._norm(x + weights["embeddings.token_type_embeddings.weight"][0], "embeddings.LayerNorm")

@@ -17,7 +17,7 @@ from bunraku.cli.evaluate.report import size_text
 
 __all__ = ["Doctor", "Finding"]
 
-PACKAGES = ("torch", "numpy", "scipy", "tokenizers", "libigl", "fast-simplification", "moderngl", "mujoco-core", "av")
+PACKAGES = ("torch", "numpy", "scipy", "libigl", "fast-simplification", "moderngl", "mujoco-core", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
