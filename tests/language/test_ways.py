@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bunraku.language.ways import said_otherwise, way_of
+from bunraku.language.ways import in_air, said_otherwise, way_of
 
 
 @pytest.mark.parametrize(
@@ -36,3 +36,24 @@ def test_the_first_verb_of_moving_counts(clause, way):
 )
 def test_verbs_are_replaced_where_they_stand(clause, verb, said):
     assert said_otherwise(clause, verb) == said
+
+
+@pytest.mark.parametrize(
+    ("clause", "way"),
+    [
+        ("walks forward", "step"),
+        ("a spider is crawling", "step"),
+        ("a horse gallops", "run"),
+        ("runs and jumps", "stay"),
+        ("attacks", "stay"),
+        ("stands still", "stay"),
+        ("a hair flies", ""),
+        ("climbs a ladder", ""),
+        ("walks up the stairs", ""),
+        ("does a handstand", ""),
+        ("skips", "stay"),
+        ("sits down on a chair", ""),
+    ],
+)
+def test_how_long_somebody_is_in_the_air_is_told_by_what_is_said(clause, way):
+    assert in_air(clause) == way

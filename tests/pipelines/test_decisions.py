@@ -16,6 +16,8 @@ FISH = BodyPlan(hind=0, front=0, upright=False, arms=False, wings=False, tail=Tr
 SNAKE = BodyPlan(hind=0, front=0, upright=False, arms=False, wings=False, tail=True, long=True)
 BEE = BodyPlan(hind=0, front=0, upright=False, arms=False, wings=True, tail=False)
 MERMAID = BodyPlan(hind=0, front=0, upright=True, arms=True, wings=False, tail=True)
+SPIDER = BodyPlan(hind=4, front=0, upright=False, arms=False, wings=False, tail=True, further=4)
+RAY = BodyPlan(hind=0, front=0, upright=False, arms=True, wings=False, tail=True, long=True)
 BIRD = BodyPlan(hind=2, front=0, upright=False, arms=False, wings=True, tail=True)
 
 
@@ -83,6 +85,9 @@ def test_what_a_sentence_asks_in_vain_is_said(plan, sentence, said):
         (PERSON, "swims", "swims", ""),
         (MERMAID, "walks", "walks", ""),
         (SNAKE, "bites", "bites", ""),
+        (SPIDER, "a spider runs", "a spider walks fast", ""),
+        (SPIDER, "walks", "walks", ""),
+        (RAY, "walks", "swims", "swim"),
     ],
 )
 def test_each_body_does_it_in_its_own_way(plan, clause, said, way):

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bunraku.body.layout import HANDLE_NAMES
+from bunraku.core.animation import Animation
 from bunraku.core.character import Handles
+from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.retarget.creatures.tail import HIGHEST, lowered_tail
-from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.creatures.tail import HIGHEST, lowered_tail, raised_tail
+from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.stages.attach import Joints, attach_joints
+from bunraku.synthetic.samples import sample_character
 
 FPS, FRAMES = 20.0, 60
 TAIL, TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
@@ -65,3 +71,32 @@ def test_what_is_not_held_up_stays_bit_for_bit():
     handles, joints = body(0.0)
     rotations = lifted(np.zeros(FRAMES))
     assert lowered_tail(rotations, handles, joints, FPS) is rotations
+
+
+def test_a_tail_is_turned_up_where_it_would_sink():
+    dog = RigParts.of(sample_character("dog", rigged=True))
+    motion = HandleMotion(
+        np.zeros((FRAMES, 30, 3)), np.tile(np.eye(3), (FRAMES, 30, 1, 1)), np.zeros((FRAMES, 3)),
+        np.tile(np.eye(3), (FRAMES, 1, 1)), FPS,
+    )  # fmt: skip
+    floor = float(dog.character.vertices[:, 1].min())
+    assert raised_tail(motion, dog.character, dog.handles, dog.joints, floor) is motion
+    hangs = matrix_from_axis_angle(-1.4 * np.sin(np.linspace(0, np.pi, FRAMES))[:, None] * np.array([1.0, 0, 0]))
+    path, rotations = np.zeros((FRAMES, 3)), motion.rotations.copy()
+    path[:, 1], rotations[:, [TAIL, TIP]] = -0.55 * dog.character.height, hangs[:, None]
+    motion = replace(motion, rotations=rotations, root_translation=path)
+    motion = attached(motion, dog)
+    raised = raised_tail(motion, dog.character, dog.handles, dog.joints, floor)
+    held = dog.handles.weights[:, [TAIL, TIP]].sum(axis=1) > 0.9
+    low = [
+        Animation(dog.character, dog.handles, one).vertices()[:, held, 1].min(axis=1) - floor
+        for one in (motion, raised)
+    ]
+    assert low[0].min() < -0.03 * dog.character.height
+    assert low[1].min() > -0.006 * dog.character.height
+    np.testing.assert_allclose(raised.rotations[:, :20], motion.rotations[:, :20], atol=1e-6)
+
+
+def attached(motion: HandleMotion, parts: RigParts) -> HandleMotion:
+    rotations, translations = attach_joints(motion.rotations.astype(float), parts.handles, parts.joints)
+    return replace(motion, rotations=rotations, translations=translations)

@@ -9,9 +9,10 @@ import pytest
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.geometry.rotations import matrix_y
+from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.retarget.creatures.plan import plan_of
 from bunraku.retarget.creatures.ways import BEATS, HOVER, in_air, moved_so, wing_swing
 from bunraku.retarget.fit import Stages, fit_motion
@@ -93,6 +94,72 @@ def test_what_travels_far_enough_keeps_its_way(snake):
     path = np.linspace([0, 0, 0], [6.0, 0, 0], FRAMES)
     moved = moved_so(replace(turned, root_translation=path), "slither", EVERY, snake.character, snake.handles)
     np.testing.assert_allclose(moved.root_translation, path, atol=1e-6)
+
+
+def lows(parts, motion: HandleMotion) -> np.ndarray:
+    """Height of the lowest vertex over that at rest, over the height, shape (N,)."""
+    animation = Animation(parts.character, parts.handles, motion)
+    return (animation.vertices()[..., 1].min(axis=1) - parts.character.vertices[:, 1].min()) / parts.character.height
+
+
+def lifted(height: float, where: slice) -> HandleMotion:
+    """The whole body higher in some frames, in heights of the root."""
+    path = np.zeros((FRAMES, 3))
+    path[where, 1] = height * reference_body().handles.positions[0, 1]
+    return replace(still(), root_translation=path)
+
+
+def turned(turn: np.ndarray, *names: str) -> HandleMotion:
+    """Parts turned in all frames."""
+    rotations = still().rotations.copy()
+    rotations[:, [HANDLE_NAMES.index(name) for name in names]] = turn[..., None, :, :]
+    return replace(still(), rotations=rotations)
+
+
+def test_who_stays_on_the_ground_does_not_hover(dragon):
+    hovers = lifted(0.8, EVERY)
+    assert lows(dragon, fit_motion(hovers, dragon.character, dragon.handles)).min() > 0.2  # it could fly
+    grounded = moved_so(hovers, "stay", EVERY, dragon.character, dragon.handles)
+    assert np.abs(lows(dragon, fit_motion(grounded, dragon.character, dragon.handles))).max() < 0.01
+
+
+@pytest.mark.parametrize(("way", "kept"), [("stay", True), ("run", False), ("step", False)])
+def test_a_jump_stays_a_jump_and_a_walk_has_none(dragon, way, kept):
+    jump = lifted(0.5, slice(20, 34))  # 0.7 s
+    moved = moved_so(jump, way, EVERY, dragon.character, dragon.handles)
+    high = lows(dragon, fit_motion(moved, dragon.character, dragon.handles, Stages(smooth=False))).max()
+    assert (high > 0.15) == kept
+
+
+def test_a_tail_that_a_tilted_trunk_holds_up_is_lowered(dragon):
+    tilt = matrix_from_axis_angle(np.array([np.radians(50), 0, 0]))
+    leans = replace(still(), root_rotation=np.tile(tilt, (FRAMES, 1, 1)))
+    moved = moved_so(leans, "step", EVERY, dragon.character, dragon.handles)
+    tips = [
+        part(dragon, fit_motion(one, dragon.character, dragon.handles), "tail_tip")[:, 1].mean()
+        for one in (leans, moved)
+    ]
+    assert tips[1] < tips[0] - 0.03 * dragon.character.height
+
+
+def test_a_snake_lies_on_the_ground_whatever_was_drawn(snake):
+    bow = matrix_from_axis_angle(np.sin(np.linspace(0, np.pi, FRAMES))[:, None] * np.array([1.0, 0, 0]))
+    motion = turned(bow, "spine1", "spine2", "spine3", "neck", "head", "face", "head_top")
+    motion = replace(motion, root_rotation=matrix_from_axis_angle(np.tile([0.4, 0, 0.2], (FRAMES, 1))))
+    fitted = fit_motion(motion, snake.character, snake.handles)
+    tail = part(snake, fitted, "tail")[:, 1]
+    moved = fit_motion(moved_so(motion, "lie", EVERY, snake.character, snake.handles), snake.character, snake.handles)
+    lies = part(snake, moved, "tail")[:, 1]
+    height = snake.character.height
+    assert np.ptp(tail) > 0.2 * height and np.ptp(lies) < 0.2 * np.ptp(tail)
+    assert np.abs(lows(snake, moved)).max() < 0.02
+
+
+def test_a_snake_raises_its_head(snake):
+    up = matrix_from_axis_angle(np.array([-0.6, 0, 0]))
+    motion = turned(up, "neck", "head", "face", "head_top")
+    moved = moved_so(motion, "lie", EVERY, snake.character, snake.handles)
+    np.testing.assert_allclose(moved.rotations, motion.rotations, atol=1e-6)
 
 
 def test_other_ways_change_nothing(dragon):

@@ -21,7 +21,6 @@ from bunraku.pipelines.bodies import Ways, as_bodies_do, moved_ways
 from bunraku.pipelines.together import check_apparel_option, check_together, moves_apparel
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
-from bunraku.retarget.stages.rest_pose import upright
 
 __all__ = ["animate", "animate_each", "generate", "rig"]
 
@@ -99,7 +98,7 @@ def generate(
     after: HandleMotion | None = ...,
     path: GroundPath | None = ...,
     candidates: int = ...,
-    creature: bool = ...,
+    body: tuple[Character, Handles] | None = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> HandleMotion: ...
@@ -118,7 +117,7 @@ def generate(
     after: HandleMotion | None = ...,
     path: GroundPath | None = ...,
     candidates: int = ...,
-    creature: bool = ...,
+    body: tuple[Character, Handles] | None = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> list[HandleMotion]: ...
@@ -136,7 +135,7 @@ def generate(
     after: HandleMotion | None = None,
     path: GroundPath | None = None,
     candidates: int = CANDIDATES,
-    creature: bool = False,
+    body: tuple[Character, Handles] | None = None,
     anyway: bool = False,
     progress: Progress | None = None,
 ) -> HandleMotion | list[HandleMotion]:
@@ -156,8 +155,8 @@ def generate(
         path: What the root follows on the ground, in metres of the reference body.
         candidates: How many motions are drawn for each that is given back, the one that the ranker likes best, 1 to
             16. A motion that follows another is drawn once.
-        creature: The character does not stand upright as people do (`retarget.stages.rest_pose.upright`): what is said
-            of a person is said of "it", and no captured motion of people is followed.
+        body: The character, +Y up and facing +Z, and the handles that are to be moved: sentences are taken as such a
+            body can, so that a fish swims that is told to walk. `mesh_feature` is theirs where it is None.
         anyway: Generate even where no movement of a sentence is understood.
         progress: Called with a stage's name and the share done.
 
@@ -170,21 +169,18 @@ def generate(
     prompts = [prompt] if isinstance(prompt, str) else list(prompt)
     scripts = _scripts(prompts, seconds, anyway)
     check_together("rigid", loop=loop, after=after is not None, path=path is not None)
+    ways, as_people = None, True
+    if body is not None:
+        scripts, ways, as_people = as_bodies_do(scripts, *body)
+        mesh_feature = body[1].features if mesh_feature is None else mesh_feature
     how: dict[str, Any] = {
-        "steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "examples": not creature,
+        "steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "examples": as_people,
         "progress": progress,
     }  # fmt: skip
-    if creature:
-        scripts = _of_creature(scripts)
     motions = _generated(scripts, seed, loop, after, path, candidates, how)
+    if body is not None and ways is not None:
+        motions = [moved_ways(motion, way, *body, loop) for motion, way in zip(motions, ways, strict=True)]
     return motions[0] if isinstance(prompt, str) else motions
-
-
-def _of_creature(scripts: Scripts) -> Scripts:
-    """Scripts whose sentences are said of "it"."""
-    from bunraku.language.clauses import of_creature
-
-    return [[(of_creature(clause), length) for clause, length in script] for script in scripts]
 
 
 def _generated(
@@ -317,7 +313,7 @@ def animate_each(
         in_place=in_place, pins=bool(pins),
     )  # fmt: skip
     check_apparel_option(apparel, stiffness)
-    creature = False
+    as_people = True
     ways: list[Ways] = [[] for _ in scripts]
     moved_by = apparel_way(character, apparel, handles)
     if moved_by != "handles" and (path is not None or pins):
@@ -330,12 +326,11 @@ def animate_each(
         if not isinstance(handles, Handles):
             handles = rig(character, handles=handles or "predict", progress=progress)
         feature = handles.features
-        creature = not upright(handles)
-        scripts, ways = as_bodies_do(scripts, character, handles)
+        scripts, ways, as_people = as_bodies_do(scripts, character, handles)
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
     way = path if isinstance(handles, str) else reference_path(path, character, handles)
     how: dict[str, Any] = {
-        "steps": steps, "guidance": guidance, "mesh_feature": feature, "examples": not creature, "progress": progress,
+        "steps": steps, "guidance": guidance, "mesh_feature": feature, "examples": as_people, "progress": progress,
     }  # fmt: skip
     for start in range(0, len(scripts), AT_ONCE):
         some = scripts[start : start + AT_ONCE]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.language.clauses import of_creature
+from bunraku.language.ways import in_air
 from bunraku.pipelines.decisions import suited
-from bunraku.retarget.creatures.plan import plan_of
+from bunraku.retarget.creatures.plan import BodyPlan, plan_of
 from bunraku.retarget.creatures.ways import moved_so
 from bunraku.retarget.decimate import decimated
 from bunraku.retarget.stages.attach import find_joints
@@ -23,8 +25,12 @@ Ways = list[tuple[str, float]]
 
 def as_bodies_do(
     scripts: Sequence[Script], character: Character, handles: Handles
-) -> tuple[list[list[tuple[str, float]]], list[Ways]]:
-    """The clauses of sentences in words for what this body does in their place, and the way of moving of each.
+) -> tuple[list[list[tuple[str, float]]], list[Ways], bool]:
+    """The clauses of sentences in words for what this body does in their place, the way of moving of each, and whether
+    the body moves as people do.
+
+    What is said of a person is said of "it" where it does not: conditioned on a person's words, the network lets a dog
+    walk on two legs.
 
     Args:
         scripts: The clauses of each sentence with their seconds.
@@ -32,24 +38,32 @@ def as_bodies_do(
         handles: Its handles.
     """
     if len(handles.positions) != HANDLE_COUNT:  # what `fit_motion` refuses
-        return [list(script) for script in scripts], [[] for _ in scripts]
+        return [list(script) for script in scripts], [[] for _ in scripts], True
     character, handles = decimated(character, handles)
     plan = plan_of(character, handles, find_joints(character, handles))
+    as_people = plan.upright and not plan.swims
     out: list[list[tuple[str, float]]] = []
     ways: list[Ways] = []
     for script in scripts:
-        words = [suited(plan, clause) for clause, _ in script]
+        words = [_on_ground(plan, *suited(plan, clause)) for clause, _ in script]
         seconds = [length for _, length in script]
-        said = [clause if plan.upright else of_creature(clause) for clause, _ in words]
+        said = [clause if as_people else of_creature(clause) for clause, _ in words]
         out.append(list(zip(said, seconds, strict=True)))
         ways.append([(way, length / sum(seconds)) for (_, way), length in zip(words, seconds, strict=True)])
-    return out, ways
+    return out, ways, as_people
+
+
+def _on_ground(plan: BodyPlan, clause: str, way: str) -> tuple[str, str]:
+    """A clause and its way of moving; of one that has none, how it is on the ground."""
+    ground = in_air(clause)
+    return clause, way or ("lie" if ground and plan.slithers else ground)
 
 
 def moved_ways(
     motion: HandleMotion, ways: Ways, character: Character, handles: Handles, loop: bool = False
 ) -> HandleMotion:
-    """A generated motion with what its ways of moving need: wings that beat in the air, a wave along the body.
+    """A generated motion with what its ways of moving need: wings that beat in the air, a wave along the body, feet on
+    the ground.
 
     Args:
         motion: Of the reference body.
@@ -58,8 +72,12 @@ def moved_ways(
         handles: Its handles.
         loop: Whether the motion is a loop.
     """
+    if not ways:
+        return motion
+    character, handles = decimated(character, handles)
     start = 0.0
-    for way, share in ways:
+    for way, shares in groupby(ways, key=lambda one: one[0]):
+        share = sum(one[1] for one in shares)
         where = slice(round(start * len(motion)), round((start + share) * len(motion)))
         motion = moved_so(motion, way, where, character, handles, loop)
         start += share

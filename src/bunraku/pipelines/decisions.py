@@ -122,7 +122,7 @@ def suited(plan: BodyPlan, clause: str) -> tuple[str, str]:
     """A clause in words for what this body does in its place, and the way in which it then moves (`moved_so`), "" for
     none.
 
-    A snake that is told to run slithers fast, and a dog that is told to crawl walks slowly.
+    A snake that is told to run slithers fast, a spider walks fast, and a dog that is told to crawl walks slowly.
 
     Args:
         plan: Of the body.
@@ -131,6 +131,8 @@ def suited(plan: BodyPlan, clause: str) -> tuple[str, str]:
     way, person = way_of(clause), plan.kind == "person"
     if way == "fly":
         return clause, "fly" if plan.wings else ""
+    if way == "run" and plan.kind == "many legs":  # by the gallops of four legs it would throw its legs about
+        return said_otherwise(clause, "walks fast"), ""
     if plan.legs:
         if way == "slither" or (way in ("crawl", "swim") and not person):
             return said_otherwise(clause, "crawls" if person else "walks slowly" if way != "swim" else "walks"), ""

@@ -6,8 +6,9 @@ switched off, clean its motion and turn it into one of another character. They r
 - `smooth`: the generator's noise is taken out and fast moves stay (`retarget/stages/smooth.py`).
 - `rest_pose`: a limb that rests in another direction than the reference body's (arms down, A-pose, sitting, the front
   legs of a dog) is first turned into the reference's direction, so the motion means the same. Bodies that lie along
-  their spine take a third of the pelvis' tilt. Tails of creatures that are held up higher than they rest are lowered
-  (`retarget/creatures/tail.py`), whether this stage runs or not.
+  their spine take a third of the pelvis' tilt. Fins stay near their rest (`retarget/creatures/fins.py`). Tails of
+  creatures that are held up higher than they rest are lowered (`retarget/creatures/tail.py`), whether this stage runs
+  or not.
 - `attach`: local translations are set so that each handle stays joined to its parent at the place where their weights
   meet. It takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than
   the reference's.
@@ -24,7 +25,8 @@ switched off, clean its motion and turn it into one of another character. They r
 - `feet`: feet that stand do not slide: the root's path and then the legs make up for it (`retarget/stages/feet.py`).
 - `hands`: hands that touch the body stay near it (`retarget/stages/hands.py`); off unless asked for, as motion transfer
   does.
-- `floor`: nothing sinks into the ground, and feet that stand are on it (`retarget/stages/floor.py`).
+- `floor`: nothing sinks into the ground, and feet that stand are on it (`retarget/stages/floor.py`); a tail that would
+  sink is turned up.
 """
 
 from __future__ import annotations
@@ -40,9 +42,10 @@ from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
+from bunraku.retarget.creatures.fins import drawn_arms, held_fins
 from bunraku.retarget.creatures.front import raised_front
 from bunraku.retarget.creatures.gait import stepping
-from bunraku.retarget.creatures.tail import lowered_tail
+from bunraku.retarget.creatures.tail import lowered_tail, raised_tail
 from bunraku.retarget.decimate import decimated
 from bunraku.retarget.legs import find_arms, find_legs
 from bunraku.retarget.limbs import by_limb
@@ -142,8 +145,12 @@ def fit_motion(
             turns, joints = still, rest[1]
     legs = find_legs(character, handles, joints)
     if motion.native:
+        level = not upright(handles)
+        drawn = not level or drawn_arms(motion.rotations)
+        if stages.rest_pose and level and (not drawn or not (legs or handles.roles is not None)):
+            rotations = held_fins(rotations, handles, joints, drawn, motion.fps)
         rotations = lowered_tail(rotations, handles, joints, motion.fps)
-        if stages.ground and legs and not upright(handles):
+        if stages.ground and legs and level:
             motion, rotations = raised_front(motion, rotations, character, handles, joints)
     stance = stance_of(character, handles, joints, turns)
     stands = standing(*stance)
@@ -181,6 +188,8 @@ def fit_motion(
         if stages.hands:
             fitted = keep_hands(motion, fitted, character, handles, joints, turns, arms, scale)
         if stages.floor:
+            if legs:
+                fitted = raised_tail(fitted, character, handles, joints, floors[0])
             fitted = settle_on_floor(fitted, character, handles, joints, legs, arms, contacts, stands, floors[0])
     return fitted
 

@@ -15,7 +15,7 @@ from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.retarget.stages.attach import Joints
 from bunraku.retarget.stages.rest_pose import upright
 
-__all__ = ["Leg", "carry", "find_arms", "find_legs", "foot_points", "local_motion", "move_feet"]
+__all__ = ["NEAR", "Leg", "carry", "find_arms", "find_legs", "foot_points", "local_motion", "move_feet"]
 
 NEAR = 0.15  # a limb of a lying body is a leg if it ends so near to the lowest point, over the height
 SHORTEST = 0.12  # least length of a leg, over the height; shorter ones are fins and stubs

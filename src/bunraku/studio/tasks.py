@@ -20,7 +20,6 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
-from bunraku.retarget.stages.rest_pose import upright
 from bunraku.studio.clips import Dressed, Take, body_of, save_handles
 from bunraku.studio.dressing import Apparel, dressed_anew
 from bunraku.studio.opened import Settings, opened_character, told
@@ -120,7 +119,7 @@ def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> 
         "seconds": float(params["seconds"]), "mesh_feature": handles.features, "loop": loop,
         "after": None if before is None else reference_of(before), "guidance": params.get("guidance"),
         "path": reference_path(path, character, handles), "anyway": bool(params.get("anyway")),
-        "creature": not upright(handles),
+        "body": None if on_bones else (character, handles),
     }  # fmt: skip
 
     def fitted(motion: HandleMotion, draft: bool) -> Take:

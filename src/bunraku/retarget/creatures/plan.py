@@ -10,7 +10,8 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.retarget.legs import find_legs
+from bunraku.retarget.legs import NEAR, find_legs
+from bunraku.retarget.limbs import further_limbs
 from bunraku.retarget.stages.attach import Joints
 from bunraku.retarget.stages.rest_pose import upright
 
@@ -37,6 +38,7 @@ class BodyPlan:
         wings: Whether two wings are there.
         tail: Whether a tail is there.
         long: Whether it is longer than fish are, for its height.
+        further: How many legs it has beside these that stand without a knee of their own: of a spider's and a crab's.
     """
 
     hind: int
@@ -46,21 +48,22 @@ class BodyPlan:
     wings: bool
     tail: bool
     long: bool = False
+    further: int = 0
 
     @property
     def legs(self) -> int:
         """How many legs it stands on."""
-        return self.hind + self.front
+        return self.hind + self.front + self.further
 
     @property
     def slithers(self) -> bool:
-        """Whether it moves over the ground as snakes do."""
-        return self._tailed and self.long
+        """Whether it moves over the ground as snakes do; what is as long and has fins at its sides is a ray."""
+        return self._tailed and self.long and not self.arms
 
     @property
     def swims(self) -> bool:
         """Whether it moves through water as fish do."""
-        return self._tailed and not self.long
+        return self._tailed and not self.slithers
 
     @property
     def _tailed(self) -> bool:
@@ -101,6 +104,8 @@ def plan_of(character: Character, handles: Handles, joints: Joints) -> BodyPlan:
         joints: Where they meet.
     """
     legs = find_legs(character, handles, joints)
+    found = {leg.upper for leg in legs}
+    stiff = [limb for limb in _limbs(handles, joints) if not found & set(limb) and _stands(character, handles, limb)]
     hind = sum(int(handles.played[leg.upper]) in _HIND for leg in legs)
     own = joints.present & (handles.played == np.arange(len(handles.positions)))
     there = {name: bool(own[parts].all()) for name, parts in (("arms", _ARMS), ("wings", _WINGS))}
@@ -109,8 +114,26 @@ def plan_of(character: Character, handles: Handles, joints: Joints) -> BodyPlan:
     extent, stands = np.ptp(character.vertices[character.surface], axis=0), upright(handles)
     return BodyPlan(
         hind=hind, front=len(legs) - hind, upright=stands, tail=bool(own[_TAIL].any()),
-        arms=there["arms"], wings=there["wings"], long=bool(extent[2] > LONG[stands] * extent[1]),
+        arms=there["arms"], wings=there["wings"], long=bool(extent[2] > LONG[stands] * extent[1]), further=len(stiff),
     )  # fmt: skip
+
+
+def _limbs(handles: Handles, joints: Joints) -> list[list[int]]:
+    """The handles of each limb of a body that has more than people have; none of others."""
+    further = [] if handles.roles is None else further_limbs(handles)
+    if not further:
+        return []
+    own = joints.present & (handles.played == np.arange(len(handles.positions)))
+    plain = ([part for part in limb_handles(side, family) if own[part]] for side in SIDES for family in FAMILIES)
+    return [limb for limb in plain if limb] + further
+
+
+def _stands(character: Character, handles: Handles, limb: list[int]) -> bool:
+    """Whether a limb reaches the ground at rest."""
+    held = character.surface & (handles.weights[:, limb].sum(axis=1) > 0.5)
+    heights = character.vertices[:, 1]
+    floor = float(heights[character.surface].min())
+    return bool(held.any() and heights[held].min() < floor + NEAR * character.height)
 
 
 def check_plans(source: BodyPlan, target: BodyPlan, name: str, flies: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""Tails that stream behind: not straight up on a body whose tail rests level.
+"""Tails that stream behind: not straight up on a body whose tail rests level, and not through the ground.
 
 What horses do, whose tails hang down at rest and stream behind in a gallop, is a turn upwards by a right angle. A tail
 that rests level would point to the sky by the same turn.
@@ -10,27 +10,44 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.core.character import Handles
-from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
+from bunraku.geometry.extremes import extreme_points
+from bunraku.geometry.heading import heading
+from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.retarget.legs import carry, local_motion
 from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.stages.floor import enough
 
-__all__ = ["lowered_tail"]
+__all__ = ["lowered_tail", "raised_tail"]
 
 HIGHEST = np.radians(25)  # a tail that rests lower is held up so far at the most, but for its swings
 SLOW = 0.5  # what changes more slowly than this is how a tail is held, and no swing [s]
+STEPS = np.radians(np.arange(0, 91, 3.0))  # turns upwards that are tried
+DEPTH = 0.002  # what sinks less than this share of the height is left as it is
+SOFT = 0.15  # how long before and after it is needed a tail is turned [s]
 _TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
 
 
-def lowered_tail(rotations: np.ndarray, handles: Handles, joints: Joints, fps: float) -> np.ndarray:
+def lowered_tail(
+    rotations: np.ndarray, handles: Handles, joints: Joints, fps: float, root_rotation: np.ndarray | None = None
+) -> np.ndarray:
     """Local rotations in which no tail is held up higher than it rests, or higher than `HIGHEST`, whatever is more.
+
+    A trunk that tilts forward lifts the tail with it, and so much more is taken from the tail.
 
     Args:
         rotations: Of a character's handles from its rest pose, in the root's frame, shape (N, K, 3, 3).
         handles: Its handles.
         joints: Where they meet in its rest pose.
         fps: Frames a second [1/s].
+        root_rotation: Of the root, shape (N, 3, 3); None for a root that does not turn.
     """
-    out = rotations
+    out, tilt = rotations, np.eye(3)[None]
+    if root_rotation is not None:
+        facing = np.asarray(matrix_y(heading(root_rotation, fps)), np.float64)
+        tilt = facing.transpose(0, 2, 1) @ root_rotation
     for part in (_TAIL, _TIP):
         if not joints.present[part]:
             continue
@@ -40,7 +57,7 @@ def lowered_tail(rotations: np.ndarray, handles: Handles, joints: Joints, fps: f
         if np.hypot(along[1], along[2]) < 0.5 * np.linalg.norm(along):  # it lies across the body
             continue
         rest = float(np.arctan2(along[1], -along[2]))
-        posed = rotations[:, part] @ along
+        posed = (tilt @ (rotations[:, part] @ along)[..., None])[..., 0]
         turned = np.arctan2(posed[:, 1], -posed[:, 2]) - rest
         held = gaussian_filter1d(np.unwrap(turned), SLOW * fps, mode="nearest")
         held -= 2 * np.pi * np.round(held.mean() / (2 * np.pi))
@@ -48,5 +65,43 @@ def lowered_tail(rotations: np.ndarray, handles: Handles, joints: Joints, fps: f
         if above.any():
             lower = matrix_from_axis_angle(-above[:, None] * np.array([1.0, 0, 0]))
             out = out.copy() if out is rotations else out
-            out[:, part] = lower @ rotations[:, part]
+            out[:, part] = tilt.transpose(0, 2, 1) @ lower @ tilt @ rotations[:, part]
     return out
+
+
+def raised_tail(
+    motion: HandleMotion, character: Character, handles: Handles, joints: Joints, floor: float
+) -> HandleMotion:
+    """The motion with a tail turned up, about where it is joined, as far as it would sink into the ground.
+
+    Args:
+        motion: Of the character.
+        character: In its rest pose.
+        handles: Its handles.
+        joints: Where they meet.
+        floor: Height of the ground [m].
+    """
+    base = _TAIL if joints.present[_TAIL] else _TIP
+    held = np.flatnonzero(character.surface & (handles.weights[:, [_TAIL, _TIP]].sum(axis=1) > 0.5))
+    if not joints.present[base] or len(held) < 4:
+        return motion
+    held = held[extreme_points(character.vertices[held].astype(np.float64))]
+    world = motion.transforms(handles.positions).astype(np.float64)
+    points = skin(character.vertices[held], handles.weights[held], world).astype(np.float64)
+    low = floor - DEPTH * character.height
+    if points[..., 1].min() >= low:
+        return motion
+    pivot = np.einsum("nij,j->ni", world[:, base, :, :3], joints.positions[base]) + world[:, base, :, 3]
+    facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
+    away = np.einsum("nji,nmj->nmi", facing, points - pivot[:, None])
+    up, behind = away[..., 1], -away[..., 2]
+    need = np.full(len(motion), STEPS[-1])
+    for step in STEPS[::-1]:
+        clear = (up * np.cos(step) + behind * np.sin(step)).min(axis=1) + pivot[:, 1] >= low
+        need = np.where(clear, step, need)
+    angle = enough(need, max(1, round(SOFT * motion.fps)))
+    turn = facing @ matrix_from_axis_angle(angle[:, None] * np.array([1.0, 0, 0])) @ facing.transpose(0, 2, 1)
+    for part in (_TAIL, _TIP) if base == _TAIL else (_TIP,):
+        if joints.present[part]:
+            carry(world, part, joints, pivot, pivot, turn)
+    return local_motion(world, motion, handles)

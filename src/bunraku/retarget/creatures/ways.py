@@ -1,4 +1,5 @@
-"""How bodies fly, swim and slither, whatever a generator made of it: wings beat in the air, a wave runs along a body.
+"""How bodies fly, swim, slither and stay on the ground, whatever a generator made of it: wings beat in the air, a wave
+runs along a body, runs do not float.
 
 All is done to the motion of the reference body that is about to be fitted. Its rotations are turns of a character's
 parts in the root's frame, so what is turned here about the root's axes turns so on the character.
@@ -9,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
@@ -17,7 +19,12 @@ from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
-from bunraku.retarget.stages.attach import attach_joints, find_joints, reference_joints
+from bunraku.retarget.creatures.lying import laid
+from bunraku.retarget.creatures.tail import lowered_tail
+from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.stages.attach import Joints, attach_joints, find_joints, reference_joints
+from bunraku.retarget.stages.ground import FLIES, hovering, standing, stride_scale
+from bunraku.retarget.stance import rest_to_reference, stance_of
 
 __all__ = ["HOVER", "in_air", "moved_so", "wing_swing"]
 
@@ -32,6 +39,10 @@ BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [
 BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
 SPEED = {"swim": 0.7, "slither": 0.5}  # heights of the root in a second
 STAYS = 0.25  # who gets ahead by less than this share of that gets no farther alone
+BARE = Stages(feet=False, ground=False, smooth=False, floor=False, support=False)
+AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
+"""How long before and after a frame the ground is touched at the latest [s]; who steps has one foot on it always."""
+LEAST = 0.01  # what hovers by less, over the height, is left to the stages of fitting
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 _LINE = {"head": -1.2, "neck": -0.9, "spine3": -0.6, "spine2": -0.4, "spine1": -0.2, "tail": 0.9, "tail_tip": 1.7}
 """Parts along a body, and how far they are behind its middle in the wave [rad]; the size of their turn grows so too."""
@@ -50,7 +61,8 @@ def moved_so(
     motion: HandleMotion, way: str, where: slice, character: Character, handles: Handles, loop: bool = False
 ) -> HandleMotion:
     """The motion with what a way of moving needs in some of its frames; as it is for other ways than "fly", "swim" and
-    "slither".
+    those of `AIR`. "Stay" is to be in the air for no longer than a jump, and "lie" to be on the ground with all but the
+    front.
 
     Args:
         motion: Of the reference body, generated for this character.
@@ -61,11 +73,16 @@ def moved_so(
         loop: Whether the last frame is the first again.
     """
     frames = np.arange(len(motion))[where]
-    if way not in ("fly", *WAVE) or len(frames) < 2:
+    if way not in ("fly", *WAVE, *AIR) or len(frames) < 2:
         return motion
+    if way in ("lie", "slither"):
+        turned, root = laid(motion, _amount(len(motion), frames, motion.fps))
+        motion = replace(_attached(motion, turned, motion.root_translation.astype(np.float64)), root_rotation=root)
     if way == "fly":
         return _flown(motion, frames, character, handles, loop)
-    return _waved(motion, way, frames, character, handles, loop)
+    if way in WAVE:
+        motion = _waved(motion, way, frames, character, handles, loop)
+    return _grounded(motion, way, frames, character, handles) if way in AIR else motion
 
 
 def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMotion:
@@ -74,6 +91,41 @@ def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMoti
     path = motion.root_translation.astype(np.float64)
     path[:, 1] += HOVER * _root() * share
     return replace(motion, root_translation=path, native=True)
+
+
+def _grounded(
+    motion: HandleMotion, way: str, frames: np.ndarray, character: Character, handles: Handles
+) -> HandleMotion:
+    """The motion lower by as much as the character would hover in some frames, with a tail that a tilted trunk does not
+    hold up.
+    """
+    if not motion.native:
+        return motion
+    rest = rest_to_reference(character, handles)
+    share = _amount(len(motion), frames, motion.fps)
+    motion = _tail_lowered(motion, share, handles, rest[1])
+    stance = stance_of(character, handles, rest[1], rest[0])
+    stands = standing(*stance)
+    fitted = fit_motion(motion, character, handles, BARE, rest)
+    hovers = share * gaussian_filter1d(
+        hovering(fitted, character, handles, stands, AIR[way]), AIR[way] / 3 * motion.fps, mode="nearest"
+    )
+    if hovers.max() < (FLIES[0] if way == "stay" else LEAST) * character.height:  # `fit_motion` sets it down
+        return motion
+    path = motion.root_translation.astype(np.float64)
+    path[:, 1] -= hovers / stride_scale(*stance, stands)
+    return replace(motion, root_translation=path)
+
+
+def _tail_lowered(motion: HandleMotion, share: np.ndarray, handles: Handles, joints: Joints) -> HandleMotion:
+    own = joints.present & (handles.played == np.arange(len(handles.positions)))
+    before = motion.rotations.astype(np.float64)
+    after = lowered_tail(before, handles, replace(joints, present=own), motion.fps, motion.root_rotation)
+    if after is before:
+        return motion
+    turn = axis_angle_from_matrix(after @ before.transpose(0, 1, 3, 2))
+    after = matrix_from_axis_angle(share[:, None, None] * np.asarray(turn)) @ before
+    return _attached(motion, after, motion.root_translation.astype(np.float64))
 
 
 def _root() -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
@@ -16,7 +16,7 @@ from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.extremes import part_extremes
 from bunraku.retarget.stages.rest_pose import upright
 
-__all__ = ["lowest", "set_on_ground", "settle_hovering", "standing", "stride_scale"]
+__all__ = ["hovering", "lowest", "set_on_ground", "settle_hovering", "standing", "stride_scale"]
 
 FLIES = (0.12, 0.2)
 """Heights over the ground, as shares of the body's, between which what hovers becomes what flies."""
@@ -125,8 +125,7 @@ def settle_hovering(
     """A motion that was generated for this very body, set down where it hovers: it brings its own height over the
     floor, and generators are a few centimetres off.
 
-    Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the body thinks the
-    ground is. Jumps keep theirs, and what can fly and is farther up than `FLIES` means to be there.
+    Jumps keep their height (`hovering`), and what can fly and is farther up than `FLIES` means to be there.
 
     Args:
         fitted: Motion of the character.
@@ -135,13 +134,36 @@ def settle_hovering(
         stands: What may stand on the ground, shape (V,), bool.
         flies: Whether the body can be off the ground for long: with wings, without legs, or where it climbs.
     """
-    floor = float(character.vertices[stands, 1].min())
-    have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions) - floor
-    window = 2 * round(0.75 * fitted.fps) + 1
-    hovers = gaussian_filter1d(minimum_filter1d(have, window, mode="nearest"), 0.25 * fitted.fps, mode="nearest")
-    hovers = np.maximum(hovers, 0)
+    hovers = hovering(fitted, character, handles, stands)
     if flies:
         hovers = hovers * (1 - smooth_step(hovers / character.height, *FLIES))
     moved = fitted.root_translation.copy()
     moved[:, 1] -= hovers
     return replace(fitted, root_translation=moved)
+
+
+def hovering(
+    fitted: HandleMotion, character: Character, handles: Handles, stands: np.ndarray, air: float | None = None
+) -> np.ndarray:
+    """How far a body is off the ground in each frame but for its jumps [m], shape (N,).
+
+    Nobody stays in the air for a second, so the lowest height within 0.75 s of a frame is where the body thinks the
+    ground is; it goes up and down softly. Who walks or runs is in the air for a shorter time, if at all, and is on the
+    ground otherwise.
+
+    Args:
+        fitted: Motion of the character.
+        character: In its rest pose.
+        handles: Its handles.
+        stands: What may stand on the ground, shape (V,), bool.
+        air: Half of the time that the body is in the air at the most [s]; None for the 0.75 s.
+    """
+    floor = float(character.vertices[stands, 1].min())
+    have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions) - floor
+    window = 2 * round((0.75 if air is None else air) * fitted.fps) + 1
+    low = minimum_filter1d(have, window, mode="nearest")
+    if air is None:
+        hovers = gaussian_filter1d(low, 0.25 * fitted.fps, mode="nearest")
+    else:
+        hovers = maximum_filter1d(low, window, mode="nearest")
+    return np.asarray(np.maximum(hovers, 0))
