@@ -70,7 +70,7 @@ def told(name: str, folder: Path, work: Path | None) -> tuple[list[np.ndarray], 
     floats = plan.swims or (plan.wings and not plan.legs)
     pictures: list[np.ndarray] = []
     off = {}
-    moved = animate_each(character, SENTENCES, seconds=SECONDS, seed=SEED, handles=handles, candidates=1)
+    moved = animate_each(character, SENTENCES, seconds=SECONDS, seed=SEED, handles=handles)
     for sentence, animation in zip(SENTENCES, moved, strict=True):
         assert isinstance(animation, Animation)
         off[sentence] = off_ground(ground_heights(animation), animation.fps)
