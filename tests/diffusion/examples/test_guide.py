@@ -189,3 +189,26 @@ def test_standing_on_one_leg_is_nothing_to_be_joined_to(pack, features):
     kick = pack.features(1)
     assert on_one_leg(kick)
     assert replace(pack, examples=examples).standing == (0,)
+
+
+def test_an_example_that_begins_bent_is_passed_over_where_there_is_another(pack):
+    kick = pack.features(1)
+    bent = kick.copy()
+    bent[0, 10:] += 0.5  # nobody stands like that
+    standing = np.repeat(kick[:1], 40, axis=0)
+
+    class Known(ExamplePack):
+        def features(self, place):
+            return (bent, kick, standing)[place]
+
+    axes = np.eye(4)
+    examples = (
+        replace(pack.examples[1], name="bent"), pack.examples[1], replace(pack.examples[1], name="stand", texts=()),
+    )  # fmt: skip
+    known = Known(
+        examples, pack.data, np.array([0, 1]), np.stack([axes[[0, 0]], axes[[2, 2]]]),
+        np.stack([axes[[0, 0, 1]], axes[[2, 2, 3]]]), "none",
+    )  # fmt: skip
+    leads = Leads(known, {"kicks": ("a person kicks with the right leg", axes[0])})
+    taken = {leads.lead([("kicks", 40)], (seed, 0), number).found[0].place for seed in range(8) for number in (0, 1)}
+    assert taken == {1}

@@ -6,11 +6,12 @@ sitting on a chair gets up from one.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bunraku.diffusion.examples.guide import Lead, fills, fits_into
+from bunraku.diffusion.examples.guide import CROUCH, Lead, fills, fits_into
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found, retrieve
 from bunraku.diffusion.features import feature_weights, mirror
@@ -18,6 +19,10 @@ from bunraku.diffusion.features import feature_weights, mirror
 __all__ = ["Leads"]
 
 NEAREST = 3
+TRIED = 3
+"""Examples that are looked at for one."""
+ODD = 4.9
+"""Distance of a pose from those of people who stand with which nobody begins; that of a kick at its height is 4.8."""
 WEIGHTS = feature_weights()[3:]
 """Of what a pose is: all but the root's velocities."""
 
@@ -51,8 +56,10 @@ class Leads:
             fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
             if chosen and chosen[-1] is not None:
                 fitting = self._following(chosen[-1], fitting)
-            order = random.permutation(len(fitting))
-            chosen.append(fitting[int(order[number % len(order)])] if fitting else None)
+            order = random.permutation(len(fitting)).tolist()
+            first = number % max(len(order), 1)
+            turn = [fitting[place] for place in order[first:] + order[:first]][:TRIED]
+            chosen.append(next((one for one in turn if not self._begins_oddly(one)), turn[0]) if turn else None)
         return Lead(self.pack, tuple(chosen), (*seed, number)) if any(chosen) else None
 
     def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
@@ -60,6 +67,18 @@ class Leads:
         end = self._pose(last, -1)
         away = [float((WEIGHTS * (self._pose(one, 0) - end) ** 2).sum()) for one in fitting]
         return [fitting[place] for place in np.argsort(away, kind="stable")[:NEAREST].tolist()]
+
+    def _begins_oddly(self, found: Found) -> bool:
+        """Whether who stands as an example begins does so bent, as between two exercises, or with a leg far up."""
+        if self.pack.features(found.place)[0, 3] < -CROUCH or not self.pack.standing:
+            return False
+        away = WEIGHTS * (self._standing - self._pose(Found(found.place, False, 0.0), 0)) ** 2
+        return bool(np.sqrt(away.sum(axis=1)).min() > ODD)
+
+    @functools.cached_property
+    def _standing(self) -> np.ndarray:
+        """Mean poses of the stretches of standing, shape (S, 268)."""
+        return np.stack([self.pack.features(index)[:, 3:].mean(axis=0) for index in self.pack.standing])
 
     def _pose(self, found: Found, frame: int) -> np.ndarray:
         features = self.pack.features(found.place)[[frame]]
