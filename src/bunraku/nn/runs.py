@@ -16,6 +16,7 @@ from typing import Any
 
 import torch
 
+from bunraku.formats.files import sweep
 from bunraku.nn.checkpoints import TrainingState, load_training_state
 
 __all__ = [
@@ -115,11 +116,12 @@ def resumed(
     folder: Path, model: torch.nn.Module, average: torch.nn.Module, optimizer: torch.optim.Optimizer
 ) -> TrainingState | None:
     """Load a run's state into its network, the running mean of that, and its optimiser; None where there is no state
-    yet.
+    yet. What a killed run left half-written in the folder goes.
 
     Raises:
         WeightsError: The state is damaged.
     """
+    sweep(folder)
     path = folder / "state.safetensors"
     if not path.is_file():
         return None

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.sampling.schedule import add_noise, alphas_cumprod, sampling_steps
+from bunraku.formats.files import sweep
 from bunraku.language.encoders import TextEncoder
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.retarget.character_bank import CharacterBank
@@ -72,6 +73,7 @@ def collect_pairs(
         progress: Called with (done, total).
     """
     folder.mkdir(parents=True, exist_ok=True)
+    sweep(folder)
     curve, names = alphas_cumprod(), {name: row for row, name in enumerate(bank.names)}
     device = model.mean.device
     parts: list[dict[str, Tensor]] = []

@@ -26,6 +26,7 @@ from bunraku.diffusion.checkpoint import build_denoiser, load_denoiser, save_den
 from bunraku.diffusion.denoiser import Denoiser, joint_offsets
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
+from bunraku.formats.files import sweep
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
 from bunraku.nn.events import EventLog
@@ -278,6 +279,7 @@ def train_adaptation(
         nn.init.zeros_(model.adaptation_out.bias)
     frames = min(config.frames, model.config.frames) // model.config.frames_per_token * model.config.frames_per_token
     config.out.mkdir(parents=True, exist_ok=True)
+    sweep(config.out)
     if encoder is None:
         name = model.config.text_encoder
         encoder = text_encoder(name, config.text_folder if name.startswith("clip") else None)

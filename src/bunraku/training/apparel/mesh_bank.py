@@ -14,7 +14,7 @@ from bunraku.apparel.sampled_mesh import SampledMesh, joint_distances, sampled_m
 from bunraku.core.character import Character
 from bunraku.datasets.apparel.plan import character_split
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.formats.files import atomic_write
+from bunraku.formats.files import atomic_write, sweep
 from bunraku.physics.worn import wearer_of_file
 
 __all__ = ["MeshSample", "build_meshes", "mesh_sample"]
@@ -83,6 +83,7 @@ def build_meshes(
     from bunraku.synthetic.wardrobe import wardrobe_character
 
     folder.mkdir(parents=True, exist_ok=True)
+    sweep(folder)
     out: dict[str, list[MeshSample]] = {"train": [], "val": [], "test": []}
     for seed in range(first, first + count):
         name = f"wardrobe_{seed:06d}"

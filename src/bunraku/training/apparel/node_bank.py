@@ -20,6 +20,7 @@ from bunraku.apparel.wearer import Wearer
 from bunraku.datasets.apparel import ApparelData
 from bunraku.datasets.apparel.reader import ApparelCharacter, ApparelClip
 from bunraku.errors import BunrakuError, FormatError
+from bunraku.formats.files import sweep
 
 __all__ = ["BANK_NODES", "BankCharacter", "build_bank", "load_bank", "truth_wearer"]
 
@@ -138,6 +139,7 @@ def _write(data: ApparelData, clips: list[ApparelClip], path: Path, most: int) -
     if not len(nodes):
         raise FormatError(path, "the character has no apparel")
     path.mkdir(parents=True, exist_ok=True)
+    sweep(path)
     place = np.full(len(character.rest), -1)
     place[character.loose] = np.arange(len(character.loose))
     rows = place[nodes.vertex]

@@ -18,7 +18,7 @@ from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.wearer import Wearer
 from bunraku.datasets.apparel import ApparelData
 from bunraku.errors import BunrakuError, FormatError, OptionError
-from bunraku.formats.files import atomic_write
+from bunraku.formats.files import atomic_write, sweep
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.nn.drawn_run import DrawnRun
 from bunraku.training.apparel.node_bank import truth_wearer
@@ -200,6 +200,7 @@ def _samples(config: RefinementTrainConfig, split: str, most: int, folder: Path)
     data = ApparelData(config.data, split)  # type: ignore[arg-type]
     network = load_displacement(config.weights or shipped_checkpoint("apparel"))
     folder.mkdir(parents=True, exist_ok=True)
+    sweep(folder)
     out: list[SeamSample] = []
     names = ("inputs", "vectors", "turns", "places", "truth", "edges")
     for name in data.characters:

@@ -22,6 +22,7 @@ from bunraku.datasets.motions.bundle import read_bundle
 from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
+from bunraku.formats.files import sweep
 from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
 from bunraku.nn.checkpoints import load_training_state
 from bunraku.nn.events import EventLog
@@ -104,6 +105,7 @@ def train_diffusion(
         raise OptionError("batch, threads, minutes and steps must be positive")
     torch.set_num_threads(config.threads)
     config.out.mkdir(parents=True, exist_ok=True)
+    sweep(config.out)
     processes = open_processes(config.device)
     console = Console(quiet=not processes.main)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
