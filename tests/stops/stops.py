@@ -40,7 +40,7 @@ def _hook(event, words):
     os.write(descriptor, b".")
     done = os.fstat(descriptor).st_size
     os.close(descriptor)
-    if done == _fatal:
+    if 0 < _fatal <= done:  # threads may have counted on since
         os.killpg(0, signal.SIGKILL)
 sys.addaudithook(_hook)
 '''

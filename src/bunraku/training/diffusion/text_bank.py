@@ -63,7 +63,8 @@ class TextBank:
                 torch.cat(lengths).cumsum(0) if lengths else torch.zeros(0, dtype=torch.long),
             ]
         )
-        self._pooled = torch.cat(pooled) if pooled else torch.zeros(0, encoder.pooled_size)
+        # As the file gives it back: a run that goes on must learn from the same numbers.
+        self._pooled = torch.cat(pooled).half().float() if pooled else torch.zeros(0, encoder.pooled_size)
         if cache is not None:
             state = {"tokens": self._tokens, "offsets": self._offsets, "pooled": self._pooled}
             save_checkpoint(cache, state, {"digest": digest}, "text-bank", half=True)
@@ -73,17 +74,16 @@ class TextBank:
 
     def __call__(self, sentences: Sequence[str]) -> TextBatch:
         """The sentences, encoded, padded to the longest of them."""
-        new = [sentence for sentence in dict.fromkeys(sentences) if sentence not in self._rows]
-        fresh = self._encoder.encode(new) if new else None
+        # One by one: beside others, which a run that goes on may have encoded before, sums are rounded otherwise.
+        fresh = {own: self._encoder.encode([own]) for own in dict.fromkeys(sentences) if own not in self._rows}
         rows = []
         for sentence in sentences:
             row = self._rows.get(sentence)
             if row is not None:
                 rows.append((self._tokens[self._offsets[row] : self._offsets[row + 1]].float(), self._pooled[row]))
             else:
-                assert fresh is not None
-                place = new.index(sentence)
-                rows.append((fresh.tokens[place][fresh.mask[place]], fresh.pooled[place]))
+                own = fresh[sentence]
+                rows.append((own.tokens[0][own.mask[0]], own.pooled[0]))
         longest = max(len(values) for values, _ in rows)
         tokens = torch.zeros(len(rows), longest, self._encoder.token_size)
         mask = torch.zeros(len(rows), longest, dtype=torch.bool)
