@@ -2,10 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from bunraku.diffusion.features import mirror
 from bunraku.diffusion.matching import RANKER, ExtractorConfig, load_extractor
 from bunraku.errors import OptionError, WeightsError
+from bunraku.nn.checkpoints import load_training_state
 from bunraku.training.ranker.train import RankerTrainConfig, alike, spoilt, train_ranker
 
 TINY = ExtractorConfig(width=16, layers=1, heads=2, feedforward=16, embedding=8, dropout=0.0)
@@ -49,3 +51,24 @@ def test_it_learns_and_goes_on_where_it_stopped(swings, encoder, tmp_path):
     assert rows[-1]["step"] > steps
     with pytest.raises(OptionError, match="another network"):
         train_ranker(replace(config, minutes=0.06, network=replace(TINY, width=24)), None, encoder)
+
+
+def test_a_run_that_was_stopped_comes_to_the_same_weights(swings, encoder, tmp_path):
+    config = RankerTrainConfig(
+        data=swings, out=tmp_path / "whole", minutes=0, steps=4, batch=4, validate_every=2,
+        network=replace(TINY, dropout=0.2),
+    )  # fmt: skip
+    whole = train_ranker(config, None, encoder)
+    stopped = replace(config, out=tmp_path / "stopped")
+
+    def stop(row):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_ranker(stopped, stop, encoder)
+    again = train_ranker(stopped, None, encoder)
+    states = [load_training_state(path.with_name("state.safetensors")) for path in (whole, again)]
+    assert [state.step for state in states] == [4, 4]
+    for kind in ("model", "average"):
+        for name, value in states[0].models[kind].items():
+            assert torch.equal(value, states[1].models[kind][name]), name

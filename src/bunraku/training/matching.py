@@ -119,6 +119,7 @@ class MatchingRun(AveragedRun[Extractor]):
         config = self.settings
         with self.timed():
             self.model.train()
+            torch.manual_seed(1_000_003 * config.seed + self.step)  # dropout; a run that goes on draws the same
             rate = self.set_rate(config.rate, config.warmup, self.progress(), least=0.01)
             loss, figures = self.step_loss()
             loss.backward()  # type: ignore[no-untyped-call]
