@@ -53,6 +53,7 @@ def hurry(words: Sequence[str]) -> None:
     # Products of a few thousand numbers are too short to share, threads that wait for them take half of the processor
     # from who works, and one thread adds in one order on every machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # torch's threads sleep between products
     atexit.register(_leave)  # the first, which runs as the last
     gc.set_threshold(OBJECTS)
     sys.meta_path.insert(0, _finder())
