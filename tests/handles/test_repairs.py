@@ -10,7 +10,7 @@ from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.geometry.simplify import network_mesh
-from bunraku.handles.repairs import MOST, TURN, eased, edge_strain, reunited
+from bunraku.handles.repairs import MOST, TURN, eased, edge_strain, reunited, without_doubts
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 
@@ -133,3 +133,17 @@ def test_repairs_leave_one_handle_alone(repair):
     mesh = box_body()
     _, weights = hard(mesh)
     np.testing.assert_allclose(repair(mesh, weights), weights, atol=1e-6)
+
+
+@pytest.mark.parametrize(("left", "right", "there"), [(0.3, 0.4, False), (0.3, 0.9, True), (0.9, 0.9, True)])
+def test_a_limb_that_holds_no_vertex_surely_is_not_there(left, right, there):
+    weights = np.zeros((6, HANDLE_COUNT), np.float32)
+    weights[:, H["head"]] = 1
+    for row, side, share in ((0, "left", left), (1, "right", right)):
+        weights[row, [H[f"{side}_wrist"], H[f"{side}_elbow"], H["head"]]] = [0.5 * share, 0.5 * share, 1 - share]
+    found = without_doubts(weights)
+    np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
+    if there:
+        np.testing.assert_allclose(found, weights, atol=1e-6)
+    else:
+        np.testing.assert_allclose(found[:, H["head"]], 1)

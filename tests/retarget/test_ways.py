@@ -14,7 +14,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.retarget.creatures.plan import plan_of
-from bunraku.retarget.creatures.ways import BEATS, HOVER, in_air, moved_so, wing_swing
+from bunraku.retarget.creatures.ways import BEATS, HELD, HOVER, TILT, in_air, moved_so, wing_swing
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.synthetic.families import EVALUATION_SEED, code_made_character
@@ -66,6 +66,15 @@ def test_wings_that_beat_already_beat_as_they_do(dragon):
     beating = moved_so(still(), "fly", EVERY, dragon.character, dragon.handles)
     again = moved_so(beating, "fly", EVERY, dragon.character, dragon.handles)
     np.testing.assert_array_equal(again.rotations, beating.rotations)
+
+
+def test_what_flies_does_not_fall_over(dragon):
+    falls = np.linspace(0, 2.5, FRAMES)[:, None] * np.array([0, 0, 1.0])
+    motion = replace(turned(matrix_from_axis_angle(falls), "left_wing"), root_rotation=matrix_from_axis_angle(falls))
+    flown = moved_so(motion, "fly", EVERY, dragon.character, dragon.handles)
+    up = flown.root_rotation[:, 1, 1]  # of the body's own up
+    assert np.degrees(np.arccos(up.min())) == pytest.approx(np.degrees(TILT), abs=1)
+    assert wing_swing(motion, HELD) < BEATS < wing_swing(flown, HELD)  # a wing that is moved once does not beat
 
 
 def test_flight_ends_where_a_clause_ends(dragon):

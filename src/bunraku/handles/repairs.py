@@ -1,8 +1,10 @@
-"""What a predictor's weights break, mended: parts of handles that lie apart, and edges that a turn would tear.
+"""What a predictor's weights break, mended: limbs that are nowhere, parts of handles that lie apart, and edges that a
+turn would tear.
 
 A handle is one rigid motion about one joint. Where the predictor gives it two regions that do not touch (a hand and an
 ear), the lesser one would fly about a joint that is not its own; and where its share rises steeply far from the joint,
-a turn stretches the edges there.
+a turn stretches the edges there. A limb of which no vertex is mainly a part is a doubt of the predictor's (the horns of
+a monster are hands at a third), and its turns would shear what it holds.
 """
 
 from __future__ import annotations
@@ -16,12 +18,14 @@ from bunraku.body.reference import handle_positions
 from bunraku.core.motion import line_up
 from bunraku.geometry.graph import mean_operator, mesh_parts
 from bunraku.geometry.simplify import NetworkMesh
+from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 
-__all__ = ["edge_strain", "eased", "reunited"]
+__all__ = ["edge_strain", "eased", "reunited", "without_doubts"]
 
 TOUCH = 1.5  # loose parts nearer than this touch, in cells
 HELD = 0.35  # a vertex belongs to the region of a handle that holds so much of it
 APART = 0.06  # least distance of a stray region from the main one, as a share of the extent; fingers are nearer
+SURELY = 0.5  # a limb is there if it holds so much of some vertex
 LESSER = 0.5  # a region apart is a stray one if it is smaller than this share of the main one
 TURN = np.radians(60)  # a limb turns so far in walks
 MOST = 2.0  # an edge may grow by so much of its length in such a turn
@@ -33,11 +37,28 @@ _LIMBS = [
 ]
 _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
 _TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
+_WHOLE = [[limb_handles(side, family) for side in SIDES] for family in (*FAMILIES, ("wing",))] + [[[_TAIL, _TIP]]]
+"""The handles of each limb, left and right."""
 _SUBTREES = [
     [other for other in range(HANDLE_COUNT) if handle in line_up(other, HANDLE_PARENTS)]
     for handle in range(HANDLE_COUNT)
 ]
 """Each handle with those below it."""
+
+
+def without_doubts(weights: np.ndarray) -> np.ndarray:
+    """Weights without the limbs that hold no vertex by `SURELY` on either side; what they held is shared by the other
+    handles of its vertices.
+
+    Args:
+        weights: Of vertices, rows sum to 1, shape (M, 30).
+    """
+    out = np.array(weights, np.float64)
+    for sides in _WHOLE:
+        if max(float(weights[:, limb].sum(axis=1).max()) for limb in sides) < SURELY:
+            out[:, np.concatenate(sides)] = 0
+    left = out.sum(axis=1, keepdims=True)
+    return np.where(left > 0, out / np.maximum(left, 1e-12), weights).astype(np.float32)
 
 
 def reunited(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:

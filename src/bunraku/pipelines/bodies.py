@@ -8,8 +8,8 @@ from itertools import groupby
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.language.clauses import of_creature
-from bunraku.language.ways import in_air
+from bunraku.language.clauses import of_creature, subject_of, with_subject
+from bunraku.language.ways import in_air, way_of
 from bunraku.pipelines.decisions import suited
 from bunraku.retarget.creatures.plan import BodyPlan, plan_of
 from bunraku.retarget.creatures.ways import moved_so
@@ -47,7 +47,9 @@ def as_bodies_do(
     for script in scripts:
         words = [_on_ground(plan, *suited(plan, clause)) for clause, _ in script]
         seconds = [length for _, length in script]
-        said = [clause if as_people else of_creature(clause) for clause, _ in words]
+        said = [
+            _of_bird(clause) if way == "fly" else clause if as_people else _of_kind(clause) for clause, way in words
+        ]
         out.append(list(zip(said, seconds, strict=True)))
         ways.append([(way, length / sum(seconds)) for (_, way), length in zip(words, seconds, strict=True)])
     return out, ways, as_people
@@ -57,6 +59,20 @@ def _on_ground(plan: BodyPlan, clause: str, way: str) -> tuple[str, str]:
     """A clause and its way of moving; of one that has none, how it is on the ground."""
     ground = in_air(clause)
     return clause, way or ("lie" if ground and plan.slithers else ground)
+
+
+def _of_kind(clause: str) -> str:
+    """A clause said of a creature, and one of walking or running of "it", whichever is named: the network has seen few
+    kinds walk, and a rat or a frog that is named hardly stirs.
+    """
+    subject, rest = subject_of(clause)
+    return f"it {rest}" if subject and way_of(clause) in ("walk", "run") else of_creature(clause)
+
+
+def _of_bird(clause: str) -> str:
+    """A clause of flight said of a bird: the one flight that the network knows, whoever has the wings."""
+    subject, rest = subject_of(clause)
+    return f"a bird {rest}" if subject else with_subject(clause, "a bird")
 
 
 def moved_ways(

@@ -131,8 +131,8 @@ def suited(plan: BodyPlan, clause: str) -> tuple[str, str]:
     way, person = way_of(clause), plan.kind == "person"
     if way == "fly":
         return clause, "fly" if plan.wings else ""
-    if way == "run" and plan.kind == "many legs":  # by the gallops of four legs it would throw its legs about
-        return said_otherwise(clause, "walks fast"), ""
+    if plan.kind == "many legs" and way in ("run", "crawl"):  # in a gallop of four legs it would throw its legs about
+        return said_otherwise(clause, "walks fast" if way == "run" else "walks"), ""
     if plan.legs:
         if way == "slither" or (way in ("crawl", "swim") and not person):
             return said_otherwise(clause, "crawls" if person else "walks slowly" if way != "swim" else "walks"), ""

@@ -33,6 +33,8 @@ HOVER = 0.8
 RISE = 0.7  # how long what flies takes up and down where something else follows [s]
 BEAT, SPREAD = 2.2, 0.6  # wing beats in a second, and how far a wing swings up and down [rad]
 BEATS = 0.5  # wings that swing through less than this do not beat [rad]
+HELD = 0.4  # what changes more slowly than this is how a wing is held, and no beat [s]
+TILT = np.radians(30)  # a body that flies tilts so far at the most, and no part of its trunk bends farther
 BOB = 0.05  # how far a body sinks and rises with the beats, over the height of its root
 WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
 BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
@@ -47,13 +49,20 @@ _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 _LINE = {"head": -1.2, "neck": -0.9, "spine3": -0.6, "spine2": -0.4, "spine1": -0.2, "tail": 0.9, "tail_tip": 1.7}
 """Parts along a body, and how far they are behind its middle in the wave [rad]; the size of their turn grows so too."""
 _TAIL = HANDLE_NAMES.index("tail_tip")
+_TRUNK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "neck")]
 _HEAD = [HANDLE_NAMES.index(name) for name in ("head", "face", "head_top")]
 
 
-def wing_swing(motion: HandleMotion) -> float:
-    """Through which angle the wings of a body swing, as 5 of 100 frames are beyond it at either end [rad]."""
+def wing_swing(motion: HandleMotion, held: float | None = None) -> float:
+    """Through which angle the wings of a body swing, as 5 of 100 frames are beyond it at either end [rad].
+
+    Args:
+        motion: Of the reference body.
+        held: What changes more slowly than this is how a wing is held, and no swing [s]; None counts all.
+    """
     turns = np.asarray(axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64)))
-    low, high = np.quantile(turns - turns.mean(axis=0), [0.05, 0.95], axis=0)
+    turns -= turns.mean(axis=0) if held is None else gaussian_filter1d(turns, held * motion.fps, axis=0, mode="nearest")
+    low, high = np.quantile(turns, [0.05, 0.95], axis=0)
     return float(np.linalg.norm(high - low, axis=-1).max())
 
 
@@ -153,18 +162,36 @@ def _flown(
     motion: HandleMotion, frames: np.ndarray, character: Character, handles: Handles, loop: bool
 ) -> HandleMotion:
     motion = in_air(motion, frames)
-    if wing_swing(HandleMotion.take(motion, frames)) >= BEATS:
-        return motion
     share = _amount(len(motion), frames, motion.fps)
+    motion = _righted(motion, share)
+    if wing_swing(HandleMotion.take(motion, frames), HELD) >= BEATS:
+        return motion
     phase = _phase(len(motion), frames, BEAT, motion.fps, loop)
     rotations = motion.rotations.astype(np.float64).copy()
     for wing in _WINGS:
         axis = _lifting_axis(character, handles, wing)
-        angle = SPREAD * np.sin(phase) * share
-        rotations[:, wing] = matrix_from_axis_angle(angle[:, None] * axis) @ rotations[:, wing]
+        held = axis_angle_from_matrix(rotations[:, wing]) * (1 - share[:, None])  # what was drawn is no flight
+        beat = SPREAD * np.sin(phase) * share
+        rotations[:, wing] = matrix_from_axis_angle(beat[:, None] * axis) @ matrix_from_axis_angle(held)
     path = motion.root_translation.astype(np.float64)
-    path[:, 1] -= BOB * _root() * np.sin(phase - 0.5) * share
+    level = HOVER * _root() - BOB * _root() * np.sin(phase - 0.5)
+    path[:, 1] += share * (level - path[:, 1])
     return _attached(motion, rotations, path)
+
+
+def _righted(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
+    """The motion of a body that neither falls over nor rolls up in the air, whatever else was drawn."""
+
+    def within(turn: np.ndarray) -> np.ndarray:
+        size = np.linalg.norm(turn, axis=-1, keepdims=True)
+        least = np.minimum(1, TILT / np.maximum(size, 1e-9))
+        return np.asarray(matrix_from_axis_angle(turn * (1 + (least - 1) * share.reshape(-1, *[1] * (turn.ndim - 1)))))
+
+    facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
+    root = facing @ within(np.asarray(axis_angle_from_matrix(facing.transpose(0, 2, 1) @ motion.root_rotation)))
+    rotations = motion.rotations.astype(np.float64).copy()
+    rotations[:, _TRUNK] = within(np.asarray(axis_angle_from_matrix(rotations[:, _TRUNK])))
+    return replace(_attached(motion, rotations, motion.root_translation.astype(np.float64)), root_rotation=root)
 
 
 def _lifting_axis(character: Character, handles: Handles, wing: int) -> np.ndarray:

@@ -1,0 +1,48 @@
+"""Sentences in words for what a body does in their place."""
+
+from __future__ import annotations
+
+import pytest
+
+from bunraku.body.reference import reference_body
+from bunraku.pipelines.bodies import as_bodies_do
+from bunraku.retarget.rig_parts import RigParts
+from bunraku.synthetic.families import EVALUATION_SEED, code_made_character
+from bunraku.synthetic.samples import sample_character
+
+
+@pytest.fixture(scope="module")
+def bodies():
+    made = {name: RigParts.of(sample_character(name, rigged=True)) for name in ("dog", "dragon")}
+    made["snake"] = RigParts.of(code_made_character("snake", EVALUATION_SEED))
+    known = {name: (parts.character, parts.handles) for name, parts in made.items()}
+    return known | {"person": (reference_body().character(), reference_body().handles)}
+
+
+@pytest.mark.parametrize(
+    ("body", "clause", "said", "way"),
+    [
+        ("person", "a person walks", "a person walks", "step"),
+        ("person", "climbs a ladder", "climbs a ladder", ""),
+        ("dog", "a person walks", "it walks", "step"),
+        ("dog", "a rat walks", "it walks", "step"),
+        ("dog", "a dog runs and jumps", "it runs and jumps", "stay"),
+        ("dog", "a dog eats", "a dog eats", "stay"),
+        ("dog", "swims", "it walks", "step"),
+        ("dragon", "a dragon flies away", "a bird flies away", "fly"),
+        ("dragon", "flies", "a bird flies", "fly"),
+        ("dragon", "runs", "it runs", "run"),
+        ("snake", "a snake bites", "a snake bites", "lie"),
+        ("snake", "a snake crawls", "a snake slithers", "slither"),
+    ],
+)
+def test_a_clause_is_said_and_done_as_the_body_can(bodies, body, clause, said, way):
+    scripts, ways, as_people = as_bodies_do([[(clause, 2.0)]], *bodies[body])
+    assert scripts == [[(said, 2.0)]]
+    assert ways == [[(way, 1.0)]]
+    assert as_people == (body == "person")
+
+
+def test_clauses_share_the_time_of_their_sentence(bodies):
+    _, ways, _ = as_bodies_do([[("flies", 3.0), ("stands", 1.0)]], *bodies["dragon"])
+    assert ways == [[("fly", 0.75), ("stay", 0.25)]]
