@@ -87,7 +87,7 @@ def ways(characters: Path) -> None:
     images: list[np.ndarray] = []
     labels: list[str] = []
     for sentence, body in bodies.items():
-        moved = animate(body, sentence, seconds=2, seed=1, candidates=1, handles=rig(body))
+        moved = animate(body, sentence, seconds=2, seed=1, handles=rig(body))
         assert isinstance(moved, Animation)
         images += frames(moved)
         labels += [sentence] + [""] * (SHOWN - 1)
