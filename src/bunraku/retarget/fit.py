@@ -6,9 +6,9 @@ switched off, clean its motion and turn it into one of another character. They r
 - `smooth`: the generator's noise is taken out and fast moves stay (`retarget/stages/smooth.py`).
 - `rest_pose`: a limb that rests in another direction than the reference body's (arms down, A-pose, sitting, the front
   legs of a dog) is first turned into the reference's direction, so the motion means the same. Bodies that lie along
-  their spine take a third of the pelvis' tilt. Fins stay near their rest (`retarget/creatures/fins.py`). Tails of
-  creatures that are held up higher than they rest are lowered (`retarget/creatures/tail.py`), whether this stage runs
-  or not.
+  their spine take a third of the pelvis' tilt. Fins and claws stay near their rest (`retarget/creatures/fins.py`).
+  Tails of creatures that are held up higher than they rest are lowered (`retarget/creatures/tail.py`), whether this
+  stage runs or not.
 - `attach`: local translations are set so that each handle stays joined to its parent at the place where their weights
   meet. It takes the place of the learned adaptation delta (section 3.2 of TapMo) where bones are longer or shorter than
   the reference's.
@@ -147,7 +147,7 @@ def fit_motion(
     if motion.native:
         level = not upright(handles)
         drawn = not level or drawn_arms(motion.rotations)
-        if stages.rest_pose and level and (not drawn or not (legs or handles.roles is not None)):
+        if stages.rest_pose and level and (not drawn or not legs or handles.roles is not None):
             rotations = held_fins(rotations, handles, joints, drawn, motion.fps)
         rotations = lowered_tail(rotations, handles, joints, motion.fps)
         if stages.ground and legs and level:
