@@ -37,8 +37,8 @@ _LIMBS = [
 ]
 _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee", "ankle", "foot"))]
 _TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
-_WHOLE = [[limb_handles(side, family) for side in SIDES] for family in (*FAMILIES, ("wing",))] + [[[_TAIL, _TIP]]]
-"""The handles of each limb, left and right."""
+_WHOLE = [[limb_handles(side, family) for side in SIDES] for family in FAMILIES] + [[[_TAIL, _TIP]]]
+"""The handles of each limb, left and right; not wings, of which a trace tells that a body flies."""
 _SUBTREES = [
     [other for other in range(HANDLE_COUNT) if handle in line_up(other, HANDLE_PARENTS)]
     for handle in range(HANDLE_COUNT)
