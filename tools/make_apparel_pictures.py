@@ -22,7 +22,7 @@ from bunraku.render import contact_sheet, render_frames, save_preview
 from bunraku.synthetic.wardrobe import wardrobe_character
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
-SEED, PROMPT, SECONDS = 450, "a person dances and turns around", 4.0
+SEED, PROMPT, SECONDS = 801, "a person dances and turns around", 4.0
 MOMENTS = (15, 40, 65, 90, 115)  # frames of the files' dance
 
 

@@ -20,7 +20,7 @@ from bunraku.apparel.displacement.features import (
     mirror_global,
     static_features,
 )
-from bunraku.apparel.displacement.filters import DAMPING, FREQUENCIES, MotionFilters
+from bunraku.apparel.displacement.filters import DAMPING, FREQUENCIES, GRAVITY, PENDULUMS, MotionFilters, Pendulums
 from bunraku.apparel.displacement.graph import EdgeBlock, node_graph, part_pool
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
 from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, load_displacement
@@ -114,6 +114,30 @@ def test_filters_forget():
     for _ in range(1800):
         filters.advance(np.ones((1, 3)), np.eye(3)[None])
     assert np.abs(filters.sway).max() < 1e-6 and np.abs(filters.late - np.eye(3)).max() < 1e-5
+
+
+def test_pendulums_keep_their_lengths_and_come_to_hang_as_forces_balance():
+    held = np.array([[0.3, 0, 0], [0, -0.4, 0]], np.float32)
+    places, turns = held + [0, 1, 0], np.repeat(np.eye(3)[None], 2, axis=0)
+    hung = Pendulums(places, held, turns, 1.0)
+    for _ in range(600):
+        away = hung.advance(places, turns) + held
+        np.testing.assert_allclose(np.linalg.norm(away, axis=2), [[0.3, 0.4]] * len(PENDULUMS), rtol=1e-4)
+    for (spring, _), sideways, down in zip(PENDULUMS, away[:, 0], away[:, 1], strict=True):
+        # gravity and the spring's pull to (0.3, 0, 0) leave nothing across the rod
+        pull = np.array([0, -GRAVITY, 0]) - spring * (sideways - [0.3, 0, 0])
+        across = np.array([-sideways[1], sideways[0], 0]) / 0.3
+        assert abs(pull @ across) < 0.01 * GRAVITY and sideways[1] < 0
+        np.testing.assert_allclose(down, [0, -0.4, 0], atol=1e-5)
+
+
+def test_a_small_swing_has_the_period_of_a_pendulum(monkeypatch):
+    monkeypatch.setattr("bunraku.apparel.displacement.filters.PENDULUMS", ((0.0, 0.0),))
+    held = np.array([[0.02, -0.5, 0]], np.float32)
+    swing = Pendulums(held, held, np.eye(3)[None], 1.0)
+    way = np.array([(swing.advance(held, np.eye(3)[None]) + held)[0, 0, 0] for _ in range(300)])
+    crossings = np.flatnonzero((way[:-1] > 0) & (way[1:] <= 0)) / 30
+    assert np.diff(crossings).mean() == pytest.approx(2 * np.pi * np.sqrt(0.5 / GRAVITY), rel=0.03)
 
 
 def test_at_rest_nothing_is_felt():

@@ -66,7 +66,9 @@ class NodeEncoder(nn.Module):
         self.register_buffer("mean", torch.zeros(count))
         self.register_buffer("std", torch.ones(count))
         self.motion = nn.Sequential(nn.Linear(GLOBAL, 64), nn.GELU(), nn.Linear(64, motion))
-        self.enter = nn.Sequential(nn.Linear(count + motion, width), nn.GELU(), nn.Linear(width, width))
+        self.enter = nn.Sequential(
+            nn.Linear(count + motion, width), nn.GELU(), nn.Linear(width, width), nn.LayerNorm(width)
+        )  # without the norm the features grow a hundredfold in training, and the decoder dies
         self.blocks = nn.ModuleList(EdgeBlock(width) for _ in range(blocks))
 
     def forward(self, nodes: torch.Tensor, inputs: Inputs) -> torch.Tensor:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
-from bunraku.apparel.displacement.filters import FREQUENCIES, LAGS, MotionFilters
+from bunraku.apparel.displacement.filters import FREQUENCIES, LAGS, PENDULUMS, MotionFilters, Pendulums
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
 from bunraku.apparel.displacement.nodes import ApparelNodes
 from bunraku.apparel.skinning import eq4_transforms
@@ -27,8 +27,10 @@ RATE = 30.0
 """Frames a second that the networks know [1/s]."""
 LEAD_IN = 30
 """Frames from the rest pose into a clip."""
-BASIS = len(FREQUENCIES) + len(LAGS) + 4
-"""Vectors that a displacement may be made of: sways, lagging turns, the tilt, and three pushes out of the body."""
+BASIS = len(FREQUENCIES) + len(LAGS) + len(PENDULUMS) + 4
+"""Vectors that a displacement may be made of: sways, lagging turns, pendulums, the tilt, and three pushes out of the
+body.
+"""
 VECTORS = BASIS + 6
 """Beside these: up, spin, velocity, acceleration, the body's normals at the node and where it hangs."""
 SCALARS = 2
@@ -99,8 +101,9 @@ class MotionFeatures:
         self.follow = np.float32(1 - np.exp(-1 / (fps * 0.2)))
         self.before = np.asarray(first[:, :, :3], np.float32)
         self.fps = fps
-        places, _ = self._carried(self._affine(first))
+        places, turns = self._carried(self._affine(first))
         self.filters = MotionFilters(places / self.size, first[:, :, :3], fps)
+        self.pendulums = Pendulums(places / self.size, nodes.held / self.size, turns, wearer.scale, fps)
 
     def _affine(self, transforms: np.ndarray) -> np.ndarray:
         return eq4_transforms(transforms[None], self.wearer.joints)[0]
@@ -128,19 +131,24 @@ class MotionFeatures:
         near_hang, normal_hang = nearest_point(places + size * _turned(turns, tilt), *body)
         late = [_turned(late[nodes.joint], held) for late in self.filters.late]
         spun = _cross(self._spin(joints)[nodes.joint], _turned(turns, held))
+        swung = self.pendulums.advance(places / size, turns)
         world = np.stack(
-            [*self.filters.sway, *late, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05], axis=2
-        )
+            [
+                *self.filters.sway, *late, *swung, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05,
+            ],
+            axis=2,
+        )  # fmt: skip
         inside = np.matmul(turns.transpose(0, 2, 1), world).transpose(0, 2, 1)
-        count = len(FREQUENCIES) + len(LAGS)
-        late_inside, normals = inside[:, len(FREQUENCIES) : count] - held[:, None], inside[:, count : count + 2]
+        sways, count = len(FREQUENCIES), len(FREQUENCIES) + len(LAGS) + len(PENDULUMS)
+        late_inside = inside[:, sways : sways + len(LAGS)] - held[:, None]
+        normals = inside[:, count : count + 2]
         gaps = np.stack([near, near_hang], axis=1)
         push = normals * (np.clip(self.gap[:, None] - gaps, 0, 0.4 * size) / size)[..., None]
         self.push = self.push + self.follow * (push[:, 0] - self.push)
         vectors = np.concatenate(
             [
-                inside[:, : len(FREQUENCIES)], late_inside, tilt[:, None], push, self.push[:, None], up[:, None],
-                inside[:, count + 2 :], normals,
+                inside[:, :sways], late_inside, inside[:, sways + len(LAGS) : count], tilt[:, None], push,
+                self.push[:, None], up[:, None], inside[:, count + 2 :], normals,
             ],
             axis=1,
         )  # fmt: skip

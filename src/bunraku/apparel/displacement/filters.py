@@ -1,18 +1,22 @@
-"""What apparel feels of the motion that carries it: a bank of damped oscillators that hang on it, and turns that lag
-behind it. Linear, causal and stable, so whatever is computed from them cannot drift.
+"""What apparel feels of the motion that carries it: a bank of damped oscillators that hang on it, turns that lag behind
+it, and pendulums that hang where its part is held. Causal and damped, so whatever is computed from them cannot drift.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["FREQUENCIES", "LAGS", "MotionFilters"]
+__all__ = ["FREQUENCIES", "LAGS", "PENDULUMS", "MotionFilters", "Pendulums"]
 
 FREQUENCIES = (0.4, 0.7, 1.2, 2.0, 3.4)
 """Of the oscillators [1/s]: apparel swings at 0.6 on the average, stiff pieces at 4."""
 DAMPING = 0.3
 LAGS = (0.08, 0.25, 0.8)
 """Times in which a lagging turn follows [s]."""
+PENDULUMS = ((0.0, 3.0), (20.0, 3.0), (80.0, 5.0), (200.0, 12.0))
+"""Of each, the stiffness of the spring to where it is carried [1/s^2] and the damping [1/s], for a unit of mass."""
+SUBSTEPS = 4
+GRAVITY = 9.81
 
 
 class MotionFilters:
@@ -54,3 +58,52 @@ class MotionFilters:
         self.late += self.follow * (turns - self.late)
         self.places = np.stack([self.places[1], np.asarray(places, np.float32)])
         return velocity, acceleration
+
+
+class Pendulums:
+    """Masses on rods of fixed length, which hang where the parts of the nodes are held, under gravity, damping against
+    what carries them and springs to where that takes them.
+
+    Args:
+        places: Of the M carried nodes in the first frame, over the wearer's size, shape (M, 3).
+        held: From where its part is held to each node, over the size, shape (M, 3).
+        turns: Frames of the carrying joints, shape (M, 3, 3).
+        size: The wearer's size [m].
+        fps: Frames a second [1/s].
+    """
+
+    def __init__(self, places: np.ndarray, held: np.ndarray, turns: np.ndarray, size: float, fps: float = 30.0):
+        count = len(PENDULUMS)
+        self.held, self.step = np.asarray(held, np.float32), np.float32(1 / (fps * SUBSTEPS))
+        self.length = np.linalg.norm(self.held, axis=1)[:, None].astype(np.float32)
+        self.spring, self.damping = np.array(PENDULUMS, np.float32).T[:, :, None, None]
+        self.gravity = np.array([0, -GRAVITY / size, 0], np.float32)
+        self.places = np.asarray(places, np.float32)
+        self.rods = np.matmul(turns, self.held[..., None])[..., 0].astype(np.float32)
+        self.points = np.repeat(self.places[None], count, axis=0)
+        self.speed = np.zeros_like(self.points)
+
+    def advance(self, places: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        """Go on by a frame: where the masses are, from the carried nodes, in the world over the size, shape (P, M, 3).
+
+        Semi-implicit Euler steps, after each of which the rods have their lengths again.
+
+        Args:
+            places: Shape (M, 3).
+            turns: Shape (M, 3, 3).
+        """
+        places = np.asarray(places, np.float32)
+        rods = np.matmul(turns, self.held[..., None])[..., 0].astype(np.float32)
+        carried = (places - self.places) / (self.step * SUBSTEPS)
+        for number in range(1, SUBSTEPS + 1):
+            share = np.float32(number / SUBSTEPS)
+            here = self.places + share * (places - self.places)
+            hung = here - (self.rods + share * (rods - self.rods))
+            force = self.gravity - self.spring * (self.points - here) - self.damping * (self.speed - carried)
+            self.speed += self.step * force
+            away = self.points + self.step * self.speed - hung
+            away *= self.length / np.maximum(np.sqrt((away * away).sum(axis=-1, keepdims=True)), 1e-6)
+            self.speed = (hung + away - self.points) / self.step
+            self.points = hung + away
+        self.places, self.rods = places, rods
+        return self.points - places

@@ -29,7 +29,7 @@ HEADS = (48, 72, 128)
 """Numbers of nodes that are trained on: heads of the same order, each with neighbours of its own."""
 STANDS_OUT = 0.1
 """Share of its calm frames in which the hem of a clip may stand out for the clip to be trained on."""
-_FORMAT = 2
+_FORMAT = 3
 
 
 def truth_wearer(character: ApparelCharacter) -> Wearer:
