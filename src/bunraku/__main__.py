@@ -22,6 +22,8 @@ def run() -> NoReturn:
         if watched:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         status = main()
+        if watched:  # all is done, and what is left is taking modules apart
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
     except KeyboardInterrupt:  # in the moment before `main` looks after it, or after
         leave(signal.SIGINT, None)
     end(status)

@@ -155,3 +155,17 @@ def test_an_interrupt_at_the_start_is_one_line(good, after):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=good.parent)
     assert done.returncode == 130 and done.stderr == "bunraku: interrupted\n"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
+def test_an_interrupt_after_all_is_done_says_nothing():
+    code = (
+        "import atexit, os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "sys.argv = ['bunraku', '--version']\n"
+        "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))\n"
+        "from bunraku.__main__ import run\n"
+        "run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and done.stderr == "" and done.stdout.strip()
