@@ -19,7 +19,10 @@ from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, feature_
 from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
 
-__all__ = ["Guide", "Lead", "fills", "fits_into", "goes_on", "hurried", "laid", "laid_script", "liveliest"]
+__all__ = [
+    "CROUCH", "Guide", "Lead", "fills", "fits_into", "goes_on", "hurried", "laid", "laid_script", "liveliest",
+    "pose_distance",
+]  # fmt: skip
 
 HURRY = 1.35
 """Factor by which an example that is done once is sped up at the most to fit in."""
@@ -43,7 +46,8 @@ EASE = 0.6
 """Share of a pose's change that is left from frame to frame where a motion comes to rest."""
 SHORTEST_LOOP = 12
 """Frames under which what is played on is a part of a movement, half a punch."""
-_SHARES = feature_weights()
+WEIGHTS = feature_weights()[3:]
+"""Of what a pose is: all but the root's velocities."""
 _FADE = 10
 """Frames over which the sampler is left to itself where one sentence goes over into the next."""
 
@@ -107,11 +111,10 @@ def laid(
             eased = held(values[::-1], AROUND, still, EASE)[::-1]
             led = before.led(eased, lead - AROUND, random)
             led = values if led is eased else led
+        longer = led
         if last != "free" and len(led) + AROUND < frames:
             eased = held(led, AROUND, still, EASE)
             longer = after.followed(eased, frames, False, random)[:frames]
-        else:
-            longer = led
     room = frames - len(longer)
     lead = min(lead, room) if led is values else 0
     share = np.ones(frames, np.float32)
@@ -138,6 +141,9 @@ def _end(features: np.ndarray, values: np.ndarray, other: float, statistics: Fea
 
 def goes_on(pack: ExamplePack, found: Found) -> bool:
     """Whether an example can be played on."""
+    loop = pack.examples[found.place].loop
+    if loop is not None and loop[0] - loop[1] >= SHORTEST_LOOP:
+        return True  # without a look at its frames, which takes 10 ms
     return _loop(pack, found) is not None
 
 
@@ -150,14 +156,15 @@ def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
         return None
     features = pack.features(found.place)
     whole = len(features) - 1, 0
-    if _seam(features, *whole) <= _seam(features, *loop):
+    poses = features[:, 3:]
+    if pose_distance(*poses[[*whole]]) <= pose_distance(*poses[[*loop]]):
         return whole
     return loop if loop[0] - loop[1] >= SHORTEST_LOOP else None
 
 
-def _seam(features: np.ndarray, i: int, j: int) -> float:
-    """How far the pose of one frame is from that of another."""
-    return float((_SHARES[3:] * (features[i, 3:] - features[j, 3:]) ** 2).sum())
+def pose_distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How far poses are from others, squared, shapes (..., 268) -> (...): features but for the root's velocities."""
+    return np.asarray((WEIGHTS * (one - other) ** 2).sum(axis=-1))
 
 
 def _crouches(here: float, there: float) -> bool:

@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from bunraku.diffusion.examples.guide import CROUCH, Lead, fills, fits_into
+from bunraku.diffusion.examples.guide import CROUCH, Lead, fills, fits_into, pose_distance
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found, retrieve
-from bunraku.diffusion.features import feature_weights, mirror
+from bunraku.diffusion.features import mirror
 
 __all__ = ["Leads"]
 
@@ -23,8 +23,6 @@ TRIED = 3
 """Examples that are looked at for one."""
 ODD = 4.9
 """Distance of a pose from those of people who stand with which nobody begins; that of a kick at its height is 4.8."""
-WEIGHTS = feature_weights()[3:]
-"""Of what a pose is: all but the root's velocities."""
 
 
 class Leads:
@@ -65,15 +63,15 @@ class Leads:
     def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
         """The few that begin most as another ends."""
         end = self._pose(last, -1)
-        away = [float((WEIGHTS * (self._pose(one, 0) - end) ** 2).sum()) for one in fitting]
+        away = [float(pose_distance(self._pose(one, 0), end)) for one in fitting]
         return [fitting[place] for place in np.argsort(away, kind="stable")[:NEAREST].tolist()]
 
     def _begins_oddly(self, found: Found) -> bool:
         """Whether who stands as an example begins does so bent, as between two exercises, or with a leg far up."""
-        if self.pack.features(found.place)[0, 3] < -CROUCH or not self.pack.standing:
+        first = self.pack.features(found.place)[0]
+        if first[3] < -CROUCH or not self.pack.standing:
             return False
-        away = WEIGHTS * (self._standing - self._pose(Found(found.place, False, 0.0), 0)) ** 2
-        return bool(np.sqrt(away.sum(axis=1)).min() > ODD)
+        return bool(np.sqrt(pose_distance(self._standing, first[3:])).min() > ODD)
 
     @functools.cached_property
     def _standing(self) -> np.ndarray:
