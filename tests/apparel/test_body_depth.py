@@ -29,6 +29,7 @@ def test_distances_from_a_ball(ball):
     assert np.abs(found - wanted)[near].max() < 0.1 * CELL and np.abs(found - wanted).max() < CELL
     outward = points[near] / np.linalg.norm(points[near], axis=1, keepdims=True)
     assert (slope[near] * outward).sum(axis=1).min() > 0.95
+    np.testing.assert_allclose(ball.distance(points), found, atol=1e-7)
     # beyond the grid it is as far as anything is, and its middle is inside although no face is near
     assert ball.at(np.array([[9.0, 0, 0], [0, 0, 0]], np.float32))[0].tolist() == pytest.approx([BAND, -BAND])
 

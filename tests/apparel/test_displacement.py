@@ -1,6 +1,7 @@
 """The displacement network's parts: each layer and formula against a value that is computed by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import torch
 
 from bunraku.apparel.displacement.anchor import AnchorHead, Inputs
 from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
-from bunraku.apparel.displacement.carry import Carrier, polar_rotation
+from bunraku.apparel.displacement.carry import Carrier, node_turns, polar_rotation
 from bunraku.apparel.displacement.features import (
     BASIS,
     GLOBAL,
@@ -204,6 +205,17 @@ def test_edge_convolution_by_hand():
     assert heard[:, 0].tolist() == pytest.approx([11.5, 8.5])
 
 
+def test_the_block_says_the_same_with_and_without_gradients():
+    random = np.random.default_rng(3)
+    points, part = random.normal(size=(40, 3)), np.arange(40) % 3
+    graph = node_graph([part_neighbours(points, part)], [part])
+    torch.manual_seed(0)
+    block, x = EdgeBlock(8), torch.randn(40, 8)
+    with torch.inference_mode():
+        fast = block(x, graph)
+    np.testing.assert_allclose(fast.numpy(), block(x, graph).detach().numpy(), atol=1e-6)
+
+
 def test_state_velocity_and_acceleration_by_hand():
     past = torch.tensor([[[9.0, 0, 0]], [[4.0, 0, 0]], [[1.0, 0, 0]]])  # newest first: 1, 4, 9
     assert node_state(past)[0].tolist() == [9, 0, 0, 5, 0, 0, 2, 0, 0]
@@ -314,6 +326,36 @@ def test_vertices_turn_with_their_nodes():
     wanted = (rest - pivot) @ turn.T + pivot - rest
     assert np.abs(carrier.displacements(moved) - wanted).max() < 2e-3
     assert np.abs(carrier.displacements(np.zeros_like(moved))).max() < 1e-6
+
+
+def test_vertices_by_the_plain_formula():
+    """Sum of shares of `m_i + T_i a - a` over the nodes around, in the frame of the vertex' joint, on what its skin
+    says.
+    """
+    wearer = curtain(14, 8)
+    chest = JOINT_NAMES.index("spine3")
+    weights = np.array(wearer.weights)
+    weights[np.flatnonzero(wearer.apparel)[::3], [[0], [chest]]] = [[0.3], [0.7]]  # a third goes with another joint
+    wearer = replace(wearer, weights=weights)
+    nodes = apparel_nodes(wearer, 30)
+    carrier, random = Carrier(wearer, nodes), np.random.default_rng(0)
+    moved = random.normal(0, 0.05, (len(nodes), 3)).astype(np.float32)
+    affine = np.concatenate([
+        matrix_from_axis_angle(random.normal(0, 0.5, (JOINT_COUNT, 3))), random.normal(0, 0.3, (JOINT_COUNT, 3, 1))
+    ], axis=2).astype(np.float32)  # fmt: skip
+    turns = node_turns(nodes, carrier.spokes, carrier.prior, moved)
+    places, swung = carrier.places(moved, affine), carrier.displacements(moved)
+    for row in range(0, len(carrier.vertices), 7):
+        vertex = carrier.vertices[row]
+        rest, own = wearer.rest[vertex].astype(np.float64), wearer.weights[vertex]
+        wanted = np.zeros(3)
+        for node, share in zip(carrier.index[row], carrier.share[row], strict=True):
+            away = rest - nodes.rest[node]
+            wanted += share * (moved[node] + turns[node] @ away - away)
+        np.testing.assert_allclose(swung[row], wanted, atol=1e-5)
+        blend = np.einsum("j,jab->ab", own, affine)
+        skinned = blend[:, :3] @ rest + blend[:, 3]
+        np.testing.assert_allclose(places[row], skinned + affine[own.argmax(), :, :3] @ wanted, atol=1e-5)
 
 
 def test_safety_by_hand():

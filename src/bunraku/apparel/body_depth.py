@@ -46,6 +46,10 @@ class Unposed:
         volume = (turn[:, 0] * other[:, :, 0]).sum(axis=-1)
         return cls(other / np.where(np.abs(volume) > 0.05, volume, 1.0)[:, None, None], blend[..., 3])
 
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Points of the pose in the rest pose [m], shape (M, 3)."""
+        return np.asarray(np.einsum("mab,mb->ma", self.back, points - self.shift))
+
     def take(self, rows: np.ndarray) -> Unposed:
         """The same for some of the points, or for others that go with them."""
         return Unposed(self.back[rows], self.shift[rows])
@@ -67,13 +71,7 @@ class BodyDepth:
 
     def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance of points of the rest pose [m], shape (M,), and its gradient, shape (M, 3): linear within a cell."""
-        shape = np.array(self.values.shape)
-        place = np.clip((points - self.low) / np.float32(self.cell), 0, shape - 1.001).astype(np.float32)
-        first = place.astype(np.int64)
-        x, y, z = (place - first).T
-        steps = np.array([shape[1] * shape[2], shape[2], 1])
-        corner = first @ steps
-        v = self.values.reshape(-1)[corner[:, None] + _CORNERS @ steps].T
+        v, x, y, z = self._cells(points)
         # along z, then y, then x
         dz = v[1::2] - v[::2]
         vz = v[::2] + z * dz
@@ -83,6 +81,25 @@ class BodyDepth:
         slope = np.stack([dx, dy[0] + x * (dy[1] - dy[0]), dzy[0] + x * (dzy[1] - dzy[0])], axis=1)
         return vy[0] + x * dx, slope / np.float32(self.cell)
 
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """The distance alone."""
+        v, x, y, z = self._cells(points)
+        v = v[::2] + z * (v[1::2] - v[::2])
+        v = v[::2] + y * (v[1::2] - v[::2])
+        return np.asarray(v[0] + x * (v[1] - v[0]))
+
+    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Values at the corners of the cells that points lie in, shape (8, M), and where in them along each axis, from
+        0 to 1, shape (M,).
+        """
+        shape = np.array(self.values.shape)
+        place = np.clip((points - self.low) / np.float32(self.cell), 0, shape - 1.001).astype(np.float32)
+        first = place.astype(np.int64)
+        x, y, z = (place - first).T
+        steps = np.array([shape[1] * shape[2], shape[2], 1])
+        corner = first @ steps
+        return self.values.reshape(-1)[(_CORNERS @ steps)[:, None] + corner], x, y, z
+
     def depth(self, points: np.ndarray, unposed: Unposed) -> tuple[np.ndarray, np.ndarray]:
         """Distance of points of a pose [m], shape (M,), and the step that makes it longer by a metre, shape (M, 3).
 
@@ -90,9 +107,8 @@ class BodyDepth:
             points: [m], shape (M, 3).
             unposed: Their way back.
         """
-        away = points - unposed.shift
-        distance, slope = self.at((unposed.back * away[:, None, :]).sum(axis=-1))
-        way = (unposed.back * slope[:, :, None]).sum(axis=1)
+        distance, slope = self.at(unposed(points))
+        way = np.einsum("mba,mb->ma", unposed.back, slope)
         return distance, way / np.maximum(np.square(way).sum(axis=1), 0.1)[:, None]
 
     def pushed(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> np.ndarray:
@@ -104,10 +120,12 @@ class BodyDepth:
             gap: [m], below 0 where a point may be inside, shape (M,).
             most: Points that would move by more stay: they are on the wrong side of something thin [m].
         """
-        distance, way = self.depth(points, unposed)
-        step = gap - distance
-        step = np.where(step < most, np.maximum(step, 0), 0)
-        return np.asarray(points + step[:, None] * way)
+        step = gap - self.distance(unposed(points))
+        rows = np.flatnonzero((step > 0) & (step < most))
+        out = np.array(points)
+        if len(rows):  # mostly few, and only they need to know which way is out
+            out[rows] += step[rows, None] * self.depth(points[rows], unposed.take(rows))[1]
+        return out
 
 
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])

@@ -161,13 +161,13 @@ class _NeighbourMax(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, values: torch.Tensor, graph: HasNeighbours) -> torch.Tensor:  # type: ignore[no-untyped-def]
-        best = values[graph.ranks[0]]
+        best = values.index_select(0, graph.ranks[0])  # a third of the time of `values[...]`
         for neighbours in graph.ranks[1:]:
             part = best[: len(neighbours)]
-            torch.maximum(part, values[neighbours], out=part)
+            torch.maximum(part, values.index_select(0, neighbours), out=part)
         ctx.graph = graph
         ctx.save_for_backward(values, best)
-        return best[graph.place]
+        return best.index_select(0, graph.place)
 
     @staticmethod
     def backward(ctx, *gradients: torch.Tensor):  # type: ignore[no-untyped-def]
@@ -178,7 +178,7 @@ class _NeighbourMax(torch.autograd.Function):
         out = torch.zeros_like(values)
         for neighbours in ctx.graph.ranks:
             count = len(neighbours)
-            out.index_add_(0, neighbours, gradient[:count] * (values[neighbours] == best[:count]))
+            out.index_add_(0, neighbours, gradient[:count] * (values.index_select(0, neighbours) == best[:count]))
         return out, None
 
 

@@ -35,7 +35,7 @@ class BodyPoints:
         Args:
             affine: Affine transforms of the joints, as `eq4_transforms` gives them, shape (22, 3, 4).
         """
-        return self.placed(self.blends(affine)), (affine[self.joint, :, :3] * self.normals[:, None, :]).sum(axis=-1)
+        return self.placed(self.blends(affine)), np.einsum("bac,bc->ba", affine[self.joint, :, :3], self.normals)
 
     def blends(self, affine: np.ndarray) -> np.ndarray:
         """Affine transform of each point, shape (B, 3, 4); `affine` as above."""
@@ -43,7 +43,7 @@ class BodyPoints:
 
     def placed(self, blends: np.ndarray) -> np.ndarray:
         """Where these take the points [m], shape (B, 3)."""
-        return np.asarray((blends[..., :3] * self.rest[:, None, :]).sum(axis=-1) + blends[..., 3])
+        return np.asarray(np.einsum("bac,bc->ba", blends[..., :3], self.rest) + blends[..., 3])
 
 
 def body_points(wearer: Wearer, most: int = 512) -> BodyPoints:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.displacement.nodes import ApparelNodes
@@ -44,12 +45,28 @@ class Carrier:
                 weight = np.maximum(weight - weight[:, -1:] * 0.999, 0)
             self.index[rows, :near] = own[found]
             self.share[rows, :near] = weight / weight.sum(axis=1, keepdims=True)
-        away = wearer.rest[self.vertices][:, None].astype(np.float32) - nodes.rest[self.index]
-        self.away = away
+        self._mixed(wearer, nodes)
         neighbours = nodes.rest[nodes.neighbours] - nodes.rest[:, None]
         self.spokes = neighbours.astype(np.float32)
         reach = np.square(self.spokes).sum(axis=(1, 2)) / 3 + 1e-8
         self.prior = (RIGID * reach).astype(np.float32)
+
+    def _mixed(self, wearer: Wearer, nodes: ApparelNodes) -> None:
+        """What of `displacements` and `places` is the same in all frames, as one matrix each."""
+        count, rest = len(self.vertices), wearer.rest[self.vertices].astype(np.float32)
+        weights = wearer.weights[self.vertices].astype(np.float32)
+        whole = np.concatenate([rest, np.ones((count, 1), np.float32)], axis=1)
+        self.skin = (weights[:, :, None] * whole[:, None]).reshape(count, -1)
+        # a vertex near node i goes to rest_i + moved_i + turn_i (rest - rest_i), and then with its own joint
+        pairs = weights.argmax(axis=1)[:, None] * len(nodes) + self.index
+        used, number = np.unique(pairs, return_inverse=True)
+        self.joint, self.node = np.divmod(used, len(nodes))
+        away = np.concatenate([rest[:, None] - nodes.rest[self.index], np.ones((count, NEAR, 1))], axis=2)
+        told = (self.share[..., None] * away).astype(np.float32)
+        columns = 4 * number.reshape(pairs.shape)[..., None] + np.arange(4)
+        rows = np.broadcast_to(np.arange(count)[:, None, None], columns.shape)
+        heard = told != 0
+        self.mix = csr_matrix((told[heard], (rows[heard], columns[heard])), shape=(count, 4 * len(used)))
 
     def displacements(self, moved: np.ndarray) -> np.ndarray:
         """Displacement of the apparel vertices in the frames of the joints that carry the nodes [m], shape (A, 3).
@@ -57,24 +74,23 @@ class Carrier:
         Args:
             moved: Of the nodes, in the frame of the carrying joint each [m], shape (M, 3).
         """
-        turns = node_turns(self.nodes, self.spokes, self.prior, moved)
-        # a vertex near node i goes to rest_i + moved_i + turn_i (rest - rest_i)
-        swung = (turns[self.index] * self.away[:, :, None, :]).sum(axis=-1) - self.away
-        return np.asarray((self.share[..., None] * (moved[self.index] + swung)).sum(axis=1))
+        return np.asarray(self.mix @ self._swung(moved)[self.node].reshape(-1, 3))
 
-    def places(self, moved: np.ndarray, affine: np.ndarray, weights: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    def places(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
         """Where the apparel vertices are [m], shape (A, 3).
 
         Args:
             moved: As above.
             affine: Affine transforms of the joints (`eq4_transforms`), shape (22, 3, 4).
-            weights: Skinning weights of all vertices, shape (V, 22).
-            rest: All vertices [m], shape (V, 3).
         """
-        own = (weights[self.vertices] @ affine.reshape(len(affine), 12)).reshape(-1, 3, 4)
-        carried = (own[..., :3] * rest[self.vertices][:, None, :]).sum(axis=-1) + own[..., 3]
-        turns = affine[weights[self.vertices].argmax(axis=1), :, :3]
-        return np.asarray(carried + (turns * self.displacements(moved)[:, None, :]).sum(axis=-1))
+        turned = affine.transpose(0, 2, 1).astype(np.float32)  # [R | t]', shape (22, 4, 3)
+        swung = np.matmul(self._swung(moved)[self.node], turned[self.joint, :3])
+        return np.asarray(self.skin @ turned.reshape(-1, 3) + self.mix @ swung.reshape(-1, 3))
+
+    def _swung(self, moved: np.ndarray) -> np.ndarray:
+        """What takes the way from a node to a vertex, and 1 below it, to the vertex' displacement, shape (M, 4, 3)."""
+        turns = node_turns(self.nodes, self.spokes, self.prior, moved).transpose(0, 2, 1)
+        return np.concatenate([turns - np.eye(3, dtype=np.float32), moved[:, None]], axis=1, dtype=np.float32)
 
 
 def node_turns(nodes: ApparelNodes, spokes: np.ndarray, prior: np.ndarray, moved: np.ndarray) -> np.ndarray:
@@ -101,7 +117,10 @@ def polar_rotation(matrices: np.ndarray, rounds: int = 10) -> np.ndarray:
     for _ in range(rounds):
         square = root * root - 1
         slope = 4 * root * square - 8 * det
-        root = root - (square * square - 8 * det * root - last) / np.where(slope > 1e-12, slope, np.inf)
+        step = (square * square - 8 * det * root - last) / np.where(slope > 1e-12, slope, np.inf)
+        root = root - step
+        if np.abs(step).max(initial=0) < 1e-12:
+            break
     half = 0.5 * (root * root - 1)
     below = half * root - det
     wide = [value[..., None, None] for value in (half + 1, root, np.where(below > ROUND, below, 1.0))]

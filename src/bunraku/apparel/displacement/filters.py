@@ -102,7 +102,7 @@ class Pendulums:
             force = self.gravity - self.spring * (self.points - here) - self.damping * (self.speed - carried)
             self.speed += self.step * force
             away = self.points + self.step * self.speed - hung
-            away *= self.length / np.maximum(np.sqrt((away * away).sum(axis=-1, keepdims=True)), 1e-6)
+            away *= self.length / np.maximum(np.sqrt(np.einsum("pma,pma->pm", away, away))[..., None], 1e-6)
             self.speed = (hung + away - self.points) / self.step
             self.points = hung + away
         self.places, self.rods = places, rods

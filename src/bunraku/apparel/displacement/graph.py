@@ -25,6 +25,7 @@ class NodeGraph:
         parts: How many there are.
         owner: Character of each node, shape (M,).
         edges: Pairs of neighbours, each once, shape (E, 2).
+        around: Each node itself and its neighbours, one node after the other, shape (M (K + 1),).
     """
 
     ranks: tuple[torch.Tensor, ...]
@@ -33,6 +34,7 @@ class NodeGraph:
     parts: int
     owner: torch.Tensor
     edges: torch.Tensor
+    around: torch.Tensor
 
 
 def node_graph(neighbours: Sequence[np.ndarray], parts: Sequence[np.ndarray]) -> NodeGraph:
@@ -58,7 +60,7 @@ def node_graph(neighbours: Sequence[np.ndarray], parts: Sequence[np.ndarray]) ->
     ranks = (place, *(torch.from_numpy(np.ascontiguousarray(column)) for column in table.T))
     return NodeGraph(
         ranks, place, torch.from_numpy(np.concatenate(part)), first, torch.from_numpy(np.concatenate(owner)),
-        torch.from_numpy(pairs),
+        torch.from_numpy(pairs), torch.from_numpy(np.concatenate([here[:, None], table], axis=1).reshape(-1)),
     )  # fmt: skip
 
 
@@ -66,9 +68,13 @@ def part_pool(x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
     """The largest feature in the part of each node, shape (M, C) -> (M, C): what a node hears of its part beyond its
     neighbours, and nothing of other parts.
     """
+    return _largest(x, graph).index_select(0, graph.part)
+
+
+def _largest(x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
+    """The largest feature in each part, shape (M, C) -> (P, C)."""
     rows = graph.part[:, None].expand_as(x)
-    pooled = x.new_full((graph.parts, x.shape[1]), -1e4).scatter_reduce(0, rows, x, "amax")
-    return pooled[graph.part]
+    return x.new_full((graph.parts, x.shape[1]), -1e4).scatter_reduce(0, rows, x, "amax")
 
 
 class EdgeBlock(nn.Module):
@@ -92,6 +98,16 @@ class EdgeBlock(nn.Module):
         The linear map runs once a node (`handles.graph.EdgeConv`); neighbours are of the same part, so parts do not
         hear of one another.
         """
-        heard = self.edge(x, graph) + self.pooled(part_pool(x, graph))
+        pooled: torch.Tensor = self.pooled(_largest(x, graph))  # of the parts, which are fewer than the nodes
+        heard = self._edges(x, graph) + pooled.index_select(0, graph.part)
         out: torch.Tensor = x + nn.functional.gelu(self.norm(heard))
         return out
+
+    def _edges(self, x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
+        """`EdgeConv`, without what its gradient needs where there is none: all nodes have as many neighbours."""
+        if torch.is_grad_enabled():
+            out: torch.Tensor = self.edge(x, graph)
+            return out
+        values = self.edge.neighbour(x)
+        most = values.index_select(0, graph.around).view(len(x), -1, values.shape[1]).amax(dim=1)
+        return torch.as_tensor(self.edge.own(x) - values + most)

@@ -106,13 +106,13 @@ class ApparelPlayer:
         if self.safety is None:
             return self._carried(moved, affine)
         moved = self.safety.share * moved
-        safe, unposed = self.safety(frame.places + (frame.turns * moved[:, None, :]).sum(axis=-1), affine)
-        moved = (frame.turns.transpose(0, 2, 1) * (safe - frame.places)[:, None, :]).sum(axis=-1)
+        safe, unposed = self.safety(frame.places + np.einsum("mab,mb->ma", frame.turns, moved), affine)
+        moved = np.einsum("mba,mb->ma", frame.turns, safe - frame.places)
         return self.safety.vertices(self._carried(moved, affine), unposed)
 
     def _carried(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
         """The apparel vertices that go with the nodes [m], shape (A, 3), float32."""
-        return self.carrier.places(moved, affine, self.wearer.weights, self.wearer.rest).astype(np.float32)
+        return self.carrier.places(moved, affine)
 
     def _inputs(self, frame: Frame, transforms: np.ndarray) -> tuple[Inputs, torch.Tensor, torch.Tensor]:
         """Features, frames of the carrying joints, and carried places as the recurrent part takes them."""
@@ -124,7 +124,7 @@ class ApparelPlayer:
         places = ((frame.places - root) / self.wearer.scale).astype(np.float32)
         return inputs, torch.from_numpy(np.ascontiguousarray(frame.turns)), torch.from_numpy(places)
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
         """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
         inputs, turns, places = self._inputs(frame, transforms)

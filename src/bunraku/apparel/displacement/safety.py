@@ -126,9 +126,13 @@ class Safety:
             affine: Affine transforms of the joints (`eq4_transforms`), shape (22, 3, 4).
         """
         out = np.array(places, np.float32)
-        if self.depth is not None:
-            out = self._over_legs(out, affine)
-        unposed = self.unposed(out, affine)
+        if self.depth is None:
+            unposed = None
+        else:
+            blend = self.points.blends(affine)
+            body = self.points.placed(blend)
+            out = self._over_legs(out, affine, body)
+            unposed = Unposed.of(blend[nearest_index(out, body)])
         for _ in range(self.settings.passes):
             out = self.outside(self._bounded(out), unposed)
         return out, unposed
@@ -152,14 +156,14 @@ class Safety:
         near = self.around @ np.concatenate([push, (push != 0).any(axis=1, keepdims=True)], axis=1, dtype=np.float32)
         return np.asarray(places + self.free * (near[:, :3] / np.maximum(near[:, 3:], FEW)))
 
-    def _over_legs(self, places: np.ndarray, affine: np.ndarray) -> np.ndarray:
+    def _over_legs(self, places: np.ndarray, affine: np.ndarray, body: np.ndarray) -> np.ndarray:
         """Nodes that hang from the pelvis, farther from its axis than what of the legs is between: a lifted knee that
         has come through a skirt is no longer in it, and no depth says so.
         """
         if not len(self.hung):
             return places
         turn, shift = affine[0, :, :3], affine[0, :, 3]
-        legs = self.points.placed(self.points.blends(affine))[self.legs] @ turn - shift @ turn
+        legs = body[self.legs] @ turn - shift @ turn
         own = places[self.hung] @ turn - shift @ turn
         short = self.leg_gap + self._reach(legs) - ((own - self.axis) * self.outward).sum(axis=1)
         short = np.where(short < self.settings.lift * self.scale, np.maximum(short, 0), 0)
@@ -173,10 +177,12 @@ class Safety:
         """How far the legs, in the frame of the pelvis, reach along the way out through each hanging node [m], shape
         (H,).
         """
-        along = legs @ self.outward.T - (self.axis * self.outward).sum(axis=1)
-        square = np.square(legs).sum(axis=1)[:, None] - 2 * legs @ self.axis.T + np.square(self.axis).sum(axis=1)
-        beside = square - np.square(along) < (BESIDE * self.scale) ** 2
-        return np.asarray(np.where(beside, along, -1.0).max(axis=0))
+        along = self.outward @ legs.T
+        along -= np.einsum("ha,ha->h", self.axis, self.outward)[:, None]
+        square = (-2 * self.axis) @ legs.T
+        square += np.einsum("la,la->l", legs, legs) + np.einsum("ha,ha->h", self.axis, self.axis)[:, None]
+        square -= along * along
+        return np.asarray(np.where(square < (BESIDE * self.scale) ** 2, along, -1).max(axis=1))
 
     def vertices(self, places: np.ndarray, unposed: Unposed | None) -> np.ndarray:
         """Vertices that the carrier took along, out of the body where they are in it all the same [m], shape (A, 3).
@@ -192,7 +198,7 @@ class Safety:
     def _bounded(self, places: np.ndarray) -> np.ndarray:
         a, b = self.edges.T
         way = places[b] - places[a]
-        now = np.sqrt(np.square(way).sum(axis=1))
+        now = np.sqrt(np.einsum("ea,ea->e", way, way))
         wanted = np.clip(now, self.settings.shortest * self.lengths, self.settings.longest * self.lengths)
         step = way * (1 - wanted / np.maximum(now, 1e-9))[:, None].astype(np.float32)
         return np.asarray(places + self.shared @ step)

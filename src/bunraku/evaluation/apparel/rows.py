@@ -106,7 +106,7 @@ def safe_truth(clip: TrueClip, nodes: int = 256) -> np.ndarray:
         kept = carried[frame] + safety.share * (true[frame] - carried[frame])
         places, unposed = safety(kept, affine[frame])
         moved = (turns[frame].transpose(0, 2, 1) * (places - carried[frame])[:, None, :]).sum(axis=-1)
-        safe = carrier.places(moved, affine[frame], wearer.weights, wearer.rest).astype(np.float32)
+        safe = carrier.places(moved, affine[frame])
         out.append(safety.vertices(safe, unposed))
     return np.stack(out)
 
