@@ -39,7 +39,8 @@ def test_points_are_pushed_out_in_any_pose(ball):
     shift = np.array([1.0, 2.0, -0.5])
     rest = np.array([[0.25, 0, 0], [0, 0.31, 0], [0, 0, 0.26], [0, 0.35, 0.1]])
     points = (rest @ turn.T + shift).astype(np.float32)
-    unposed = Unposed.of(np.repeat(np.concatenate([turn, shift[:, None]], axis=1)[None], 4, axis=0))
+    blend = np.repeat(np.concatenate([turn, shift[:, None]], axis=1)[None], 4, axis=0)
+    unposed = Unposed.of(blend, np.zeros(4, np.int64))
     gap = np.array([0.02, 0.02, -0.05, 0.02], np.float32)
     moved = (ball.pushed(points, unposed, gap, 0.1) - shift) @ turn
     assert np.linalg.norm(moved, axis=1) == pytest.approx([0.32, 0.32, 0.26, np.hypot(0.35, 0.1)], abs=2e-3)

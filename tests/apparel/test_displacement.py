@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from bunraku.apparel.body_depth import Unposed
 from bunraku.apparel.displacement.anchor import AnchorHead, Inputs
 from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
 from bunraku.apparel.displacement.carry import Carrier, node_turns, polar_rotation
@@ -398,6 +399,24 @@ def test_safety_pushes_out_of_the_body():
     vertices = wearer.rest[carrier.vertices] - np.array([0, 0, 0.16], np.float32)
     assert safety.depth.at(vertices)[0].min() < -0.05
     assert safety.depth.at(safety.vertices(vertices, unposed))[0].min() > -0.01
+
+
+def test_vertices_between_two_limbs_are_asked_for_both():
+    """A vertex whose first node is beside another limb than its second, in whose limb it is."""
+    wearer = curtain()
+    nodes, points = apparel_nodes(wearer, 12), body_points(wearer, 300)
+    safety = Safety(wearer, nodes, points, Carrier(wearer, nodes))
+    assert safety.depth is not None
+    inside = points.rest - 0.02 * points.normals
+    places = inside[np.abs(safety.depth.at(inside)[0] + 0.02).argmin()][None]
+    safety.node, safety.second = np.array([0]), np.array([1])
+    safety.vertex_gap = np.array([-0.005], np.float32)
+    away = np.array([[5.0, 0, 0], [0, 0, 0]], np.float32)  # by the first node it is far outside
+    turns = np.tile(np.eye(3, dtype=np.float32), (2, 1, 1))
+    moved = safety.vertices(places, Unposed(turns, away, np.array([0, 1])))
+    assert safety.depth.at(moved)[0] == pytest.approx(-0.005, abs=2e-3)
+    same = safety.vertices(places, Unposed(turns, away, np.array([1, 1])))
+    np.testing.assert_array_equal(same, places)
 
 
 def test_safety_lays_a_skirt_over_a_lifted_leg():

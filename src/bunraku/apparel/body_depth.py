@@ -33,18 +33,20 @@ class Unposed:
     Args:
         back: Shape (M, 3, 3).
         shift: [m], shape (M, 3).
+        joint: The joint that holds the body there, shape (M,).
     """
 
     back: np.ndarray
     shift: np.ndarray
+    joint: np.ndarray
 
     @classmethod
-    def of(cls, blend: np.ndarray) -> Unposed:
-        """From the affine transforms of the body nearest to each point, shape (M, 3, 4)."""
+    def of(cls, blend: np.ndarray, joint: np.ndarray) -> Unposed:
+        """From the affine transforms of the body nearest to each point, shape (M, 3, 4), and the joints of it (M,)."""
         turn = blend[..., :3]
         other = adjugates(turn)
         volume = (turn[:, 0] * other[:, :, 0]).sum(axis=-1)
-        return cls(other / np.where(np.abs(volume) > 0.05, volume, 1.0)[:, None, None], blend[..., 3])
+        return cls(other / np.where(np.abs(volume) > 0.05, volume, 1.0)[:, None, None], blend[..., 3], joint)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Points of the pose in the rest pose [m], shape (M, 3)."""
@@ -52,7 +54,7 @@ class Unposed:
 
     def take(self, rows: np.ndarray) -> Unposed:
         """The same for some of the points, or for others that go with them."""
-        return Unposed(self.back[rows], self.shift[rows])
+        return Unposed(self.back[rows], self.shift[rows], self.joint[rows])
 
 
 @dataclass(frozen=True, eq=False)

@@ -103,7 +103,7 @@ class Safety:
             self.gap = np.minimum(self.depth.at(nodes.rest)[0], self.settings.clear * scale)
             rest = wearer.rest[carrier.vertices].astype(np.float32)
             self.vertex_gap = np.minimum(self.depth.at(rest)[0], -self.settings.slack * scale)
-            self.node = carrier.index[:, 0]
+            self.node, self.second = carrier.index[:, 0], carrier.index[:, 1]
             self.around = _around(nodes, self.settings.spread * scale)
             self.scale, self.legs = scale, np.flatnonzero(np.isin(points.joint, LEGS))
             # in the rest pose the frame of the pelvis is the world's
@@ -132,7 +132,7 @@ class Safety:
             blend = self.points.blends(affine)
             body = self.points.placed(blend)
             out = self._over_legs(out, affine, body)
-            unposed = Unposed.of(blend[nearest_index(out, body)])
+            unposed = self._unposed(out, blend, body)
         for _ in range(self.settings.passes):
             out = self.outside(self._bounded(out), unposed)
         return out, unposed
@@ -144,7 +144,11 @@ class Safety:
         if self.depth is None:
             return None
         blend = self.points.blends(affine)
-        return Unposed.of(blend[nearest_index(places, self.points.placed(blend))])
+        return self._unposed(places, blend, self.points.placed(blend))
+
+    def _unposed(self, places: np.ndarray, blend: np.ndarray, body: np.ndarray) -> Unposed:
+        near = nearest_index(places, body)
+        return Unposed.of(blend[near], self.points.joint[near])
 
     def outside(self, places: np.ndarray, unposed: Unposed | None) -> np.ndarray:
         """Nodes a step out of the body, and what is around them with them, so that pieces move as a whole and are not
@@ -187,13 +191,21 @@ class Safety:
     def vertices(self, places: np.ndarray, unposed: Unposed | None) -> np.ndarray:
         """Vertices that the carrier took along, out of the body where they are in it all the same [m], shape (A, 3).
 
+        Those between two nodes that are near to different limbs are asked for both: half of what used to stay inside
+        was in the limb of the second node.
+
         Args:
             places: [m], shape (A, 3).
             unposed: Of the nodes.
         """
         if self.depth is None or unposed is None:
             return places
-        return self.depth.pushed(places, unposed.take(self.node), self.vertex_gap, self.most)
+        out = self.depth.pushed(places, unposed.take(self.node), self.vertex_gap, self.most)
+        between = np.flatnonzero(unposed.joint[self.second] != unposed.joint[self.node])
+        if len(between):
+            other = unposed.take(self.second[between])
+            out[between] = self.depth.pushed(out[between], other, self.vertex_gap[between], self.most)
+        return out
 
     def _bounded(self, places: np.ndarray) -> np.ndarray:
         a, b = self.edges.T
