@@ -11,6 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from bunraku.apparel.displacement.nodes import NEIGHBOURS, part_neighbours
 from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
 from bunraku.geometry.normals import vertex_normals
@@ -20,7 +21,6 @@ __all__ = [
 ]  # fmt: skip
 
 POINTS = 1024
-NEIGHBOURS = 6
 POINT_FEATURES = 3 + 3 + 3 + 1 + JOINT_COUNT - 1 + 4
 _BONES = [(parent, joint) for joint, parent in enumerate(JOINT_PARENTS) if parent >= 0]
 
@@ -82,10 +82,10 @@ def sampled_mesh(
     points = (places[chosen] - origin) / height
     bones = (np.asarray(joints, np.float64) - origin) / height
     features = point_features(points, vertex_normals(clean.vertices, clean.faces)[chosen], bones, part[chosen])
-    neighbours, nearest, shares = _near(places, part, chosen)
+    nearest, shares = _near(places, part, chosen)
     return SampledMesh(
         chosen, points.astype(np.float32), bones.astype(np.float32), features, part[chosen],
-        neighbours, clean.index, nearest[clean.index], shares[clean.index],
+        part_neighbours(places[chosen], part[chosen]), clean.index, nearest[clean.index], shares[clean.index],
     )  # fmt: skip
 
 
@@ -137,9 +137,8 @@ def _bone_ways(points: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.n
     return ways[np.arange(len(points)), gaps.argmin(axis=1)], gaps
 
 
-def _near(places: np.ndarray, part: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Neighbours of the points (S, K), and the three nearest points of each clean vertex (C, 3) with shares."""
-    neighbours = np.repeat(np.arange(len(chosen))[:, None], NEIGHBOURS, axis=1)
+def _near(places: np.ndarray, part: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The three nearest points of each clean vertex (C, 3), and their shares."""
     nearest, shares = np.zeros((len(places), 3), np.int64), np.zeros((len(places), 3))
     own_part = part[chosen]
     far = cKDTree(places[chosen])
@@ -149,18 +148,12 @@ def _near(places: np.ndarray, part: np.ndarray, chosen: np.ndarray) -> tuple[np.
             gap, found = far.query(places[rows], 3 if len(chosen) >= 3 else 1)
             own = np.arange(len(chosen))
         else:
-            tree = cKDTree(places[chosen[own]])
-            near = min(NEIGHBOURS + 1, len(own))
-            found = tree.query(places[chosen[own]], near)[1].reshape(len(own), near)
-            for row, line in zip(own, own[found], strict=True):
-                others = line[line != row][:NEIGHBOURS]
-                neighbours[row, : len(others)] = others
-            gap, found = tree.query(places[rows], min(3, len(own)))
+            gap, found = cKDTree(places[chosen[own]]).query(places[rows], min(3, len(own)))
         gap, found = gap.reshape(len(rows), -1), found.reshape(len(rows), -1)
         weight = 1 / (gap + 1e-6)
         nearest[rows, : found.shape[1]] = own[found]
         shares[rows, : found.shape[1]] = weight / weight.sum(axis=1, keepdims=True)
-    return neighbours, nearest, shares
+    return nearest, shares
 
 
 def joint_distances(

@@ -127,11 +127,10 @@ def part_neighbours(points: np.ndarray, parts: np.ndarray) -> np.ndarray:
     for part in np.unique(parts):
         rows = np.flatnonzero(parts == part)
         near = min(NEIGHBOURS + 1, len(rows))
-        found = cKDTree(points[rows]).query(points[rows], near)[1].reshape(len(rows), near)
-        own = rows[found]
-        for row, line in zip(rows, own, strict=True):
-            others = line[line != row][:NEIGHBOURS]
-            out[row, : len(others)] = others
+        own = rows[cKDTree(points[rows]).query(points[rows], near)[1].reshape(len(rows), near)]
+        itself = own == rows[:, None]
+        itself[~itself.any(axis=1), -1] = True  # of points at one place, a few may not find themselves
+        out[rows, : near - 1] = own[~itself].reshape(len(rows), near - 1)
     return out
 
 

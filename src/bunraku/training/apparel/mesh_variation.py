@@ -43,7 +43,7 @@ def welded_parts(
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     if not body:
         pairs = pairs[(pairs != np.bincount(own).argmax()).all(axis=1)]
-    pairs = np.unique(pairs, axis=0)
+    pairs = np.stack(np.divmod(np.unique(pairs @ [len(numbers), 1]), len(numbers)), axis=1)
     pairs = random.permutation(pairs)
     if apparel is not None:
         dressed = np.bincount(own, apparel) > 0
