@@ -20,7 +20,7 @@ from bunraku.datasets.apparel.build import body_animation
 from bunraku.errors import CharacterError, OptionError
 from bunraku.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
 from bunraku.evaluation.physics.penetration import nearest_joint_vertices, sample_apparel
-from bunraku.evaluation.physics.table import PHYSICS_BARS, joined, measure_physics
+from bunraku.evaluation.physics.table import PHYSICS_BARS, evaluate_physics, joined, measure_physics
 from bunraku.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.physics import apparel_rig
@@ -219,6 +219,17 @@ def test_the_table_of_a_character(capsys):
     )
     (row,) = found["characters"]
     assert set(row["motions"]) == set(STOCK_MOTIONS) and 0 <= row["penetration"] <= 1 and row["bodies"] > 0
+
+
+def test_processes_give_the_same_table_of_physics():
+    """But for the time that simulations take."""
+    alone, shared = (evaluate_physics(wardrobe=[2, 1], seconds=3, quick=True, jobs=jobs) for jobs in (1, 2))
+    assert [row["name"] for row in shared["characters"]] == ["wardrobe 2", "wardrobe 1"]
+    for one, other in zip(alone["characters"], shared["characters"], strict=True):
+        assert one | {"realtime_factor": 0, "motions": 0, "chain_stretch": 0} == other | {
+            "realtime_factor": 0, "motions": 0, "chain_stretch": 0,
+        }  # fmt: skip
+        assert one["chain_stretch"] == pytest.approx(other["chain_stretch"], abs=1e-6)
 
 
 def test_a_character_without_apparel_is_named():

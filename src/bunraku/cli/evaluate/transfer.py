@@ -12,6 +12,7 @@ from bunraku.cli.checks import check_range
 from bunraku.cli.evaluate.report import measured
 from bunraku.cli.progress import stages
 from bunraku.errors import FormatError
+from bunraku.nn.spread import parse_jobs
 
 __all__ = ["EvaluateTransfer"]
 
@@ -35,6 +36,8 @@ class EvaluateTransfer:
     """Where rows of characters are kept, so that the same command goes on where it was stopped."""
     no_speed: bool = False
     """Leave out the times, which say little on a busy machine."""
+    jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
+    """How many processes share the characters, or "ray" for a Ray cluster."""
     json: bool = False
     """Print JSON for programs, with a row for each character."""
 
@@ -43,10 +46,12 @@ class EvaluateTransfer:
         for folder in (self.characters, self.motions, self.mmd):
             if folder is not None and not folder.is_dir():
                 raise FormatError(folder, "there is no such folder")
+        jobs = parse_jobs(self.jobs)
         from bunraku.evaluation.transfer.table import evaluate_transfer
 
         with stages() as report:
             how: dict[str, Any] = {"mmd": self.mmd, "limit": self.limit, "work": self.work, "speed": not self.no_speed}
+            how["jobs"] = jobs
             result = evaluate_transfer(self.characters, self.motions, progress=report, **how)
         measured(result, self.json, _print)
 

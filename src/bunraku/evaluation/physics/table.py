@@ -25,6 +25,7 @@ from bunraku.evaluation.physics.penetration import deep_share, nearest_joint_ver
 from bunraku.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
 from bunraku.evaluation.transfer.table import Bar
 from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
+from bunraku.nn.spread import spread
 from bunraku.physics.apparel_rig import ApparelRig
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.simulate import simulate
@@ -36,6 +37,7 @@ REST = 3.0  # seconds after which bodies should be at rest
 STRIDE = 6  # frames from one whose penetration is measured to the next
 BLEND = 0.7  # seconds from the end of a motion into the start of the next
 Progress = Callable[[str, float], None]
+_Source = tuple[str, Callable[[], Character]]
 
 PHYSICS_BARS: dict[str, Bar] = {
     "chain_stretch": Bar("largest stretch of a chain over its rest length", 0.05),
@@ -56,6 +58,7 @@ def evaluate_physics(
     motions: Sequence[str | Path] = (),
     seconds: float = 60.0,
     quick: bool = False,
+    jobs: int | str = 1,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Measure all rows.
@@ -70,6 +73,7 @@ def evaluate_physics(
             where it is shorter [s].
         quick: Leave out what takes longest: penetration, rest and whether the same comes out twice, which are None
             then.
+        jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
         progress: Called with the name of a character and the share done.
 
     Returns:
@@ -79,21 +83,24 @@ def evaluate_physics(
     from bunraku.synthetic.wardrobe import wardrobe_character
 
     progress = progress or (lambda stage, done: None)
-    sources: list[tuple[str, Callable[[], Character]]] = []
+    sources: list[_Source] = []
+    place = Path.absolute if jobs == "ray" else Path  # other machines work in other folders
+    clothes, body_data = (None if folder is None else place(Path(folder)) for folder in (clothes, body_data))
     for path in map(Path, files):
-        sources.append((path.name, partial(load_character, path)))
+        sources.append((path.name, partial(load_character, place(path))))
     for seed in wardrobe:
         made = partial(wardrobe_character, seed, clothes=clothes, body_data=body_data)
         sources.append((f"wardrobe {seed}", made))
-    rows: list[dict[str, Any]] = []
-    failed: dict[str, str] = {}
-    for name, load in sources:
-        progress(name, 0.0)
-        try:
-            rows.append({"name": name} | measure_physics(load(), motions, seconds, quick, partial(progress, name)))
-        except BunrakuError as error:
-            failed[name] = str(error)
+    work = partial(_measured, [place(Path(path)) for path in motions], seconds, quick)
+    batches = [[(number, *source)] for number, source in enumerate(sources)]
+    alone = ((batch[0], work(batch, progress)[0]) for batch in batches)
+    found: dict[int, dict[str, Any] | str] = {}
+    for (number, name, _), row_of in alone if jobs == 1 else spread(work, batches, jobs, _lost):
+        found[number] = row_of
         progress(name, 1.0)
+    told = [(name, found[number]) for number, (name, _) in enumerate(sources)]
+    rows = [row for _, row in told if isinstance(row, dict)]
+    failed = {name: reason for name, reason in told if isinstance(reason, str)}
     if not rows:
         raise CharacterError(f"no character could be measured: {next(iter(failed.values()), 'none was named')}")
     out: dict[str, Any] = {
@@ -117,6 +124,30 @@ def evaluate_physics(
         "characters": rows,
         "failed": failed,
     }
+
+
+def _measured(
+    motions: Sequence[Path],
+    seconds: float,
+    quick: bool,
+    characters: list[tuple[int, str, Callable[[], Character]]],
+    progress: Progress | None = None,
+) -> list[dict[str, Any] | str]:
+    """The row of each character, or why there is none."""
+    out: list[dict[str, Any] | str] = []
+    for _, name, load in characters:
+        report = partial(progress, name) if progress else None
+        try:
+            if report:
+                report(0.0)
+            out.append({"name": name} | measure_physics(load(), motions, seconds, quick, report))
+        except BunrakuError as error:
+            out.append(str(error))
+    return out
+
+
+def _lost(reason: str) -> dict[str, Any] | str:
+    return reason
 
 
 def measure_physics(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from bunraku.evaluation.transfer.character import Source, facing_character, meas
 from bunraku.evaluation.transfer.mmd import measure_soles
 from bunraku.evaluation.transfer.quadrupeds import measure_quadrupeds
 from bunraku.evaluation.transfer.speed import MANY, bvh_again, times
+from bunraku.nn.spread import spread
 
 __all__ = ["BARS", "KINDS", "Bar", "evaluate_transfer", "pick_motions"]
 
@@ -112,6 +114,7 @@ def evaluate_transfer(
     limit: int | None = None,
     work: str | Path | None = None,
     speed: bool = True,
+    jobs: int | str = 1,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Measure all rows.
@@ -124,6 +127,7 @@ def evaluate_transfer(
         work: Where what was measured of each character is kept, so that a second call goes on where the first was
             stopped.
         speed: Whether to measure times too.
+        jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
         progress: Called with a stage's name and the share done.
 
     Returns:
@@ -135,7 +139,7 @@ def evaluate_transfer(
     from bunraku.io.motions import load_motion
     from bunraku.pipelines.to_reference import reference_motion
 
-    folder = Path(characters)
+    folder = Path(characters).absolute() if jobs == "ray" else Path(characters)
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".glb", ".gltf", ".vrm", ".fbx"))
     if not files:
         raise FormatError(folder, "it holds no .glb, .gltf, .vrm or .fbx character")
@@ -145,15 +149,20 @@ def evaluate_transfer(
     sources = {kind: Source.of(reference_motion(load_motion(path))) for kind, path in picked.items()}
     names = {path: path.relative_to(folder).with_suffix("").as_posix() for path in files}
     kept = _Kept(None if work is None else Path(work), picked)
-    rows: list[dict[str, Any]] = []
-    for number, path in enumerate(files):
-        row = kept.row(path, names[path])
-        if row is None:
-            row = measure_character(path, names[path], sources)
+    before = {path: kept.row(path, names[path]) for path in files}
+    found_rows = {path: row for path, row in before.items() if row is not None}
+    measure = partial(_measured, sources)
+    batches = [[(path, names[path])] for path in files if path not in found_rows]
+    alone = ((batch[0], measure(batch)[0]) for batch in batches)
+    for (path, name), row in alone if jobs == 1 else spread(measure, batches, jobs, _lost):
+        if isinstance(row, str):  # its process ended, and may not next time
+            row = {"name": name, "finished": 0, "failed": {"": row}}
+        else:
             kept.keep(path, row)
-        rows.append(row)
+        found_rows[path] = row
         if progress:
-            progress("characters", (number + 1) / len(files))
+            progress("characters", len(found_rows) / len(files))
+    rows = [found_rows[path] for path in files]
     result: dict[str, Any] = {"finished": sum(row["finished"] for row in rows) / (len(rows) * len(KINDS))}
     found = {
         key: [row[key] for row in rows if key in row] for key in ("angle_rig", "angle_handles", "back", "back_copied")
@@ -188,6 +197,15 @@ def evaluate_transfer(
         "failed": failed,
         "rows": rows,
     }
+
+
+def _measured(sources: Mapping[str, Source], characters: list[tuple[Path, str]]) -> list[dict[str, Any] | str]:
+    """The row of each character, by its file and name."""
+    return [measure_character(path, name, sources) for path, name in characters]
+
+
+def _lost(reason: str) -> dict[str, Any] | str:
+    return reason
 
 
 class _Kept:
