@@ -307,6 +307,20 @@ def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
     assert away.max() < 0.01 * character.height
 
 
+def test_answers_are_remembered_for_the_very_objects_alone():
+    body = reference_body()
+    character, handles = body.character(), body.handles
+    turns, joints = rest_to_reference(character, handles)
+    assert rest_to_reference(character, handles)[0] is turns
+    with pytest.raises(ValueError, match="read-only"):
+        joints.positions[0] = 1
+    copy = Character("copy", character.vertices, character.faces)
+    again = rest_to_reference(copy, handles)
+    assert again[0] is not turns and np.array_equal(again[0], turns)
+    wider = Character("wide", character.vertices * np.array([1.2, 1, 1], np.float32), character.faces)
+    assert not np.array_equal(rest_to_reference(wider, handles)[1].positions, joints.positions)
+
+
 def test_what_hovers_is_set_down_and_what_jumps_or_flies_is_not():
     body = reference_body()
     character, handles = body.character(), body.handles

@@ -12,6 +12,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.areas import vertex_areas
+from bunraku.retarget.decimate import remembered
 from bunraku.retarget.limbs import by_limb
 from bunraku.retarget.stages.attach import (
     Joints,
@@ -30,14 +31,18 @@ SOLE = 0.08  # what is this near to the lowest point, as a share of the foot's l
 FLATTER = 1.2  # how much more of a foot must stand before the foot is turned
 
 
+@remembered  # ways of moving ask before the motion is fitted
 def rest_to_reference(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
-    """How a rest pose differs from the reference body's.
+    """How a rest pose differs from the reference body's; what is given must not be written to.
 
     Returns:
         The turn of each handle that makes up for it (see `rest_rotations`), shape (K, 3, 3), and the joints in the rest
         pose.
     """
-    return by_limb(handles, lambda plain: _rest_to_reference(character, plain))
+    turns, joints = by_limb(handles, lambda plain: _rest_to_reference(character, plain))
+    for array in (turns, joints.positions, joints.parents, joints.present):
+        array.setflags(write=False)
+    return turns, joints
 
 
 def _rest_to_reference(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
