@@ -49,12 +49,14 @@ develop: $(DEVELOP)
 		echo "bunraku needs Python 3.11 or newer and '$(PYTHON)' is not; name one with: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 2; }
 	$(PYTHON) -m venv .venv || { echo "could not make .venv; on Debian and Ubuntu first install python3-venv" >&2; rm -rf .venv; exit 2; }
 
-# torch comes first and pinned: what PyPI has for Linux brings gigabytes of CUDA that a processor never uses.
+# torch comes first and pinned: what PyPI has for Linux brings gigabytes of CUDA that a processor never uses. Its wheel carries its own tests, programs
+# of 130 MB that nothing loads; they go.
 .venv/.torch: .venv/pyvenv.cfg
 	@if [ '$(TORCH_BACKEND)' != pip ] && $(PIP) 'uv>=0.7' && UV_HTTP_TIMEOUT=30 VIRTUAL_ENV='$(CURDIR)/.venv' \
 		$(BIN)/uv pip install --quiet --torch-backend='$(TORCH_BACKEND)' '$(TORCH)'; then :; else \
 		echo "taking the build of PyTorch that pip finds; without a setting of yours that is CUDA's on Linux" >&2; $(PIP) '$(TORCH)'; fi
 	@$(BIN)/python -m pip uninstall --quiet --disable-pip-version-check --yes uv
+	@rm -rf $(foreach name,test bin/test_* bin/*Test bin/protoc*,.venv/lib/python3.*/site-packages/torch/$(name))
 	@touch $@
 
 $(READY): .venv/.torch pyproject.toml
