@@ -6,7 +6,7 @@ import signal
 import sys
 from typing import NoReturn
 
-from bunraku.interrupt import leave, watch
+from bunraku.interrupt import interrupt, leave, watch
 from bunraku.startup import end, hurry
 
 __all__ = ["run"]
@@ -20,7 +20,7 @@ def run() -> NoReturn:
 
     try:
         if watched:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            signal.signal(signal.SIGINT, interrupt)
         status = main()
         if watched:  # all is done, and what is left is taking modules apart
             signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""Ctrl-C in the moments in which a command line is still being loaded: one line, as later, and no traceback."""
+"""Ctrl-C while a command line or torch is being loaded: one line, as later, and no traceback."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:  # `typing` takes as long
     from types import FrameType
     from typing import NoReturn
 
-__all__ = ["is_command_line", "leave", "watch"]
+__all__ = ["interrupt", "is_command_line", "leave", "watch"]
 
 
 def is_command_line() -> bool:
@@ -40,3 +40,12 @@ def watch() -> bool:
 def leave(number: int, frame: FrameType | None) -> NoReturn:
     os.write(2, b"bunraku: interrupted\n")
     os._exit(130)
+
+
+def interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise `KeyboardInterrupt`. While torch is being loaded leave at once: its C++ calls Python in places where any
+    exception ends the process with an abort, and what a command has half done then is mended by its next run.
+    """
+    if getattr(getattr(sys.modules.get("torch"), "__spec__", None), "_initializing", False):
+        leave(number, frame)
+    raise KeyboardInterrupt

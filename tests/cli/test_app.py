@@ -160,12 +160,40 @@ def test_an_interrupt_at_the_start_is_one_line(good, after):
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
 def test_an_interrupt_after_all_is_done_says_nothing():
     code = (
-        "import atexit, os, signal, sys\n"
+        "import atexit, os, signal, sys, bunraku.cli\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "sys.argv = ['bunraku', '--version']\n"
-        "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))\n"
+        "real = bunraku.cli.main\n"
+        "def main():\n"
+        "    atexit.register(lambda: (os.kill(os.getpid(), signal.SIGINT), print('interrupted')))\n"
+        "    return real()\n"
+        "bunraku.cli.main = main\n"
         "from bunraku.__main__ import run\n"
         "run()\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0 and done.stderr == "" and done.stdout.strip()
+    assert done.returncode == 0 and done.stderr == "" and done.stdout.splitlines()[1:] == ["interrupted"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows sends no such signal")
+def test_an_interrupt_of_what_torch_calls_while_it_is_loaded_is_no_abort():
+    """Its module for distributed work asks for modules from C++ that lets no exception through."""
+    code = (
+        "import signal, sys, bunraku.cli\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "def main():\n"
+        "    inside = []\n"
+        "    def look(frame, event, what):\n"
+        "        if event == 'c_call' and what.__name__ == '_c10d_init':\n"
+        "            inside.append(what)\n"
+        "        elif event == 'call' and inside:\n"
+        "            sys.setprofile(None)\n"
+        "            signal.raise_signal(signal.SIGINT)\n"
+        "    sys.setprofile(look)\n"
+        "    import torch\n"
+        "bunraku.cli.main = main\n"
+        "from bunraku.__main__ import run\n"
+        "run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 130 and done.stderr == "bunraku: interrupted\n"
