@@ -20,6 +20,9 @@ import bunraku
 from bunraku.core.character import Character
 from bunraku.pipelines.animate import animate, rig
 from bunraku.render import contact_sheet, render_animation, render_still
+from bunraku.retarget.body_motion import body_handle_motion
+from bunraku.synthetic.gestures.catalogue import GESTURES
+from bunraku.synthetic.gestures.play import gesture_motion
 from bunraku.synthetic.samples import sample_character, sample_names
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
@@ -144,6 +147,19 @@ def prompts() -> None:
         contact_sheet(pictures, labels, OUT / f"prompts-{sheet}.png", columns=FRAMES)
 
 
+def gestures() -> None:
+    """Each gesture that is made by code at its height, on the person."""
+    person = sample_character("person")
+    pictures, labels = [], []
+    for gesture in GESTURES:
+        moments = [time for time, _ in gesture.keys[1:-1]] or [gesture.seconds]
+        motion = body_handle_motion(gesture_motion(gesture))
+        animation = bunraku.transfer(person, motion)
+        pictures += render_animation(animation, size=(150, 180), times=np.array([moments[len(moments) // 2]]))
+        labels.append(gesture.name)
+    contact_sheet(pictures, labels, OUT / "gestures.png", columns=11)
+
+
 def stories() -> None:
     """Sentences that say what comes next, and what goes on meanwhile."""
     pictures = [np.concatenate(_row(name, prompt, 6.0, size=(125, 150))[0], axis=1) for name, prompt in STORIES]
@@ -190,8 +206,8 @@ def gallery() -> None:
 
 
 MAKERS: dict[str, Callable[[], None]] = {
-    "samples": samples, "handles": handles, "prompts": prompts, "stories": stories, "characters": characters,
-    "gallery": gallery,
+    "samples": samples, "handles": handles, "prompts": prompts, "gestures": gestures, "stories": stories,
+    "characters": characters, "gallery": gallery,
 }  # fmt: skip
 
 

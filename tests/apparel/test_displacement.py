@@ -409,14 +409,17 @@ def test_vertices_between_two_limbs_are_asked_for_both():
     assert safety.depth is not None
     inside = points.rest - 0.02 * points.normals
     places = inside[np.abs(safety.depth.at(inside)[0] + 0.02).argmin()][None]
-    safety.node, safety.second = np.array([0]), np.array([1])
-    safety.vertex_gap = np.array([-0.005], np.float32)
+    safety.node, safety.second, safety.third = np.array([0]), np.array([1]), np.array([1])
+    safety.vertex_gap, safety.deep_gap = np.array([-0.005], np.float32), np.array([-0.006], np.float32)
     away = np.array([[5.0, 0, 0], [0, 0, 0]], np.float32)  # by the first node it is far outside
     turns = np.tile(np.eye(3, dtype=np.float32), (2, 1, 1))
     moved = safety.vertices(places, Unposed(turns, away, np.array([0, 1])))
     assert safety.depth.at(moved)[0] == pytest.approx(-0.005, abs=2e-3)
     same = safety.vertices(places, Unposed(turns, away, np.array([1, 1])))
     np.testing.assert_array_equal(same, places)
+    safety.second = np.array([0])  # now only its third node is near the limb that it is in: it may stay a little
+    moved = safety.vertices(places, Unposed(turns, away, np.array([0, 1])))
+    assert safety.depth.at(moved)[0] == pytest.approx(-0.006, abs=2e-3)
 
 
 def test_safety_lays_a_skirt_over_a_lifted_leg():

@@ -190,6 +190,7 @@ def test_nothing_heavy_loads_before_the_checks(good, tmp_path):
 LIMITED = """
 import resource, sys
 from bunraku.cli import main
+sys.dont_write_bytecode = True  # what Python keeps of the modules would be cut off too, for good
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))  # as a disk with room for 1 kB
 sys.exit(main(sys.argv[1:]))
 """

@@ -186,15 +186,20 @@ def test_a_guide_is_where_the_motion_starts_from_and_others_beside_it_are_as_wit
     text = encoder.encode(["a person waves", "a person kicks"])
     truth = torch.sin(torch.arange(80)[:, None] / 5 + torch.arange(FEATURES))
     share = torch.cat([torch.ones(40, 1), torch.zeros(40, 1)])
+    until = torch.full((80, 1), LED_UNTIL)
 
-    def draw(share):
-        return sample_windows(model, text, windows, noise, steps=20, guide=(truth, share)).values
+    def draw(share, until=until):
+        return sample_windows(model, text, windows, noise, steps=20, guide=(truth, share, until)).values
 
     led, beside = draw(share).split(40)
     _, alone = sample_windows(model, text, windows, noise, steps=20).values.split(40)
     torch.testing.assert_close(beside, alone, atol=1e-4, rtol=1e-4)
     asked, _ = draw(share * (1 - 1e-6)).split(40)  # here the network is asked at each step, and overwritten
     torch.testing.assert_close(led, asked, atol=1e-3, rtol=1e-3)
+
+    kept, beside = draw(share, torch.zeros(80, 1)).split(40)  # to the end
+    torch.testing.assert_close(kept, truth[:40].float(), atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(beside, alone, atol=1e-4, rtol=1e-4)
 
     steps = sampling_steps(20)
     first = next(step for step in steps if step < LED_UNTIL)
@@ -213,7 +218,7 @@ def test_a_guide_is_where_the_motion_starts_from_and_others_beside_it_are_as_wit
         windows[:1],
         noise[:40],
         steps=20,
-        guide=(truth[:40], share[:40]),
+        guide=(truth[:40], share[:40], until[:40]),
     )
     start = level.sqrt() * truth[:40] + (1 - level).sqrt() * noise[:40]
     torch.testing.assert_close(seen[0][0], start.float(), atol=1e-4, rtol=1e-4)

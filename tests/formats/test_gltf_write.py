@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import resource
+import sys
 import time
 
 import numpy as np
@@ -250,7 +251,8 @@ def test_failures_leave_nothing_behind(thing, tmp_path, monkeypatch):
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a", "thing.glb"]
 
 
-def test_a_full_disk_leaves_the_old_file(thing, tmp_path):
+def test_a_full_disk_leaves_the_old_file(thing, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # modules imported meanwhile would be cut off, for good
     animation = animate(thing)
     (tmp_path / "full").mkdir()
     path = save_animation(animation, tmp_path / "full" / "out.glb")

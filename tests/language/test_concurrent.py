@@ -39,11 +39,25 @@ def test_legs_and_gestures_are_told_apart(sentence, body, gesture, part):
 
 
 @pytest.mark.parametrize(
+    ("sentence", "body", "gesture"),
+    [
+        ("walks while talking on the phone", "walks", "talking on the phone"),
+        ("a person sits and reads a book", "a person sits", "a person reads a book"),
+        ("a man walks and shrugs", "a man walks", "a man shrugs"),
+    ],
+)
+def test_gestures_move_arms_and_head(sentence, body, gesture):
+    found = body_part_prompts(sentence)
+    assert [voice.sentence for voice in found] == [body, gesture]
+    assert np.flatnonzero(found[1].handles).tolist() == sorted({*PARTS["arms"], *PARTS["head"]})
+
+
+@pytest.mark.parametrize(
     "sentence",
     [
         "a person walks", "waves", "walks and turns left", "a person walks with swinging arms", "claps and waves",
         "kicks while waving",
-        "lifts a box and walks", "walks and waves and claps", "shakes hands and walks", "and", "walks while", "",
+        "lifts a box and walks", "walks and waves and claps", "shakes a rug and walks", "and", "walks while", "",
     ],
 )  # fmt: skip
 def test_other_sentences_have_one_voice(sentence):

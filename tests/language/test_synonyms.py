@@ -9,7 +9,8 @@ from bunraku.language.understood import understood
     [
         ("a person twirls around", "a person spins around"),
         ("someone is twirling to the left", "someone is spinning to the left"),
-        ("he puts his hands up in surrender", "he raises both hands above the head"),
+        ("a boy tiptoes away", "a boy sneaks away"),
+        ("she walks on her tiptoes", "she sneaks"),
         ("a girl bounces a ball", "a girl dribbles a basketball"),
         ("she flings a stone, then collapses", "she throws a stone, then falls down"),
         ("she flings her arms up", "she flings her arms up"),

@@ -21,7 +21,7 @@ WATCHED = ROOT / "runs" / "data" / "source" / "captions_watched.json"
 _PROMPT = r"(?:bunraku (?:animate|edit) \S+|bunraku\.(?:animate|edit)\([^\"\n]+,) \"([^\"]+)\""
 
 KNOWN = (
-    "somersault", "does a backflip", "tiptoes past", "limps", "throws a ball overhand", "walks like a penguin",
+    "somersault", "does a backflip", "sneaks past", "limps", "throws a ball overhand", "walks like a penguin",
     "moonwalks across the stage", "sneaks up behind someone", "jumps for joy", "waves hello", "bows politely",
     "shadow boxing", "does ten push-ups", "climbs a ladder", "picks up a box and carries it to the left",
     "sits cross-legged", "rolls over", "dances salsa", "kneel and pray", "dodges a punch", "staggers as if drunk",
@@ -31,7 +31,7 @@ KNOWN = (
     "run!", "hunch over", "clap", "turns left then right", "death", "a mushroom hops", "she ran, fell and got up again",
 )  # fmt: skip
 PARTLY = {
-    "plays air guitar": ["guitar"],
+    "plays the trombone": ["trombone"],
     "strolls joyfully across the meadow": ["meadow"],
     "salutes the flag": ["flag"],
     "walks while juggling chainsaws": ["juggling", "chainsaws"],
@@ -114,9 +114,8 @@ def test_other_languages_are_put_into_english_with_places_in_the_sentence():
     (unknown,) = found.unknown
     assert prompt[unknown.start : unknown.stop] == unknown.word == "Kobold"
     assert found.notes == ("read as: a person waves with the left hand", "not understood: 'Kobold'")
-    found = understood("danse, puis ouvre la porte")  # the table knows the door, training does not
-    assert found.ok and found.english == "a person dances, then opens a door"
-    assert [one.word for one in found.unknown] == ["porte"]
+    found = understood("danse, puis ouvre la porte")
+    assert found.ok and found.english == "a person dances, then opens a door" and not found.unknown
 
 
 def test_notes_are_logged_and_the_english_is_given(caplog):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.diffusion.examples.pack import read_pack
-from bunraku.diffusion.features import mirror
+from bunraku.diffusion.examples.pack import KIND, read_pack
+from bunraku.diffusion.features import encode, mirror
 from bunraku.diffusion.matching import (
     RADIUS,
     RANKER,
@@ -15,7 +15,11 @@ from bunraku.diffusion.matching import (
     embed_sentences,
     save_extractor,
 )
-from bunraku.training.example_pack import ExampleSettings, build_examples
+from bunraku.nn.checkpoints import load_checkpoint
+from bunraku.retarget.body_motion import body_handle_motion
+from bunraku.synthetic.gestures.catalogue import GESTURES, STANDING
+from bunraku.synthetic.gestures.play import gesture_motion
+from bunraku.training.example_pack import ExampleSettings, _hovers, _seen, build_examples
 
 
 @pytest.fixture
@@ -42,7 +46,7 @@ def test_training_clips_alone_are_packed_with_the_vectors_of_both_sides(swings, 
     watched(swings)
     settings = ExampleSettings(swings, tmp_path / "examples.safetensors", ranker=ranker)
     pack = build_examples(settings, encoder)
-    stretches = [one for one in pack.examples if "#" not in one.name]
+    stretches = [one for one in pack.examples if "#" not in one.name and not one.made]
     assert [one.name for one in stretches] == ["kicks_0@0", "nods_0@0", "waves_0@0"]  # no fault, val or test
     assert {one.frames for one in stretches} == {50}
     assert stretches[2].texts == ("a person waves with the left hand", "waves")
@@ -80,3 +84,34 @@ def test_of_each_action_only_the_clearest_are_kept(swings, ranker, encoder, tmp_
     place = [one.name for one in every.examples].index(left[0])
     dropped = float(every.texts[0, every.owners == place].mean(axis=0) @ every.motions[0, place])
     assert dropped <= min(value for name, value in own.items() if name.startswith("waves")) + 1e-6
+
+
+def test_gestures_made_by_code_are_packed_with_them(swings, ranker, encoder, tmp_path):
+    watched(swings)
+    path = tmp_path / "examples.safetensors"
+    pack = build_examples(ExampleSettings(swings, path, ranker=ranker), encoder)
+    made = [index for index, one in enumerate(pack.examples) if one.made]
+    assert [pack.examples[index].texts for index in made] == [*(one.texts for one in GESTURES), ()]
+    assert made[-1] in pack.standing
+    clap = made[0]
+    own = pack.texts[:, pack.owners == clap].mean(axis=1)
+    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    np.testing.assert_allclose(pack.motions[:, clap], own, atol=1e-6)  # no ranker has seen it
+    wanted = encode(body_handle_motion(gesture_motion(GESTURES[0])))
+    np.testing.assert_allclose(pack.features(clap)[:, 3:], wanted[:, 3:], atol=0.003)
+    _, config = load_checkpoint(path, KIND)
+    assert config["notes"]["licences"]["Apache-2.0"] == len(GESTURES) + 1
+
+
+def test_who_goes_somewhere_while_the_hands_are_busy_is_no_example_of_going():
+    assert _seen(["walks backwards"], ["a person walks backward slowly", "backs up"])
+    assert not _seen(["walks backwards"], ["someone backs up and makes a chest pass", "back up, chest pass"])
+    assert not _seen(["walks backwards"], ["a person walks forward", "walk"])
+    assert _seen(["raises the left arm"], ["a person raises the left arm high", "raise the left arm"])
+
+
+def test_events_whose_floor_was_found_too_low_are_left_out():
+    standing = encode(body_handle_motion(gesture_motion(STANDING)))
+    assert not _hovers(standing)
+    standing[:60, 3] += 0.08
+    assert _hovers(standing) and not _hovers(standing[40:])

@@ -29,6 +29,10 @@ __all__ = ["GUIDANCE", "STEPS", "Sampling", "draw_candidates", "frames_of", "way
 
 STEPS = 20
 GUIDANCE = 3.5
+MADE_UNTIL = 0
+"""Step of the sampler down to which a gesture made by code stands for what the network predicts. It has seen none:
+from 100 on it already stills the hands of somebody who claps.
+"""
 STANDING, GOING_DOWN = 6, 14
 """Frames for which who is about to sit or lie down still stands, and frames in which that is let go of."""
 
@@ -102,7 +106,7 @@ def draw_candidates(
     how: Sampling,
     loop: bool,
     path: GroundPath | None,
-    leads: Sequence[Lead | None],
+    leads: Sequence[tuple[Lead | None, Lead | None]],
 ) -> list[Drawn]:
     """One candidate for each script from its own noise, all in one batch.
 
@@ -114,7 +118,7 @@ def draw_candidates(
         how: How they are drawn.
         loop: Make loops.
         path: What the root follows, in metres of the reference body; None for its own way.
-        leads: Examples that it starts from, None for none.
+        leads: Examples that each starts from, and those of the gestures that are made at the same time; None for none.
     """
     import torch
 
@@ -145,7 +149,8 @@ def draw_candidates(
         own_ways = [ways[row] for row in owners] if ways else None
         held = _held(own_ways, [stands[row] for row in owners], sizes, statistics, model.config.fps)
 
-    guide = _led(leads, lengths, sizes, statistics)
+    starts = [first for first, _ in leads] + [leads[track.motion][1] for track in tracks]
+    guide = _led(starts, [lengths[row] for row in owners], sizes, statistics, loop)
 
     def refine(values: Tensor) -> Tensor:
         parts = list(values.split(sizes))
@@ -167,7 +172,7 @@ def draw_candidates(
     for track, own in zip(tracks, found[len(scripts) :], strict=True):
         found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
     drawn = []
-    for part, script, own_lengths, lead in zip(found, scripts, lengths, leads, strict=False):
+    for part, script, own_lengths, lead in zip(found, scripts, lengths, starts, strict=False):
         frames = np.arange(sum(own_lengths) + loop) % len(part.values)
         timed = [(prompt, length) for (prompt, _), length in zip(script, own_lengths, strict=True)]
         features = steadied(statistics.restore(part.values.cpu().numpy()), loop)
@@ -216,22 +221,30 @@ def _held(
 
 
 def _led(
-    leads: Sequence[Lead | None], lengths: Sequence[list[int]], sizes: Sequence[int], statistics: FeatureStatistics
-) -> tuple[Tensor, Tensor] | None:
-    """What candidates start from, in network units, (F, D), and how far, (F, 1); None where no one has an example.
-    Time lines behind those of the candidates have none.
+    leads: Sequence[Lead | None],
+    lengths: Sequence[list[int]],
+    sizes: Sequence[int],
+    statistics: FeatureStatistics,
+    loop: bool,
+) -> tuple[Tensor, Tensor, Tensor] | None:
+    """What candidates start from, in network units, (F, D), how far, (F, 1), and down to which step of the sampler,
+    (F, 1); None where no one has an example.
     """
     import torch
+
+    from bunraku.diffusion.sampling.sampler import LED_UNTIL
 
     if not any(leads):
         return None
     values, share = np.zeros((sum(sizes), FEATURE_SIZE), np.float32), np.zeros((sum(sizes), 1), np.float32)
+    until = np.full((sum(sizes), 1), LED_UNTIL, np.int64)
     ends = np.cumsum(sizes)
-    for lead, own, stop, size in zip(leads, lengths, ends, sizes, strict=False):
+    for lead, own, stop, size in zip(leads, lengths, ends, sizes, strict=True):
         if lead is not None:
-            guide = lead.on(own, size, statistics)
+            guide = lead.on(own, size, statistics, closed=loop)
             values[stop - size : stop], share[stop - size : stop, 0] = guide.values, guide.share
-    return torch.from_numpy(values), torch.from_numpy(share)
+            until[stop - size : stop, 0] = np.where(guide.made, MADE_UNTIL, LED_UNTIL)
+    return torch.from_numpy(values), torch.from_numpy(share), torch.from_numpy(until)
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:

@@ -82,21 +82,29 @@ def generate_motions(
         return []
 
     from bunraku.diffusion.sampling.windows import drawn_noise
+    from bunraku.language.concurrent import body_part_prompts
 
     if how.progress:
         how.progress("generate", 0.0)
     model, encoder = load_generator(how.checkpoint)
     noise = drawn_noise(seeds, len(scripts))
     plain = 0 if how.all_led else 1  # candidates of a turn that start from no example
-    led = _leads(model, encoder, scripts) if how.candidates > plain and how.examples and not loop else None
+    led = _leads(model, encoder, scripts) if how.candidates > plain and how.examples else None
 
-    def lead(row: int, place: int) -> Lead | None:
+    def lead(row: int, place: int) -> tuple[Lead | None, Lead | None]:
+        """What a candidate starts from, and what the gestures do that are made at the same time."""
         attempt, number = divmod(place, how.candidates)
-        if led is None or number < plain:
-            return None
+        if led is None or (loop and len(scripts[row]) > 1):
+            return None, None
         lengths = frames_of([seconds for _, seconds in scripts[row]], model.config.fps)
-        script = [(sentence, length) for (sentence, _), length in zip(scripts[row], lengths, strict=True)]
-        return led.lead(script, noise[row], attempt * (how.candidates - plain) + number - plain)
+        prompts = [(sentence, body_part_prompts(sentence)) for sentence, _ in scripts[row]]
+        whole = [sentence if led.shows(sentence) else parts[0].sentence for sentence, parts in prompts]
+        second = [parts[-1].sentence for _, parts in prompts]
+        script, gestures = (list(zip(said, lengths, strict=True)) for said in (whole, second))
+        if number < plain and not led.made(script) and not led.made(gestures):
+            return None, None
+        turn = attempt * (how.candidates - plain) + max(number - plain, 0)
+        return led.lead(script, noise[row], turn), led.lead(gestures, noise[row], turn)
 
     def draw(rows: list[int], places: list[int]) -> list[Drawn]:
         pairs = [(noise[row][0], noise[row][1] + _APART * place) for row, place in zip(rows, places, strict=True)]
@@ -144,13 +152,16 @@ def _leads(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[tup
     from bunraku.diffusion.matching import RADIUS, embed_sentences
     from bunraku.diffusion.ranking import load_ranker
     from bunraku.language.clauses import of_person
+    from bunraku.language.concurrent import body_part_prompts
     from bunraku.nn.threads import fitting_threads
 
     pack = load_examples()
     if pack is None:
         return None
     ranker = load_ranker()
-    plain = {sentence: of_person(sentence) for script in scripts for sentence, _ in script}
+    said = {sentence for script in scripts for sentence, _ in script}
+    said |= {part.sentence for sentence in said for part in body_part_prompts(sentence)}
+    plain = {sentence: of_person(sentence) for sentence in sorted(said)}
     with fitting_threads(model):
         vectors = embed_sentences(ranker, encoder_of(ranker.config.text_encoder, encoder), list(plain.values()))
     return Leads(pack, {sentence: (said, vectors[said] / RADIUS) for sentence, said in plain.items()})

@@ -10,9 +10,11 @@ import functools
 import re
 from collections.abc import Sequence
 
+from bunraku.language.gestures import GESTURE_WORDS, SWALLOWED
+
 __all__ = ["ACTIONS", "CYCLIC", "actions_of", "main_actions", "says_any"]
 
-ACTIONS: dict[str, str] = {
+ACTIONS: dict[str, str] = GESTURE_WORDS | {
     "jumping jack": r"jumping jacks?|star jumps?",
     "cartwheel": r"cartwheels?",
     "handstand": r"handstands?|walk\w* on (the )?hands|stands? on (the )?head|headstand",
@@ -64,12 +66,12 @@ ACTIONS: dict[str, str] = {
     ),
     "salute": r"salut\w*",
     "point": r"points?|pointing",
-    "signal": r"signals?|signall?ing|referee|directs? traffic|conduct\w*",
+    "signal": r"signals?|signall?ing|referee|directs? traffic",
     "shrug": r"shrugs?|shrugging",
     "pray": r"pray\w*|medit\w*",
     "drink": r"drink\w*|sips?|sipping",
-    "eat": r"eats?|eating|chew\w*",
-    "phone": r"phone|telephon\w*",
+    "eat": r"eats?|eating|chew\w*|(has|having) (a meal|lunch|dinner|breakfast)|food to the mouth",
+    "phone": r"phones?|phoning|telephon\w*",
     "wash": (
         r"wash\w*|wip(e|es|ing)|polish\w*|mop\w*|sweep\w*|broom|scrub\w*|clean\w*|brush\w*|vacuum\w*|rak(es|ing)|"
         r"shovel\w*|dig(s|ging)?|paint(s|ing)?\b|hammer\w*|saw(s|ing)?"
@@ -108,7 +110,7 @@ ACTIONS: dict[str, str] = {
     "fly": r"fl(y|ies|ying)\b|levitat\w*|hover\w*|float\w*",
     "sit": r"sits?|sitting|seated|takes? a seat",
     "stand up": r"stands? (back )?up|gets? (back )?up|ris(e|es|ing)( up)?|standing up|getting up|straighten\w* up",
-    "kneel": r"kneel\w*|on (one|the left|the right|both) knees?",
+    "kneel": r"kneel\w*|(on|to) (one|the left|the right|both) knees?|takes a knee",
     "lie": r"lies?|lying|sleep\w*|laid",
     "fall": r"falls?|falling|collaps\w*|trips?( over)?|knocked|tumbl\w*|drops? (dead|to)",
     "stagger": (
@@ -123,7 +125,7 @@ ACTIONS: dict[str, str] = {
     "salsa": r"salsa|cha-?cha|mambo",
     "ballet": r"ballet|pirouett\w*|jet[eé]s?|arabesque|pli[eé]|attitude|rond de",
     "dance": (
-        r"danc\w*|charleston|moonwalk|breakdanc\w*|hip.?hop|rumba|waltz|macarena|dab(s|bing)?\b|groov\w*|lambada"
+        r"danc\w*|charleston|moonwalk|breakdanc\w*|hip.?hop|rumba|waltz|macarena|groov\w*|lambada"
     ),
     "backward": (
         r"(walk|step|run|jog|mov|hop|jump|march|shuffl|back)\w* (slowly |quickly |a few steps |one step |"
@@ -154,7 +156,7 @@ ACTIONS: dict[str, str] = {
     ),
     "talk": (
         r"talk\w*|gestur\w*|explain\w*|argu\w*|speak\w*|chat\w*|story|tells?|convers\w*|greet\w*|hand signals?|"
-        r"laugh\w*|cheer\w*|celebrat\w*|cr(y|ies|ying)"
+        r"laugh\w*"
     ),
 }  # fmt: skip
 """Canonical words with what stands for them, the more special first: "jumping jacks" are no jumps."""
@@ -200,6 +202,9 @@ _SWALLOWS = {
     "squat": {"idle"},
     "bow": {"idle"},
     "dribble": {"shoot a ball"},
+    "phone": {"talk"},
+    "stretch": {"raise arm"},
+    **SWALLOWED,
 }  # fmt: skip
 
 

@@ -61,11 +61,12 @@ _NOUN = (
     r"|(?:someone|somebody|he|she|it|they)\s+)"
 )
 _MORE_VERBS = (
-    "approach", "bark", "brush", "chase", "comb", "cook", "cough", "cross", "cry", "descend", "dig", "draw", "enter",
-    "escape", "flee", "growl",
-    "grow", "hiss", "howl", "hug", "hunt", "kiss", "knock", "pour", "pray", "read", "relax", "scream", "search",
-    "shiver", "shout", "sigh", "smile",
-    "sneeze", "sniff", "speed", "stalk", "stir", "tremble", "try", "type", "wake", "weep", "write", "yawn", "yell",
+    "approach", "bark", "beckon", "blow", "brush", "chase", "check", "comb", "conduct", "cook", "cough", "cover",
+    "cross", "cry", "dab", "descend", "dig", "draw", "drum", "enter", "escape", "facepalm", "flee", "flex", "fold",
+    "grow", "growl", "hiss", "howl", "hug", "hunt", "kiss", "knock", "photograph", "pour", "pray", "propose", "read",
+    "relax", "salute", "scream", "search", "shade", "shiver", "shout", "shrug", "sigh", "smile", "sneeze", "sniff",
+    "sob", "speed", "stalk", "stir", "strum", "surrender", "tremble", "try", "type", "wake", "weep", "write", "yawn",
+    "yell",
 )  # fmt: skip
 _NO_VERB = re.compile(
     r"(?:left|right|forwards?|backwards?|back(?!\s+(?:up|away|off))|sideways|to|towards?|into|onto|in|on|at|around|up|down|away|out|off|again|over|with|from"

@@ -14,17 +14,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku.body.parts import kept_handles
+from bunraku.language.actions import actions_of
 from bunraku.language.clauses import subject_of, with_subject
+from bunraku.language.gestures import GESTURE_WORDS
 from bunraku.language.grammar import conjugate
 
 __all__ = ["BodyPartPrompt", "body_part_prompts", "moved_part"]
 
 _LEGS = (
     "walk", "run", "jog", "sprint", "march", "sneak", "tiptoe", "skip", "stroll", "stride", "hop", "jump", "trot",
-    "stomp", "wander", "sit", "kneel",
+    "stomp", "wander", "sit", "kneel", "stand",
 )  # fmt: skip
 _ARMS = ("wave", "clap", "applaud", "salute", "cheer", "point", "beckon", "drink", "greet")
 _HEAD = ("nod",)
+_SIGNS = (GESTURE_WORDS.keys() - {"look around", "propose"}) | {
+    "clap", "shrug", "point", "salute", "pray", "eat", "drink", "phone", "cook",
+}  # fmt: skip
+_PARTS = {"arms": ("arms",), "head": ("head",), "arms and head": ("arms", "head")}
 _LIMB = re.compile(r"\b(?:hands?|arms?|fists?)\b", re.IGNORECASE)
 _JOINTS = tuple(
     re.compile(joint, re.IGNORECASE)
@@ -58,16 +64,14 @@ def body_part_prompts(sentence: str) -> tuple[BodyPartPrompt, ...]:
             continue
         first, second = halves[0], with_subject(halves[1], subject_of(halves[0])[0])
         parts = [moved_part(half) for half in (first, second)]
-        if sorted(parts) in (["arms", "legs"], ["head", "legs"]):
+        if "legs" in parts and (own := next((part for part in parts if part in _PARTS), None)) is not None:
             body, gesture = (first, second) if parts[0] == "legs" else (second, first)
-            return BodyPartPrompt(body), BodyPartPrompt(
-                gesture, kept_handles(next(part for part in parts if part != "legs"))
-            )
+            return BodyPartPrompt(body), BodyPartPrompt(gesture, kept_handles(_PARTS[own]))
     return (BodyPartPrompt(sentence),)
 
 
 def moved_part(clause: str) -> str:
-    """What its verb moves: "legs", "arms", "head", or "" for neither or all."""
+    """What its verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all."""
     words = subject_of(clause)[1].lower().split()
     words = words[1:] if words and words[0] in ("is", "are") else words
     while words and words[0].endswith("ly"):
@@ -90,4 +94,7 @@ def moved_part(clause: str) -> str:
         "swinging",
     ) and _LIMB.search(clause):
         return "arms"
-    return "head" if verb in ("shake", "shakes", "shaking") and "head" in words else ""
+    said = set(actions_of(clause))
+    if said and said <= _SIGNS:
+        return "arms and head"
+    return "head" if said and said <= {"shake head", "look around"} else ""

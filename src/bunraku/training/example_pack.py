@@ -1,14 +1,15 @@
 """Which stretches of captured clips the sampler may start from, packed into one file.
 
 Of each action the clearest are kept: those whose motion the ranker finds nearest to their own sentences, few of one
-clip. What is plain to see in the numbers (a turn, a punch, a few steps backwards) is cut out and told by them alone.
-Clips of validation and test are never among them.
+clip. What is plain to see in the numbers (a turn, a punch) is cut out and told by them alone. Clips of validation and
+test are never among them. Gestures that hardly anybody has captured are made by code (`synthetic.gestures`).
 """
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,16 +17,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bunraku.body.from_handles import skeleton_from_handles
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import SkeletalMotion
 from bunraku.diffusion.examples.joins import standing_stretches
-from bunraku.diffusion.examples.pack import Example, ExamplePack, fingerprint, packed_stretch, write_pack
-from bunraku.diffusion.features import FeatureStatistics, decode, mirror
+from bunraku.diffusion.examples.pack import FPS, MADE, Example, ExamplePack, fingerprint, packed_stretch, write_pack
+from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
 from bunraku.diffusion.matching import RADIUS, Extractor, embed_motions, embed_sentences
 from bunraku.diffusion.ranking import load_ranker
+from bunraku.language.actions import main_actions
 from bunraku.language.captions import mirror_words
 from bunraku.language.description.describe import inside
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.wording import computed_sentence
 from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.retarget.body_motion import body_handle_motion
+from bunraku.retarget.stages.ground import lowest
+from bunraku.synthetic.gestures.catalogue import GESTURES, STANDING
+from bunraku.synthetic.gestures.play import gesture_motion
 from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.diffusion.clip_rows import ClipSet
 
@@ -35,6 +43,12 @@ LONGEST = 196
 _MARGIN = 8
 """Frames around what is cut out by its numbers."""
 _OF_ONE_CLIP = 3
+HOVERS = 0.05
+"""Height [m] over the ground from which on nothing touches it."""
+_GOES = {"walk", "run", "backward", "sidestep", "turn", "turn around", "circle"}
+_BUSY = re.compile(
+    r"\b(arms?|hands?|balls?|pass(es|ing)?|strokes?|swings?|throws?|fight\w*|karate|push\w*|shov\w*)\b", re.I
+)
 _WORDINGS = 3
 
 
@@ -61,12 +75,17 @@ class ExampleSettings:
     seed: int = 0
 
 
+GESTURE = "gesture"
+"""Kind of what is made by code."""
+
+
 class _Stretch(NamedTuple):
     name: str
     kind: str
     texts: tuple[str, ...]
     features: np.ndarray
     loop: tuple[int, int] | None
+    skeleton: SkeletalMotion | None = None
 
 
 def build_examples(
@@ -98,7 +117,7 @@ def build_examples(
     }
     statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
     rows = ClipSet(clips, statistics, "train", borrowed=0.0, creatures=0.0)
-    found = [*_stretches(rows, clips), *_events(rows, settings.seed), *_standing(rows)]
+    found = [*_stretches(rows, clips), *_events(rows, settings.seed), *_gestures(), *_standing(rows)]
     progress("vectors", 0.0)
     texts, motions, owners = _vectors(found, ranker, encoder)
     own = np.zeros(len(found))
@@ -107,7 +126,7 @@ def build_examples(
     kept = _clearest(found, own, settings)
     data = []
     for place, index in enumerate(kept):
-        skeleton = skeleton_from_handles(decode(found[index].features), rounds=1)
+        skeleton = found[index].skeleton or skeleton_from_handles(decode(found[index].features), rounds=1)
         data.append(packed_stretch(skeleton.root_translation, skeleton.rotations))
         progress("pack", (place + 1) / len(kept))
     examples = tuple(Example(one.name, one.texts, len(one.features), one.loop) for one in (found[i] for i in kept))
@@ -121,7 +140,9 @@ def build_examples(
         motions[:, kept],
         fingerprint(path),
     )
-    licences = Counter(str(clips[one.name.split("#")[0]].get("licence", "unknown")) for one in examples)
+    licences = Counter(
+        "Apache-2.0" if one.made else str(clips[one.name.split("#")[0]].get("licence", "unknown")) for one in examples
+    )
     write_pack(settings.out, pack, {"licences": dict(licences), "frames": sum(one.frames for one in examples)})
     return pack
 
@@ -143,9 +164,40 @@ def _events(rows: ClipSet, seed: int) -> Iterator[_Stretch]:
             random = np.random.default_rng([seed, index, phrase.start])
             made = [computed_sentence(told, [()], stop - start, random, None) for _ in range(_WORDINGS)]
             texts = tuple(dict.fromkeys(text for text in made if text))
-            if texts and clip.weight >= 0.5:
+            if texts and clip.weight >= 0.5 and _seen(texts, clip.texts):
                 features = rows.statistics.restore(clip.values[start:stop])
+                if "jump" not in kind and _hovers(features):
+                    continue
                 yield _Stretch(f"{clip.name}#{start}", f"event: {kind}", texts, features, None)
+
+
+def _hovers(features: np.ndarray) -> bool:
+    """Whether nothing of the body is near the ground in a quarter of the frames: a floor that was found too low."""
+    body = reference_body()
+    heights = lowest(body.vertices, body.handle_weights, decode(features), body.handles.positions)
+    return bool((heights > HOVERS).mean() > 0.25)
+
+
+def _seen(computed: Sequence[str], watched: Sequence[str]) -> bool:
+    """Whether who watched a stretch says too, in few words, what its numbers say, and nothing that hands do of who goes
+    somewhere: who backs up to pass a ball is no example of walking backwards.
+    """
+    said = set(main_actions(computed))
+    busy = said <= _GOES and any(_BUSY.search(text) for text in watched)
+    return said <= set(main_actions(watched)) and not busy
+
+
+def _gestures() -> Iterator[_Stretch]:
+    for number, gesture in enumerate(GESTURES):
+        loop = None
+        if gesture.cycle is not None:
+            loop = round(gesture.cycle[1] * FPS), round(gesture.cycle[0] * FPS)
+        motion = gesture_motion(gesture, FPS)
+        features = encode(body_handle_motion(motion))
+        name = f"{MADE}{gesture.name.replace(' ', '_')}_{number}"
+        yield _Stretch(name, GESTURE, gesture.texts, features, loop, motion)
+    motion = gesture_motion(STANDING, FPS)
+    yield _Stretch(f"{MADE}{STANDING.name}", GESTURE, (), encode(body_handle_motion(motion)), None, motion)
 
 
 def _standing(rows: ClipSet) -> list[_Stretch]:
@@ -170,7 +222,12 @@ def _vectors(
     vectors = embed_sentences(ranker, encoder, [text for texts in both for text in texts])
     texts = np.array([[vectors[text] for text in some] for some in both]) / RADIUS
     motions = np.array([embed_motions(ranker, [way(one.features) for one in found]) for way in (np.asarray, mirror)])
-    return texts, motions / RADIUS, owners
+    motions /= RADIUS
+    for place, one in enumerate(found):
+        if one.kind == GESTURE and one.texts:  # the ranker has seen none of them, and they are what their sentences say
+            told = texts[:, owners == place].mean(axis=1)
+            motions[:, place] = told / np.linalg.norm(told, axis=-1, keepdims=True)
+    return texts, motions, owners
 
 
 def _clearest(found: list[_Stretch], own: np.ndarray, settings: ExampleSettings) -> list[int]:
@@ -181,7 +238,9 @@ def _clearest(found: list[_Stretch], own: np.ndarray, settings: ExampleSettings)
     kept = []
     for index in np.argsort(-own, kind="stable").tolist():
         kind, clip = found[index].kind, found[index].name.split("@")[0]
-        if kind == "standing":
+        if kind == GESTURE:
+            most, clip = len(found), found[index].name
+        elif kind == "standing":
             most, clip = settings.standing, found[index].name
         elif kind.startswith("event"):
             most = settings.events

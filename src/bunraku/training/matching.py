@@ -41,7 +41,7 @@ class MatchingTrainConfig:
         warmup: Steps until the peak.
         weight_decay: Of AdamW.
         ema: Decay of the running mean of the weights, which is what is validated and saved.
-        bf16: Compute in bfloat16 where torch says it is safe.
+        bf16: Compute in bfloat16 where torch says it is safe and the device has it in hardware.
         validate_every: Steps between validations and saved states.
         seed: Of everything random.
     """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bunraku.body.from_handles import skeleton_from_handles
-from bunraku.diffusion.examples.guide import fills, fits_into, goes_on, hurried, laid, laid_script, liveliest
+from bunraku.diffusion.examples.guide import circled, fills, fits_into, goes_on, hurried, laid, laid_script, liveliest
 from bunraku.diffusion.examples.joins import on_one_leg
 from bunraku.diffusion.examples.leads import Leads
 from bunraku.diffusion.examples.pack import ExamplePack, packed_stretch
@@ -212,3 +212,38 @@ def test_an_example_that_begins_bent_is_passed_over_where_there_is_another(pack)
     leads = Leads(known, {"kicks": ("a person kicks with the right leg", axes[0])})
     taken = {leads.lead([("kicks", 40)], (seed, 0), number).found[0].place for seed in range(8) for number in (0, 1)}
     assert taken == {1}
+
+
+def test_a_gesture_made_by_code_is_told_apart_and_joined_to_standing_of_its_kind(pack, units):
+    named = [replace(one, name=f"gesture_{one.name}") for one in pack.examples]
+    still = pack.features(1)[:1].repeat(60, axis=0)
+    skeleton = skeleton_from_handles(decode(still))
+    data = (*pack.data, packed_stretch(skeleton.root_translation, skeleton.rotations))
+    stands = replace(named[1], name="gesture_standing", texts=(), frames=60)
+    made = replace(pack, examples=(*named, stands), data=data, motions=np.tile(np.eye(4)[:3], (2, 1, 1)))
+    guide = laid(made, KICK, 100, units, np.random.default_rng(0))
+    assert guide.made.all() and not laid(pack, KICK, 100, units, np.random.default_rng(0)).made.any()
+    both = laid_script(made, [(None, 20), (KICK, 60)], 80, units, np.random.default_rng(0))
+    assert not both.made[:20].any() and both.made[20:].all()
+    leads = Leads(made, {"kicks": ("a person kicks with the right leg", np.eye(4)[1])})
+    assert leads.shows("kicks") and leads.made([("kicks", 40)])
+    assert not Leads(pack, {"kicks": ("a person kicks with the right leg", np.eye(4)[1])}).made([("kicks", 40)])
+    assert not leads.shows("sings") and not leads.made([("sings", 40)])
+
+
+def test_a_loop_has_whole_cycles_that_close_and_none_of_what_is_done_once(pack, units):
+    values = units.restore(laid(pack, WAVE, 50, units, np.random.default_rng(0), closed=True).values)
+    assert len(values) == 50
+    step = np.abs(np.diff(values[:, 3:], axis=0)).max()
+    assert np.abs(values[-1, 3:] - values[0, 3:]).max() < 1.5 * step
+    once = laid(pack, KICK, 50, units, np.random.default_rng(0), closed=True)
+    assert not once.share.any() and len(once.values) == 50
+
+
+def test_a_cycle_is_done_as_often_as_fits_best():
+    features = np.zeros((40, 271), np.float32)
+    features[:, 5] = np.sin(2 * np.pi * np.arange(40) / 10)  # a cycle of ten frames
+    features[:, 2] = 1.0
+    found = circled(features, (25, 5), 44)  # two of them span the cycle that was named
+    np.testing.assert_allclose(found[:, 5], np.sin(2 * np.pi * (np.arange(44) * 40 / 44 % 20 + 5) / 10), atol=0.06)
+    np.testing.assert_allclose(found[:, 2], 40 / 44, atol=1e-5)

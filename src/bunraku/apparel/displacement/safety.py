@@ -26,6 +26,7 @@ BESIDE = 0.03  # how near to the way out through a node legs count, over the wea
 LEGS = tuple(
     JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
 )
+DEEP = 0.006  # how deep a vertex may be in the limb near its third node, over the wearer's size [m]
 FEW = 0.25  # share of the apparel around a node that must be pushed for it to move by as much
 
 
@@ -103,7 +104,8 @@ class Safety:
             self.gap = np.minimum(self.depth.at(nodes.rest)[0], self.settings.clear * scale)
             rest = wearer.rest[carrier.vertices].astype(np.float32)
             self.vertex_gap = np.minimum(self.depth.at(rest)[0], -self.settings.slack * scale)
-            self.node, self.second = carrier.index[:, 0], carrier.index[:, 1]
+            self.node, self.second, self.third = carrier.index[:, 0], carrier.index[:, 1], carrier.index[:, 2]
+            self.deep_gap = np.minimum(self.vertex_gap, -DEEP * scale)
             self.around = _around(nodes, self.settings.spread * scale)
             self.scale, self.legs = scale, np.flatnonzero(np.isin(points.joint, LEGS))
             # in the rest pose the frame of the pelvis is the world's
@@ -192,7 +194,7 @@ class Safety:
         """Vertices that the carrier took along, out of the body where they are in it all the same [m], shape (A, 3).
 
         Those between two nodes that are near to different limbs are asked for both: half of what used to stay inside
-        was in the limb of the second node.
+        was in the limb of the second node. A third is asked only for what is deep, since each push strains edges.
 
         Args:
             places: [m], shape (A, 3).
@@ -205,6 +207,11 @@ class Safety:
         if len(between):
             other = unposed.take(self.second[between])
             out[between] = self.depth.pushed(out[between], other, self.vertex_gap[between], self.most)
+        joint, third = unposed.joint, unposed.joint[self.third]
+        between = np.flatnonzero((third != joint[self.node]) & (third != joint[self.second]))
+        if len(between):
+            other = unposed.take(self.third[between])
+            out[between] = self.depth.pushed(out[between], other, self.deep_gap[between], self.most)
         return out
 
     def _bounded(self, places: np.ndarray) -> np.ndarray:

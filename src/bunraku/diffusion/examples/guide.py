@@ -20,7 +20,8 @@ from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
 
 __all__ = [
-    "CROUCH", "Guide", "Lead", "fills", "fits_into", "goes_on", "hurried", "laid", "laid_script", "liveliest",
+    "CROUCH", "Guide", "Lead", "circled",
+    "fills", "fits_into", "goes_on", "hurried", "laid", "laid_script", "liveliest",
     "pose_distance",
 ]  # fmt: skip
 
@@ -59,10 +60,12 @@ class Guide:
     Args:
         values: Network units, shape (N, 271).
         share: How far each frame is the example's, shape (N,).
+        made: Whether that is a gesture made by code, shape (N,).
     """
 
     values: np.ndarray
     share: np.ndarray
+    made: np.ndarray
 
 
 def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
@@ -76,7 +79,12 @@ def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
 
 
 def laid(
-    pack: ExamplePack, found: Found, frames: int, statistics: FeatureStatistics, random: np.random.Generator
+    pack: ExamplePack,
+    found: Found,
+    frames: int,
+    statistics: FeatureStatistics,
+    random: np.random.Generator,
+    closed: bool = False,
 ) -> Guide:
     """An example made as long as is wanted: what goes on is played on or cut, what is done once is joined to standing,
     or done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own.
@@ -87,25 +95,32 @@ def laid(
         frames: Wanted.
         statistics: Units of the network.
         random: Draws when it begins.
+        closed: Make a loop: what goes on is done a whole number of times, and what is done once is no example.
     """
     features = pack.features(found.place)
     if found.mirrored:
         features = mirror(features)
+    made = np.full(frames, pack.examples[found.place].made)
     loop = _loop(pack, found)
+    if closed:
+        share = np.full(frames, loop is not None, np.float32)
+        features = features[:1].repeat(frames, axis=0) if loop is None else circled(features, loop, frames)
+        return Guide(statistics.normalise(features).astype(np.float32), share, made)
     if loop is None and len(features) > frames:
         features = hurried(liveliest(features, int(HURRY * frames), statistics), frames)
     values = statistics.normalise(features).astype(np.float32)
     if loop is not None:
         values = played(values, loop, frames)
         start = int(random.integers(len(values) - frames + 1))
-        return Guide(values[start : start + frames], np.ones(frames, np.float32))
+        return Guide(values[start : start + frames], np.ones(frames, np.float32), made)
     lead = min(int((frames - len(values)) * random.uniform(0.15, 0.5)), _LEAD)
     first = _end(features[:END], values[:END], features[-1, 3], statistics)
     last = _end(features[-END:], values[-END:], features[0, 3], statistics)
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
     led = longer = values
     if len(values) < frames and pack.standing:
-        standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in pack.standing]
+        own = [index for index in pack.standing if pack.examples[index].made == made[0]] or pack.standing
+        standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in own]
         before, after = (Joins(standing, near=NEAR if end == "stays" else np.inf) for end in (first, last))
         if first != "free" and lead > AROUND:  # nothing of the motion itself is cross-faded
             eased = held(values[::-1], AROUND, still, EASE)[::-1]
@@ -122,7 +137,7 @@ def laid(
         share[:lead] = _rise(lead)
     if last != "stays":
         share[frames - (room - lead) :] = _rise(room - lead)[::-1]
-    return Guide(held(held(longer[::-1], lead, still, EASE)[::-1], room - lead, still, EASE), share)
+    return Guide(held(held(longer[::-1], lead, still, EASE)[::-1], room - lead, still, EASE), share, made)
 
 
 def _end(features: np.ndarray, values: np.ndarray, other: float, statistics: FeatureStatistics) -> str:
@@ -152,8 +167,8 @@ def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
     least as smooth as the frames that were found for it; None where it is done once, or they span half a movement.
     """
     loop = pack.examples[found.place].loop
-    if loop is None:
-        return None
+    if loop is None or pack.examples[found.place].made:
+        return loop  # a gesture's cycle is between two rests
     features = pack.features(found.place)
     whole = len(features) - 1, 0
     poses = features[:, 3:]
@@ -200,6 +215,25 @@ def hurried(features: np.ndarray, frames: int) -> np.ndarray:
     return np.asarray(out, np.float32)
 
 
+def circled(features: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
+    """A cycle done as often as fits best into so many frames, a little faster or slower, shape (frames, D).
+
+    Args:
+        features: Motion that has it, shape (N, D).
+        loop: Frames (i, j) such that frame j may follow where frame i would be.
+        frames: Wanted.
+    """
+    cycle = features[loop[1] : loop[0]]
+    times = max(round(frames / len(cycle)), 1)
+    pace = times * len(cycle) / frames
+    at = np.arange(frames) * pace % len(cycle)
+    low = np.minimum(at.astype(int), len(cycle) - 1)
+    share = (at - low)[:, None].astype(np.float32)
+    out = cycle[low] * (1 - share) + cycle[(low + 1) % len(cycle)] * share
+    out[:, :3] *= pace
+    return np.asarray(out, np.float32)
+
+
 def laid_script(
     pack: ExamplePack,
     parts: Sequence[tuple[Found | None, int]],
@@ -217,6 +251,7 @@ def laid_script(
         random: Draws when each begins.
     """
     values, share = np.zeros((frames, FEATURE_SIZE), np.float32), np.zeros(frames, np.float32)
+    made = np.zeros(frames, bool)
     start = 0
     for number, (found, length) in enumerate(parts):
         own = frames - start if number == len(parts) - 1 else length  # frames that make up for a short motion
@@ -227,8 +262,9 @@ def laid_script(
             after = np.arange(own)[::-1] + 1 if number < len(parts) - 1 else np.full(own, _FADE)
             edge = smooth_step(np.minimum(np.minimum(before, after) / _FADE, 1.0))
             share[start : start + own] = one.share * edge
+            made[start : start + own] = one.made
         start += own
-    return Guide(values, share)
+    return Guide(values, share, made)
 
 
 @dataclass(frozen=True)
@@ -245,7 +281,11 @@ class Lead:
     found: tuple[Found | None, ...]
     seed: tuple[int, ...]
 
-    def on(self, lengths: Sequence[int], frames: int, statistics: FeatureStatistics) -> Guide:
-        """The guide of a time line of so many frames, of which the sentences have these."""
+    def on(self, lengths: Sequence[int], frames: int, statistics: FeatureStatistics, closed: bool = False) -> Guide:
+        """The guide of a time line of so many frames, of which the sentences have these; of a loop, which has one
+        sentence, where it is `closed`.
+        """
+        if closed and self.found[0] is not None:
+            return laid(self.pack, self.found[0], frames, statistics, np.random.default_rng(self.seed), closed=True)
         parts = list(zip(self.found, lengths, strict=True))
         return laid_script(self.pack, parts, frames, statistics, np.random.default_rng(self.seed))

@@ -37,6 +37,18 @@ class Leads:
         self.pack = pack
         self._found = {sentence: retrieve(pack, *words) for sentence, words in sentences.items()}
 
+    def shows(self, sentence: str) -> bool:
+        """Whether there is an example for a sentence."""
+        return bool(self._found.get(sentence))
+
+    def made(self, script: Sequence[tuple[str, int]]) -> bool:
+        """Whether a sentence asks for a gesture that is made by code since no clip has it: the network has not learned
+        it either.
+        """
+        return any(
+            self.pack.examples[found.place].made for text, _ in script for found in self._found.get(text, [])[:1]
+        )
+
     def lead(self, script: Sequence[tuple[str, int]], noise: tuple[int, int], number: int) -> Lead | None:
         """What a candidate starts from; None where no sentence has an example.
 

@@ -21,7 +21,9 @@ from bunraku.formats.whole_steps import lzma_filters, pack_steps, unpack_steps
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
 __all__ = [
+    "FPS",
     "KIND",
+    "MADE",
     "Example",
     "ExamplePack",
     "fingerprint",
@@ -34,6 +36,8 @@ __all__ = [
 
 KIND = "examples"
 FPS = 20.0
+MADE = "gesture_"
+"""How the names of those begin that are made by code."""
 MOST_FRAMES = 2_000
 """Of one stretch; what a file says beyond is damage."""
 _METRES, _RADIANS = 5e-4, 1e-3
@@ -57,6 +61,11 @@ class Example:
     texts: tuple[str, ...]
     frames: int
     loop: tuple[int, int] | None = None
+
+    @property
+    def made(self) -> bool:
+        """Whether it is a gesture made by code (`synthetic.gestures`)."""
+        return self.name.startswith(MADE)
 
 
 @dataclass(frozen=True)

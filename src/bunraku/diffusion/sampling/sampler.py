@@ -183,7 +183,7 @@ def sample_windows(
     rescale: float = 0.0,
     seed: int = 0,
     known: tuple[Tensor, Tensor] | None = None,
-    guide: tuple[Tensor, Tensor] | None = None,
+    guide: tuple[Tensor, Tensor, Tensor] | None = None,
     refine: Callable[[Tensor], Tensor] | None = None,
     method: str = "dpm",
     bf16: bool = False,
@@ -207,8 +207,8 @@ def sample_windows(
         rescale: As in `sample`.
         seed: Of the noise that the ancestral sampler adds.
         known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
-        guide: What is predicted while the noise is strong, and how far, shapes (F, D) and (F, 1): where the motion
-            starts from.
+        guide: What is predicted while the noise is strong, how far, and down to which step, at most `LED_UNTIL`, shapes
+            (F, D), (F, 1) and (F, 1): where the motion starts from.
         refine: Changes the predicted x0 (F, D) at each step, before what is known overwrites it.
         method: As in `sample`.
         bf16: As in `sample`.
@@ -233,7 +233,7 @@ def sample_windows(
         total.index_add_(0, group.frames[group.real], group.share[group.real][:, None])
     total = total.clamp(min=1e-8)
     held = None if known is None else (known[0].to(device), known[1].to(device))
-    led = None if guide is None else (guide[0].to(device), guide[1].to(device))
+    led = None if guide is None else tuple(part.to(device) for part in guide)
     visited = sampling_steps(steps)
     last = torch.zeros(len(noise), config.handles, 3, device=device)
 
@@ -252,8 +252,9 @@ def sample_windows(
         if step == visited[-1]:
             last.copy_(adaptation / total[..., None])
         if led is not None:
-            part = slice(None) if step >= LED_UNTIL else ROOT
-            x0[:, part] = torch.lerp(x0[:, part], led[0][:, part], led[1])
+            pose = slice(ROOT.stop, None)
+            x0[:, ROOT] = torch.lerp(x0[:, ROOT], led[0][:, ROOT], led[1])
+            x0[:, pose] = torch.lerp(x0[:, pose], led[0][:, pose], led[1] * (step >= led[2]))
         if refine is not None:
             x0 = refine(x0)
         return x0 if held is None else torch.lerp(x0, *held)

@@ -22,6 +22,7 @@ from bunraku.diffusion.sampling.schedule import add_noise, alphas_cumprod
 from bunraku.errors import OptionError
 from bunraku.language.captions import caption_group, caption_variants
 from bunraku.language.encoders import TextEncoder
+from bunraku.nn.half_precision import bf16_is_fast
 from bunraku.nn.threads import fitting_threads
 from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.losses.motion_loss import motion_losses
@@ -74,7 +75,7 @@ def candidate_errors(
     sentences: Sequence[str],
     levels: Sequence[int],
     seed: int,
-    bf16: bool = True,
+    bf16: bool | None = None,
 ) -> torch.Tensor:
     """Weighted squared error of x0 under each sentence.
 
@@ -85,7 +86,7 @@ def candidate_errors(
         sentences: C candidates.
         levels: Diffusion steps.
         seed: Of the noise, which the candidates share.
-        bf16: Let matrix products run in bfloat16.
+        bf16: Let matrix products run in bfloat16; None where the device has them in hardware.
 
     Returns:
         Shape (levels, C).
@@ -98,7 +99,7 @@ def candidate_errors(
     weights = torch.from_numpy(feature_weights()).to(device)
     yes, no = torch.ones(count, dtype=torch.bool, device=device), torch.zeros(count, dtype=torch.bool, device=device)
     errors = []
-    with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
+    with torch.autocast(device.type, torch.bfloat16, enabled=bf16_is_fast(device) if bf16 is None else bf16):
         condition = model.condition(text.tokens, text.mask, text.pooled, None, yes, no)
         for level in levels:
             noise = torch.randn(clean.shape, generator=generator).to(device)

@@ -18,6 +18,7 @@ import numpy as np
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode
 from bunraku.errors import OptionError
 from bunraku.formats.files import atomic_write, weights_folder
+from bunraku.nn.half_precision import bf16_is_fast
 
 if TYPE_CHECKING:
     from bunraku.diffusion.denoiser import Denoiser
@@ -118,7 +119,7 @@ def make_motions(
             f"a motion of {longest} frames is longer than the {model.config.frames} that these weights make at once"
         )
     if bf16 is None:
-        bf16 = bool(torch.cpu._is_avx512_bf16_supported()) if model.mean.device.type == "cpu" else True
+        bf16 = bf16_is_fast(model.mean.device)
     home = None if folder is None else folder / _key(digest, requests, sampling, mesh_feature, adapt, bf16)
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     mesh = (

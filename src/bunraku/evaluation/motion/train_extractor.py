@@ -31,6 +31,7 @@ from bunraku.evaluation.motion.metrics import r_precision
 from bunraku.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
 from bunraku.language.captions import caption_variants
 from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.nn.half_precision import bf16_is_fast
 from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.diffusion.text_bank import TextBank
 from bunraku.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
@@ -112,7 +113,8 @@ class ExtractorTrainer(MatchingRun):
             row[: window.frames] = torch.from_numpy(
                 np.ascontiguousarray(window_features(self.clips, window), np.float32)
             )
-        with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=self.config.bf16):
+        bf16 = self.config.bf16 and bf16_is_fast(device)
+        with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=bf16):
             motion = self.model.motion(values.to(device), lengths.to(device))
             text = self.model.text(self.bank([window.sentence for window in windows]).to(device))
         logits = self.model.log_scale.exp().clamp(max=50) * (motion @ text.T) / RADIUS**2

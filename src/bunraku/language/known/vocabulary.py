@@ -17,6 +17,7 @@ from bunraku.language.actions import ACTIONS, says_any
 from bunraku.language.captions import creature_words, known_phrases
 from bunraku.language.clauses import clause_verbs
 from bunraku.language.foreign.table import table
+from bunraku.language.gestures import GESTURE_THINGS
 from bunraku.language.stretches import stretch_verbs
 
 __all__ = ["FUNCTION_WORDS", "Word", "action_stems", "is_known", "known_words", "says_action", "stem", "words_of"]
@@ -99,7 +100,8 @@ def known_words() -> dict[str, int]:
     """
     written: dict[str, int] = _written()["words"]
     named = [row["en"].replace("/", " ") for section in ("beings", "parts") for row in table()[section]]
-    listed = " ".join((*known_phrases(), *creature_words(), *named, *ACTIONS, *map(_literal, ACTIONS.values())))
+    told = (*ACTIONS, *map(_literal, ACTIONS.values()), GESTURE_THINGS)
+    listed = " ".join((*known_phrases(), *creature_words(), *named, *told))
     return dict.fromkeys(re.findall(r"[a-z]+", listed.lower()), 1) | dict.fromkeys(FUNCTION_WORDS, 1) | written
 
 

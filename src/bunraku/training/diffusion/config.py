@@ -52,7 +52,7 @@ class TrainingConfig:
         text_folder: Folder with CLIP, in place of the built-in text encoder.
         device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
         threads: CPU threads of torch.
-        bf16: Compute in bfloat16 where torch says it is safe.
+        bf16: Compute in bfloat16 where torch says it is safe and the device has it in hardware.
         save_every: Minutes between saved states.
         validate_every: Steps between validations.
         seed: Of everything random.

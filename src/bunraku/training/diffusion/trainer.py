@@ -18,6 +18,7 @@ from bunraku.diffusion.sampling.schedule import TRAINING_STEPS, add_noise, alpha
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextBatch
 from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku.nn.half_precision import bf16_is_fast
 from bunraku.nn.processes import Processes
 from bunraku.nn.runs import careful_step, follow_weights, learning_rate
 from bunraku.retarget.character_bank import CharacterBank
@@ -86,6 +87,7 @@ class Trainer:
         plain = [value for value in self.model.parameters() if value.ndim <= 1]
         groups = [{"params": decayed, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}]
         self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, betas=(0.9, 0.99), fused=True)
+        self.bf16 = config.bf16 and bf16_is_fast(self.device)
         self.curve = alphas_cumprod().to(self.device)
         self.step_weights = step_weights(self.curve, config.min_snr)
         self.weights = torch.from_numpy(feature_weights()).to(self.device)
@@ -133,7 +135,7 @@ class Trainer:
     def predict(self, model: Denoiser, example: Example) -> tuple[Tensor, Tensor]:
         """x0 in network units and the adaptation from the noised motions, shapes (B, N, D) and (B, N, K, 3)."""
         noisy = add_noise(example.clean, example.noise, example.step, self.curve)
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
             text = example.text
             condition = model.condition(
                 text.tokens, text.mask, text.pooled, example.mesh, example.keep_text, example.keep_mesh

@@ -23,6 +23,7 @@ from bunraku.errors import OptionError
 from bunraku.language.actions import actions_of
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.nn.half_precision import bf16_is_fast
 from bunraku.training.diffusion.clip_data import load_clips
 from bunraku.training.diffusion.clip_rows import ClipSet, MotionBatch
 from bunraku.training.diffusion.text_bank import TextBank
@@ -102,7 +103,8 @@ class RankerTrainer(MatchingRun):
             values[row, : len(other)] = other
         lengths = torch.from_numpy(np.concatenate([batch.lengths, [len(other) for other in wrong]]))
         features = torch.from_numpy(values) * model.std.cpu() + model.mean.cpu()
-        with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=self.config.bf16):
+        bf16 = self.config.bf16 and bf16_is_fast(device)
+        with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=bf16):
             motion = model.motion(features.to(device), lengths.to(device))
             text = model.text(self.bank([*batch.sentences, *turned]).to(device))
         scale = model.log_scale.exp().clamp(max=50) / RADIUS**2

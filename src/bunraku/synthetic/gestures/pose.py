@@ -1,0 +1,128 @@
+"""What a gesture is: a few key poses of the reference body, told by where hands are and how the body leans.
+
+Places are those of the reference body at rest, 1.84 m tall, in metres: x outwards to the own side, y up, z ahead.
+Directions have the same axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+__all__ = ["HANGING", "Foot", "Gesture", "Hand", "Key", "Pose", "again"]
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Hand:
+    """Where a hand is and how it is held.
+
+    Args:
+        palm: Place of the middle of the palm.
+        fingers: Direction in which the fingers point.
+        faces: Direction in which the palm faces.
+        elbow: Direction from the line between shoulder and wrist to the elbow.
+        on: What carries the place: the "head", the "chest", or the "hips".
+    """
+
+    palm: Vector
+    fingers: Vector
+    faces: Vector
+    elbow: Vector = (0.6, -1.0, -0.3)
+    on: Literal["head", "chest", "hips"] = "chest"
+
+
+HANGING = Hand((0.27, 0.845, 0.06), (0.0, -1.0, 0.12), (-1.0, 0.0, 0.1), (0.35, 0.0, -1.0))
+"""A hand of an arm that hangs."""
+
+
+@dataclass(frozen=True)
+class Foot:
+    """Where a foot is.
+
+    Args:
+        ankle: Place of the ankle.
+        pitch: How far the heel is up over the toes [degrees].
+        knee: Direction to which the knee is bent.
+    """
+
+    ankle: Vector = (0.12, 0.081, 0.0)
+    pitch: float = 0.0
+    knee: Vector = (0.15, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """The body at one moment.
+
+    Args:
+        right: The right hand.
+        left: The left hand.
+        lean: Of the upper body: ahead, to the left about the vertical, to the right side [degrees].
+        head: The same of the head, seen from the chest.
+        shrug: How far both shoulders are up, 0 to 1.
+        hips: Where the pelvis goes from where it is when somebody stands [m]: x to the body's left.
+        turn: Of the pelvis to the left [degrees].
+        right_foot: The right foot.
+        left_foot: The left foot.
+    """
+
+    right: Hand = HANGING
+    left: Hand = HANGING
+    lean: Vector = (0.0, 0.0, 0.0)
+    head: Vector = (0.0, 0.0, 0.0)
+    shrug: float = 0.0
+    hips: Vector = (0.0, 0.0, 0.0)
+    turn: float = 0.0
+    right_foot: Foot = field(default_factory=Foot)
+    left_foot: Foot = field(default_factory=Foot)
+
+
+Key = tuple[float, Pose]
+"""A moment [s] and the pose that is reached then."""
+
+
+@dataclass(frozen=True)
+class Gesture:
+    """Something that people do mostly with their hands.
+
+    Args:
+        name: In the words of `language.actions`, or a new one.
+        texts: Sentences that tell it, the fullest first. Sides are the right one's.
+        keys: Key poses in order of time; the first is where it begins and the last where it ends.
+        cycle: Seconds (start, end) that can be played again and again; None where it is done once.
+    """
+
+    name: str
+    texts: tuple[str, ...]
+    keys: tuple[Key, ...]
+    cycle: tuple[float, float] | None = None
+
+    @property
+    def seconds(self) -> float:
+        return self.keys[-1][0]
+
+
+def again(
+    poses: Sequence[Pose], period: float, times: int, *, start: float = 0.6, rest: Pose | None = None, end: float = 0.6
+) -> tuple[tuple[Key, ...], tuple[float, float]]:
+    """Keys of something that is done again and again between two rests, and one of its cycles.
+
+    Args:
+        poses: Of one cycle, evenly in time; the first follows the last.
+        period: Of a cycle [s].
+        times: How many.
+        start: Seconds from the rest to the first pose.
+        rest: Where it begins and ends; None stands with hanging arms.
+        end: Seconds from the last pose to the rest.
+    """
+    rest = rest or Pose()
+    keys: list[Key] = [(0.0, rest)]
+    for cycle in range(times):
+        keys += [(start + period * (cycle + share / len(poses)), pose) for share, pose in enumerate(poses)]
+    over = start + period * times
+    keys += [(over, poses[0]), (over + end, rest)]
+    whole = max(times - 1, 1)
+    return tuple(keys), (start, start + period * whole)
