@@ -203,15 +203,14 @@ class Safety:
         if self.depth is None or unposed is None:
             return places
         out = self.depth.pushed(places, unposed.take(self.node), self.vertex_gap, self.most)
-        between = np.flatnonzero(unposed.joint[self.second] != unposed.joint[self.node])
-        if len(between):
-            other = unposed.take(self.second[between])
-            out[between] = self.depth.pushed(out[between], other, self.vertex_gap[between], self.most)
-        joint, third = unposed.joint, unposed.joint[self.third]
-        between = np.flatnonzero((third != joint[self.node]) & (third != joint[self.second]))
-        if len(between):
-            other = unposed.take(self.third[between])
-            out[between] = self.depth.pushed(out[between], other, self.deep_gap[between], self.most)
+        asked = [unposed.joint[self.node]]
+        for node, gap in ((self.second, self.vertex_gap), (self.third, self.deep_gap)):
+            joint = unposed.joint[node]
+            between = np.flatnonzero(np.all([joint != one for one in asked], axis=0))
+            if len(between):
+                other = unposed.take(node[between])
+                out[between] = self.depth.pushed(out[between], other, gap[between], self.most)
+            asked.append(joint)
         return out
 
     def _bounded(self, places: np.ndarray) -> np.ndarray:

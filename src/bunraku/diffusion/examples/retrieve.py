@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bunraku.diffusion.examples.pack import Example, ExamplePack
+from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.language.actions import main_actions
 from bunraku.language.captions import mirror_words
 from bunraku.language.cues import said_cues
@@ -83,7 +83,7 @@ def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found
         np.maximum.at(best, pack.owners, near)
         score = 0.5 * (best + pack.motions[int(mirrored)].astype(float) @ vector)
         for index in np.flatnonzero(score >= least).tolist():
-            if _fits(pack.examples[index], mirrored, asked, float(best[index])):
+            if _fits(pack.examples[index].texts, mirrored, asked, float(best[index])):
                 found.append(Found(index, mirrored, float(score[index])))
     found.sort(key=lambda one: -one.score)
     return [one for one in found if one.score >= found[0].score - NEAR][:MOST]
@@ -103,8 +103,7 @@ class _Asked(NamedTuple):
         return (self.cues & _SIDED) - idle - (frozenset[str]() if self.actions & _TURNS else {"half", "full"})
 
 
-def _fits(example: Example, mirrored: bool, asked: _Asked, near: float) -> bool:
-    texts = example.texts
+def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) -> bool:
     if near < SAME and frozenset(main_actions(texts)) != asked.actions:
         return False
     if asked.seated and any(_FLOOR.search(text.lower()) for text in texts):

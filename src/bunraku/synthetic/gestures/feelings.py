@@ -4,20 +4,9 @@ from __future__ import annotations
 
 import math
 
-from bunraku.synthetic.gestures.pose import Gesture, Hand, Pose, again
+from bunraku.synthetic.gestures.pose import BACK, IN, Gesture, Hand, Pose, again
 
 __all__ = ["FEELINGS"]
-
-_DOWN, _IN, _BACK = (0, -1, 0), (-1, 0, 0), (0, 0, -1)
-_LOW = (0.6, -1.0, -0.3)
-
-
-def _hand(
-    palm: tuple[float, float, float],
-    fingers: tuple[float, float, float] = (-0.3, 0.1, 1),
-    faces: tuple[float, float, float] = _DOWN,
-) -> Hand:
-    return Hand(palm, fingers, faces, _LOW)
 
 
 def _scratch() -> Gesture:
@@ -70,14 +59,14 @@ def _stretch() -> Gesture:
 
 
 def _cover_ears() -> Gesture:
-    ears = Hand((0.115, 1.71, 0.05), (-0.1, 0.95, -0.2), _IN, (1, -0.4, 0.3), "head")
+    ears = Hand((0.115, 1.71, 0.05), (-0.1, 0.95, -0.2), IN, (1, -0.4, 0.3), "head")
     keys, cycle = again([Pose(ears, ears, (10, 0, 0), (16, 0, 0)), Pose(ears, ears, (14, 4, 0), (20, -6, 0))], 1.6, 2)
     texts = ("a person covers both ears with the hands", "covers the ears", "holds the ears shut against noise")
     return Gesture("cover ears", texts, keys, cycle)
 
 
 def _cry() -> Gesture:
-    face = Hand((0.045, 1.69, 0.185), (-0.25, 0.9, 0.0), _BACK, (0.9, -1, 0.2), "head")
+    face = Hand((0.045, 1.69, 0.185), (-0.25, 0.9, 0.0), BACK, (0.9, -1, 0.2), "head")
     poses = [
         Pose(face, face, (16 + sob, 0, 0), (22, 0, 0), shrug) for sob, shrug in ((0, 0.1), (4, 0.5), (0, 0.2), (3, 0.6))
     ]
@@ -125,7 +114,7 @@ def _flex() -> Gesture:
 
 def _rub_hands() -> Gesture:
     def rub(ahead: float) -> Hand:
-        return Hand((0.014, 1.28, 0.34 + ahead), (-0.25, 0.35, 0.9), _IN, (1, -0.8, 0))
+        return Hand((0.014, 1.28, 0.34 + ahead), (-0.25, 0.35, 0.9), IN, (1, -0.8, 0))
 
     poses = [Pose(rub(0.045), rub(-0.045), (4, 0, 0), (10, 0, 0)), Pose(rub(-0.045), rub(0.045), (4, 0, 0), (8, 0, 0))]
     keys, cycle = again(poses, 0.5, 8)
@@ -134,9 +123,9 @@ def _rub_hands() -> Gesture:
 
 
 def _wipe_brow() -> Gesture:
-    here = Hand((0.08, 1.79, 0.175), (-0.9, 0.3, 0.1), _BACK, (1, -0.4, 0.3), "head")
-    there = Hand((-0.06, 1.79, 0.175), (-0.9, 0.3, 0.1), _BACK, (1, -0.4, 0.3), "head")
-    flick = _hand((0.40, 1.20, 0.30), (0.4, -0.4, 0.8))
+    here = Hand((0.08, 1.79, 0.175), (-0.9, 0.3, 0.1), BACK, (1, -0.4, 0.3), "head")
+    there = Hand((-0.06, 1.79, 0.175), (-0.9, 0.3, 0.1), BACK, (1, -0.4, 0.3), "head")
+    flick = Hand((0.40, 1.20, 0.30), (0.4, -0.4, 0.8))
     keys = (
         (0.0, Pose()),
         (0.7, Pose(there, head=(6, 0, 0))),
@@ -153,7 +142,7 @@ def _rub_belly() -> Gesture:
             Hand(
                 (0.02 + 0.06 * math.cos(turn), 1.12 + 0.05 * math.sin(turn), 0.185),
                 (-0.9, 0.1, 0.1),
-                _BACK,
+                BACK,
                 (0.9, -0.6, 0),
             ),
             head=(12, 0, 0),

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from bunraku.synthetic.gestures.pose import Foot, Gesture, Hand, Pose
+from bunraku.synthetic.gestures.pose import DOWN, IN, Foot, Gesture, Hand, Pose
 
 __all__ = ["KNEELING"]
 
-_DOWN, _IN = (0, -1, 0), (-1, 0, 0)
-_LOW = (0.6, -1.0, -0.3)
 
 _KNEEL = Pose(
-    Hand((0.20, 0.92, 0.10), (0.0, -1.0, 0.3), _IN, (0.5, 0, -1), "chest"),
-    Hand((0.13, 1.01, 0.30), (-0.2, -0.3, 1), _DOWN, (0.8, -0.2, -0.6), "hips"),
+    Hand((0.20, 0.92, 0.10), (0.0, -1.0, 0.3), IN, (0.5, 0, -1), "chest"),
+    Hand((0.13, 1.01, 0.30), (-0.2, -0.3, 1), DOWN, (0.8, -0.2, -0.6), "hips"),
     (6, 0, 0), (4, 0, 0), 0.0, (0, -0.47, -0.02),
     right_foot=Foot((0.12, 0.13, -0.40), 75, (0.1, -0.6, 1)), left_foot=Foot((0.14, 0.081, 0.40), 0, (0.15, 0.3, 1)),
 )  # fmt: skip
@@ -21,19 +19,11 @@ _STEP = Pose(
 )
 
 _BOTH_KNEES = Pose(
-    Hand((0.17, 0.97, 0.20), (-0.1, -0.6, 0.9), _DOWN, (0.8, -0.2, -0.7), "hips"),
-    Hand((0.17, 0.97, 0.20), (-0.1, -0.6, 0.9), _DOWN, (0.8, -0.2, -0.7), "hips"),
+    Hand((0.17, 0.97, 0.20), (-0.1, -0.6, 0.9), DOWN, (0.8, -0.2, -0.7), "hips"),
+    Hand((0.17, 0.97, 0.20), (-0.1, -0.6, 0.9), DOWN, (0.8, -0.2, -0.7), "hips"),
     (4, 0, 0), (6, 0, 0), 0.0, (0, -0.50, 0.04),
     right_foot=Foot((0.12, 0.12, -0.42), 78, (0.1, -0.5, 1)), left_foot=Foot((0.12, 0.12, -0.42), 78, (0.1, -0.5, 1)),
 )  # fmt: skip
-
-
-def _hand(
-    palm: tuple[float, float, float],
-    fingers: tuple[float, float, float] = (-0.3, 0.1, 1),
-    faces: tuple[float, float, float] = _DOWN,
-) -> Hand:
-    return Hand(palm, fingers, faces, _LOW)
 
 
 def _kneel() -> Gesture:
@@ -52,7 +42,7 @@ def _kneel_both() -> Gesture:
 
 
 def _propose() -> Gesture:
-    ring = _hand((0.03, 1.30, 0.46), (-0.2, 0.3, 0.9), (-0.5, 0.6, -0.5))
+    ring = Hand((0.03, 1.30, 0.46), (-0.2, 0.3, 0.9), (-0.5, 0.6, -0.5))
     offer = Pose(
         ring, ring, (4, 0, 0), (-8, 0, 0), 0.0, _KNEEL.hips, right_foot=_KNEEL.right_foot, left_foot=_KNEEL.left_foot
     )

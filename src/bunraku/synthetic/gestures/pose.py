@@ -10,14 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-__all__ = ["HANGING", "Foot", "Gesture", "Hand", "Key", "Pose", "again"]
+__all__ = ["AHEAD", "BACK", "DOWN", "HANGING", "IN", "UP", "Foot", "Gesture", "Hand", "Key", "Pose", "again"]
 
 Vector = tuple[float, float, float]
+UP, DOWN, IN = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0)
+AHEAD, BACK = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True)
 class Hand:
-    """Where a hand is and how it is held.
+    """Where a hand is and how it is held; if nothing else is said, as that of somebody who works at a table.
 
     Args:
         palm: Place of the middle of the palm.
@@ -28,8 +30,8 @@ class Hand:
     """
 
     palm: Vector
-    fingers: Vector
-    faces: Vector
+    fingers: Vector = (-0.3, 0.1, 1.0)
+    faces: Vector = DOWN
     elbow: Vector = (0.6, -1.0, -0.3)
     on: Literal["head", "chest", "hips"] = "chest"
 
@@ -106,7 +108,7 @@ class Gesture:
 
 
 def again(
-    poses: Sequence[Pose], period: float, times: int, *, start: float = 0.6, rest: Pose | None = None, end: float = 0.6
+    poses: Sequence[Pose], period: float, times: int, *, start: float = 0.6, end: float = 0.6
 ) -> tuple[tuple[Key, ...], tuple[float, float]]:
     """Keys of something that is done again and again between two rests, and one of its cycles.
 
@@ -114,15 +116,13 @@ def again(
         poses: Of one cycle, evenly in time; the first follows the last.
         period: Of a cycle [s].
         times: How many.
-        start: Seconds from the rest to the first pose.
-        rest: Where it begins and ends; None stands with hanging arms.
-        end: Seconds from the last pose to the rest.
+        start: Seconds from standing with hanging arms to the first pose.
+        end: Seconds from the last pose to that again.
     """
-    rest = rest or Pose()
-    keys: list[Key] = [(0.0, rest)]
+    keys: list[Key] = [(0.0, Pose())]
     for cycle in range(times):
         keys += [(start + period * (cycle + share / len(poses)), pose) for share, pose in enumerate(poses)]
     over = start + period * times
-    keys += [(over, poses[0]), (over + end, rest)]
+    keys += [(over, poses[0]), (over + end, Pose())]
     whole = max(times - 1, 1)
     return tuple(keys), (start, start + period * whole)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from bunraku.synthetic.gestures.pose import Gesture, Hand, Pose, again
+from bunraku.synthetic.gestures.pose import AHEAD, BACK, DOWN, IN, UP, Gesture, Hand, Pose, again
 
 __all__ = ["SIGNS"]
 
-_UP, _DOWN, _IN, _OUT, _AHEAD, _BACK = (0, 1, 0), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 0, 1), (0, 0, -1)
 _BROW = Hand((0.10, 1.80, 0.15), (-0.75, 0.65, 0.05), (-0.1, -0.55, -0.8), (1.0, -0.1, 0.25), "head")
-_AT_EAR = Hand((0.125, 1.71, 0.06), (-0.1, 0.95, 0.25), _IN, (0.8, -0.9, 0.3), "head")
-_STOP = Hand((0.14, 1.50, 0.62), (0, 1, 0.12), _AHEAD, (0.5, -1, 0))
+_AT_EAR = Hand((0.125, 1.71, 0.06), (-0.1, 0.95, 0.25), IN, (0.8, -0.9, 0.3), "head")
+_STOP = Hand((0.14, 1.50, 0.62), (0, 1, 0.12), AHEAD, (0.5, -1, 0))
 _ON_HIP = Hand((0.21, 1.06, 0.05), (-0.45, -0.55, 0.7), (-1, 0, -0.1), (1, 0.1, -0.7), "hips")
 _CROSSED = Hand((-0.12, 1.30, 0.20), (-0.95, 0.3, 0.0), (0, 0.1, -1), (0.9, -0.5, 0.1))
 _UNDER = Hand((-0.10, 1.23, 0.235), (-0.95, 0.2, 0.05), (0, -0.2, -1), (0.9, -0.5, 0.2))
@@ -23,8 +22,8 @@ def _held(pose: Pose, up: float, until: float, over: float) -> tuple[tuple[float
 
 
 def _clap() -> Gesture:
-    apart = Hand((0.15, 1.36, 0.37), (-0.15, 0.55, 0.8), _IN, (1, -0.8, 0))
-    together = Hand((0.012, 1.38, 0.38), (-0.2, 0.55, 0.8), _IN, (1, -0.8, 0))
+    apart = Hand((0.15, 1.36, 0.37), (-0.15, 0.55, 0.8), IN, (1, -0.8, 0))
+    together = Hand((0.012, 1.38, 0.38), (-0.2, 0.55, 0.8), IN, (1, -0.8, 0))
     keys, cycle = again([Pose(apart, apart), Pose(together, together)], 0.4, 8)
     texts = (
         "a person claps the hands in front of the chest", "somebody applauds, clapping again and again",
@@ -35,7 +34,7 @@ def _clap() -> Gesture:
 
 def _wave() -> Gesture:
     poses = [
-        Pose(Hand((0.34 + out, 1.74, 0.18), (tilt, 1, 0.05), _AHEAD, (0.9, -1, -0.1)), lean=(0, 3, -2), head=(-3, 4, 3))
+        Pose(Hand((0.34 + out, 1.74, 0.18), (tilt, 1, 0.05), AHEAD, (0.9, -1, -0.1)), lean=(0, 3, -2), head=(-3, 4, 3))
         for out, tilt in ((0.13, 0.55), (-0.11, -0.45))
     ]
     keys, cycle = again(poses, 0.65, 5, start=0.7)
@@ -58,14 +57,14 @@ def _shake_head() -> Gesture:
 
 
 def _shrug() -> Gesture:
-    out = Hand((0.40, 1.20, 0.24), (0.75, 0.1, 0.6), _UP, (0.2, -1, -0.3))
+    out = Hand((0.40, 1.20, 0.24), (0.75, 0.1, 0.6), UP, (0.2, -1, -0.3))
     pose = Pose(out, out, head=(2, 0, 10), shrug=1)
     texts = ("a person shrugs the shoulders with open palms", "somebody shrugs, not knowing", "shrugs")
     return Gesture("shrug", texts, _held(pose, 0.6, 1.4, 2.2))
 
 
 def _point_ahead() -> Gesture:
-    pose = Pose(Hand((0.12, 1.46, 0.66), _AHEAD, _DOWN, (0.6, -1, 0)), lean=(3, 6, 0))
+    pose = Pose(Hand((0.12, 1.46, 0.66), AHEAD, DOWN, (0.6, -1, 0)), lean=(3, 6, 0))
     texts = (
         "a person points forward with the right hand", "points straight ahead", "a person points at something in front",
         "points",
@@ -74,13 +73,13 @@ def _point_ahead() -> Gesture:
 
 
 def _point_aside() -> Gesture:
-    pose = Pose(Hand((0.74, 1.48, 0.14), (1, 0.05, 0.1), _DOWN, (0, -1, -0.4)), lean=(0, -8, 0), head=(0, -45, 0))
+    pose = Pose(Hand((0.74, 1.48, 0.14), (1, 0.05, 0.1), DOWN, (0, -1, -0.4)), lean=(0, -8, 0), head=(0, -45, 0))
     texts = ("a person points to the right with the right hand", "points right", "points to the right side")
     return Gesture("point", texts, _held(pose, 0.7, 2.0, 2.8))
 
 
 def _point_up() -> Gesture:
-    pose = Pose(Hand((0.22, 2.0, 0.16), (0, 1, 0.1), _AHEAD, (1, 0, 0.2)), head=(-18, 0, 0))
+    pose = Pose(Hand((0.22, 2.0, 0.16), (0, 1, 0.1), AHEAD, (1, 0, 0.2)), head=(-18, 0, 0))
     texts = ("a person points up at the sky with the right hand", "points up", "points upwards")
     return Gesture("point", texts, _held(pose, 0.8, 2.0, 2.8))
 
@@ -92,7 +91,7 @@ def _salute() -> Gesture:
 
 
 def _pray() -> Gesture:
-    palms = Hand((0.012, 1.38, 0.27), (-0.05, 1, 0.2), _IN, (1, -0.8, 0))
+    palms = Hand((0.012, 1.38, 0.27), (-0.05, 1, 0.2), IN, (1, -0.8, 0))
     keys, cycle = again([Pose(palms, palms, head=(20, 0, 0)), Pose(palms, palms, (3, 0, 0), (24, 0, 0))], 3.0, 2)
     texts = (
         "a person prays with the palms together in front of the chest", "prays with folded hands", "prays",
@@ -123,8 +122,8 @@ def _look_far() -> Gesture:
 
 
 def _kiss() -> Gesture:
-    mouth = Hand((0.03, 1.63, 0.235), (-0.5, 0.8, 0.2), _BACK, (0.8, -1, 0.2), "head")
-    away = Hand((0.24, 1.52, 0.60), (0.3, 0.2, 1), _UP, (0.6, -1, 0))
+    mouth = Hand((0.03, 1.63, 0.235), (-0.5, 0.8, 0.2), BACK, (0.8, -1, 0.2), "head")
+    away = Hand((0.24, 1.52, 0.60), (0.3, 0.2, 1), UP, (0.6, -1, 0))
     keys = (
         (0.0, Pose()), (0.6, Pose(mouth, head=(6, 0, 0))), (1.0, Pose(mouth, head=(6, 0, 0))),
         (1.5, Pose(away, lean=(5, 8, 0))), (2.1, Pose(away, lean=(5, 8, 0))), (2.8, Pose()),
@@ -149,8 +148,8 @@ def _stop() -> Gesture:
 
 
 def _beckon() -> Gesture:
-    out = Hand((0.16, 1.42, 0.54), (-0.1, 0.2, 1), _UP, (0.6, -1, 0))
-    to = Hand((0.15, 1.55, 0.30), (-0.2, 0.9, -0.3), _BACK, (0.6, -1, 0.1))
+    out = Hand((0.16, 1.42, 0.54), (-0.1, 0.2, 1), UP, (0.6, -1, 0))
+    to = Hand((0.15, 1.55, 0.30), (-0.2, 0.9, -0.3), BACK, (0.6, -1, 0.1))
     keys, cycle = again([Pose(out), Pose(to, head=(-4, 0, 0))], 0.8, 3)
     texts = (
         "a person beckons with the right hand", "waves somebody over, come here", "beckons somebody to come closer",
@@ -160,7 +159,7 @@ def _beckon() -> Gesture:
 
 
 def _facepalm() -> Gesture:
-    face = Hand((0.015, 1.70, 0.185), (-0.35, 0.9, 0.0), _BACK, (0.8, -1, 0.3), "head")
+    face = Hand((0.015, 1.70, 0.185), (-0.35, 0.9, 0.0), BACK, (0.8, -1, 0.3), "head")
     pose = Pose(face, lean=(8, 0, 0), head=(24, 0, 0))
     shaken = [Pose(face, lean=(8, 0, 0), head=(26, yaw, 0)) for yaw in (8, -8)]
     keys = (
@@ -191,7 +190,7 @@ def _cross_arms() -> Gesture:
 
 def _think() -> Gesture:
     chin = Hand((0.03, 1.575, 0.17), (-0.5, 0.8, 0.1), (-0.3, 0.2, -1), (0.35, -1, 0.45), "head")
-    under = Hand((-0.16, 1.24, 0.24), (-0.95, 0.05, 0.1), _UP, (0.8, -0.8, 0.1))
+    under = Hand((-0.16, 1.24, 0.24), (-0.95, 0.05, 0.1), UP, (0.8, -0.8, 0.1))
     poses = [Pose(chin, under, head=(10, 6, -4)), Pose(chin, under, (0, -3, 0), (4, -8, -6))]
     keys, cycle = again(poses, 3.4, 2, start=0.9)
     texts = (
@@ -223,7 +222,7 @@ def _fist_pump() -> Gesture:
 
 
 def _hands_up() -> Gesture:
-    up = Hand((0.34, 1.78, 0.08), (0.05, 1, 0), _AHEAD, (1, -0.8, -0.1))
+    up = Hand((0.34, 1.78, 0.08), (0.05, 1, 0), AHEAD, (1, -0.8, -0.1))
     keys, cycle = again([Pose(up, up), Pose(up, up, (2, 0, 0), (4, 5, 0))], 2.4, 2)
     texts = (
         "a person puts both hands up and surrenders", "surrenders with raised hands", "puts the hands up",
@@ -234,7 +233,7 @@ def _hands_up() -> Gesture:
 
 def _shake_hands() -> Gesture:
     poses = [
-        Pose(Hand((0.08, height, 0.50), (-0.1, 0.05, 1), _IN, (0.6, -1, -0.2)), lean=(5, 8, 0))
+        Pose(Hand((0.08, height, 0.50), (-0.1, 0.05, 1), IN, (0.6, -1, -0.2)), lean=(5, 8, 0))
         for height in (1.24, 1.14)
     ]
     keys, cycle = again(poses, 0.55, 4, start=0.7)
@@ -243,8 +242,8 @@ def _shake_hands() -> Gesture:
 
 
 def _high_five() -> Gesture:
-    ready = Hand((0.24, 1.80, 0.16), (0, 1, -0.1), _AHEAD, (1, -0.5, 0))
-    slap = Hand((0.14, 1.80, 0.50), (0, 1, 0.1), _AHEAD, (0.8, -0.8, 0))
+    ready = Hand((0.24, 1.80, 0.16), (0, 1, -0.1), AHEAD, (1, -0.5, 0))
+    slap = Hand((0.14, 1.80, 0.50), (0, 1, 0.1), AHEAD, (0.8, -0.8, 0))
     keys = (
         (0.0, Pose()), (0.6, Pose(ready, lean=(-3, -8, 0))), (0.85, Pose(slap, lean=(6, 12, 0))),
         (1.15, Pose(ready)), (1.8, Pose()),
@@ -269,7 +268,7 @@ def _listen() -> Gesture:
 
 def _dab() -> Gesture:
     bent = Hand((-0.16, 1.62, 0.30), (-0.85, 0.45, 0.1), (0, -0.6, -0.8), (0.9, -0.1, 0.5))
-    straight = Hand((0.66, 1.78, 0.10), (0.9, 0.45, 0.1), _DOWN, (0, -1, -0.3))
+    straight = Hand((0.66, 1.78, 0.10), (0.9, 0.45, 0.1), DOWN, (0, -1, -0.3))
     pose = Pose(bent, straight, (8, 14, -8), (26, 22, 0), hips=(0, -0.04, 0))
     return Gesture(
         "dab", ("a person dabs, hiding the face in the right elbow", "does the dab", "dabs"), _held(pose, 0.5, 1.5, 2.2)

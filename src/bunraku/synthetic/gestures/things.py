@@ -4,26 +4,16 @@ from __future__ import annotations
 
 import math
 
-from bunraku.synthetic.gestures.pose import Gesture, Hand, Pose, again
+from bunraku.synthetic.gestures.pose import AHEAD, IN, UP, Gesture, Hand, Pose, again
 
 __all__ = ["THINGS"]
 
-_UP, _DOWN, _IN, _AHEAD = (0, 1, 0), (0, -1, 0), (-1, 0, 0), (0, 0, 1)
-_LOW = (0.6, -1.0, -0.3)
 _MOUTH = Hand((0.035, 1.62, 0.24), (-0.6, 0.6, -0.2), (-0.2, -0.1, -1), (0.9, -0.9, 0.2), "head")
-_PLATE = Hand((0.10, 1.16, 0.36), (-0.5, 0.0, 0.85), _UP, _LOW)
-
-
-def _hand(
-    palm: tuple[float, float, float],
-    fingers: tuple[float, float, float] = (-0.3, 0.1, 1),
-    faces: tuple[float, float, float] = _DOWN,
-) -> Hand:
-    return Hand(palm, fingers, faces, _LOW)
+_PLATE = Hand((0.10, 1.16, 0.36), (-0.5, 0.0, 0.85), UP)
 
 
 def _eat() -> Gesture:
-    fetch = _hand((0.04, 1.19, 0.38), (-0.6, -0.2, 0.8))
+    fetch = Hand((0.04, 1.19, 0.38), (-0.6, -0.2, 0.8))
     poses = [
         Pose(fetch, _PLATE, head=(14, 0, 0)),
         Pose(_MOUTH, _PLATE, head=(6, 0, 0)),
@@ -38,8 +28,8 @@ def _eat() -> Gesture:
 
 
 def _phone() -> Gesture:
-    ear = Hand((0.115, 1.68, 0.07), (-0.1, 0.95, 0.3), _IN, (0.7, -1, 0.4), "head")
-    talk = _hand((0.26, 1.22, 0.34), (-0.2, 0.3, 1), (-0.6, 0.7, 0))
+    ear = Hand((0.115, 1.68, 0.07), (-0.1, 0.95, 0.3), IN, (0.7, -1, 0.4), "head")
+    talk = Hand((0.26, 1.22, 0.34), (-0.2, 0.3, 1), (-0.6, 0.7, 0))
     poses = [Pose(ear, head=(4, -4, -6)), Pose(ear, talk, (0, 6, 0), (0, 10, -6)), Pose(ear, head=(8, -10, -8))]
     keys, cycle = again(poses, 3.6, 2, start=0.8)
     texts = (
@@ -52,8 +42,8 @@ def _phone() -> Gesture:
 def _text() -> Gesture:
     def hands(shift: float) -> tuple[Hand, Hand]:
         return (
-            _hand((0.06, 1.28 + shift, 0.32), (-0.35, 0.6, 0.7), (-0.3, 0.6, -0.7)),
-            _hand((0.06, 1.28 - shift, 0.32), (-0.35, 0.6, 0.7), (-0.3, 0.6, -0.7)),
+            Hand((0.06, 1.28 + shift, 0.32), (-0.35, 0.6, 0.7), (-0.3, 0.6, -0.7)),
+            Hand((0.06, 1.28 - shift, 0.32), (-0.35, 0.6, 0.7), (-0.3, 0.6, -0.7)),
         )
 
     poses = [Pose(*hands(shift), head=(28, 0, 0)) for shift in (0.006, -0.006, 0.008, -0.004)]
@@ -110,7 +100,7 @@ def _guitar() -> Gesture:
 
 def _piano() -> Gesture:
     def press(out: float, down: bool) -> Hand:
-        return _hand((0.16 + out, 1.05 if down else 1.10, 0.46), (-0.05, -0.1 if down else 0.1, 1))
+        return Hand((0.16 + out, 1.05 if down else 1.10, 0.46), (-0.05, -0.1 if down else 0.1, 1))
 
     plan = ((0, True, 0.02, False), (0.06, False, 0.08, True), (0.12, True, 0.04, False), (0.05, False, 0.0, True))
     poses = [Pose(press(a, b), press(c, d), (7, 0, 0), (14, 0, 0)) for a, b, c, d in plan]
@@ -121,7 +111,7 @@ def _piano() -> Gesture:
 
 def _type() -> Gesture:
     poses = [
-        Pose(_hand((0.09, 1.06 + a, 0.40)), _hand((0.09, 1.06 + b, 0.40)), (5, 0, 0), (16, 0, 0))
+        Pose(Hand((0.09, 1.06 + a, 0.40)), Hand((0.09, 1.06 + b, 0.40)), (5, 0, 0), (16, 0, 0))
         for a, b in ((0.012, -0.008), (-0.008, 0.014), (0.01, -0.01), (-0.01, 0.006))
     ]
     keys, cycle = again(poses, 0.8, 6, start=0.8)
@@ -130,7 +120,7 @@ def _type() -> Gesture:
 
 
 def _drums() -> Gesture:
-    high, low = _hand((0.20, 1.30, 0.40), (-0.3, 0.5, 0.8)), _hand((0.14, 1.08, 0.46), (-0.3, -0.3, 0.9))
+    high, low = Hand((0.20, 1.30, 0.40), (-0.3, 0.5, 0.8)), Hand((0.14, 1.08, 0.46), (-0.3, -0.3, 0.9))
     poses = [Pose(low, high, (6, -3, 0), (14, 0, 0)), Pose(high, low, (6, 3, 0), (8, 0, 0))]
     keys, cycle = again(poses, 0.55, 8, start=0.7)
     texts = ("a person plays the drums, one hand after the other", "plays the drums", "drums")
@@ -171,19 +161,19 @@ def _knock() -> Gesture:
 
 
 def _open_door() -> Gesture:
-    handle, pulled = _hand((0.14, 1.08, 0.52), (-0.4, 0, 0.9)), _hand((0.34, 1.08, 0.20), (-0.6, 0, 0.8))
+    handle, pulled = Hand((0.14, 1.08, 0.52), (-0.4, 0, 0.9)), Hand((0.34, 1.08, 0.20), (-0.6, 0, 0.8))
     keys = (
         (0.0, Pose()), (0.7, Pose(handle, lean=(6, 8, 0), head=(12, 0, 0))),
-        (1.0, Pose(_hand((0.14, 1.05, 0.52), (-0.3, -0.4, 0.9)), lean=(6, 8, 0), head=(12, 0, 0))),
+        (1.0, Pose(Hand((0.14, 1.05, 0.52), (-0.3, -0.4, 0.9)), lean=(6, 8, 0), head=(12, 0, 0))),
         (1.9, Pose(pulled, lean=(-2, -12, 0))), (2.7, Pose()),
     )  # fmt: skip
     return Gesture("open door", ("a person reaches for the handle and opens a door", "opens a door"), keys)
 
 
 def _write() -> Gesture:
-    pad = _hand((0.08, 1.12, 0.34), (-0.5, 0.1, 0.85), _UP)
+    pad = Hand((0.08, 1.12, 0.34), (-0.5, 0.1, 0.85), UP)
     poses = [
-        Pose(_hand((x, 1.18 + y, 0.34), (-0.6, -0.2, 0.7), (-0.4, -0.8, 0)), pad, head=(28, 4, 0))
+        Pose(Hand((x, 1.18 + y, 0.34), (-0.6, -0.2, 0.7), (-0.4, -0.8, 0)), pad, head=(28, 4, 0))
         for x, y in ((-0.06, 0.01), (-0.04, -0.01), (-0.01, 0.01), (0.01, -0.01), (0.04, 0.01), (0.06, -0.01))
     ]
     keys, cycle = again(poses, 2.0, 3, start=0.8)
@@ -194,9 +184,9 @@ def _write() -> Gesture:
 
 def _read() -> Gesture:
     def hold(up: float = 0.0) -> Hand:
-        return _hand((0.12, 1.27 + up, 0.36), (-0.2, 0.6, 0.8), (-0.4, 0.6, -0.6))
+        return Hand((0.12, 1.27 + up, 0.36), (-0.2, 0.6, 0.8), (-0.4, 0.6, -0.6))
 
-    turn = _hand((-0.06, 1.33, 0.37), (-0.6, 0.5, 0.6), (-0.4, -0.4, -0.6))
+    turn = Hand((-0.06, 1.33, 0.37), (-0.6, 0.5, 0.6), (-0.4, -0.4, -0.6))
     poses = [
         Pose(hold(), hold(), head=(26, 6, 0)),
         Pose(hold(), hold(), head=(28, -6, 0)),
@@ -222,10 +212,10 @@ def _brush_teeth() -> Gesture:
 def _stir() -> Gesture:
     poses = [
         Pose(
-            _hand(
+            Hand(
                 (0.06 + 0.08 * math.cos(turn), 1.10, 0.42 + 0.08 * math.sin(turn)), (-0.5, -0.5, 0.6), (-0.8, -0.3, 0)
             ),
-            _hand((0.20, 1.02, 0.42), (-0.5, 0, 0.8), _IN), (6, 0, 0), (20, 0, 0),
+            Hand((0.20, 1.02, 0.42), (-0.5, 0, 0.8), IN), (6, 0, 0), (20, 0, 0),
         )
         for turn in (0, math.pi / 3, 2 * math.pi / 3, math.pi, 4 * math.pi / 3, 5 * math.pi / 3)
     ]  # fmt: skip
@@ -237,7 +227,7 @@ def _stir() -> Gesture:
 
 def _cast() -> Gesture:
     gather = Hand((0.12, 1.16, 0.14), (-0.4, 0.2, 0.9), (-0.9, 0, 0.2), (0.7, -0.4, -0.9))
-    thrust = Hand((0.09, 1.42, 0.60), (-0.1, 0.85, 0.4), _AHEAD, (0.8, -0.8, 0))
+    thrust = Hand((0.09, 1.42, 0.60), (-0.1, 0.85, 0.4), AHEAD, (0.8, -0.8, 0))
     back = Pose(gather, gather, (-4, 10, 0), (4, -8, 0), hips=(0, -0.07, -0.05))
     ahead = Pose(thrust, thrust, (12, 0, 0), (-6, 0, 0), hips=(0, -0.08, 0.07))
     keys = ((0.0, Pose()), (0.8, back), (1.2, back), (1.5, ahead), (2.4, ahead), (3.2, Pose()))
@@ -251,7 +241,7 @@ def _cast() -> Gesture:
 def _sing() -> Gesture:
     microphone = Hand((0.02, 1.56, 0.25), (-0.75, 0.5, -0.2), (-0.4, -0.3, -0.8), (0.8, -1, 0.2), "head")
     low, out = (
-        _hand((0.30, 1.14, 0.32), (0.1, 0.1, 1), _UP),
+        Hand((0.30, 1.14, 0.32), (0.1, 0.1, 1), UP),
         Hand((0.55, 1.48, 0.42), (0.6, 0.4, 0.8), (-0.3, 1, 0), (0.2, -1, 0)),
     )
     poses = [
