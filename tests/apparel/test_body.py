@@ -24,16 +24,27 @@ from bunraku.training.losses.apparel_losses import edge_loss, mask_loss, smoothn
 
 
 def test_the_attention_map_by_hand():
-    """With an f_m that says nothing, M is the softmax of 2 exp(-8 G)."""
+    """Before f_m has learned, M is the softmax of -32 G."""
     network = BodyNetwork(BodyConfig(features=4, width=8))
-    with torch.no_grad():
-        network.attention[-1].weight.zero_()
-        network.attention[-1].bias.zero_()
     distances = torch.full((1, JOINT_COUNT), 50.0)
-    distances[0, 3] = 0.0
-    attention = network.attention_map(distances)[0]
-    assert float(attention.detach()[3]) == pytest.approx(math.exp(2) / (math.exp(2) + JOINT_COUNT - 1), rel=1e-5)
-    assert float(attention.detach().sum()) == pytest.approx(1)
+    distances[0, 3], distances[0, 5] = 0.02, 0.05
+    attention = network.attention_map(distances)[0].detach()
+    assert float(attention[3]) == pytest.approx(1 / (1 + math.exp(-32 * 0.03)), rel=1e-4)
+    assert float(attention.sum()) == pytest.approx(1)
+
+
+def test_weights_begin_as_the_attention_map():
+    """With an f_s that says nothing, W is M; where each joint counts the same, it is even."""
+    distances = torch.rand(5, JOINT_COUNT)
+    graph = node_graph([np.zeros((5, 1), np.int64)], [np.zeros(5, np.int64)])
+    mesh = torch.rand(5, 3), torch.rand(5, 3), torch.rand(1, JOINT_COUNT, 3), distances, graph
+    for geodesics in ("attention", "none"):
+        network = BodyNetwork(BodyConfig(features=4, width=8, geodesics=geodesics))
+        with torch.no_grad():
+            network.decoder[-1].weight.zero_()
+            network.decoder[-1].bias.zero_()
+            wanted = network.attention_map(distances) if geodesics == "attention" else torch.full((5, 22), 1 / 22)
+            np.testing.assert_allclose(network(*mesh), wanted, atol=1e-4)
 
 
 def test_fused_features_by_hand():
@@ -60,8 +71,8 @@ def test_weights_add_up(geodesics, tmp_path):
 
 
 def test_geodesic_distances_go_along_the_mesh():
-    """On the reference body the hands are nearer to their own wrists than to the other's, and G is that of Dijkstra on
-    the edges.
+    """On the reference body the hands are nearer to their own wrists than to the other's, and G is the straight way out
+    of the joint and Dijkstra's on the edges from there.
     """
     body = reference_body()
     mesh = sampled_mesh(body.vertices, body.faces, body.joints, 300)
@@ -75,11 +86,37 @@ def test_geodesic_distances_go_along_the_mesh():
     from scipy.sparse import coo_matrix
 
     graph = coo_matrix((lengths, tuple(edges.T)), shape=(len(clean.vertices),) * 2)
-    anchor = np.linalg.norm(clean.vertices * clean.scale + clean.center - body.joints[20], axis=1).argmin()
-    plain = dijkstra(graph.tocsr(), directed=False, indices=int(anchor))[mesh.clean] / np.ptp(clean.vertices[:, 1])
-    np.testing.assert_allclose(distances[:, 20], plain, rtol=1e-4, atol=1e-4)
+    joint = (body.joints[20] - clean.center) / clean.scale
+    gaps = np.linalg.norm(clean.vertices - joint, axis=1)
+    height = np.ptp(clean.vertices[:, 1])
+    nearest = int(gaps.argmin())
+    plain = dijkstra(graph.tocsr(), directed=False, indices=nearest)[mesh.clean] + gaps[nearest]
+    found = distances[:, 20] * height
+    assert (found <= plain + 1e-5).all() and (found >= gaps[mesh.clean] - 1e-5).all()  # no longer, and not shorter
+    starts = np.flatnonzero(gaps < 3 * gaps.min())
+    ways = dijkstra(graph.tocsr(), directed=False, indices=starts)[:, mesh.clean] + gaps[starts, None]
+    assert (found >= ways.min(axis=0) - 0.02 * height).all()
     hand = mesh.points[:, 0] > 0.9 * mesh.points[:, 0].max()
     assert (distances[hand, 20] < distances[hand, 21]).all()
+
+
+def test_layers_that_lie_on_one_another_are_joined_everywhere():
+    """A sleeve over an arm: from a joint in the arm it is as near as the arm is, not as far as where it is sewn on."""
+    rings, sides = 41, 16
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    index = np.arange(rings * sides).reshape(rings, sides)
+    beside = np.roll(index, -1, axis=1)
+    quads = np.stack([index[:-1], index[1:], beside[1:], beside[:-1]], axis=-1).reshape(-1, 4)
+    faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
+    along = np.repeat(np.linspace(0, 1.0, rings), sides)
+    ring = np.stack([np.cos(np.tile(angle, rings)), 0 * along, np.sin(np.tile(angle, rings))], axis=1)
+    tubes = [radius * ring + along[:, None] * [0, 1, 0] for radius in (0.04, 0.05)]
+    joints = np.linspace([0, 0.1, 0], [0, 0.9, 0], JOINT_COUNT)
+    both = np.concatenate([faces, faces + len(ring)])
+    mesh = sampled_mesh(np.concatenate(tubes), both, joints, 2 * len(ring))
+    distances = joint_distances(np.concatenate(tubes), both, joints, mesh.clean)
+    height = np.abs(mesh.points[:, 1:2] - mesh.joints[:, 1])
+    assert np.abs(distances - height).max() < 0.08  # straight along the tube, whatever side or layer a point is on
 
 
 def test_values_spread_back_to_every_vertex():

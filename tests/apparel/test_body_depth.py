@@ -29,7 +29,6 @@ def test_distances_from_a_ball(ball):
     assert np.abs(found - wanted)[near].max() < 0.1 * CELL and np.abs(found - wanted).max() < CELL
     outward = points[near] / np.linalg.norm(points[near], axis=1, keepdims=True)
     assert (slope[near] * outward).sum(axis=1).min() > 0.95
-    np.testing.assert_allclose(ball.distance(points), found, atol=1e-7)
     # beyond the grid it is as far as anything is, and its middle is inside although no face is near
     assert ball.at(np.array([[9.0, 0, 0], [0, 0, 0]], np.float32))[0].tolist() == pytest.approx([BAND, -BAND])
 
@@ -46,6 +45,21 @@ def test_points_are_pushed_out_in_any_pose(ball):
     assert np.linalg.norm(moved, axis=1) == pytest.approx([0.32, 0.32, 0.26, np.hypot(0.35, 0.1)], abs=2e-3)
     np.testing.assert_allclose(moved[3], rest[3], atol=1e-6)
     np.testing.assert_allclose(ball.pushed(points, unposed, gap, 0.005)[0], points[0], atol=1e-6)  # too deep
+
+
+def test_only_points_near_the_body_are_looked_at_and_none_is_missed(ball):
+    """Against the distance of every point: whoever is less far than its gap, by less than the most, is moved."""
+    random = np.random.default_rng(1)
+    points = random.uniform(-0.4, 0.4, (3000, 3)).astype(np.float32)
+    gap = random.uniform(-0.05, 0.05, len(points)).astype(np.float32)
+    still = np.tile(np.eye(3, 4, dtype=np.float32), (len(points), 1, 1))
+    rows, step = ball.push(points, Unposed.of(still, np.zeros(len(points), np.int64)), gap, 0.08)
+    distance, slope = ball.at(points)
+    short = gap - distance
+    np.testing.assert_array_equal(rows, np.flatnonzero((short > 0) & (short < 0.08)))
+    wanted = short[rows, None] * slope[rows] / np.maximum(np.square(slope[rows]).sum(axis=1), 0.1)[:, None]
+    np.testing.assert_allclose(step, wanted, atol=1e-6)
+    assert 200 < len(rows) < 2000
 
 
 def test_what_is_all_apparel_has_no_body():

@@ -23,6 +23,7 @@ from bunraku.apparel.displacement.features import (
     static_features,
 )
 from bunraku.apparel.displacement.filters import DAMPING, FREQUENCIES, GRAVITY, PENDULUMS, MotionFilters, Pendulums
+from bunraku.apparel.displacement.folded import FoldedNetwork
 from bunraku.apparel.displacement.graph import EdgeBlock, node_graph, part_pool
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
 from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, load_displacement
@@ -474,6 +475,42 @@ def test_a_player_gives_every_frame_alike():
     again.start(poses[0])
     np.testing.assert_array_equal(np.stack([again.advance(pose) for pose in poses]), clip)
     assert clip.shape == (8, int(wearer.apparel.sum()), 3) and np.isfinite(clip).all()
+
+
+@pytest.mark.parametrize("frame", ["joint", "world"])
+def test_the_folded_network_says_what_the_layers_say(frame):
+    """Frame after frame, each network with its own past: the matrices of the player against the modules of training."""
+    torch.manual_seed(0)
+    wearer = curtain(13, 9)
+    half = (wearer.part == 0) & (wearer.rest[:, 0] > 0.01)  # two parts
+    two = np.array([-1.0, 0.0], np.float32)
+    wearer = replace(wearer, part=np.where(half, 1, wearer.part), stiffness=two, damping=np.full(2, 0.9, np.float32))
+    nodes = apparel_nodes(wearer, 40)
+    network = DisplacementNetwork(DisplacementConfig(16, 2, 8, frame)).eval()
+    for part in (network.anchor, network.recurrent):
+        torch.nn.init.normal_(part.encoder.mean, 0, 0.1)
+        torch.nn.init.uniform_(part.encoder.std, 0.2, 1.0)
+        torch.nn.init.normal_(part.decoder[-1].weight, 0, 0.05)
+    poses = still(wearer, 6)
+    poses[:, :, :3, :3] = matrix_from_axis_angle(np.linspace(0, 1, 6)[:, None] * [0.3, 1, 0])[:, None]
+    folded = FoldedNetwork(network, *static_features(wearer, nodes), node_graph([nodes.neighbours], [nodes.part]))
+    start = torch.zeros(3, len(nodes), 3)
+    past = past_of_states(network.recurrent, start, start, torch.eye(3).expand(3, len(nodes), 3, 3), start + 0.1)
+    arrays = past.rest.numpy(), past.whole.numpy(), past.places.numpy()
+    for one in clip_features(wearer, nodes, poses):
+        inputs = inputs_of(wearer, nodes, one)
+        turns, places = torch.from_numpy(one.turns), torch.from_numpy(one.places)
+        with torch.no_grad():
+            anchor = network.anchor(inputs)
+            moved, past = network.recurrent(inputs, past, anchor, turns, places)
+        told = np.ascontiguousarray(one.vectors), one.scalars, one.whole
+        head = folded.anchor(*told)
+        fast, arrays = folded.recurrent(*told, arrays, head, one.turns, one.places)
+        np.testing.assert_allclose(head, anchor.numpy(), atol=2e-6)
+        np.testing.assert_allclose(fast, moved.numpy(), atol=5e-6)
+        for array, tensor in zip(arrays, (past.rest, past.whole, past.places), strict=True):
+            np.testing.assert_allclose(array, tensor.numpy(), atol=5e-6)
+    assert np.abs(fast).max() > 1e-3
 
 
 def test_a_known_difference_fades():

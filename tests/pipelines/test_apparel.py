@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, save_displacement
-from bunraku.apparel.fitting import fitted_wearer, joints_of_handles
+from bunraku.apparel.fitting import BORDER, eased_border, fitted_wearer, joints_of_handles
 from bunraku.apparel.segmentation.network import SegmentationConfig, SegmentationNetwork, save_segmentation
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
@@ -106,6 +106,25 @@ def test_parts_hang_on_what_they_touch(animation):
     assert wearer.part.max() == 0 and (wearer.weights[mask].argmax(axis=1) == 0).all()
     assert wearer.stiffness.tolist() == [-1] and wearer.damping[0] == pytest.approx(0.9)
     np.testing.assert_array_equal(wearer.weights[~mask], weights[~mask])
+
+
+def test_a_sheet_is_not_torn_where_its_mask_has_an_edge(animation):
+    body, character = reference_body(), animation.character
+    weights = np.concatenate([body.joint_weights, np.eye(22, dtype=np.float32)[np.full(30, 1)]])
+    flat = np.zeros(len(weights), np.float32)
+
+    def eased(mask):
+        wearer = fitted_wearer(character.vertices, character.faces, body.joints, weights, mask, flat - 1, flat + 0.9)
+        return wearer, eased_border(wearer)
+
+    apron = apron_of(animation)
+    np.testing.assert_array_equal(eased(apron)[1], apron)  # a piece of its own goes whole
+    edge = float(np.median(character.vertices[~apron, 1]))
+    wearer, share = eased((character.vertices[:, 1] > edge) & ~apron)
+    up = (character.vertices[:, 1] - edge) / wearer.scale
+    assert (share[up <= 0] == 0).all() and (share[(up > BORDER) & ~apron] == 1).all()
+    near = (up > 0) & (up < 0.3 * BORDER) & ~apron
+    assert near.sum() > 20 and share[near].mean() < 0.5  # not 0: border vertices are a few centimetres apart
 
 
 def test_joints_lie_between_their_handles():

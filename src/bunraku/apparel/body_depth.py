@@ -8,6 +8,7 @@ two where it bends.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import label
@@ -50,11 +51,15 @@ class Unposed:
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Points of the pose in the rest pose [m], shape (M, 3)."""
-        return np.asarray(np.einsum("mab,mb->ma", self.back, points - self.shift))
+        return self.columns(points).T
+
+    def columns(self, points: np.ndarray) -> np.ndarray:
+        """The same, one row for each axis, shape (3, M)."""
+        return np.asarray(np.einsum("mab,mb->am", self.back, points - self.shift))
 
     def take(self, rows: np.ndarray) -> Unposed:
         """The same for some of the points, or for others that go with them."""
-        return Unposed(self.back[rows], self.shift[rows], self.joint[rows])
+        return Unposed(self.back.take(rows, axis=0), self.shift.take(rows, axis=0), self.joint.take(rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +76,46 @@ class BodyDepth:
     cell: float
     values: np.ndarray
 
+    @cached_property
+    def _least(self) -> np.ndarray:
+        """The least value at the corners of the cell that begins at each corner, flat: nothing in it is below that."""
+        out = self.values
+        for axis in range(3):
+            turned = np.moveaxis(out, axis, 0)
+            out = np.moveaxis(np.concatenate([np.minimum(turned[:-1], turned[1:]), turned[-1:]]), 0, axis)
+        return np.asarray(out.reshape(-1))
+
+    @cached_property
+    def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How far apart in the flat grid neighbours along each axis are, and the eight corners of a cell; and the last
+        place in the grid [cells].
+        """
+        shape = np.array(self.values.shape)
+        steps = np.array([shape[1] * shape[2], shape[2], 1])
+        return steps, _CORNERS @ steps, (shape - 1.001).astype(np.float32)[:, None]
+
     def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance of points of the rest pose [m], shape (M,), and its gradient, shape (M, 3): linear within a cell."""
-        v, x, y, z = self._cells(points)
+        return self._linear(*self._cells(points.T))
+
+    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The first corner of the cells that points (3, M) lie in, shape (M,), and where in them along each axis, from
+        0 to 1, shape (3, M).
+        """
+        place = (points - self.low[:, None]).astype(np.float32, copy=False)
+        place /= np.float32(self.cell)
+        np.maximum(place, 0, out=place)
+        np.minimum(place, self._steps[2], out=place)
+        first = place.astype(np.int64)
+        place -= first
+        x, y, z = first
+        steps = self._steps[0]
+        return x * steps[0] + y * steps[1] + z, place
+
+    def _linear(self, corner: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance and gradient at places in cells, as `_cells` gives them."""
+        v = self.values.reshape(-1)[self._steps[1][:, None] + corner]
+        x, y, z = share
         # along z, then y, then x
         dz = v[1::2] - v[::2]
         vz = v[::2] + z * dz
@@ -83,38 +125,9 @@ class BodyDepth:
         slope = np.stack([dx, dy[0] + x * (dy[1] - dy[0]), dzy[0] + x * (dzy[1] - dzy[0])], axis=1)
         return vy[0] + x * dx, slope / np.float32(self.cell)
 
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        """The distance alone."""
-        v, x, y, z = self._cells(points)
-        v = v[::2] + z * (v[1::2] - v[::2])
-        v = v[::2] + y * (v[1::2] - v[::2])
-        return np.asarray(v[0] + x * (v[1] - v[0]))
-
-    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Values at the corners of the cells that points lie in, shape (8, M), and where in them along each axis, from
-        0 to 1, shape (M,).
-        """
-        shape = np.array(self.values.shape)
-        place = np.clip((points - self.low) / np.float32(self.cell), 0, shape - 1.001).astype(np.float32)
-        first = place.astype(np.int64)
-        x, y, z = (place - first).T
-        steps = np.array([shape[1] * shape[2], shape[2], 1])
-        corner = first @ steps
-        return self.values.reshape(-1)[(_CORNERS @ steps)[:, None] + corner], x, y, z
-
-    def depth(self, points: np.ndarray, unposed: Unposed) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of points of a pose [m], shape (M,), and the step that makes it longer by a metre, shape (M, 3).
-
-        Args:
-            points: [m], shape (M, 3).
-            unposed: Their way back.
-        """
-        distance, slope = self.at(unposed(points))
-        way = np.einsum("mba,mb->ma", unposed.back, slope)
-        return distance, way / np.maximum(np.square(way).sum(axis=1), 0.1)[:, None]
-
-    def pushed(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> np.ndarray:
-        """Points moved out of the body until they are as far from it as `gap`, shape (M, 3).
+    def push(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
+        """What moves points of a pose out of the body until they are as far from it as `gap`: which points are moved,
+        shape (P,), and by how much [m], shape (P, 3).
 
         Args:
             points: [m], shape (M, 3).
@@ -122,11 +135,24 @@ class BodyDepth:
             gap: [m], below 0 where a point may be inside, shape (M,).
             most: Points that would move by more stay: they are on the wrong side of something thin [m].
         """
-        step = gap - self.distance(unposed(points))
-        rows = np.flatnonzero((step > 0) & (step < most))
+        corner, share = self._cells(unposed.columns(points))
+        # mostly few are near, and only of them all corners are looked at
+        rows = np.flatnonzero(self._least[corner] < gap)
+        if not len(rows):
+            return rows, np.zeros((0, 3), np.float32)
+        distance, slope = self._linear(corner[rows], share[:, rows])
+        step = gap[rows] - distance
+        moved = np.flatnonzero((step > 0) & (step < most))
+        rows = rows[moved]
+        way = np.einsum("mba,mb->ma", unposed.back[rows], slope[moved])
+        length = np.maximum(np.einsum("ma,ma->m", way, way), 0.1)
+        return rows, (step[moved] / length)[:, None] * way
+
+    def pushed(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> np.ndarray:
+        """Points moved out of the body, shape (M, 3); what is given as in `push`."""
+        rows, step = self.push(points, unposed, gap, most)
         out = np.array(points)
-        if len(rows):  # mostly few, and only they need to know which way is out
-            out[rows] += step[rows, None] * self.depth(points[rows], unposed.take(rows))[1]
+        out[rows] += step
         return out
 
 

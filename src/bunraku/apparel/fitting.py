@@ -10,13 +10,16 @@ from bunraku.apparel.parts import apparel_parts
 from bunraku.apparel.wearer import Wearer
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Handles
+from bunraku.geometry.easing import smooth_step
+from bunraku.geometry.graph import clean_mesh, unique_edges
 
-__all__ = ["fitted_wearer", "joint_weights_of_handles", "joints_of_handles"]
+__all__ = ["eased_border", "fitted_wearer", "joint_weights_of_handles", "joints_of_handles"]
 
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
 _ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
 _SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
 _NEAR = 12
+BORDER = 0.04  # of the size: how far from the body of the same sheet apparel still goes with it in part
 
 
 def joint_weights_of_handles(handles: Handles) -> np.ndarray:
@@ -85,6 +88,23 @@ def fitted_wearer(
     if not count:
         return bare
     return Wearer(vertices, faces, joints, out, apparel, part, mean(stiffness), mean(damping))
+
+
+def eased_border(wearer: Wearer) -> np.ndarray:
+    """How far each vertex goes its own way, from 0 on the body and where apparel begins in the midst of a sheet to 1,
+    shape (V,): what is one surface must not be torn where the mask has an edge.
+    """
+    clean = clean_mesh(wearer.rest, wearer.faces)
+    cloth = np.zeros(len(clean.vertices), bool)
+    cloth[clean.index[wearer.part >= 0]] = True
+    edges = unique_edges(clean.faces, len(clean.vertices))
+    edges = edges[cloth[edges[:, 0]] != cloth[edges[:, 1]]]
+    out = (wearer.part >= 0).astype(np.float32)
+    if len(edges):
+        body = np.unique(np.where(cloth[edges[:, 0]], edges[:, 1], edges[:, 0]))
+        away = cKDTree(clean.vertices[body] * clean.scale + clean.center).query(wearer.rest)[0]
+        out *= smooth_step(away / wearer.scale, 0.0, BORDER).astype(np.float32)
+    return out
 
 
 def _carrying(share: np.ndarray) -> int:

@@ -22,6 +22,12 @@ __all__ = [
 
 POINTS = 1024
 POINT_FEATURES = 3 + 3 + 3 + 1 + JOINT_COUNT - 1 + 4
+TOUCH = 0.03
+"""How near vertices of loose parts are that lie on one another, over the height."""
+REACH = 5.0
+"""How far from a joint it begins to be the surface, over the distance of the nearest vertex."""
+_SIDES = np.array([side for side in np.ndindex(3, 3, 3) if side != (1, 1, 1)], np.float64) - 1
+_SIDES /= np.linalg.norm(_SIDES, axis=1, keepdims=True)
 _BONES = [(parent, joint) for joint, parent in enumerate(JOINT_PARENTS) if parent >= 0]
 
 
@@ -161,8 +167,11 @@ def joint_distances(
 ) -> np.ndarray:
     """Geodesic distances G of section 4.2 from points to joints, over the height, shape (S, 22), float32.
 
-    Each joint stands for the vertex nearest to it; loose parts are joined where they are nearest, so that all
-    distances are finite. Paths go along the edges.
+    The paper lets each joint stand for the vertex nearest to it. Characters are layers of loose parts, so that this may
+    be one of a belt or a tooth, and the way from there a long one; and even on a closed limb it is near to one side
+    only. Ours begins in the joint itself, goes straight to the nearest vertices on all sides of it, and along the edges
+    from there; loose parts are joined wherever they lie on one another, and at least where they are nearest, so that
+    all distances are finite.
 
     Args:
         vertices: Rest mesh [m], shape (V, 3).
@@ -173,10 +182,40 @@ def joint_distances(
     clean = clean_mesh(vertices, faces)
     count = len(clean.vertices)
     edges = unique_edges(clean.faces, count)
-    edges = np.concatenate([edges, bridge_edges(clean.vertices, mesh_parts(edges, count))])
-    lengths = np.linalg.norm(clean.vertices[edges[:, 0]] - clean.vertices[edges[:, 1]], axis=1) + 1e-9
-    graph = coo_matrix((lengths, (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
-    anchors = cKDTree(clean.vertices).query((np.asarray(joints) - clean.center) / clean.scale)[1]
-    found = dijkstra(graph, directed=False, indices=anchors)[:, clean_vertices].T
+    part = mesh_parts(edges, count)
     height = max(float(np.ptp(clean.vertices[:, 1])), 1e-9)
+    touching = _touching(clean.vertices, part, TOUCH * height)
+    edges = np.unique(np.concatenate([edges, bridge_edges(clean.vertices, part), touching]), axis=0)
+    lengths = np.linalg.norm(clean.vertices[edges[:, 0]] - clean.vertices[edges[:, 1]], axis=1) + 1e-9
+    starts = _starts(clean.vertices, (np.asarray(joints) - clean.center) / clean.scale)
+    rows = np.concatenate([edges[:, 0], edges[:, 1], count + starts[0]])
+    columns = np.concatenate([edges[:, 1], edges[:, 0], starts[1]])
+    ways = np.concatenate([lengths, lengths, starts[2] + 1e-9])  # out of a joint only: no way leads through one
+    graph = coo_matrix((ways, (rows, columns)), shape=(count + JOINT_COUNT,) * 2).tocsr()
+    found = dijkstra(graph, indices=count + np.arange(JOINT_COUNT))[:, clean_vertices].T
     return np.asarray(found / height, np.float32)
+
+
+def _touching(vertices: np.ndarray, part: np.ndarray, most: float) -> np.ndarray:
+    """Pairs of vertices of different loose parts that lie together, smaller one first, shape (T, 2)."""
+    near = min(10, len(vertices))
+    gap, other = (found.reshape(len(vertices), near) for found in cKDTree(vertices).query(vertices, near))
+    own, rank = np.nonzero((part[other] != part[:, None]) & (gap < most))
+    return np.sort(np.stack([own, other[own, rank]], axis=1), axis=1)
+
+
+def _starts(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nearest vertices on all sides of each joint, none much farther off than the nearest of all: numbers of joint
+    and vertex, and the distance.
+    """
+    owners, ends, lengths = [], [], []
+    for joint, place in enumerate(joints):
+        way = vertices - place
+        gap = np.linalg.norm(way, axis=1)
+        near = np.flatnonzero(gap < REACH * gap.min() + 0.01)
+        near = near[np.argsort(gap[near], kind="stable")]
+        first = near[np.unique((way[near] @ _SIDES.T).argmax(axis=1), return_index=True)[1]]
+        owners.append(np.full(len(first), joint))
+        ends.append(first)
+        lengths.append(gap[first])
+    return np.concatenate(owners), np.concatenate(ends), np.concatenate(lengths)

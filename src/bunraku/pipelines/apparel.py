@@ -15,7 +15,7 @@ import numpy as np
 from bunraku.apparel.artist_mask import artist_mask, read_artist_mask
 from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
 from bunraku.apparel.displacement.player import ApparelPlayer
-from bunraku.apparel.fitting import fitted_wearer, joint_weights_of_handles, joints_of_handles
+from bunraku.apparel.fitting import eased_border, fitted_wearer, joint_weights_of_handles, joints_of_handles
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.apparel.wearer import SOFTEST, STIFFEST, Wearer
@@ -177,9 +177,9 @@ def _learned(
     player.start(transforms[0])
     offsets = np.zeros((len(transforms), len(wearer.rest), 3), np.float32)
     chosen = player.carrier.vertices
-    skinned = moved.vertices()
+    skinned, eased = moved.vertices(), eased_border(wearer)[chosen, None]
     for frame, pose in enumerate(transforms):
-        offsets[frame, chosen] = player.advance(pose) - skinned[frame, chosen]
+        offsets[frame, chosen] = eased * (player.advance(pose) - skinned[frame, chosen])
         if frame % 16 == 0:
             progress("apparel", frame / len(transforms))
     progress("apparel", 1.0)

@@ -20,6 +20,11 @@ __all__ = ["BodyConfig", "BodyNetwork", "load_body", "save_body"]
 JOINT_INPUT = 3 + 1 + 3
 """Of a vertex and a joint: the way from it, its length, the vertex normal."""
 
+SHARPNESS = 32.0
+"""Of the attention before it has learned, a unit of the height."""
+FLOOR = 1e-6
+"""Of the attention where weights begin with it: a joint that it leaves out can come back."""
+
 
 @dataclass(frozen=True)
 class BodyConfig:
@@ -50,7 +55,11 @@ class BodyNetwork(nn.Module):
         wide = config.features
         self.joint_codes = nn.Parameter(0.1 * torch.randn(JOINT_COUNT, wide))
         self.encoder = nn.Sequential(nn.Linear(JOINT_INPUT, 32), nn.GELU(), nn.Linear(32, wide))
-        self.attention = nn.Sequential(nn.Linear(JOINT_COUNT, 64), nn.GELU(), nn.Linear(64, JOINT_COUNT))
+        last = nn.Linear(64, JOINT_COUNT)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.attention = nn.Sequential(nn.Linear(JOINT_COUNT, 64), nn.GELU(), last)
+        self.sharpness = nn.Parameter(torch.tensor(SHARPNESS).log())
         entering = {"attention": wide + JOINT_COUNT, "none": wide, "sorted": 4 * JOINT_COUNT}[config.geodesics] + 6
         self.enter = nn.Sequential(nn.Linear(entering, config.width), nn.GELU(), nn.Linear(config.width, config.width))
         self.block = EdgeBlock(config.width)
@@ -62,11 +71,12 @@ class BodyNetwork(nn.Module):
     def attention_map(self, geodesics: torch.Tensor) -> torch.Tensor:
         """M = Softmax(f_m(G)), how much each joint counts for each vertex [MMDMC 5], shape (N, J) -> (N, J).
 
-        Distances go in as closeness, exp(-8 G) with G over the height, and beside what f_m makes of them the raw ones
-        count, so that it begins as the prior that they are; softly, so that what joints farther off say is not lost.
+        f_m begins as -32 G with G over the height, so that M begins as the prior that the distances are: the joint that
+        is nearest along the surface, and others where they are nearly as near. How sharp it is is learned, and an MLP
+        of how close all joints are, exp(-8 G), is added to it, which says nothing before it has learned.
         """
-        close = torch.exp(-8 * geodesics)
-        out: torch.Tensor = torch.softmax(2 * close + self.attention(close), dim=1)
+        far = self.attention(torch.exp(-8 * geodesics)) - self.sharpness.exp() * geodesics
+        out: torch.Tensor = torch.softmax(far, dim=1)
         return out
 
     def fused(self, features: torch.Tensor, attention: torch.Tensor) -> torch.Tensor:
@@ -79,7 +89,9 @@ class BodyNetwork(nn.Module):
     ) -> torch.Tensor:  # fmt: skip
         """Skinning weights W = Softmax(f_s(P')) [MMDMC 7], shape (N, J), rows sum to 1.
 
-        Beside P' ours is given the place, the normal and the attention map itself, which says how far each joint is.
+        Beside P' ours is given the place, the normal and the attention map itself, and what it says of a joint is how
+        much more or less than M that joint holds the vertex: W = Softmax(log M + f_s), so that it begins as M. Where
+        every joint counts the same, log M is nothing.
 
         Args:
             points: Of B meshes in units of their heights (`SampledMesh.points`), shape (N, 3).
@@ -91,6 +103,7 @@ class BodyNetwork(nn.Module):
         way = points[:, None] - joints[graph.owner]
         length = way.norm(dim=2, keepdim=True)
         own = torch.cat([points, normals], dim=1)
+        prior = points.new_zeros(1, JOINT_COUNT)
         if self.config.geodesics == "sorted":
             order = geodesics.argsort(dim=1)
             both = torch.cat([way, geodesics[..., None]], dim=2)
@@ -100,14 +113,15 @@ class BodyNetwork(nn.Module):
             features = self.encoder(pair) + self.joint_codes
             if self.config.geodesics == "attention":
                 attention = self.attention_map(geodesics)
-                fused = torch.cat([self.fused(features, attention), JOINT_COUNT * attention], dim=1)
+                fused = torch.cat([self.fused(features, attention), 4 * attention], dim=1)
+                prior = torch.log(attention + FLOOR)
             else:
                 fused = features.mean(dim=1)  # Eq. 6 with the same attention for each joint
         x = self.block(self.enter(torch.cat([fused, own], dim=1)), graph)
         rows = graph.owner[:, None].expand_as(x)
         whole = x.new_full((len(joints), x.shape[1]), -1e4).scatter_reduce(0, rows, x, "amax")
         out: torch.Tensor = self.decoder(torch.cat([x, self.pooled(whole)[graph.owner]], dim=1))
-        return torch.softmax(out, dim=1)
+        return torch.softmax(prior + out, dim=1)
 
 
 def save_body(path: str | Path, model: BodyNetwork, note: dict[str, Any] | None = None, half: bool = False) -> Path:

@@ -12,6 +12,8 @@ from bunraku.handles.graph import farthest_points
 
 __all__ = ["BodyPoints", "body_points", "nearest_index", "nearest_point"]
 
+_ROWS = 64  # of distances that are looked at together: they stay in the cache
+
 
 @dataclass(frozen=True, eq=False)
 class BodyPoints:
@@ -78,6 +80,14 @@ def nearest_point(points: np.ndarray, places: np.ndarray, normals: np.ndarray) -
 def nearest_index(points: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Number of the nearest of some places to each point, shapes (M, 3) and (B, 3) -> (M,)."""
     # one product: the square of a point's own length is the same for all
-    table = np.concatenate([-2 * places, np.square(places).sum(axis=1, keepdims=True)], axis=1, dtype=np.float32)
-    ours = np.concatenate([points, np.ones((len(points), 1), np.float32)], axis=1, dtype=np.float32)
-    return np.asarray((ours @ table.T).argmin(axis=1))
+    table = np.empty((4, len(places)), np.float32)
+    np.multiply(places.T, -2, out=table[:3])
+    np.square(places).sum(axis=1, out=table[3])
+    ours = np.empty((len(points), 4), np.float32)
+    ours[:, :3], ours[:, 3] = points, 1
+    near = np.empty(len(points), np.int64)
+    gaps = np.empty((min(_ROWS, len(points)), len(places)), np.float32)
+    for first in range(0, len(points), _ROWS):
+        some = ours[first : first + _ROWS]
+        np.matmul(some, table, out=gaps[: len(some)]).argmin(axis=1, out=near[first : first + _ROWS])
+    return near

@@ -8,7 +8,6 @@ from scipy.spatial import cKDTree
 
 from bunraku.apparel.displacement.nodes import ApparelNodes
 from bunraku.apparel.wearer import Wearer
-from bunraku.geometry.rotations import adjugates
 
 __all__ = ["Carrier", "node_turns", "polar_rotation"]
 
@@ -108,11 +107,13 @@ def polar_rotation(matrices: np.ndarray, rounds: int = 10) -> np.ndarray:
     sign of the determinant, it is `((k + |B|^2) B + s adj(B)' - B B' B) / (k s - det B)`, `k = (s^2 - |B|^2) / 2`. The
     sum is the largest root of `(s^2 - |B|^2)^2 - 8 s det B - 4 |adj B|^2`, found by Newton's iteration from above.
     """
-    b = np.asarray(matrices, np.float64)
-    b = b / np.maximum(np.sqrt(np.square(b).sum(axis=(-2, -1), keepdims=True)), 1e-30)
-    cofactors = np.swapaxes(adjugates(b), -1, -2)
-    det = (b[..., 0, :] * cofactors[..., 0, :]).sum(axis=-1)
-    last = 4 * np.square(cofactors).sum(axis=(-2, -1))
+    shape = np.shape(matrices)
+    # one row for each of the nine elements: a few long operations in place of many strided ones
+    b = np.array(np.reshape(matrices, (-1, 9)).T, np.float64, order="C")
+    b /= np.maximum(np.sqrt(np.einsum("em,em->m", b, b)), 1e-30)
+    cofactors = b[_MINORS[0]] * b[_MINORS[1]] - b[_MINORS[2]] * b[_MINORS[3]]
+    det = np.einsum("em,em->m", b[:3], cofactors[:3])
+    last = 4 * np.einsum("em,em->m", cofactors, cofactors)
     root = np.sqrt(1 + np.sqrt(3 * last))  # |B| is 1, and no sum of three products is over sqrt(3) |adj B|
     for _ in range(rounds):
         square = root * root - 1
@@ -123,6 +124,15 @@ def polar_rotation(matrices: np.ndarray, rounds: int = 10) -> np.ndarray:
             break
     half = 0.5 * (root * root - 1)
     below = half * root - det
-    wide = [value[..., None, None] for value in (half + 1, root, np.where(below > ROUND, below, 1.0))]
-    found = (wide[0] * b + wide[1] * cofactors - b @ np.swapaxes(b, -1, -2) @ b) / wide[2]
-    return np.where((below > ROUND)[..., None, None], found, np.eye(3)).astype(np.float32)
+    rows = b.reshape(3, 3, -1)
+    gram = (rows[:, None] * rows).sum(axis=2)  # B B'
+    cubed = (gram[:, :, None] * rows).sum(axis=1).reshape(9, -1)
+    found = ((half + 1) * b + root * cofactors - cubed) / np.where(below > ROUND, below, 1.0)
+    found = np.where(below > ROUND, found, np.eye(3).reshape(9, 1))
+    return np.ascontiguousarray(found.T, np.float32).reshape(shape)
+
+
+_MINORS = np.array([
+    (4, 5, 3, 7, 8, 6, 1, 2, 0), (8, 6, 7, 2, 0, 1, 5, 3, 4), (5, 3, 4, 8, 6, 7, 2, 0, 1), (7, 8, 6, 1, 2, 0, 4, 5, 3),
+])  # fmt: skip
+"""Elements whose products, the first two less the last two, are the cofactors of a matrix."""

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from bunraku.apparel.displacement.anchor import Inputs
 from bunraku.apparel.displacement.body_points import body_points
 from bunraku.apparel.displacement.carry import Carrier
 from bunraku.apparel.displacement.features import LEAD_IN, Frame, MotionFeatures, static_features
+from bunraku.apparel.displacement.folded import FoldedNetwork, FoldedPast
 from bunraku.apparel.displacement.graph import node_graph
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
 from bunraku.apparel.displacement.network import DisplacementNetwork
 from bunraku.apparel.displacement.nodes import apparel_nodes
-from bunraku.apparel.displacement.recurrent import Past, past_of_states
+from bunraku.apparel.displacement.recurrent import past_of_states
 from bunraku.apparel.displacement.safety import Safety
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.wearer import Wearer
@@ -45,14 +45,13 @@ class ApparelPlayer:
         parts = int(wearer.part.max(initial=-1)) + 1
         self.nodes = apparel_nodes(wearer, max(nodes, min(3 * parts, 512)))
         self.carrier = Carrier(wearer, self.nodes)
-        vectors, scalars = static_features(wearer, self.nodes)
-        self.still = torch.from_numpy(vectors), torch.from_numpy(scalars)
-        self.graph = node_graph([self.nodes.neighbours], [self.nodes.part])
+        graph = node_graph([self.nodes.neighbours], [self.nodes.part])
+        self.folded = FoldedNetwork(network, *static_features(wearer, self.nodes), graph)
         self.safety = Safety(wearer, self.nodes, body_points(wearer, SAFE_POINTS), self.carrier) if safe else None
         self.recurrent = network.recurrent if recurrent else None
         self.features: MotionFeatures | None = None
-        self.past: Past | None = None
-        self.known: torch.Tensor | None = None
+        self.past: FoldedPast | None = None
+        self.known: np.ndarray | None = None
 
     def start(self, transforms: np.ndarray) -> None:
         """Begin before a first frame: a second from the rest pose into it.
@@ -79,14 +78,10 @@ class ApparelPlayer:
         kept = []
         for state, pose in zip(states, transforms, strict=True):
             frame = self.features.advance(np.asarray(pose, np.float32))
-            inputs, turns, places = self._inputs(frame, pose)
-            with torch.no_grad():
-                kept.append((torch.from_numpy(state.astype(np.float32)), self.network.anchor(inputs), turns, places))
+            kept.append((state.astype(np.float32), self.folded.anchor(*_told(frame)), *self._carried_by(frame, pose)))
         self.known = kept[-1][0] - kept[-1][1]
         if self.recurrent is not None:
-            self.past = past_of_states(
-                self.recurrent, *(torch.stack(list(column)) for column in zip(*kept, strict=True))
-            )
+            self.past = self._past(*(np.stack(column) for column in zip(*kept, strict=True)))
 
     def advance(self, transforms: np.ndarray) -> np.ndarray:
         """The next frame, a thirtieth of a second later.
@@ -114,32 +109,32 @@ class ApparelPlayer:
         """The apparel vertices that go with the nodes [m], shape (A, 3), float32."""
         return self.carrier.places(moved, affine)
 
-    def _inputs(self, frame: Frame, transforms: np.ndarray) -> tuple[Inputs, torch.Tensor, torch.Tensor]:
-        """Features, frames of the carrying joints, and carried places as the recurrent part takes them."""
-        inputs = Inputs(
-            *self.still, torch.from_numpy(frame.vectors), torch.from_numpy(frame.scalars),
-            torch.from_numpy(frame.whole)[None], self.graph,
-        )  # fmt: skip
+    def _carried_by(self, frame: Frame, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Frames of the carrying joints and carried places as the recurrent part takes them."""
         root = transforms[0, :, 3] if self.network.recurrent is not None and self.network.recurrent.world else 0.0
-        places = ((frame.places - root) / self.wearer.scale).astype(np.float32)
-        return inputs, torch.from_numpy(np.ascontiguousarray(frame.turns)), torch.from_numpy(places)
+        return frame.turns, ((frame.places - root) / self.wearer.scale).astype(np.float32)
 
-    @torch.inference_mode()
+    def _past(self, *states: np.ndarray) -> FoldedPast:
+        """`past_of_states` of arrays."""
+        assert self.recurrent is not None
+        past = past_of_states(self.recurrent, *(torch.from_numpy(np.ascontiguousarray(value)) for value in states))
+        return past.rest.numpy(), past.whole.numpy(), past.places.numpy()
+
     def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
         """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
-        inputs, turns, places = self._inputs(frame, transforms)
-        anchor = self.network.anchor(inputs)
+        told = _told(frame)
+        anchor = self.folded.anchor(*told)
         if self.recurrent is None:
             if self.known is None:
-                return np.asarray(anchor)
+                return anchor
             self.known = FADE * self.known
             return np.asarray(anchor + self.known)
+        turns, places = self._carried_by(frame, transforms)
         if self.past is None:  # at rest, as far as is known
-            first = torch.zeros_like(anchor) if self.recurrent.world else anchor
-            alike = (value.expand(3, *value.shape) for value in (first, anchor, turns, places))
-            self.past = past_of_states(self.recurrent, *alike)
-        moved, self.past = self.recurrent(inputs, self.past, anchor, turns, places)
-        return np.asarray(moved)
+            first = np.zeros_like(anchor) if self.recurrent.world else anchor
+            self.past = self._past(*(np.stack([value] * 3) for value in (first, anchor, turns, places)))
+        moved, self.past = self.folded.recurrent(*told, self.past, anchor, turns, places)
+        return moved
 
     def clip(self, transforms: np.ndarray) -> np.ndarray:
         """The apparel vertices in all frames of a clip at 30 frames a second that begins from rest [m], shape (N, A,
@@ -150,3 +145,8 @@ class ApparelPlayer:
         """
         self.start(np.asarray(transforms[0], np.float32))
         return np.stack([self.advance(pose) for pose in transforms])
+
+
+def _told(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the network is told of a frame alone."""
+    return np.ascontiguousarray(frame.vectors), frame.scalars, frame.whole

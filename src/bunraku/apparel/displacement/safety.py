@@ -85,6 +85,8 @@ class Safety:
         pairs = np.sort(np.stack([here, nodes.neighbours.reshape(-1)], axis=1), axis=1)
         self.edges = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
         self.lengths = np.linalg.norm(nodes.rest[self.edges[:, 0]] - nodes.rest[self.edges[:, 1]], axis=1)
+        self.shortest, self.longest = self.settings.shortest * self.lengths, self.settings.longest * self.lengths
+        self.ends = tuple(np.ascontiguousarray(end) for end in self.edges.T)
         self.share = known_share(wearer.stiffness[nodes.part], self.settings)[:, None]
         # what lies on the body at rest stays there: the root of a part is held
         self.free = np.where(nodes.distance < HELD * scale, 0.0, 1.0)[:, None].astype(np.float32)
@@ -117,6 +119,7 @@ class Safety:
             self.hung = np.flatnonzero(hung)
             self.outward = away[hung] / width[hung, None]
             self.axis = nodes.rest[hung] - away[hung]
+            self.rays = _rays(self.outward, self.axis)
             reach = self._reach(points.rest[self.legs]) if len(self.hung) else np.zeros(0)
             self.leg_gap = np.minimum(width[hung] - reach, self.settings.clear * scale)
 
@@ -158,8 +161,17 @@ class Safety:
         """
         if self.depth is None or unposed is None:
             return places
-        push = self.depth.pushed(places, unposed, self.gap, self.most) - places
-        near = self.around @ np.concatenate([push, (push != 0).any(axis=1, keepdims=True)], axis=1, dtype=np.float32)
+        rows, step = self.depth.push(places, unposed, self.gap, self.most)
+        if not len(rows):
+            return places
+        push = np.zeros((len(places), 4), np.float32)
+        push[rows, :3] = step
+        push[rows, 3] = (step != 0).any(axis=1)
+        return self._spread(places, push)
+
+    def _spread(self, places: np.ndarray, push: np.ndarray) -> np.ndarray:
+        """Nodes moved by what is around them: a push and 1 for each that is pushed, 0 for others, shape (M, 4)."""
+        near = self.around @ push
         return np.asarray(places + self.free * (near[:, :3] / np.maximum(near[:, 3:], FEW)))
 
     def _over_legs(self, places: np.ndarray, affine: np.ndarray, body: np.ndarray) -> np.ndarray:
@@ -176,19 +188,17 @@ class Safety:
         push = np.zeros((len(places), 4), np.float32)
         push[self.hung, :3] = (short[:, None] * self.outward) @ turn.T
         push[self.hung, 3] = short > 0
-        near = self.around @ push
-        return np.asarray(places + self.free * (near[:, :3] / np.maximum(near[:, 3:], FEW)))
+        return self._spread(places, push)
 
     def _reach(self, legs: np.ndarray) -> np.ndarray:
         """How far the legs, in the frame of the pelvis, reach along the way out through each hanging node [m], shape
         (H,).
         """
-        along = self.outward @ legs.T
-        along -= np.einsum("ha,ha->h", self.axis, self.outward)[:, None]
-        square = (-2 * self.axis) @ legs.T
-        square += np.einsum("la,la->l", legs, legs) + np.einsum("ha,ha->h", self.axis, self.axis)[:, None]
+        seen = np.empty((5, len(legs)), np.float32)
+        seen[:3], seen[3], seen[4] = legs.T, 1, np.einsum("la,la->l", legs, legs)
+        along, square = np.split(self.rays @ seen, 2)  # and the square of the distance from the axis
         square -= along * along
-        return np.asarray(np.where(square < (BESIDE * self.scale) ** 2, along, -1).max(axis=1))
+        return np.asarray(np.where(square < (BESIDE * self.scale) ** 2, along, np.float32(-1)).max(axis=1))
 
     def vertices(self, places: np.ndarray, unposed: Unposed | None) -> np.ndarray:
         """Vertices that the carrier took along, out of the body where they are in it all the same [m], shape (A, 3).
@@ -206,7 +216,7 @@ class Safety:
         asked = [unposed.joint[self.node]]
         for node, gap in ((self.second, self.vertex_gap), (self.third, self.deep_gap)):
             joint = unposed.joint[node]
-            between = np.flatnonzero(np.all([joint != one for one in asked], axis=0))
+            between = np.flatnonzero(np.logical_and.reduce([joint != one for one in asked]))
             if len(between):
                 other = unposed.take(node[between])
                 out[between] = self.depth.pushed(out[between], other, gap[between], self.most)
@@ -214,12 +224,22 @@ class Safety:
         return out
 
     def _bounded(self, places: np.ndarray) -> np.ndarray:
-        a, b = self.edges.T
-        way = places[b] - places[a]
+        a, b = self.ends
+        way = places.take(b, axis=0) - places.take(a, axis=0)
         now = np.sqrt(np.einsum("ea,ea->e", way, way))
-        wanted = np.clip(now, self.settings.shortest * self.lengths, self.settings.longest * self.lengths)
-        step = way * (1 - wanted / np.maximum(now, 1e-9))[:, None].astype(np.float32)
-        return np.asarray(places + self.shared @ step)
+        wanted = np.minimum(np.maximum(now, self.shortest), self.longest)
+        way *= (1 - wanted / np.maximum(now, 1e-9))[:, None]
+        return np.asarray(places + self.shared @ way)
+
+
+def _rays(outward: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """What takes a point p, 1 and |p|^2 to how far it is along each of H rays, and below that to the square of its
+    distance from where the ray begins, shape (2 H, 5).
+    """
+    begin = np.einsum("ha,ha->h", axis, outward)
+    along = np.concatenate([outward, -begin[:, None], np.zeros((len(axis), 1))], axis=1)
+    square = np.concatenate([-2 * axis, np.square(axis).sum(axis=1, keepdims=True), np.ones((len(axis), 1))], axis=1)
+    return np.concatenate([along, square]).astype(np.float32)
 
 
 def _around(nodes: ApparelNodes, spread: float) -> np.ndarray:
