@@ -1,6 +1,7 @@
 """Clips of creatures: the table, and a made archive from files to the index."""
 
 import json
+import re
 from dataclasses import replace
 from importlib import resources
 
@@ -25,6 +26,7 @@ from bunraku.datasets.motions.creatures import (
 from bunraku.diffusion.features import encode
 from bunraku.errors import CharacterError, FormatError
 from bunraku.handles.from_rig import rig_handles
+from bunraku.language.captions import mirror_words
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.synthetic.samples import sample_character
 
@@ -37,13 +39,14 @@ def test_labels_become_actions_and_sentences():
     clips = creature_clips(
         "quaternius/animals_pack/Horse", ["AnimalArmature|Gallop", "AnimalArmature|Idle_HitReact_Left", "Untold"]
     )
-    assert [clip.action for clip in clips] == ["gallop", "hit reaction left"]
+    assert [clip.action for clip in clips] == ["gallop", "hit reaction right"]  # what throws it to the left
     assert clips[0].name == "creature_quaternius-animals_pack-Horse_Gallop"
-    assert "a horse gallops" in clips[0].texts and "the animal gallops" in clips[0].texts and not clips[0].person
+    assert "a horse gallops" in clips[0].texts and not clips[0].person
+    assert clips[0].texts[-1].startswith("the animal gallops, throwing")
     (rex,) = creature_clips("quaternius/dinosaurs_pack/Trex", ["Armature|TRex_Bite", "Armature|TRex_Run"])[-1:]
     assert rex.action == "run" and rex.species[0] == "tyrannosaurus"
     (fish,) = creature_clips("quaternius/cute_fish_pack/Tuna", ["Attack"])
-    assert fish.action == "attack" and "a tuna bites" in fish.texts
+    assert fish.action == "attack" and "a tuna darts forward" in fish.texts
     assert creature_clips("nobody/knows", ["Walk"]) == []
     assert not creature_clips("quaternius2019/Male_Casual", ["Man_Walk"])  # people walk in motion capture
 
@@ -56,6 +59,65 @@ def test_the_table_speaks_the_words_of_captions():
     assert set(HELD_OUT_SPECIES) <= {entry["species"][0] for entry in TABLE["characters"].values()}
 
 
+def watched_phrases():
+    """(character, label, phrases) of every clip that was watched."""
+    for file, known in TABLE["characters"].items():
+        for label, phrases in known.get("watched", {}).items():
+            yield file, label, phrases
+
+
+def test_what_was_watched_takes_the_place_of_the_labels_words():
+    (attack, other) = creature_clips("quaternius2019/Bat", ["Bat_Attack", "Bat_Attack2"])
+    assert attack.action == other.action == "attack" and not set(attack.texts) & set(other.texts)
+    assert attack.texts[0].startswith("a bat leans forward, folds its wings and spins")
+    assert not any("in another way" in text for text in other.texts)
+    (stegosaurus,) = creature_clips("quaternius/dinosaurs_pack/Apatosaurus", ["Stegosaurus_Death"])
+    assert "left side" in stegosaurus.texts[0] and stegosaurus.texts[0].startswith(
+        "an apatosaurus raises its long neck"
+    )
+    (white,) = creature_clips("quaternius/animals_pack/Horse_White", ["Walk"])  # a recoloured horse with its clips
+    assert "a horse walks on all fours with even steps" in white.texts
+    (unwatched,) = creature_clips("quaternius/cyberpunk_pack/Enemy_Flying", ["Shoot"])
+    assert "a drone fires a gun" in unwatched.texts
+    assert not creature_clips("quaternius2019/Eagle", ["Eagle|Idle"])
+
+
+def test_watched_labels_are_in_the_table_and_say_something():
+    found = list(watched_phrases())
+    assert len(found) > 300
+    for file, label, phrases in found:
+        known = TABLE["characters"][file]
+        assert known["species"][0] != "person", file
+        assert label in TABLE["labels"] or f"{known['plan']}:{label}" in TABLE["labels"], (file, label)
+        assert label not in known.get("leave_out", {}), (file, label)
+        assert 2 <= len(set(phrases)) == len(phrases) <= 3, (file, label)
+        for phrase in phrases:
+            assert phrase == phrase.strip() and phrase and phrase[0].islower() and phrase[-1].isalpha(), phrase
+            assert phrase.split()[0].rstrip(",").endswith("s"), phrase  # a verb that follows "a wolf"
+        assert len(phrases[0]) > len(phrases[-1]), (file, label)
+    for file, known in TABLE["characters"].items():
+        if "watched_like" in known:
+            assert TABLE["characters"][known["watched_like"]].get("watched"), file
+
+
+def test_sides_of_what_was_watched_change_places_in_a_mirrored_clip():
+    sided = [phrase for _, _, phrases in watched_phrases() for phrase in phrases if {"left", "right"} & words(phrase)]
+    assert len(sided) > 50
+    for phrase in sided:
+        mirrored = mirror_words(phrase)
+        assert mirrored != phrase and mirror_words(mirrored) == phrase
+        assert ("left" in words(mirrored)) == ("right" in words(phrase)), phrase
+    for file in TABLE["characters"]:  # one clip is the other in the mirror
+        clips = creature_clips(file, ["Idle_HitReact_Left", "Idle_HitReact_Right"])
+        if len(clips) == 2:
+            assert tuple(map(mirror_words, clips[0].texts)) == clips[1].texts, file
+            assert mirror_words(clips[0].action) == clips[1].action, file
+
+
+def words(phrase):
+    return set(re.findall(r"\w+", phrase))
+
+
 def test_held_out_species_and_characters_are_never_trained_on():
     for file in TABLE["characters"]:
         for clip in creature_clips(file, ["Attack", "Walk", "Death", "Idle", "Swim"]):
@@ -63,7 +125,7 @@ def test_held_out_species_and_characters_are_never_trained_on():
             if clip.species[0] in HELD_OUT_SPECIES or file in HELD_OUT:
                 assert split == "test"
     horse, other = (
-        creature_clips(file, ["Walk"])[0] for file in ("quaternius/animals_pack/Horse", "quaternius2019/Horse")
+        creature_clips(file, ["Jump", "Walk"])[0] for file in ("quaternius/animals_pack/Horse", "quaternius2019/Horse")
     )
     assert creature_split(horse) == "train" and creature_split(other) == "test"
 

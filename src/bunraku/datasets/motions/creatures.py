@@ -2,9 +2,9 @@
 
 Each character gets the handles that the shipped predictor gives its bare mesh, as those of whoever has an unrigged
 copy. Its clips are registered to them and taken to the reference body (`bunraku.retarget.reference`), from where
-`fit_motion` of a `native` motion takes them back. `creature_clips.json` holds the species of every file and the action
-and the words of every label. Of people with equal clips one is taken, without the walking that motion capture has more
-of; they join as clips of any humanoid.
+`fit_motion` of a `native` motion takes them back. `creature_clips.json` holds the species of every file, the action
+and the words of every label, and, in place of those words, sentences of whoever watched the clip. Of people with equal
+clips one is taken, without the walking that motion capture has more of; they join as clips of any humanoid.
 """
 
 from __future__ import annotations
@@ -106,6 +106,15 @@ def _sentences(species: tuple[str, ...], generic: str, phrases: list[str]) -> tu
     return tuple(dict.fromkeys(out))
 
 
+def _seen(characters: dict[str, dict[str, Any]], file: str, word: str) -> list[str] | None:
+    """Phrases written from watching this clip; they stand with the character named in `watched_like` where the same was
+    seen on it.
+    """
+    known = characters[file]
+    own: list[str] | None = known.get("watched", {}).get(word)
+    return own or characters.get(known.get("watched_like", ""), {}).get("watched", {}).get(word)
+
+
 def creature_clips(file: str, labels: list[str]) -> list[CreatureClip]:
     """What the table says of the clips of a character; those that it does not name are left out.
 
@@ -131,7 +140,8 @@ def creature_clips(file: str, labels: list[str]) -> list[CreatureClip]:
         entry = table["labels"].get(f"{plan}:{word}") or table["labels"].get(word)
         if entry is None or (person and entry["action"] in _SEEN_ON_PEOPLE):
             continue
-        texts = _sentences(species, table["generic"][plan], entry["phrases"])
+        phrases = _seen(table["characters"], file, word) or entry["phrases"]
+        texts = _sentences(species, table["generic"][plan], phrases)
         name = "creature_" + re.sub(r"[^A-Za-z0-9_-]", "-", f"{file.replace('/', '-')}_{short}")
         out.setdefault(
             name,
