@@ -27,6 +27,11 @@ from bunraku.language.clauses import of_creature, of_person, split_clauses, time
         ("Walk to the left, turn around, walk back", ["Walk to the left", "turn around", "walk back"]),
         ("she walks slowly, then faster, and finally runs", ["she walks slowly, then faster", "she runs"]),
         ('"walks", then "runs"', ["walks", "runs"]),
+        ("turns around and looks into the distance", ["turns around", "looks into the distance"]),
+        ("a person turns left and waves", ["a person turns left", "a person waves"]),
+        ("she stands up and claps", ["she stands up", "she claps"]),
+        ("walks forward and salutes", ["walks forward", "salutes"]),
+        ("runs and jumps over a fence", ["runs", "jumps over a fence"]),
     ],
 )
 def test_clauses_come_in_the_order_of_time(sentence, clauses):
@@ -37,6 +42,12 @@ def test_clauses_come_in_the_order_of_time(sentence, clauses):
     "sentence",
     [
         "walks and waves",
+        "a man walks and shrugs",
+        "jumps and turns",
+        "turns and kicks",
+        "turns around and walks back",
+        "sits down and reads a book",
+        "walks forward while nodding and salutes",
         "walks slowly, carefully",
         "walks forward, waving",
         "a man strides along, lifting the legs high, with swinging arms",

@@ -57,6 +57,7 @@ def test_gestures_move_arms_and_head(sentence, body, gesture):
     [
         "a person walks", "waves", "walks and turns left", "a person walks with swinging arms", "claps and waves",
         "kicks while waving",
+        "walks and stumbles", "walks while climbing a ladder",
         "lifts a box and walks", "walks and waves and claps", "shakes a rug and walks", "and", "walks while", "",
     ],
 )  # fmt: skip

@@ -20,7 +20,7 @@ ACTIONS: dict[str, str] = GESTURE_WORDS | {
     "handstand": r"handstands?|walk\w* on (the )?hands|stands? on (the )?head|headstand",
     "flip": r"back ?flips?|front ?flips?|somersaults?|flic.?flac|handsprings?|flips? (over|backward|forward)",
     "roll": r"rolls? (over|forward|backward|on|across|sideways|to)|forward roll|backward roll|\brolls?$",
-    "push-up": r"push-?ups?",
+    "push-up": r"push-?ups?|press-?ups",
     "sit-up": r"sit-?ups?|crunch(es)?",
     "lunge": r"lunges?|lunging",
     "squat": r"squats?|squatting|knee bends?|crouch\w* (deep|down)|deep crouch",
@@ -34,7 +34,7 @@ ACTIONS: dict[str, str] = GESTURE_WORDS | {
         r"knee (lifts?|raises?|to elbow)|(lifts?|raises?|lifting|raising) (the |each |one |a )?(left |"
         r"right )?knees?|high knees|knees high"
     ),
-    "punch": r"punch\w*|jabs?|jabbing|uppercuts?|hooks?|box(es|ing)?|shadow ?box\w*|spar(s|ring)?|hits? out",
+    "punch": r"punch\w*|jabs?|jabbing|uppercuts?|hooks?|spar(s|ring)?|hits? out",
     "block": r"blocks?|blocking|dodg\w*|ducks?|ducking|parr(y|ies)|evad\w*|guard stance",
     "sword": r"swords?|slash\w*|stab\w*|spear|axe|chops?|chopping|fenc\w*|shield",
     "shoot": (
@@ -42,7 +42,7 @@ ACTIONS: dict[str, str] = GESTURE_WORDS | {
         r"arrow)|pistol|rifle|archer\w*|arrows?|crossbow|(draw\w*|aim\w*|shoot\w*|rais\w+|lower\w*|hold\w*|with|lifts?)"
         r" (a |the )?(drawn )?bow\b"
     ),
-    "dribble": r"dribbl\w*",
+    "dribble": r"dribbl\w*|bounc\w+ (a|the) (basket)?ball",
     "shoot a ball": (
         r"(jump |shoot\w* |throw\w* )?(a |the )?(basketball|basket|jump shot|free throw|lay-?up)s?|shoots?( a|"
         r" the)? ball|jump shots?"
@@ -90,7 +90,7 @@ ACTIONS: dict[str, str] = GESTURE_WORDS | {
     "pull": r"pulls?|pulling|tugs?|drags?|dragging",
     "reach": r"reach\w*|grab\w*|grasp\w*",
     "raise arm": (
-        r"(raises?|raising|lifts?|lifting|puts?|holds?|stretch\w*) (up )?(the |both |one |an |his |her |"
+        r"(raises?|raising|lifts?|lifting|puts?|holds?|stretch\w*) (up )?(the |both |one |an? |his |her |"
         r"each )?(left |right )?(arms?|hands?)( up| high| overhead| forward| out| above)?|arms? (up|raised|"
         r"overhead|out|wide)|hands? up"
     ),
@@ -106,19 +106,20 @@ ACTIONS: dict[str, str] = GESTURE_WORDS | {
     "climb": r"climb\w*|ladder|scrambl\w*|steps? up on(to)?|stairs?|steps? (over|onto)",
     "hang": r"hang\w*|monkey bars?|pull-?ups?|swings? (on|from)",
     "crawl": r"crawl\w*|on (all fours|hands and knees)|creep(s|ing)? on",
-    "swim": r"swim\w*|breaststroke|freestyle|crawl stroke|diving",
+    "breaststroke": r"breast-?strokes?",
+    "swim": r"swim\w*|freestyle|crawl stroke|diving",
     "fly": r"fl(y|ies|ying)\b|levitat\w*|hover\w*|float\w*",
     "sit": r"sits?|sitting|seated|takes? a seat",
     "stand up": r"stands? (back )?up|gets? (back )?up|ris(e|es|ing)( up)?|standing up|getting up|straighten\w* up",
     "kneel": r"kneel\w*|(on|to) (one|the left|the right|both) knees?|takes a knee",
     "lie": r"lies?|lying|sleep\w*|laid",
-    "fall": r"falls?|falling|collaps\w*|trips?( over)?|knocked|tumbl\w*|drops? (dead|to)",
+    "fall": r"falls?|falling|collaps\w*|knocked|tumbl\w*|drops? (dead|to)",
     "stagger": (
-        r"stagger\w*|stumbl\w*|drunk\w*|dizz\w*|wobbl\w*|lurch\w*|totter\w*|off balance|pushed|shoved|recoil\w*"
+        r"stagger\w*|drunk\w*|dizz\w*|wobbl\w*|lurch\w*|totter\w*|off balance|pushed|shoved|recoil\w*"
     ),
     "limp": r"limp\w*|hobbl\w*|injured|hurt (leg|foot)",
-    "zombie": (
-        r"zombie|mummy|monster|frankenstein|ghost|gorilla|ape|monkey|dinosaur|chicken|bear|elephant|cat\b|robot"
+    "imitate": (
+        r"monster|ghost|gorilla|ape|monkey|dinosaur|chicken|bear|elephant|cat\b|robot"
     ),
     "sneak": r"sneak\w*|tiptoe\w*|prowl\w*|stealth\w*|creep\w*|on tiptoes?|stalk\w*",
     "march": r"march\w*|goose-?step\w*|parade",
@@ -162,11 +163,11 @@ ACTIONS: dict[str, str] = GESTURE_WORDS | {
 """Canonical words with what stands for them, the more special first: "jumping jacks" are no jumps."""
 
 CYCLIC = frozenset({
-    "walk", "run", "march", "sneak", "limp", "zombie", "skip", "hop", "jumping jack", "jump rope", "wave",
-    "clap", "nod", "shake head", "punch", "dribble", "swim", "crawl", "dance", "salsa", "idle", "arm circle",
-    "spin", "circle", "sidestep", "backward", "wash", "cook", "twist", "knee lift", "push-up", "sit-up",
+    "walk", "run", "march", "sneak", "limp", "zombie", "imitate", "skip", "hop", "jumping jack", "jump rope", "wave",
+    "clap", "nod", "shake head", "punch", "dribble", "swim", "breaststroke", "crawl", "dance", "salsa", "idle",
+    "arm circle", "spin", "circle", "sidestep", "backward", "wash", "cook", "twist", "knee lift", "push-up", "sit-up",
     "squat", "climb", "hang", "fly", "stagger", "talk", "racket", "carry", "pray", "lie", "sit", "eat", "drink",
-    "phone",
+    "phone", "march in place", "run in place", "wave both", "box", "tennis",
 })  # fmt: skip
 """Actions that are still the same when they are done again."""
 
@@ -175,7 +176,7 @@ _SWALLOWS = {
     "jump rope": {"jump", "skip"},
     "long jump": {"jump", "run", "idle"},
     "push-up": {"push"},
-    "sit-up": {"sit"},
+    "sit-up": {"sit", "lie"},
     "turn around": {"turn", "circle"},
     "spin": {"turn", "turn around"},
     "circle": {"turn", "turn around"},
@@ -187,11 +188,16 @@ _SWALLOWS = {
     "handstand": {"idle"},
     "stand up": {"idle"},
     "knee lift": {"raise arm", "kneel"},
-    "zombie": {"walk"},
+    "imitate": {"walk"},
     "march": {"walk"},
     "sneak": {"walk"},
     "limp": {"walk"},
-    "stagger": {"walk"},
+    "stagger": {"walk", "stumble"},
+    "fall": {"stumble"},
+    "punch": {"throw"},
+    "skip": {"hop", "jump"},
+    "breaststroke": {"swim"},
+    "swim": {"crawl"},
     "kneel": {"idle"},
     "flip": {"turn around", "turn"},
     "salsa": {"dance"},
@@ -201,7 +207,7 @@ _SWALLOWS = {
     "lunge": {"walk"},
     "squat": {"idle"},
     "bow": {"idle"},
-    "dribble": {"shoot a ball"},
+    "dribble": {"shoot a ball", "jump"},
     "phone": {"talk"},
     "stretch": {"raise arm"},
     **SWALLOWED,

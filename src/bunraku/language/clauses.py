@@ -32,9 +32,23 @@ ONCE = {
     "jump": 2.0, "long jump": 2.3, "kick": 2.0, "reach": 2.2, "sword": 1.6, "pick up": 3.2, "put down": 2.7,
     "stand up": 2.5, "raise arm": 2.5, "turn": 2.0, "turn around": 2.5, "fall": 2.4, "roll": 2.0, "cartwheel": 3.0,
     "flip": 2.0, "throw": 2.4, "kneel": 2.5, "catch": 2.4, "bow": 2.5, "lunge": 1.8, "shoot": 1.8, "shoot a ball": 3.0,
-    "salute": 2.2, "point": 2.2,
+    "salute": 2.2, "point": 2.2, "shrug": 2.0, "kiss": 2.5, "thumbs up": 2.4, "stop": 2.4, "facepalm": 2.6,
+    "shake hands": 2.6, "high five": 2.0, "hug": 3.2, "sneeze": 2.3, "cast": 2.8, "open door": 2.5, "watch": 2.4,
+    "photo": 2.9, "yawn": 3.2, "propose": 3.4, "both knees": 3.2, "pitch": 3.0, "serve": 3.2, "bat": 3.2, "golf": 3.8,
+    "stumble": 3.2, "jump over": 2.5,
 }  # fmt: skip
 """How long captured people take for what is done once [s], by the words of `language.actions`: medians, rounded up."""
+_FIRST = {"turn", "turn around", "stand up"}
+_WHEELS = {"jump", "hop", "kick", "spin", "circle", "dance", "ballet", "salsa", "backward", "sidestep", "idle", "talk"}
+"""What goes together with a turn."""
+_GOES = {"walk", "run", "march", "sneak", "backward", "sidestep", "skip", "circle"}
+_STOPS = {
+    "salute", "look far", "bow", "kneel", "both knees", "propose", "pray", "stop", "facepalm", "hands on hips",
+    "shake hands", "high five", "hug", "photo", "knock", "open door", "write", "cast", "stretch", "pick up", "put down",
+    "throw", "jump over", "ladder", "golf", "bat", "pitch", "serve", "piano", "shoot", "sit", "lie", "fall", "squat",
+    "push-up", "sit-up", "stumble",
+}  # fmt: skip
+"""What people who go stop for, if it is not said that they do both at once."""
 GOING, LEAST_GOING = 2.5, 1.5
 """Time that goes on doing something is worth beside these, and the least that it gets before they get less [s]."""
 SHORTEST_CLAUSE = 1.0
@@ -129,8 +143,9 @@ def split_clauses(sentence: str) -> list[str]:
         return [sentence]  # training knows it as it is
     parts = _ORDER.split(_BEGINS.sub("", text))
     pieces = [piece for part in parts for piece in _hinged(part)]
+    items = [item for piece in pieces for item in _listed(piece, len(pieces) > 1)]
     clauses: list[str] = []
-    for item in (item for piece in pieces for item in _listed(piece, len(pieces) > 1)):
+    for item in (item for one in items for item in _turned_first(one)):
         clause = _OPENING.sub("", item).strip(" ,.;!")
         if clauses and clause and (_NO_VERB.match(clause) or not clause[0].isalpha()):
             clauses[-1] += f", then {clause}"  # "runs left, then right"
@@ -230,6 +245,23 @@ def _listed(piece: str, ordered: bool) -> list[str]:
             head, _, last = others[-1].rpartition(" and ")
             return [first, *others[:-1], head, last] if head and verb.match(last) else [first, *others]
     return [piece]
+
+
+def _turned_first(piece: str) -> list[str]:
+    """ "turns around and waves" and "walks forward and salutes" as their two halves, where nobody does the second while
+    he does the first: after a turn or getting up anything, and after a walk what people stop for. "Walks and waves" is
+    one.
+    """
+    head, joint, last = piece.rpartition(" and ")
+    if not joint or " and " in head or "," in piece or " while " in piece:
+        return [piece]
+    begin = subject_of(_OPENING.sub("", head))[1]
+    if not any(_begins(form).match(begin) and _begins(form).match(last) for form in ("third", "gerund", "plain")):
+        return [piece]
+    first, second = set(actions_of(head)), set(actions_of(last))
+    turned = first and first <= _FIRST and second and not second & (_FIRST | _WHEELS)
+    stopped = first and first <= _GOES and second and second <= _STOPS
+    return [head, last] if turned or stopped else [piece]
 
 
 def script_spans(script: Iterable[tuple[str, int]]) -> Iterator[tuple[str, slice]]:

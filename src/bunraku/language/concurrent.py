@@ -27,7 +27,12 @@ _LEGS = (
 )  # fmt: skip
 _ARMS = ("wave", "clap", "applaud", "salute", "cheer", "point", "beckon", "drink", "greet")
 _HEAD = ("nod",)
-_SIGNS = (GESTURE_WORDS.keys() - {"look around", "propose"}) | {
+_WHOLE = {
+    "look around", "propose", "kneel", "both knees", "pitch", "bat", "tennis", "serve", "march in place",
+    "run in place", "zombie", "stumble", "jump over", "ladder",
+}  # fmt: skip
+"""Gestures that take the legs too, or the head alone."""
+_SIGNS = (GESTURE_WORDS.keys() - _WHOLE) | {
     "clap", "shrug", "point", "salute", "pray", "eat", "drink", "phone", "cook",
 }  # fmt: skip
 _PARTS = {"arms": ("arms",), "head": ("head",), "arms and head": ("arms", "head")}

@@ -11,7 +11,8 @@ _OWN = r"(the |a |one |both |his |her |their |its )?(left |right )?"
 _SOMEBODY = r"(somebody|someone|people|him|her|them|us|me)"
 
 GESTURE_WORDS: dict[str, str] = {
-    "look around": r"look(s|ing)? (around|about|left and right|right and left|from side to side)",
+    "look around": r"look(s|ing)? (around|about|left and right|right and left|from side to side|"
+    r"(back |behind )?(over|across) (the |his |her |their |its )?(left |right )?shoulder)",
     "look far": rf"look(s|ing)? (far( away)?|into the distance)|(shad|shield)(es|ing) {_OWN}eyes",
     "kiss": r"kiss(es)?|kissing",
     "thumbs up": r"thumbs?[- ]up|thumb in approval",
@@ -57,20 +58,55 @@ GESTURE_WORDS: dict[str, str] = {
     "rock": r"(rock|cradl)(s|es|ing) (a|the) baby|holds a baby",
     "wipe brow": rf"wip(es|ing) {_OWN}(sweat|brow|forehead)",
     "rub belly": rf"(rub|pat|strok)(s|es|bing|ting|ing) {_OWN}(belly|stomach|tummy)|stomach ?ache",
+    "wave both": (
+        r"wav(e|es|ing) ([a-z]+ )?(with )?(both|two) (of )?(the )?(hands|arms)|wav(e|es|ing) (the |his |her |their )?"
+        r"arms"
+    ),
     "both knees": r"(on|to) both knees",
     "propose": r"propos(es|ing)|holds out a ring",
+    "box": (
+        r"boxers?|boxing|shadow[- ]?box\w*|(?:^|person |man |woman |boy |girl |somebody |someone |he |she |and )boxe?s"
+        r"( in| against| with| like|$)"
+    ),
+    "pitch": r"pitch(es|ing)? (a|the) (\w+ )?(ball|baseball|fastball|strike)|pitchers?",
+    "bat": (
+        r"(swing|swings|swinging) (a|the) (\w+ )?bat|with (a|the) (baseball )?bat|baseball bats?|plays? baseball|"
+        r"playing baseball|bats a ball"
+    ),
+    "tennis": r"(?<!table )(?<!table-)tennis|rackets?|racquets?",
+    "serve": r"serv(es?|ing)( a)?( the)?( in)? (tennis|ball|volleyball)|tennis serves?|tosses the ball up and serves",
+    "march in place": (
+        r"(march|walk|stepp?)(es|s|ing)? (slowly |quickly |fast )?(in place|on the spot)|marching steps in place|"
+        r"marks time"
+    ),
+    "run in place": (
+        r"(run|runs|running|jogs?|jogging|sprints?) (slowly |quickly |fast |lightly )?(in place|on the spot)"
+    ),
+    "zombie": r"zombies?|mummy|mummies|frankenstein|undead",
+    "stumble": r"stumbl(e|es|ing)|(?<!ego )trip(s|ping)?( over)?|loses (the |his |her )?balance",
+    "jump over": (
+        r"(jump|leap|spring|bound|vault)(s|ing)? over|hurdl(e|es|ing)|over (a|an|the|some) (\w+ )?(hurdle|puddle|"
+        r"obstacle|fence|log|gap|ditch)"
+    ),
+    "ladder": r"climb(s|ing)? (up )?(on |onto )?(a |the )?ladder|(?<!from )up (a |the )?ladder",
 }  # fmt: skip
 """Canonical words with what stands for them."""
 
 GESTURE_THINGS = (
-    "goodbye searching everybody cups plate apple camera orchestra book page pot wrapped waking noise biceps club meal"
+    "goodbye searching everybody cups plate apple camera orchestra book page pot wrapped waking noise biceps club meal "
+    "soldier boxer jabs cross hook overarm stone fastball baseball racket serve pitcher press fours puddle obstacle "
+    "log abs freestyle newspaper soup spoon undead"
 )
 """Other words of sentences that tell these gestures."""
 _ALWAYS = frozenset({"idle", "raise arm", "talk", "twist", "put down", "reach", "stretch"})
 _MORE: dict[str, set[str]] = {
     "stop": {"signal"}, "beckon": {"wave"}, "dab": {"dance"}, "fist pump": {"cheer"},
     "text": {"phone", "write", "type"}, "conduct": {"signal"}, "brush teeth": {"wash"}, "wipe brow": {"wash"},
-    "cast": {"throw"},
+    "cast": {"throw"}, "wave both": {"wave"}, "box": {"punch", "throw", "block"},
+    "pitch": {"throw", "baseball", "knee lift"}, "bat": {"baseball", "throw"}, "tennis": {"racket"},
+    "serve": {"tennis", "racket", "throw"}, "march in place": {"march", "walk", "knee lift"},
+    "run in place": {"run", "knee lift"}, "zombie": {"walk", "stagger", "march"}, "stumble": {"catch", "walk"},
+    "jump over": {"jump", "run", "long jump", "knee lift", "sword"}, "ladder": {"climb", "walk"},
     "read": {"turn"}, "propose": {"kneel"}, "both knees": {"kneel"}, "facepalm": {"cry"}, "shake hands": {"shake head"},
 }  # fmt: skip
 SWALLOWED: dict[str, frozenset[str]] = {name: _ALWAYS | frozenset(_MORE.get(name, ())) for name in GESTURE_WORDS}

@@ -247,3 +247,16 @@ def test_a_cycle_is_done_as_often_as_fits_best():
     found = circled(features, (25, 5), 44)  # two of them span the cycle that was named
     np.testing.assert_allclose(found[:, 5], np.sin(2 * np.pi * (np.arange(44) * 40 / 44 % 20 + 5) / 10), atol=0.06)
     np.testing.assert_allclose(found[:, 2], 40 / 44, atol=1e-5)
+
+
+def test_a_gesture_made_by_code_that_rests_in_the_air_stays_there(pack, units):
+    high = pack.features(1).copy()
+    high[:, 3] += np.linspace(0, 1.5, len(high))
+    high[-6:] = high[-6]
+    high[-6:, :3] = 0
+    skeleton = skeleton_from_handles(decode(high))
+    data = (pack.data[0], packed_stretch(skeleton.root_translation, skeleton.rotations))
+    for name, stays in (("climb", False), ("gesture_ladder_1", True)):
+        climb = replace(pack, examples=(pack.examples[0], replace(pack.examples[1], name=name)), data=data)
+        guide = laid(climb, KICK, 60, units, np.random.default_rng(0))
+        assert (guide.share[-5:] == 1).all() == stays

@@ -54,3 +54,60 @@ def test_plain_walks_take_only_what_is_near(pack):
         near = cosine * AXES[0] + (1 - cosine**2) ** 0.5 * AXES[1]
         assert names(walk, "somebody walks", near) == found
         assert names(pack, "somebody waves", near) == [("wave", False)]
+
+
+def test_where_a_gesture_made_by_code_is_nearest_only_what_is_about_as_near_is_offered(pack):
+    near = 0.75 * AXES[0] + 0.66 * AXES[1]
+    both = replace(pack, examples=(pack.examples[0], replace(pack.examples[1], texts=("waves",))))
+    assert names(both, "someone is waving", (AXES[0] + AXES[1]) / 2**0.5) == [("wave", False), ("kick", False)]
+    assert len(names(both, "someone is waving", near)) == 2
+    made = replace(both, examples=(replace(both.examples[0], name="gesture_wave_1"), both.examples[1]))
+    assert names(made, "someone is waving", near) == [("gesture_wave_1", False)]
+    assert len(names(made, "someone is waving", (AXES[0] + AXES[1]) / 2**0.5)) == 2
+    other = replace(both, examples=(both.examples[0], replace(both.examples[1], name="gesture_wave_1")))
+    assert ("wave", False) in names(other, "someone is waving", near)
+
+
+def test_a_gesture_made_by_code_is_what_its_words_say_however_near(pack):
+    sits = replace(pack, examples=(replace(pack.examples[0], texts=("does sit-ups",)), pack.examples[1]))
+    assert names(sits, "a person sits down", AXES[0]) == [("wave", False)]  # its sentence means the same
+    made = replace(sits, examples=(replace(sits.examples[0], name="gesture_sit-up_1"), pack.examples[1]))
+    assert names(made, "a person sits down", AXES[0]) == []
+    assert names(made, "someone does sit-ups", AXES[0]) == [("gesture_sit-up_1", False)]
+
+
+def named(pack, name, *texts):
+    return replace(pack, examples=(replace(pack.examples[0], name=name, texts=texts), pack.examples[1]))
+
+
+def test_a_gesture_made_by_code_is_mirrored_only_where_a_side_is_said(pack):
+    between = (AXES[0] + AXES[2]) / 2**0.5
+    made = named(pack, "gesture_wave_1", "a person waves with the left hand", "waves")
+    assert names(made, "someone is waving", between) == [("gesture_wave_1", False)]
+    assert names(made, "someone waves with the right hand", between) == [("gesture_wave_1", True)]
+
+
+def test_a_halt_that_was_not_asked_for_is_no_example_of_a_run(pack):
+    run = named(pack, "run", "someone running comes to a halt and sets off again", "runs")
+    assert names(run, "a person runs", AXES[0]) == []
+    assert names(named(pack, "run", "a person runs"), "a person runs", AXES[0]) == [("run", False)]
+
+
+def test_one_arm_is_no_example_of_both(pack):
+    one, two = named(pack, "one", "raises the left arm"), named(pack, "two", "raises both arms")
+    assert names(one, "a person raises an arm", AXES[0]) == [("one", False)]
+    assert names(one, "a person raises both arms", AXES[0]) == []
+    assert names(two, "a person raises both arms", AXES[0]) == [("two", False)]
+    assert names(two, "a person raises an arm", AXES[0]) == []
+
+
+def test_who_is_on_the_floor_does_not_get_up_from_a_chair(pack):
+    chair = named(pack, "chair", "stands up from a chair")
+    assert names(chair, "a person stands up from the floor", AXES[0]) == []
+    assert names(chair, "a person stands up", AXES[0]) == [("chair", False)]
+
+
+def test_both_feet_are_no_example_of_one(pack):
+    hop = named(pack, "hop", "hops forward from both feet", "hops")
+    assert names(hop, "a person hops on one foot", AXES[0]) == []
+    assert names(hop, "a person hops", AXES[0]) == [("hop", False)]

@@ -114,8 +114,8 @@ def laid(
         start = int(random.integers(len(values) - frames + 1))
         return Guide(values[start : start + frames], np.ones(frames, np.float32), made)
     lead = min(int((frames - len(values)) * random.uniform(0.15, 0.5)), _LEAD)
-    first = _end(features[:END], values[:END], features[-1, 3], statistics)
-    last = _end(features[-END:], values[-END:], features[0, 3], statistics)
+    first = _end(features[:END], values[:END], features[-1, 3], statistics, bool(made[0]))
+    last = _end(features[-END:], values[-END:], features[0, 3], statistics, bool(made[0]))
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
     led = longer = values
     if len(values) < frames and pack.standing:
@@ -140,11 +140,15 @@ def laid(
     return Guide(held(held(longer[::-1], lead, still, EASE)[::-1], room - lead, still, EASE), share, made)
 
 
-def _end(features: np.ndarray, values: np.ndarray, other: float, statistics: FeatureStatistics) -> str:
+def _end(
+    features: np.ndarray, values: np.ndarray, other: float, statistics: FeatureStatistics, made: bool = False
+) -> str:
     """What may be done where a motion ends, of its last frames, shape (M, D), in both units, and the height of the root
     at its other end [m]: it "stays"; it "moves" but stands, and can be joined to standing; or it is "free", left to the
-    sampler, as in the air, in a crouch and in a run.
+    sampler, as in the air, in a crouch and in a run. A gesture that is `made` by code rests where it says so.
     """
+    if made and rests(values, statistics):
+        return "stays"
     height = float(features[:, 3].max())
     if _crouches(height, other) or height > AIRBORNE or np.linalg.norm(features[:, 1:3], axis=1).mean() > GOES:
         return "free"

@@ -19,6 +19,8 @@ from bunraku.diffusion.features import mirror
 __all__ = ["Leads"]
 
 NEAREST = 3
+ALIKE = 1.0
+"""Distance of poses by which others of these may begin less so than the nearest."""
 TRIED = 3
 """Examples that are looked at for one."""
 ODD = 4.9
@@ -73,10 +75,11 @@ class Leads:
         return Lead(self.pack, tuple(chosen), (*seed, number)) if any(chosen) else None
 
     def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
-        """The few that begin most as another ends."""
+        """The few that begin most as another ends: who sits on a chair does not get up from the floor."""
         end = self._pose(last, -1)
-        away = [float(pose_distance(self._pose(one, 0), end)) for one in fitting]
-        return [fitting[place] for place in np.argsort(away, kind="stable")[:NEAREST].tolist()]
+        away = np.sqrt([float(pose_distance(self._pose(one, 0), end)) for one in fitting])
+        order = np.argsort(away, kind="stable")[:NEAREST]
+        return [fitting[place] for place in order[away[order] <= away.min(initial=np.inf) + ALIKE].tolist()]
 
     def _begins_oddly(self, found: Found) -> bool:
         """Whether who stands as an example begins does so bent, as between two exercises, or with a leg far up."""

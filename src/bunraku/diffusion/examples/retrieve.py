@@ -22,17 +22,25 @@ MOST = 16
 """Examples that are offered for a sentence."""
 NEAR = 0.12
 """Mean cosine by which an example may be farther than the nearest one."""
+NEAR_MADE = 0.05
+"""The same for a captured one where the nearest is made by code, since what is captured shows that less plainly."""
 LEAST = 0.6
 """Mean cosine from which an example is one at all."""
 WALKING = 0.8
 """The same for plain walks and runs, which the network does well by itself."""
 SAME = 0.9
-"""Cosine of two sentences that mean the same, whatever words `language.actions` finds in them."""
+"""Cosine of two sentences that mean the same, whatever words `language.actions` finds in them. A gesture made by code
+is what its words say: the ranker has never seen it, and takes sit-ups for sitting down.
+"""
 _PACE = {"slow", "fast"}
 """What an example must not say that was not asked for."""
 _GOES = {"walk", "run", "jump", "long jump", "hop", "skip", "march", "sneak", "crawl"}
+_NOTHING = frozenset(main_actions([]))
 _TURNS = {"turn", "turn around", "spin", "circle"}
 _CHAIR = re.compile(r"\b(chair|stool|bench|seat|sofa|couch|armchair)\b")
+_BOTH = re.compile(r"\b(both|two|arms|hands)\b")
+_ONE_FOOT = re.compile(r"\b(one|left|right) (foot|leg)\b")
+_HALTS = re.compile(r"\b(halt\w*|stop\w*|pauses?|waits?|restart\w*)\b")
 _FLOOR = re.compile(r"\b(floor|ground|knees|l(ies|ying))\b")
 _SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in ("arm", "leg", "turn", "go")) | {
     "forward",
@@ -72,29 +80,46 @@ def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found
         sentence: In English, of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
+    said = sentence.lower()
     asked = _Asked(
-        frozenset(main_actions([sentence])), said_cues(sentence), _CHAIR.search(sentence.lower()) is not None
+        frozenset(main_actions([sentence])),
+        said_cues(sentence),
+        *(bool(at.search(said)) for at in (_CHAIR, _FLOOR, _HALTS, _BOTH, _ONE_FOOT)),
     )
+    sided = any(cue.startswith(("left", "right")) for cue in asked.cues)
     least = WALKING if asked.actions <= {"walk", "run"} else LEAST
     found = []
     for mirrored in (False, True):
-        near = pack.texts[int(mirrored)].astype(float) @ vector
+        cosines = pack.texts[int(mirrored)].astype(float) @ vector
         best = np.full(len(pack.examples), -1.0)
-        np.maximum.at(best, pack.owners, near)
+        np.maximum.at(best, pack.owners, cosines)
         score = 0.5 * (best + pack.motions[int(mirrored)].astype(float) @ vector)
         for index in np.flatnonzero(score >= least).tolist():
-            if _fits(pack.examples[index].texts, mirrored, asked, float(best[index])):
+            one = pack.examples[index]
+            if one.made and mirrored and not sided:  # made by code with the hand that most people take
+                continue
+            near = 0.0 if one.made and asked.actions != _NOTHING else float(best[index])
+            if _fits(one.texts, mirrored, asked, near):
                 found.append(Found(index, mirrored, float(score[index])))
     found.sort(key=lambda one: -one.score)
-    return [one for one in found if one.score >= found[0].score - NEAR][:MOST]
+    made = bool(found) and pack.examples[found[0].place].made
+    made = made and asked.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
+    away = [NEAR if pack.examples[one.place].made or not made else NEAR_MADE for one in found]
+    return [one for one, most in zip(found, away, strict=True) if one.score >= found[0].score - most][:MOST]
 
 
 class _Asked(NamedTuple):
-    """What a sentence asks for: actions, cues (`language.cues`), and whether there is a chair."""
+    """What a sentence asks for: actions, cues (`language.cues`), and whether there is a chair, the floor, a halt,
+    more than one arm, and one leg alone.
+    """
 
     actions: frozenset[str]
     cues: frozenset[str]
     seated: bool
+    floored: bool
+    halts: bool
+    both: bool
+    one_foot: bool
 
     @property
     def shown(self) -> frozenset[str]:
@@ -107,6 +132,14 @@ def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) ->
     if near < SAME and frozenset(main_actions(texts)) != asked.actions:
         return False
     if asked.seated and any(_FLOOR.search(text.lower()) for text in texts):
+        return False
+    if asked.floored and any(_CHAIR.search(text.lower()) for text in texts):
+        return False
+    if asked.actions == {"hop"} and asked.one_foot and not any(_ONE_FOOT.search(text.lower()) for text in texts):
+        return False
+    if asked.actions == {"raise arm"} and any(_BOTH.search(text.lower()) for text in texts) != asked.both:
+        return False
+    if asked.actions <= {"walk", "run"} and not asked.halts and any(_HALTS.search(text.lower()) for text in texts):
         return False
     told = frozenset[str]().union(*(said_cues(mirror_words(text) if mirrored else text) for text in texts))
     return asked.shown <= told and told & _PACE <= asked.cues

@@ -15,9 +15,22 @@ __all__ = ["in_known_words"]
 _BALL = "(?: an?| the)? (?:basket ?)?ball"
 _HANDS = "(?: (?:both|his|her|their|its|the))? (?:hands|arms)"
 _PHRASES = (
+    ("{sneak} a (?:look|peek|glance)", "{look}"),
+    ("{glance}", "{look}"),
+    ("{peer}", "{look}"),
+    ("{saunter}", "{stroll}"),
+    ("{amble}", "{stroll}"),
+    ("at an? (?:leisurely|relaxed|easy|gentle|slow) pace", "slowly"),
+    ("{lower} (?:him|her|it|them|one)sel(?:f|ves) (?:down )?(?:on|in)to", "{sit} down on"),
+    ("{plop} down", "{sit} down"),
+    (
+        "(?:{go}|{get}|{drop}) down on (?:all fours|(?:(?:the|his|her|their|its) )?hands and knees) and {crawl}",
+        "{crawl} on all fours",
+    ),
     ("{twirl}", "{spin}"),
     ("{whirl}", "{spin}"),
     ("{pirouette}", "{spin}"),
+    ("{spin} (?:a)?round (?:to face|and face)", "{turn} around to face"),
     (f"{{bounce}}{_BALL}", "{dribble} a basketball"),
     ("{dunk}", "{shoot} a basketball"),
     ("{applaud}", "{clap}"),

@@ -25,6 +25,8 @@ _PALM = 0.09
 """From the wrist to the middle of the palm [m]."""
 _AHEAD = 0.15
 """How far ahead of the straight way a hand goes, over that way's length."""
+_TOES = 65.0
+"""How far toes bend up [degrees]."""
 _ROLLED = 0.6
 """Share of the hand's roll that the forearm takes."""
 _AT = {name: index for index, name in enumerate(JOINT_NAMES)}
@@ -83,7 +85,8 @@ def _posed(
     turns = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
     lean = _between(first.lean, second.lean, share) + [sway[2], 0, 0]
     head = _between(first.head, second.head, share) + sway[3:]
-    turn = _angles(np.array([0.0, (1 - share) * first.turn + share * second.turn, 0.0]))
+    tilt = (1 - share) * first.tilt + share * second.tilt
+    turn = _angles(np.array([tilt, (1 - share) * first.turn + share * second.turn, 0.0]))
     for name, part in (("spine1", 0.3), ("spine2", 0.35), ("spine3", 0.35)):
         turns[_AT[name]] = _angles(part * lean)
     for name, part in (("neck", 0.4), ("head", 0.6)):
@@ -111,6 +114,8 @@ def _posed(
 def _raised(hand: Hand) -> tuple[float, float]:
     """How far a shoulder goes up and ahead with its hand [degrees]."""
     _, height, ahead = hand.palm
+    if hand.on == "ground":
+        return 0.0, 0.0
     return 18 * float(np.clip((height - 1.45) / 0.45, 0, 1)), 10 * float(np.clip((ahead - 0.3) / 0.4, 0, 1))
 
 
@@ -161,10 +166,14 @@ def _set_arm(
     outward = np.array([sign, 1, 1])
     places, ways = [], []
     for hand in hands:
-        carrier = _CARRIES[hand.on]
-        places.append(where[carrier] + world[carrier] @ (outward * hand.palm - rest[carrier]))
         directions = np.array([hand.fingers, hand.faces, hand.elbow], float)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        if hand.on == "ground":
+            places.append(outward * hand.palm)
+            ways.append(outward * directions)
+            continue
+        carrier = _CARRIES[hand.on]
+        places.append(where[carrier] + world[carrier] @ (outward * hand.palm - rest[carrier]))
         ways.append((outward * directions) @ world[carrier].T)
     way = np.linalg.norm(places[1] - places[0])
     palm = _between(places[0], places[1], share) + _AHEAD * way * np.sin(np.pi * share) * world[_CARRIES["chest"]][:, 2]
@@ -207,5 +216,7 @@ def _set_leg(
     world[hip] = _frame(bend - where[hip], towards) @ _frame(down, ahead).T
     world[knee] = _frame(goal - bend, towards) @ _frame(down, ahead).T
     pitch = (1 - share) * feet[0].pitch + share * feet[1].pitch
-    world[ankle] = _angles(np.array([pitch, sign * 8.0, 0.0]))
-    world[toes] = _angles(np.array([0.2 * pitch, sign * 8.0, 0.0]))  # toes stay on the ground where the heel is up
+    turn = sign * _between(feet[0].turn, feet[1].turn, share)
+    world[ankle] = _angles(np.array([pitch, turn, 0.0]))
+    # toes stay on the ground where the heel is up, as far as they bend
+    world[toes] = _angles(np.array([max(0.2 * pitch, pitch - _TOES) if pitch > 0 else pitch, turn, 0.0]))

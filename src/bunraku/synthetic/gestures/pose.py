@@ -26,14 +26,14 @@ class Hand:
         fingers: Direction in which the fingers point.
         faces: Direction in which the palm faces.
         elbow: Direction from the line between shoulder and wrist to the elbow.
-        on: What carries the place: the "head", the "chest", or the "hips".
+        on: What carries the place: the "head", the "chest", the "hips", or the "ground", where it stays in the world.
     """
 
     palm: Vector
     fingers: Vector = (-0.3, 0.1, 1.0)
     faces: Vector = DOWN
     elbow: Vector = (0.6, -1.0, -0.3)
-    on: Literal["head", "chest", "hips"] = "chest"
+    on: Literal["head", "chest", "hips", "ground"] = "chest"
 
 
 HANGING = Hand((0.27, 0.845, 0.06), (0.0, -1.0, 0.12), (-1.0, 0.0, 0.1), (0.35, 0.0, -1.0))
@@ -48,11 +48,13 @@ class Foot:
         ankle: Place of the ankle.
         pitch: How far the heel is up over the toes [degrees].
         knee: Direction to which the knee is bent.
+        turn: How far the toes point outwards [degrees].
     """
 
     ankle: Vector = (0.12, 0.081, 0.0)
     pitch: float = 0.0
     knee: Vector = (0.15, 0.0, 1.0)
+    turn: float = 8.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ class Pose:
         turn: Of the pelvis to the left [degrees].
         right_foot: The right foot.
         left_foot: The left foot.
+        tilt: Of the pelvis ahead: 90 for who lies on the belly, -90 on the back [degrees].
     """
 
     right: Hand = HANGING
@@ -80,6 +83,7 @@ class Pose:
     turn: float = 0.0
     right_foot: Foot = field(default_factory=Foot)
     left_foot: Foot = field(default_factory=Foot)
+    tilt: float = 0.0
 
 
 Key = tuple[float, Pose]
@@ -95,12 +99,14 @@ class Gesture:
         texts: Sentences that tell it, the fullest first. Sides are the right one's.
         keys: Key poses in order of time; the first is where it begins and the last where it ends.
         cycle: Seconds (start, end) that can be played again and again; None where it is done once.
+        steps: Feet go where the keys say; else they stand all the time.
     """
 
     name: str
     texts: tuple[str, ...]
     keys: tuple[Key, ...]
     cycle: tuple[float, float] | None = None
+    steps: bool = False
 
     @property
     def seconds(self) -> float:

@@ -45,6 +45,19 @@ def _wave() -> Gesture:
     return Gesture("wave", texts, keys, cycle)
 
 
+def _wave_both() -> Gesture:
+    poses = []
+    for out, tilt in ((0.20, 0.6), (-0.12, -0.5)):
+        hand = Hand((0.36 + out, 1.96, 0.12), (tilt, 1, 0.05), AHEAD, (0.9, -0.6, -0.1))
+        poses.append(Pose(hand, hand, lean=(-3, 0, 0), head=(-6, 0, 0)))
+    keys, cycle = again(poses, 0.8, 5, start=0.8)
+    texts = (
+        "a person waves goodbye with both hands above the head", "waves with both hands", "waves both arms",
+        "a person waves goodbye with both hands", "waves both arms overhead", "waves with both arms",
+    )  # fmt: skip
+    return Gesture("wave both", texts, keys, cycle)
+
+
 def _nod() -> Gesture:
     keys, cycle = again([Pose(head=(-3, 0, 0)), Pose(head=(22, 0, 0))], 0.7, 3, start=0.4, end=0.4)
     return Gesture("nod", ("a person nods the head in agreement", "nods", "says yes with a nod"), keys, cycle)
@@ -276,7 +289,8 @@ def _dab() -> Gesture:
 
 
 SIGNS: tuple[Gesture, ...] = (
-    _clap(), _wave(), _nod(), _shake_head(), _shrug(), _point_ahead(), _point_aside(), _point_up(), _salute(), _pray(),
+    _clap(), _wave(), _wave_both(), _nod(), _shake_head(), _shrug(), _point_ahead(), _point_aside(), _point_up(),
+    _salute(), _pray(),
     _look_around(), _look_far(), _kiss(), _thumbs_up(), _stop(), _beckon(), _facepalm(), _hands_on_hips(),
     _cross_arms(), _think(), _cheer(), _fist_pump(), _hands_up(), _shake_hands(), _high_five(), _hug(), _listen(),
     _dab(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from bunraku.synthetic.gestures.flow import whirled
 from bunraku.synthetic.gestures.pose import AHEAD, IN, UP, Gesture, Hand, Pose, again
 
 __all__ = ["THINGS"]
@@ -183,18 +184,25 @@ def _write() -> Gesture:
 
 
 def _read() -> Gesture:
-    def hold(up: float = 0.0) -> Hand:
-        return Hand((0.12, 1.27 + up, 0.36), (-0.2, 0.6, 0.8), (-0.4, 0.6, -0.6))
+    cover = Hand((0.12, 1.34, 0.42), (-0.30, 0.55, 0.7), (-0.6, 0.65, -0.5), (0.55, -1, -0.1))
+    tongue = Hand((0.02, 1.605, 0.225), (-0.6, 0.75, -0.1), (-0.2, 0, -1), (0.8, -1, 0.2), "head")
+    near = Hand((0.12, 1.42, 0.40), (-0.6, 0.6, 0.3), (-0.5, 0, -0.8), (0.8, -0.9, 0.1))
+    over = Hand((-0.06, 1.43, 0.39), (-0.9, 0.4, 0.2), (-0.2, -0.2, -0.9), (0.8, -0.7, 0.2))
 
-    turn = Hand((-0.06, 1.33, 0.37), (-0.6, 0.5, 0.6), (-0.4, -0.4, -0.6))
-    poses = [
-        Pose(hold(), hold(), head=(26, 6, 0)),
-        Pose(hold(), hold(), head=(28, -6, 0)),
-        Pose(turn, hold(), head=(24, 2, 0)),
-    ]
-    keys, cycle = again(poses, 4.0, 2, start=0.9, end=0.9)
-    texts = ("a person reads a book held in both hands and turns a page", "reads a book", "stands and reads")
-    return Gesture("read", texts, keys, cycle)
+    def page(*, right: Hand = cover, yaw: float = 0.0, down: float = 30.0) -> Pose:
+        return Pose(right, cover, (4, 0, 0), (down, yaw, 0))
+
+    # lines are read from left to right, then the page is turned with a wet finger
+    turn = ((0.0, page(yaw=6)), (1.0, page(yaw=-5)), (1.5, page(yaw=6, down=32)), (2.4, page(yaw=-5, down=33)),
+            (2.9, page(right=tongue, down=26)), (3.1, page(right=tongue, down=26)), (3.6, page(right=near)),
+            (4.2, page(right=over, yaw=6)), (4.8, page(yaw=6)))  # fmt: skip
+    keys = [(0.0, Pose()), *((0.9 + 4.8 * turns + time, pose) for turns in range(2) for time, pose in turn[:-1])]
+    keys += [(0.9 + 2 * 4.8, page(yaw=6)), (0.9 + 2 * 4.8 + 0.8, Pose())]
+    texts = (
+        "a person reads a book held in both hands and turns a page", "reads a book", "stands and reads",
+        "a person reads a book", "a person is reading a book", "reads a newspaper",
+    )  # fmt: skip
+    return Gesture("read", texts, tuple(keys), (0.9, 0.9 + 4.8))
 
 
 def _brush_teeth() -> Gesture:
@@ -210,19 +218,22 @@ def _brush_teeth() -> Gesture:
 
 
 def _stir() -> Gesture:
-    poses = [
-        Pose(
-            Hand(
-                (0.06 + 0.08 * math.cos(turn), 1.10, 0.42 + 0.08 * math.sin(turn)), (-0.5, -0.5, 0.6), (-0.8, -0.3, 0)
-            ),
-            Hand((0.20, 1.02, 0.42), (-0.5, 0, 0.8), IN), (6, 0, 0), (20, 0, 0),
-        )
-        for turn in (0, math.pi / 3, 2 * math.pi / 3, math.pi, 4 * math.pi / 3, 5 * math.pi / 3)
-    ]  # fmt: skip
-    keys, cycle = again(poses, 1.3, 4, start=0.8)
-    return Gesture(
-        "cook", ("a person stirs a pot with the right hand", "stirs a pot", "cooks, stirring a pot"), keys, cycle
-    )
+    rim = Hand((0.24, 1.14, 0.46), (-0.4, -0.2, 1), (-1, 0, 0.1), (0.8, -0.7, -0.2))
+
+    def at(phase: float) -> Pose:
+        across, ahead = math.cos(2 * math.pi * phase), math.sin(2 * math.pi * phase)
+        spoon = Hand(
+            (0.02 + 0.13 * across, 1.24, 0.46 + 0.12 * ahead), (-0.4 - 0.2 * across, -0.85, 0.3), (-0.8, 0.1, -0.3),
+            (0.9, -0.3 + 0.2 * across, -0.2),
+        )  # fmt: skip
+        return Pose(spoon, rim, (12 + 2 * ahead, 3 * across, 0), (24, 0, 0), 0.1)
+
+    keys, cycle = whirled(at, 1.25, 6)
+    texts = (
+        "a person stirs a pot with the right hand", "stirs a pot", "cooks, stirring a pot", "stirs soup in a pot",
+        "a person stirs a pot", "stirs with a big spoon",
+    )  # fmt: skip
+    return Gesture("cook", texts, keys, cycle)
 
 
 def _cast() -> Gesture:
