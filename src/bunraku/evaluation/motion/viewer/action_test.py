@@ -27,7 +27,7 @@ SENTENCES: dict[str, tuple[str, str]] = {
     "idle": ("somebody just stands there idle", "the figure waits standing"),
     "squat": ("let him do squats", "the woman squats low"),
     "run": ("somebody is running to the goal", "the person runs as if late"),
-    "racket": ("she plays tennis against a wall", "the man hits a ball with a racket"),
+    "tennis": ("she plays tennis against a wall", "the man hits a ball with a racket"),
     "jump": ("the man jumps for joy", "let her jump up and down"),
     "kick": ("he kicks an enemy", "the fighter kicks hard"),
     "turn": ("the person turns to one side", "she turns where she stands"),
