@@ -129,7 +129,7 @@ class _FoldedPart:
 
 
 class _FoldedBlock:
-    """`EdgeBlock`, whose edge convolution is (W1 - W2) x_i + b + max_j W2 x_j [MMDMC 13]."""
+    """`EdgeBlock`, whose edge convolution is (W1 - W2) x_i + b + max_j W2 x_j."""
 
     def __init__(self, block: EdgeBlock, graph: NodeGraph):
         self.norm: Any = block.norm
