@@ -80,12 +80,7 @@ def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found
         sentence: In English, of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    said = sentence.lower()
-    asked = _Asked(
-        frozenset(main_actions([sentence])),
-        said_cues(sentence),
-        *(bool(at.search(said)) for at in (_CHAIR, _FLOOR, _HALTS, _BOTH, _ONE_FOOT)),
-    )
+    asked = _Asked(frozenset(main_actions([sentence])), said_cues(sentence), sentence.lower())
     sided = any(cue.startswith(("left", "right")) for cue in asked.cues)
     least = WALKING if asked.actions <= {"walk", "run"} else LEAST
     found = []
@@ -109,17 +104,11 @@ def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found
 
 
 class _Asked(NamedTuple):
-    """What a sentence asks for: actions, cues (`language.cues`), and whether there is a chair, the floor, a halt,
-    more than one arm, and one leg alone.
-    """
+    """What a sentence asks for: actions, cues (`language.cues`), and its words in small letters."""
 
     actions: frozenset[str]
     cues: frozenset[str]
-    seated: bool
-    floored: bool
-    halts: bool
-    both: bool
-    one_foot: bool
+    words: str
 
     @property
     def shown(self) -> frozenset[str]:
@@ -131,15 +120,15 @@ class _Asked(NamedTuple):
 def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) -> bool:
     if near < SAME and frozenset(main_actions(texts)) != asked.actions:
         return False
-    if asked.seated and any(_FLOOR.search(text.lower()) for text in texts):
+    words = "\n".join(texts).lower()
+    for here, there in ((_CHAIR, _FLOOR), (_FLOOR, _CHAIR)):
+        if here.search(asked.words) and there.search(words):
+            return False
+    if asked.actions == {"hop"} and _ONE_FOOT.search(asked.words) and not _ONE_FOOT.search(words):
         return False
-    if asked.floored and any(_CHAIR.search(text.lower()) for text in texts):
+    if asked.actions == {"raise arm"} and bool(_BOTH.search(words)) != bool(_BOTH.search(asked.words)):
         return False
-    if asked.actions == {"hop"} and asked.one_foot and not any(_ONE_FOOT.search(text.lower()) for text in texts):
-        return False
-    if asked.actions == {"raise arm"} and any(_BOTH.search(text.lower()) for text in texts) != asked.both:
-        return False
-    if asked.actions <= {"walk", "run"} and not asked.halts and any(_HALTS.search(text.lower()) for text in texts):
+    if asked.actions <= {"walk", "run"} and _HALTS.search(words) and not _HALTS.search(asked.words):
         return False
     told = frozenset[str]().union(*(said_cues(mirror_words(text) if mirrored else text) for text in texts))
     return asked.shown <= told and told & _PACE <= asked.cues
