@@ -53,6 +53,6 @@ def test_each_fault_is_seen(tmp_path, monkeypatch, reader, fault):
     path.write_bytes(b"glTF")
     (tmp_path / "secret.bin").write_bytes(b"1")
     monkeypatch.setattr(fuzz, "load_character", reader)
-    if fault == "slow":
-        monkeypatch.setattr(fuzz, "SECONDS", 0.5)  # the others keep the whole time: to hoard takes a slow machine as long
+    if fault == "slow":  # the others keep the whole time: a slow machine takes as long to hoard
+        monkeypatch.setattr(fuzz, "SECONDS", 0.5)
     assert fuzz.check(path) == {fault}

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from bunraku.diffusion.denoiser import Denoiser
     from bunraku.diffusion.examples.guide import Lead
     from bunraku.diffusion.ranking import Drawn
+    from bunraku.diffusion.sampling.sentence_pull import Critic
 
 __all__ = ["GUIDANCE", "STEPS", "Sampling", "draw_candidates", "frames_of", "way_of"]
 
@@ -54,6 +55,7 @@ class Sampling:
         examples: All candidates but the first start from captured examples where there are any that fit
             (`diffusion.examples`). They are of people.
         all_led: The first does so too.
+        pull: What is predicted is pulled towards its sentences (`diffusion.sampling.sentence_pull`), as people do them.
 
     Raises:
         OptionError: A setting is outside what can be done.
@@ -67,6 +69,7 @@ class Sampling:
     candidates: int = 1
     examples: bool = True
     all_led: bool = False
+    pull: bool = True
 
     def __post_init__(self) -> None:
         if not 1 <= self.candidates <= 16:
@@ -107,6 +110,7 @@ def draw_candidates(
     loop: bool,
     path: GroundPath | None,
     leads: Sequence[tuple[Lead | None, Lead | None]],
+    critic: Critic | None = None,
 ) -> list[Drawn]:
     """One candidate for each script from its own noise, all in one batch.
 
@@ -119,6 +123,7 @@ def draw_candidates(
         loop: Make loops.
         path: What the root follows, in metres of the reference body; None for its own way.
         leads: Examples that each starts from, and those of the gestures that are made at the same time; None for none.
+        critic: What pulls them towards their sentences; None for nothing.
     """
     import torch
 
@@ -151,6 +156,10 @@ def draw_candidates(
 
     starts = [first for first, _ in leads] + [leads[track.motion][1] for track in tracks]
     guide = _led(starts, [lengths[row] for row in owners], sizes, statistics, loop)
+    pull = None
+    if critic is not None:
+        told = [[parts[0].sentence for parts in some] for some in prompts]
+        pull = critic.pull(model, told, lengths, sizes[: len(scripts)], guide)
 
     def refine(values: Tensor) -> Tensor:
         parts = list(values.split(sizes))
@@ -167,6 +176,7 @@ def draw_candidates(
             refine=refine if loop or tracks else None,
             known=held,
             guide=guide,
+            pull=pull,
             **how.options(model, len(text.mask)),
         )
     for track, own in zip(tracks, found[len(scripts) :], strict=True):

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from bunraku.diffusion.examples.guide import Lead
     from bunraku.diffusion.examples.leads import Leads
     from bunraku.diffusion.ranking import Drawn
+    from bunraku.diffusion.sampling.sentence_pull import Critic
 
 __all__ = ["GUIDANCE", "STEPS", "Sampling", "adapt", "generate_motion", "generate_motions", "load_generator"]
 
@@ -90,6 +91,7 @@ def generate_motions(
     noise = drawn_noise(seeds, len(scripts))
     plain = 0 if how.all_led else 1  # candidates of a turn that start from no example
     led = _leads(model, encoder, scripts) if how.candidates > plain and how.examples else None
+    critic = _critic(model, encoder, scripts) if how.pull else None
 
     def lead(row: int, place: int) -> tuple[Lead | None, Lead | None]:
         """What a candidate starts from, and what the gestures do that are made at the same time."""
@@ -110,7 +112,8 @@ def generate_motions(
         pairs = [(noise[row][0], noise[row][1] + _APART * place) for row, place in zip(rows, places, strict=True)]
         again = how if not any(place >= how.candidates for place in places) else replace(how, progress=None)
         leads = [lead(row, place) for row, place in zip(rows, places, strict=True)]
-        return draw_candidates(model, encoder, [scripts[row] for row in rows], pairs, again, loop, path, leads)
+        some = [scripts[row] for row in rows]
+        return draw_candidates(model, encoder, some, pairs, again, loop, path, leads, critic)
 
     rows = list(range(len(scripts)))
     if how.candidates > 1:
@@ -143,6 +146,29 @@ def _ranked(model: Denoiser, encoder: TextEncoder) -> Callable[[Sequence[Drawn]]
             return script_scores(ranker, own, [one.motion for one in drawn], [one.script for one in drawn])
 
     return score
+
+
+def _critic(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[tuple[str, float]]]) -> Critic | None:
+    """What pulls motions towards the sentences of these scripts; None where the file was taken away."""
+    import torch
+
+    from bunraku.diffusion.matching import RADIUS, embed_sentences
+    from bunraku.diffusion.ranking import load_critic
+    from bunraku.diffusion.sampling.sentence_pull import Critic
+    from bunraku.language.clauses import of_person
+    from bunraku.language.concurrent import body_part_prompts
+    from bunraku.nn.threads import fitting_threads
+
+    network = load_critic()
+    if network is None:
+        return None
+    said = {body_part_prompts(sentence)[0].sentence for script in scripts for sentence, _ in script}
+    plain = {sentence: of_person(sentence) for sentence in sorted(said)}
+    with fitting_threads(model):
+        own = embed_sentences(network, encoder_of(network.config.text_encoder, encoder), list(plain.values()))
+    return Critic(
+        network, {said: torch.from_numpy(own[as_person] / RADIUS).float() for said, as_person in plain.items()}
+    )
 
 
 def _leads(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[tuple[str, float]]]) -> Leads | None:

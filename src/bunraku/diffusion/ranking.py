@@ -15,12 +15,13 @@ import numpy as np
 
 from bunraku.diffusion.features import decode
 from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, embed_motions, embed_sentences, load_extractor
+from bunraku.formats.files import weights_folder
 from bunraku.language.clauses import script_spans
 from bunraku.language.description.agreement import agreement
 from bunraku.language.encoders import TextEncoder
 from bunraku.nn.checkpoints import dated_checkpoint
 
-__all__ = ["Drawn", "choose", "load_ranker", "script_agreement", "script_scores"]
+__all__ = ["Drawn", "choose", "load_critic", "load_ranker", "script_agreement", "script_scores"]
 
 WEIGHT = 0.5
 """Of what is plainly said beside a cosine; candidates' cosines differ by a tenth."""
@@ -66,7 +67,19 @@ def load_ranker(path: str | Path | None = None) -> Extractor:
     return _load(*dated_checkpoint("ranker", path))
 
 
-@functools.lru_cache(maxsize=2)
+def load_critic() -> Extractor | None:
+    """The critic, which pulls motions towards their sentences (`sampling.sentence_pull`) and, trained apart from the
+    ranker, chooses none; None where the file was taken away.
+
+    Raises:
+        WeightsError: The weights are broken.
+    """
+    if not (weights_folder() / "critic.safetensors").is_file():
+        return None
+    return _load(*dated_checkpoint("critic"))
+
+
+@functools.lru_cache(maxsize=4)
 def _load(path: Path, changed: int) -> Extractor:
     return load_extractor(path, kind=RANKER)
 

@@ -174,7 +174,7 @@ def generate(
         scripts, ways, as_people = as_bodies_do(scripts, *body)
         mesh_feature = body[1].features if mesh_feature is None else mesh_feature
     how: dict[str, Any] = {
-        "steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "examples": as_people,
+        "steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "examples": as_people, "pull": as_people,
         "progress": progress,
     }  # fmt: skip
     motions = _generated(scripts, seed, loop, after, path, candidates, how)
@@ -330,7 +330,8 @@ def animate_each(
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
     way = path if isinstance(handles, str) else reference_path(path, character, handles)
     how: dict[str, Any] = {
-        "steps": steps, "guidance": guidance, "mesh_feature": feature, "examples": as_people, "progress": progress,
+        "steps": steps, "guidance": guidance, "mesh_feature": feature, "examples": as_people, "pull": as_people,
+        "progress": progress,
     }  # fmt: skip
     for start in range(0, len(scripts), AT_ONCE):
         some = scripts[start : start + AT_ONCE]

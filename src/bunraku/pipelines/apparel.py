@@ -16,6 +16,7 @@ from bunraku.apparel.artist_mask import artist_mask, read_artist_mask
 from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.fitting import eased_border, fitted_wearer, joint_weights_of_handles, joints_of_handles
+from bunraku.apparel.layers import Layers
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.apparel.unified import UnifiedBody
 from bunraku.apparel.wearer import SOFTEST, STIFFEST, Wearer
@@ -175,12 +176,15 @@ def _learned(
     progress = progress or (lambda stage, done: None)
     player = ApparelPlayer(wearer, network or shipped_displacement(), safe=safe)
     player.start(transforms[0])
-    offsets = np.zeros((len(transforms), len(wearer.rest), 3), np.float32)
-    chosen = player.carrier.vertices
-    skinned, eased = moved.vertices(), eased_border(wearer)[chosen, None]
+    chosen, skinned = player.carrier.vertices, moved.vertices()
+    places = np.zeros((len(transforms), len(chosen), 3), np.float32)
     for frame, pose in enumerate(transforms):
-        offsets[frame, chosen] = eased * (player.advance(pose) - skinned[frame, chosen])
+        places[frame] = player.advance(pose)
         if frame % 16 == 0:
             progress("apparel", frame / len(transforms))
+    if safe:
+        places = Layers(wearer, chosen).clip(places, skinned, lambda done: progress("layers", done))
+    offsets = np.zeros((len(transforms), len(wearer.rest), 3), np.float32)
+    offsets[:, chosen] = eased_border(wearer)[chosen, None] * (places - skinned[:, chosen])
     progress("apparel", 1.0)
     return PointAnimation(moved, offsets)

@@ -23,8 +23,8 @@ _COLUMNS = (
     ("mm_dist", "MM-Dist"), ("diversity", "Diversity"), ("multimodality", "MModality"),
 )  # fmt: skip
 _NAMES = {
-    "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_led": "- from examples",
-    "tapmo_chosen": "- as chosen",
+    "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_pulled": "- pulled",
+    "tapmo_led": "- from examples", "tapmo_chosen": "- as chosen",
 }  # fmt: skip
 
 
@@ -69,6 +69,8 @@ class EvaluateMotion:
     """
     examples: bool = True
     """What is chosen from starts from captured examples."""
+    pull: bool = True
+    """What is predicted is pulled towards its sentence by the ranker's gradient, in the rows beside the network's."""
     reference_steps: int = 0
     """Compare the default sampler with so many steps of DDPM's, 1000 for the paper's; hours on a processor. 0 leaves it
     out.
@@ -112,7 +114,7 @@ class EvaluateMotion:
             runs=self.runs or (3 if self.quick else 20),
             references=1000 if self.quick else 3000, prompts=8 if self.quick else 20, repeats=4 if self.quick else 10,
             candidates=self.candidates,
-            steps=self.steps, guidance=self.guidance, best_of=self.best_of, examples=self.examples,
+            steps=self.steps, guidance=self.guidance, best_of=self.best_of, examples=self.examples, pull=self.pull,
             reference_steps=self.reference_steps,
             reference_clips=self.reference_clips, seed=self.seed,
         )  # fmt: skip

@@ -24,6 +24,7 @@ WEIGHTS = {
     "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
     "text": "sentences cannot be read; `bunraku animate` does not work",
     "ranker": "`bunraku animate` cannot choose among candidates; say --candidates 1",
+    "critic": "`bunraku animate` does not pull motions towards their sentences, and fewer do what these say",
 }
 EXTRAS = {
     "DracoPy": ("compressed", "GLB packed with Draco is not read"),

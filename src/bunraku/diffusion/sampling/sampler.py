@@ -184,6 +184,7 @@ def sample_windows(
     seed: int = 0,
     known: tuple[Tensor, Tensor] | None = None,
     guide: tuple[Tensor, Tensor, Tensor] | None = None,
+    pull: Callable[[Tensor, int], Tensor] | None = None,
     refine: Callable[[Tensor], Tensor] | None = None,
     method: str = "dpm",
     bf16: bool = False,
@@ -209,6 +210,7 @@ def sample_windows(
         known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
         guide: What is predicted while the noise is strong, how far, and down to which step, at most `LED_UNTIL`, shapes
             (F, D), (F, 1) and (F, 1): where the motion starts from.
+        pull: Changes what the network predicts (F, D) at the step that it is told, before the guide overwrites it.
         refine: Changes the predicted x0 (F, D) at each step, before what is known overwrites it.
         method: As in `sample`.
         bf16: As in `sample`.
@@ -251,6 +253,8 @@ def sample_windows(
         x0 /= total
         if step == visited[-1]:
             last.copy_(adaptation / total[..., None])
+        if pull is not None:
+            x0 = pull(x0, step)
         if led is not None:
             pose = slice(ROOT.stop, None)
             x0[:, ROOT] = torch.lerp(x0[:, ROOT], led[0][:, ROOT], led[1])

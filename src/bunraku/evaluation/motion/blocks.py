@@ -80,8 +80,9 @@ class Bar:
 
 
 BARS = (
-    Bar("r_precision_1_over_real", "R-Precision top-1 over that of the real data, one sample", 0.92),
-    Bar("r_precision_1_over_real_led", "- one sample that starts from an example", 0.92),
+    Bar("r_precision_1_over_real", "R-Precision top-1 over that of the real data, one sample of the network", 0.92),
+    Bar("r_precision_1_over_real_pulled", "- one sample that is pulled towards its sentence", 0.92),
+    Bar("r_precision_1_over_real_led", "- one sample that is pulled and starts from an example", 0.92),
     Bar("r_precision_1_over_real_chosen", "- as `animate` chooses (--best-of 3)", 0.97),
     Bar("fid_over_tapmo_mdm", "FID over that of TapMo (MDM)", most=0.45),
     Bar("fid_steps_ratio", "FID of the default sampler over that of the many steps", most=1.1),

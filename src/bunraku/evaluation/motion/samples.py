@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Request", "SamplerSettings", "checkpoint_digest", "choose_motions", "make_motions"]
 
 BATCH = 32
-CHOOSING = ("ranker", "examples")
+CHOOSING = ("ranker", "critic", "examples")
 """Weights that choosing takes beside the denoiser's."""
 
 
@@ -55,6 +55,7 @@ class SamplerSettings:
         seed: Of the noise.
         candidates: Of how many each motion is chosen, as `animate` does; 1 for none.
         examples: Candidates start from captured examples; where there is but one, it does.
+        pull: What is predicted is pulled towards its sentence; by `choose_motions` alone.
     """
 
     steps: int
@@ -63,6 +64,7 @@ class SamplerSettings:
     seed: int = 0
     candidates: int = 1
     examples: bool = False
+    pull: bool = False
 
 
 def checkpoint_digest(path: Path) -> str:
@@ -174,7 +176,8 @@ def choose_motions(
             [[(requests[row].sentence, requests[row].frames / 20)] for row in rows],
             seeds=[sampling.seed + 104_729 * (number + 1) + place for place in range(len(rows))],
             steps=sampling.steps, guidance=sampling.guidance, checkpoint=checkpoint,
-            candidates=sampling.candidates, examples=sampling.examples, all_led=sampling.candidates == 1,
+            candidates=sampling.candidates, examples=sampling.examples, pull=sampling.pull,
+            all_led=sampling.examples and sampling.candidates == 1,
         )  # fmt: skip
         return np.stack([encode(motion) for motion in motions])
 
@@ -236,9 +239,9 @@ def _key(
 ) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
     how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, bf16, BATCH]
-    if sampling.candidates > 1 or sampling.examples:
+    if sampling.candidates > 1 or sampling.examples or sampling.pull:
         files = [path for name in CHOOSING if (path := weights_folder() / f"{name}.safetensors").is_file()]
-        how += [sampling.candidates, sampling.examples, *map(checkpoint_digest, files)]
+        how += [sampling.candidates, sampling.examples, sampling.pull, *map(checkpoint_digest, files)]
     say = [digest, wanted, how, None if mesh is None else np.asarray(mesh, float).round(4).tolist()]
     return hashlib.sha256(json.dumps(say).encode()).hexdigest()[:20]
 

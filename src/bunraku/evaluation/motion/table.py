@@ -57,6 +57,7 @@ class MotionEvalConfig:
         best_of: Of how many the ranker chooses each motion of the second table, and of a row of the first, as `animate`
             does; 1 for none, and no such row.
         examples: What is chosen from starts from captured examples, as in `animate`.
+        pull: What is predicted is pulled towards its sentence, as in `animate`.
         reference_steps: Steps of DDPM's sampler that the default is compared with; 0 leaves the comparison out.
         reference_clips: Motions that it is compared on.
         seed: Of everything random.
@@ -80,6 +81,7 @@ class MotionEvalConfig:
     guidance: float | None = None
     best_of: int = 1
     examples: bool = True
+    pull: bool = True
     reference_steps: int = 0
     reference_clips: int = 256
     seed: int = 0
@@ -229,11 +231,10 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         )
         vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
         rows[name] = Row(embed_motions(extractor, motions), vectors)
-    ways = {"tapmo_led": 1, "tapmo_chosen": config.best_of} if config.examples else {"tapmo_chosen": config.best_of}
-    for name, candidates in ways.items() if config.best_of > 1 else ():
+    for name, candidates, examples in _ways(config):
         found = choose_motions(
             [Request(window.sentence, window.frames) for window in windows],
-            replace(sampling, candidates=candidates, examples=config.examples), models["tapmo"],
+            replace(sampling, candidates=candidates, examples=examples, pull=config.pull), models["tapmo"],
             folder=config.work, progress=partial(_told, report, f"motions of {name}"),
         )  # fmt: skip
         rows[name] = Row(embed_motions(extractor, found))
@@ -270,6 +271,15 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()
     }
     return result
+
+
+def _ways(config: MotionEvalConfig) -> list[tuple[str, int, bool]]:
+    """Rows of motions made as `animate` makes them: name, candidates, and whether they start from examples."""
+    if config.best_of == 1:
+        return []
+    pulled = [("tapmo_pulled", 1, False)] if config.pull else []
+    led = [("tapmo_led", 1, True)] if config.examples else []
+    return [*pulled, *led, ("tapmo_chosen", config.best_of, config.examples)]
 
 
 def _told(report: Report, stage: str, done: int, total: int) -> None:
@@ -336,7 +346,7 @@ def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
     for place in (1, 2, 3):
         key = f"r_precision_{place}"
         result[f"{key}_over_real"] = ours[key]["mean"] / max(real[key]["mean"], 1e-12)
-    for name in ("led", "chosen"):
+    for name in ("pulled", "led", "chosen"):
         row = table.get(f"tapmo_{name}")
         share = None if row is None else row["r_precision_1"]["mean"] / max(real["r_precision_1"]["mean"], 1e-12)
         result[f"r_precision_1_over_real_{name}"] = share

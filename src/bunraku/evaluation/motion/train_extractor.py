@@ -167,7 +167,7 @@ def train_extractor(
         raise OptionError(
             f"{config.data}: there are no training clips of people; build the data again with 'bunraku data motions'"
         )
-    encoder = encoder or text_encoder()
+    encoder = encoder or text_encoder(config.extractor.text_encoder)
     config = replace(config, extractor=for_encoder(config.extractor, encoder))
     trainer = ExtractorTrainer(config, train, captions_of(config, encoder, _sentences(train), report))
     windows, candidates = _validation(held)

@@ -178,7 +178,7 @@ def train_ranker(
     training = [entry["features"] for entry in clips.values() if entry.get("split", "train") == "train"]
     statistics = FeatureStatistics.measure(training)
     train, held = (ClipSet(clips, statistics, split, borrowed=0.0, creatures=0.0) for split in ("train", "val"))
-    encoder = encoder or text_encoder()
+    encoder = encoder or text_encoder(config.network.text_encoder)
     config = replace(config, network=for_encoder(config.network, encoder))
     bank = captions_of(config, encoder, {*train.sentences(), *held.sentences()}, progress)
     trainer = RankerTrainer(config, train, bank)

@@ -163,7 +163,7 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
 
     how: dict[str, Any] = {
         "steps": config.steps, "guidance": config.guidance, "checkpoint": config.checkpoint,
-        "candidates": config.best_of, "examples": config.examples,
+        "candidates": config.best_of, "examples": config.examples, "pull": config.pull,
     }  # fmt: skip
 
     def make(wanted: Sequence[tuple[str, float]]) -> list[HandleMotion]:

@@ -1,0 +1,211 @@
+"""What lies over what: a skirt over legs, and long hair over a skirt, as they do at rest.
+
+Apparel that hangs from the pelvis knows little of the legs under it. What the skin of the bare mesh does with it (it
+goes with the legs) looks stiff but lets no leg through. So where a leg has come through, apparel goes as far back to
+the skin as it must to lie over the leg again, and what is around it goes along. Then what was outside of it at rest,
+hair on its back, is laid over it in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from bunraku.apparel.wearer import Wearer
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.geometry.easing import smooth_step
+from bunraku.geometry.normals import vertex_normals
+
+__all__ = ["Layers"]
+
+LEGS = tuple(
+    JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
+)
+LEG = 0.6  # weight of the legs in what counts as a leg
+NEAR = 12  # points at rest under a vertex that it must stay over
+ROUNDS = 2  # of what lies over what, since there may be three layers
+OVER_LEGS, OVER_PARTS = 0.015, 0.006  # how far over them it stays where it was farther off at rest, over its size [m]
+BENEATH = 0.002  # how far under a vertex a point must lie at rest, over the same [m]
+BESIDE = (0.06, 0.14)  # how far from the way out of a point it begins not to count, and counts no more, over it [m]
+SPREAD = 0.05  # how far around it what is moved takes the rest along, over the same [m]
+FEW = 0.25  # share of what is around a vertex that must be moved for it to move by as much
+CELL = 0.015  # one vertex of a part stands for all in a cube of this, over the same [m]
+REACH = 0.08  # how near at rest something must be to be laid over another, over the same [m]
+SOFT = 0.004  # how much what lacks height must lack to count whole, over the same [m]
+LEAST = 1e-3  # a way back to the skin that rises by less is none, over the same [m]
+SMOOTH = 1.5  # standard deviation in time [frames]
+MOST = 0.2  # farther than this nothing is laid over another, over the same [m]
+
+
+class Layers:
+    """The stage for one wearer.
+
+    Args:
+        wearer: The character; its body has weights of its own.
+        vertices: The apparel vertices that are moved, shape (A,).
+    """
+
+    def __init__(self, wearer: Wearer, vertices: np.ndarray):
+        self.scale = wearer.scale
+        low = wearer.rest[vertices, 1] < wearer.joints[list(LEGS[:2]), 1].mean()
+        hung = low & ~np.isin(wearer.weights[vertices].argmax(axis=1), LEGS)
+        legs = ~wearer.apparel & (wearer.weights[:, LEGS].sum(axis=1) > LEG)
+        self.skirt = _Over(wearer, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS, np.inf)
+        part = wearer.part[vertices]
+        others = [
+            (number, _thinned(wearer, np.flatnonzero(wearer.part != number)))
+            for number in range(part.max(initial=-1) + 1)
+        ]
+        self.rest = _Over(wearer, vertices, np.arange(len(vertices)), others, OVER_PARTS, REACH * self.scale)
+
+    def clip(
+        self, places: np.ndarray, skinned: np.ndarray, progress: Callable[[float], None] | None = None
+    ) -> np.ndarray:
+        """The same for all frames of a clip, shapes (N, A, 3) and (N, V, 3); what is changed is smooth in time.
+        `progress` is called with the share done.
+        """
+        if not len(self.skirt):
+            return places
+        change = np.zeros(places.shape, np.float32)
+        for frame, (own, whole) in enumerate(zip(places, skinned, strict=True)):
+            change[frame] = self(own, whole) - own
+            if progress and frame % 16 == 0:
+                progress(frame / len(places))
+        return np.asarray(places + gaussian_filter1d(change, SMOOTH, axis=0, mode="nearest"))
+
+    def __call__(self, places: np.ndarray, skinned: np.ndarray) -> np.ndarray:
+        """Apparel vertices laid over what they lie on at rest [m], shape (A, 3).
+
+        Args:
+            places: Of the apparel vertices [m], shape (A, 3).
+            skinned: All vertices as their skin moves them [m], shape (V, 3).
+        """
+        if not len(self.skirt):
+            return places
+        out, whole = np.array(places, np.float32), np.array(skinned, np.float32)
+        over = self.skirt
+        back = whole[over.vertices] - out[over.rows]
+        step = back[over.chosen]
+        height, beside, ways = over.seen(out, whole)
+        rise = (step[:, None] * ways).sum(axis=-1)
+        lack = np.where(over.counts & (rise > LEAST * self.scale), over.clear - height, 0) * beside
+        share = np.clip(lack / np.maximum(rise, LEAST * self.scale), 0, 1).max(axis=1)
+        share = np.maximum(share, over.spread(share[:, None], share)[over.chosen, 0])
+        out[over.rows] += (over.back @ share)[:, None] * back
+        over = self.rest
+        if len(over):
+            for _ in range(ROUNDS):
+                whole[over.vertices] = out
+                height, beside, ways = over.seen(out, whole)
+                lack = np.where(over.counts, over.clear - height, 0)
+                lack = np.where((lack > 0) & (lack < MOST * self.scale), lack * beside, 0)
+                most = lack.max(axis=1)
+                share = lack**2  # the deepest points say where to, all of them, so that nothing jumps between frames
+                push = np.einsum("ck,cka->ca", share * lack, ways) / np.maximum(share.sum(axis=1), 1e-12)[:, None]
+                out[over.rows] += over.spread(push, np.minimum(most / (SOFT * self.scale), 1))
+        return out
+
+
+class _Over:
+    """Apparel vertices, and what each lies over at rest.
+
+    Args:
+        wearer: The character.
+        vertices: All apparel vertices that are moved, shape (A,).
+        rows: Which of them may lie over something, shape (R,).
+        under: The vertices that they may lie over, for each part, or for all (None).
+        clear: How far over them they stay where they were farther off at rest, over the size [m].
+        reach: How near these must be at rest [m].
+    """
+
+    def __init__(
+        self,
+        wearer: Wearer,
+        vertices: np.ndarray,
+        rows: np.ndarray,
+        under: Sequence[tuple[int | None, np.ndarray]],
+        clear: float,
+        reach: float,
+    ):
+        scale, rest = wearer.scale, np.asarray(wearer.rest, np.float64)
+        self.rows, self.vertices = rows, vertices[rows]
+        self.chosen = rows[:0]
+        if not len(rows):
+            return
+        chosen = np.searchsorted(self.vertices, _thinned(wearer, self.vertices))
+        places, part = rest[self.vertices[chosen]], wearer.part[self.vertices[chosen]]
+        points, gap = np.zeros((len(chosen), NEAR), np.int64), np.full((len(chosen), NEAR), np.inf)
+        for number, beneath in under:
+            own = np.flatnonzero(part == number) if number is not None else np.arange(len(part))
+            near = min(NEAR, len(beneath))
+            if near and len(own):
+                found = cKDTree(rest[beneath]).query(places[own], near)
+                gap[own, :near] = found[0].reshape(len(own), near)
+                points[own, :near] = beneath[found[1].reshape(len(own), near)]
+        used = np.zeros(len(rest), bool)
+        used[points] = True
+        corners = wearer.faces[used[wearer.faces].any(axis=1)]
+        self.used, local = np.unique(np.concatenate([points.reshape(-1), corners.reshape(-1)]), return_inverse=True)
+        self.under, self.corners = local[: points.size].reshape(points.shape), local[points.size :].reshape(-1, 3)
+        ways = vertex_normals(rest[self.used], self.corners)[self.under]
+        height = ((places[:, None] - rest[points]) * ways).sum(axis=-1)
+        self.counts = (height > BENEATH * scale) & (gap <= reach) & np.isfinite(gap)
+        if not self.counts.any():
+            return
+        self.chosen = chosen
+        self.clear = np.minimum(height, clear * scale).astype(np.float32)
+        self.together = under[0][0] is None  # two layers of a skirt go together
+        self.beside = tuple(scale * bound for bound in BESIDE)
+        self._shares(places, rest[self.vertices], wearer.part[self.vertices], SPREAD * scale)
+
+    def _shares(self, places: np.ndarray, rest: np.ndarray, part: np.ndarray, spread: float) -> None:
+        """How much each chosen vertex counts near each other one of its part, and for each vertex."""
+        tree, own = cKDTree(places), part[self.chosen]
+        pairs = tree.sparse_distance_matrix(tree, 2 * spread, output_type="coo_matrix")
+        same = (own[pairs.row] == own[pairs.col]) | self.together
+        share = np.exp(-0.5 * np.square(pairs.data[same] / spread))
+        around = csr_matrix((share, (pairs.row[same], pairs.col[same])), shape=(len(places),) * 2)
+        self.around = around.multiply(1 / around.sum(axis=1)).tocsr().astype(np.float32)
+        count = min(4, len(places))
+        gap, near = (found.reshape(len(rest), count) for found in tree.query(rest, count))
+        weight = np.where((own[near] == part[:, None]) | self.together, 1 / (gap**2 + 1e-8), 1e-12)
+        weight /= weight.sum(axis=1, keepdims=True)
+        begins = np.arange(0, near.size + 1, count)
+        self.back = csr_matrix(
+            (weight.reshape(-1).astype(np.float32), near.reshape(-1), begins), (len(rest), len(places))
+        )
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+    def seen(self, places: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How far each chosen vertex is over each of its points [m], shape (C, K), how much it counts, from 0, far
+        beside its way out, to 1, and these ways, shape (C, K, 3).
+
+        Args:
+            places: Of all apparel vertices [m], shape (A, 3).
+            whole: Of all vertices [m], shape (V, 3).
+        """
+        points = whole[self.used]
+        ways = vertex_normals(points, self.corners)[self.under].astype(np.float32)
+        away = places[self.rows[self.chosen]][:, None] - points[self.under]
+        height = (away * ways).sum(axis=-1)
+        aside = np.sqrt(np.maximum(np.square(away).sum(axis=-1) - height**2, 0))
+        return height, smooth_step(aside, *self.beside[::-1]).astype(np.float32), ways
+
+    def spread(self, values: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Values of the chosen vertices, which count as much as they are `moved` (C,), smooth and for all vertices:
+        shape (R, D). What lies between moved ones is moved as they are.
+        """
+        near = self.around @ np.column_stack([values * moved[:, None], moved]).astype(np.float32)
+        return np.asarray(self.back @ (near[:, :-1] / np.maximum(near[:, -1:], FEW)))
+
+
+def _thinned(wearer: Wearer, rows: np.ndarray) -> np.ndarray:
+    """One vertex for each small cube and part."""
+    cells = np.column_stack([wearer.part[rows], np.floor(wearer.rest[rows] / (CELL * wearer.scale))])
+    return np.asarray(rows[np.unique(cells, axis=0, return_index=True)[1]])
