@@ -113,11 +113,16 @@ def test_all_rows_and_keys(folder, tmp_path):
 def test_what_is_chosen_has_a_row_of_its_own(folder, tmp_path):
     result = evaluate_motion(replace(settings(folder, tmp_path), best_of=2, mdm=None))
     rows = result["rows"]
-    assert set(rows) == {"real", "tapmo", "tapmo_led", "tapmo_chosen"}
-    assert len({rows[name]["fid"]["mean"] for name in rows}) == 4
+    assert set(rows) == {"real", "tapmo", "tapmo_pulled", "tapmo_led", "tapmo_chosen"}
+    assert len({rows[name]["fid"]["mean"] for name in rows}) == 5
     assert result["r_precision_1_over_real_chosen"] == pytest.approx(
         rows["tapmo_chosen"]["r_precision_1"]["mean"] / rows["real"]["r_precision_1"]["mean"]
     )
+    other = evaluate_motion(replace(settings(folder, tmp_path), best_of=2, mdm=None, pull=False, examples=False))[
+        "rows"
+    ]
+    assert set(other) == {"real", "tapmo", "tapmo_chosen"}
+    assert other["tapmo_chosen"]["fid"]["mean"] != rows["tapmo_chosen"]["fid"]["mean"]
 
 
 def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ import torch
 from bunraku.diffusion.features import mirror
 from bunraku.diffusion.matching import RANKER, ExtractorConfig, load_extractor
 from bunraku.errors import OptionError, WeightsError
+from bunraku.language.cues import CUES
 from bunraku.nn.checkpoints import load_training_state
 from bunraku.training.ranker.train import RankerTrainConfig, alike, spoilt, train_ranker
 
@@ -51,6 +52,13 @@ def test_it_learns_and_goes_on_where_it_stopped(swings, encoder, tmp_path):
     assert rows[-1]["step"] > steps
     with pytest.raises(OptionError, match="another network"):
         train_ranker(replace(config, minutes=0.06, network=replace(TINY, width=24)), None, encoder)
+
+
+def test_sentences_are_read_by_the_encoder_that_is_asked_for(swings, tmp_path):
+    cued = replace(TINY, text_encoder="all-MiniLM-L6-v2+cues")
+    config = RankerTrainConfig(data=swings, out=tmp_path / "run", minutes=0, steps=1, batch=4, bf16=False, network=cued)
+    found = load_extractor(train_ranker(config), kind=RANKER).config
+    assert (found.text_encoder, found.pooled_size) == ("all-MiniLM-L6-v2+cues", 384 + len(CUES))
 
 
 def test_a_run_that_was_stopped_comes_to_the_same_weights(swings, encoder, tmp_path):
