@@ -41,6 +41,8 @@ _CHAIR = re.compile(r"\b(chair|stool|bench|seat|sofa|couch|armchair)\b")
 _BOTH = re.compile(r"\b(both|two|arms|hands)\b")
 _ONE_FOOT = re.compile(r"\b(one|left|right) (foot|leg)\b")
 _HALTS = re.compile(r"\b(halt\w*|stop\w*|pauses?|waits?|restart\w*)\b")
+_DOWN = re.compile(r"\b(down|descend\w*|drop\w*|hang\w*|lets? go)\b")
+_STAIRS = re.compile(r"\b(stairs?|staircase|stairway|upstairs|downstairs)\b")
 _FLOOR = re.compile(r"\b(floor|ground|knees|l(ies|ying))\b")
 _SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in ("arm", "leg", "turn", "go")) | {
     "forward",
@@ -125,6 +127,10 @@ def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) ->
         if here.search(asked.words) and there.search(words):
             return False
     if asked.actions == {"hop"} and _ONE_FOOT.search(asked.words) and not _ONE_FOOT.search(words):
+        return False
+    if _STAIRS.search(asked.words) and not _STAIRS.search(words):
+        return False
+    if "climb" in asked.actions and _DOWN.search(words) and not _DOWN.search(asked.words):
         return False
     if asked.actions == {"raise arm"} and bool(_BOTH.search(words)) != bool(_BOTH.search(asked.words)):
         return False

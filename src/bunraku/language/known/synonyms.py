@@ -14,6 +14,7 @@ __all__ = ["in_known_words"]
 
 _BALL = "(?: an?| the)? (?:basket ?)?ball"
 _HANDS = "(?: (?:both|his|her|their|its|the))? (?:hands|arms)"
+_MAKE = "(?:{make}|{do}|{perform})"
 _PHRASES = (
     ("{sneak} a (?:look|peek|glance)", "{look}"),
     ("{glance}", "{look}"),
@@ -29,6 +30,11 @@ _PHRASES = (
     ),
     ("{twirl}", "{spin}"),
     ("{whirl}", "{spin}"),
+    (f"{_MAKE} a (?:quarter|ninety degree|90[ -]degree) turn(?: to)?(?: (?:the|his|her|their|its))?", "{turn}"),
+    (f"{_MAKE} (?:a half|an about|a u) turn", "{turn} around"),
+    ("{climb} (?:up )?a flight of (?=stairs|steps)", "{climb} "),
+    ("{trip} and (?:nearly|almost) (?:falls?|falling)(?: (?:over|down))?", "{stumble}"),
+    ("{balance} on (?=one|a single|(?:the|his|her|their) (?:left|right) (?:leg|foot))", "{stand} on "),
     ("{pirouette}", "{spin}"),
     ("{spin} (?:a)?round (?:to face|and face)", "{turn} around to face"),
     (f"{{bounce}}{_BALL}", "{dribble} a basketball"),
