@@ -9,6 +9,7 @@ hair on its back, is laid over it in turn.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -26,19 +27,35 @@ LEGS = tuple(
     JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
 )
 LEG = 0.6  # weight of the legs in what counts as a leg
-NEAR = 12  # points at rest under a vertex that it must stay over
 ROUNDS = 2  # of what lies over what, since there may be three layers
-OVER_LEGS, OVER_PARTS = 0.015, 0.006  # how far over them it stays where it was farther off at rest, over its size [m]
-BENEATH = 0.002  # how far under a vertex a point must lie at rest, over the same [m]
-BESIDE = (0.06, 0.14)  # how far from the way out of a point it begins not to count, and counts no more, over it [m]
+BENEATH = 0.002  # how far under a vertex a point must lie at rest, over the wearer's size [m]
 SPREAD = 0.08  # how far around it what is moved takes the rest along, over the same [m]
 FEW = 0.25  # share of what is around a vertex that must be moved for it to move by as much
 CELL = 0.02  # one vertex of a part stands for all in a cube of this, over the same [m]
-REACH = 0.08  # how near at rest something must be to be laid over another, over the same [m]
 SOFT = 0.004  # how much what lacks height must lack to count whole, over the same [m]
 LEAST = 1e-3  # a way back to the skin that rises by less is none, over the same [m]
 SMOOTH = 1.5  # standard deviation in time [frames]
 MOST = 0.2  # farther than this nothing is laid over another, over the same [m]
+
+
+class _How(NamedTuple):
+    """How something lies over something else.
+
+    Args:
+        near: Points at rest under a vertex that it must stay over.
+        clear: How far over them it stays where it was farther off at rest, over the wearer's size [m].
+        beside: How far from the way out of a point it begins not to count, and counts no more, over the same [m].
+        reach: How near they must be at rest, over the same [m].
+    """
+
+    near: int
+    clear: float
+    beside: tuple[float, float]
+    reach: float
+
+
+OVER_LEGS = _How(32, 0.02, (0.1, 0.2), np.inf)
+OVER_PARTS = _How(12, 0.006, (0.06, 0.14), 0.08)
 
 
 class Layers:
@@ -54,13 +71,13 @@ class Layers:
         low = wearer.rest[vertices, 1] < wearer.joints[list(LEGS[:2]), 1].mean()
         hung = low & ~np.isin(wearer.weights[vertices].argmax(axis=1), LEGS)
         legs = ~wearer.apparel & (wearer.weights[:, LEGS].sum(axis=1) > LEG)
-        self.skirt = _Over(wearer, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS, np.inf)
+        self.skirt = _Over(wearer, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS)
         part = wearer.part[vertices]
         others = [
             (number, _thinned(wearer, np.flatnonzero(wearer.part != number)))
             for number in range(part.max(initial=-1) + 1)
         ]
-        self.rest = _Over(wearer, vertices, np.arange(len(vertices)), others, OVER_PARTS, REACH * self.scale)
+        self.rest = _Over(wearer, vertices, np.arange(len(vertices)), others, OVER_PARTS)
 
     def clip(
         self, places: np.ndarray, skinned: np.ndarray, progress: Callable[[float], None] | None = None
@@ -118,8 +135,7 @@ class _Over:
         vertices: All apparel vertices that are moved, shape (A,).
         rows: Which of them may lie over something, shape (R,).
         under: The vertices that they may lie over, for each part, or for all (None).
-        clear: How far over them they stay where they were farther off at rest, over the size [m].
-        reach: How near these must be at rest [m].
+        how: How they do.
     """
 
     def __init__(
@@ -128,8 +144,7 @@ class _Over:
         vertices: np.ndarray,
         rows: np.ndarray,
         under: Sequence[tuple[int | None, np.ndarray]],
-        clear: float,
-        reach: float,
+        how: _How,
     ):
         scale, rest = wearer.scale, np.asarray(wearer.rest, np.float64)
         self.rows, self.vertices = rows, vertices[rows]
@@ -138,10 +153,10 @@ class _Over:
             return
         chosen = np.searchsorted(self.vertices, _thinned(wearer, self.vertices))
         places, part = rest[self.vertices[chosen]], wearer.part[self.vertices[chosen]]
-        points, gap = np.zeros((len(chosen), NEAR), np.int64), np.full((len(chosen), NEAR), np.inf)
+        points, gap = np.zeros((len(chosen), how.near), np.int64), np.full((len(chosen), how.near), np.inf)
         for number, beneath in under:
             own = np.flatnonzero(part == number) if number is not None else np.arange(len(part))
-            near = min(NEAR, len(beneath))
+            near = min(how.near, len(beneath))
             if near and len(own):
                 found = cKDTree(rest[beneath]).query(places[own], near)
                 gap[own, :near] = found[0].reshape(len(own), near)
@@ -153,13 +168,13 @@ class _Over:
         self.under, self.corners = local[: points.size].reshape(points.shape), local[points.size :].reshape(-1, 3)
         ways = vertex_normals(rest[self.used], self.corners)[self.under]
         height = ((places[:, None] - rest[points]) * ways).sum(axis=-1)
-        self.counts = (height > BENEATH * scale) & (gap <= reach) & np.isfinite(gap)
+        self.counts = (height > BENEATH * scale) & (gap <= how.reach * scale) & np.isfinite(gap)
         if not self.counts.any():
             return
         self.chosen = chosen
-        self.clear = np.minimum(height, clear * scale).astype(np.float32)
+        self.clear = np.minimum(height, how.clear * scale).astype(np.float32)
         self.together = under[0][0] is None  # two layers of a skirt go together
-        self.beside = tuple(scale * bound for bound in BESIDE)
+        self.beside = tuple(scale * bound for bound in how.beside)
         self._shares(places, rest[self.vertices], wearer.part[self.vertices], SPREAD * scale)
 
     def _shares(self, places: np.ndarray, rest: np.ndarray, part: np.ndarray, spread: float) -> None:
