@@ -16,7 +16,8 @@ import numpy as np
 import bunraku
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.fitting import eased_border
-from bunraku.apparel.layers import LEG, LEGS, Layers
+from bunraku.apparel.layers import LEG, Layers
+from bunraku.apparel.wearer import LEGS
 from bunraku.pipelines.apparel import animated_wearer, shipped_displacement
 from bunraku.render import render_frames
 from bunraku.synthetic.wardrobe import wardrobe_character

@@ -16,16 +16,12 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.wearer import Wearer
-from bunraku.body.layout import JOINT_NAMES
+from bunraku.apparel.wearer import LEGS, Wearer
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.normals import vertex_normals
 
 __all__ = ["Layers"]
 
-LEGS = tuple(
-    JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
-)
 LEG = 0.6  # weight of the legs in what counts as a leg
 ROUNDS = 2  # of what lies over what, since there may be three layers
 BENEATH = 0.002  # how far under a vertex a point must lie at rest, over the wearer's size [m]

@@ -6,11 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.body.layout import JOINT_COUNT
+from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES
 from bunraku.errors import CharacterError
 
-__all__ = ["NORMAL_STIFFNESS", "SIZE", "SOFTEST", "STIFFEST", "Wearer", "part_stiffness"]
+__all__ = ["LEGS", "NORMAL_STIFFNESS", "SIZE", "SOFTEST", "STIFFEST", "Wearer", "part_stiffness"]
 
+LEGS = tuple(
+    JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
+)
+"""Their joints."""
 SIZE = 1.6
 """Height that the networks know characters at [m]; others are measured in units of theirs over this."""
 GRAVITY = 7.84  # of MMD files, 98 units / s^2 [m/s^2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from bunraku.diffusion.denoiser import Denoiser
     from bunraku.diffusion.examples.guide import Lead
     from bunraku.diffusion.examples.leads import Leads
+    from bunraku.diffusion.matching import Extractor
     from bunraku.diffusion.ranking import Drawn
     from bunraku.diffusion.sampling.sentence_pull import Critic
 
@@ -152,45 +153,45 @@ def _critic(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[tu
     """What pulls motions towards the sentences of these scripts; None where the file was taken away."""
     import torch
 
-    from bunraku.diffusion.matching import RADIUS, embed_sentences
     from bunraku.diffusion.ranking import load_critic
     from bunraku.diffusion.sampling.sentence_pull import Critic
-    from bunraku.language.clauses import of_person
     from bunraku.language.concurrent import body_part_prompts
-    from bunraku.nn.threads import fitting_threads
 
     network = load_critic()
     if network is None:
         return None
     said = {body_part_prompts(sentence)[0].sentence for script in scripts for sentence, _ in script}
-    plain = {sentence: of_person(sentence) for sentence in sorted(said)}
-    with fitting_threads(model):
-        own = embed_sentences(network, encoder_of(network.config.text_encoder, encoder), list(plain.values()))
-    return Critic(
-        network, {said: torch.from_numpy(own[as_person] / RADIUS).float() for said, as_person in plain.items()}
-    )
+    found = _as_person(network, model, encoder, said)
+    return Critic(network, {said: torch.from_numpy(vector).float() for said, (_, vector) in found.items()})
 
 
 def _leads(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[tuple[str, float]]]) -> Leads | None:
     """Examples for all sentences; None where the file was taken away."""
     from bunraku.diffusion.examples.leads import Leads
     from bunraku.diffusion.examples.pack import load_examples
-    from bunraku.diffusion.matching import RADIUS, embed_sentences
     from bunraku.diffusion.ranking import load_ranker
-    from bunraku.language.clauses import of_person
     from bunraku.language.concurrent import body_part_prompts
-    from bunraku.nn.threads import fitting_threads
 
     pack = load_examples()
     if pack is None:
         return None
-    ranker = load_ranker()
     said = {sentence for script in scripts for sentence, _ in script}
     said |= {part.sentence for sentence in said for part in body_part_prompts(sentence)}
+    return Leads(pack, _as_person(load_ranker(), model, encoder, said))
+
+
+def _as_person(
+    network: Extractor, model: Denoiser, encoder: TextEncoder, said: Collection[str]
+) -> dict[str, tuple[str, np.ndarray]]:
+    """Each sentence as one of a person, and its vector, of length 1, shape (E,)."""
+    from bunraku.diffusion.matching import RADIUS, embed_sentences
+    from bunraku.language.clauses import of_person
+    from bunraku.nn.threads import fitting_threads
+
     plain = {sentence: of_person(sentence) for sentence in sorted(said)}
     with fitting_threads(model):
-        vectors = embed_sentences(ranker, encoder_of(ranker.config.text_encoder, encoder), list(plain.values()))
-    return Leads(pack, {sentence: (said, vectors[said] / RADIUS) for sentence, said in plain.items()})
+        vectors = embed_sentences(network, encoder_of(network.config.text_encoder, encoder), list(plain.values()))
+    return {sentence: (said, vectors[said] / RADIUS) for sentence, said in plain.items()}
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:

@@ -16,16 +16,12 @@ from bunraku.apparel.body_depth import BodyDepth, Unposed, body_depth
 from bunraku.apparel.displacement.body_points import BodyPoints, nearest_index
 from bunraku.apparel.displacement.carry import Carrier
 from bunraku.apparel.displacement.nodes import ApparelNodes
-from bunraku.apparel.wearer import Wearer
-from bunraku.body.layout import JOINT_NAMES
+from bunraku.apparel.wearer import LEGS, Wearer
 
 __all__ = ["Safety", "SafetySettings", "known_share"]
 
 HELD = 0.02  # nodes as near to where their part is held do not move, over the wearer's size [m]
 BESIDE = 0.03  # how near to the way out through a node legs count, over the wearer's size [m]
-LEGS = tuple(
-    JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
-)
 DEEP = 0.006  # how deep a vertex may be in the limb near its third node, over the wearer's size [m]
 FEW = 0.25  # share of the apparel around a node that must be pushed for it to move by as much
 
