@@ -50,7 +50,7 @@ class _How(NamedTuple):
     reach: float
 
 
-OVER_LEGS = _How(32, 0.02, (0.1, 0.2), np.inf)
+OVER_LEGS = _How(32, 0.015, (0.06, 0.14), np.inf)
 OVER_PARTS = _How(12, 0.006, (0.06, 0.14), 0.08)
 
 
