@@ -19,6 +19,8 @@ _HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
 _ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
 _SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
 _NEAR = 12
+LAYER = 0.04  # of the size [m]: how far two layers of a skirt are from each other at the most
+MOSTLY = 0.5  # share of a part that must lie so near another
 BORDER = 0.04  # of the size: how far from the body of the same sheet apparel still goes with it in part
 
 
@@ -80,6 +82,8 @@ def fitted_wearer(
             near = body[tree.query(vertices[own], min(_NEAR, len(body)))[1].reshape(-1)]
             share = weights[near].mean(axis=0)
         out[rows] = np.eye(JOINT_COUNT, dtype=np.float32)[_carrying(share)]
+    part = _layers_as_one(bare, out)
+    count = int(part.max(initial=-1)) + 1
 
     def mean(values: np.ndarray) -> np.ndarray:
         total = np.bincount(part[apparel], values[apparel], count) / np.maximum(np.bincount(part[apparel]), 1)
@@ -88,6 +92,29 @@ def fitted_wearer(
     if not count:
         return bare
     return Wearer(vertices, faces, joints, out, apparel, part, mean(stiffness), mean(damping))
+
+
+def _layers_as_one(wearer: Wearer, weights: np.ndarray) -> np.ndarray:
+    """The parts, those that hang from the pelvis and lie on one another as one, shape (V,): two layers of a skirt that
+    moved each for itself would come through one another.
+    """
+    part = np.array(wearer.part)
+    count = int(part.max(initial=-1)) + 1
+    near = LAYER * wearer.scale
+    rows = [np.flatnonzero(part == number) for number in range(count)]
+    hung = [number for number in range(count) if weights[rows[number][0]].argmax() == 0]
+    trees = {number: cKDTree(wearer.rest[rows[number]]) for number in hung}
+    one = np.arange(count)
+    for number in sorted(hung, key=lambda number: len(rows[number])):
+        points = wearer.rest[rows[number]]
+        for other in hung:
+            if one[other] != one[number]:
+                gap = trees[other].query(points, distance_upper_bound=near)[0]
+                if np.isfinite(gap).mean() > MOSTLY:
+                    one[one == one[number]] = one[other]
+    cloth = part >= 0
+    part[cloth] = np.unique(one[part[cloth]], return_inverse=True)[1]
+    return part
 
 
 def eased_border(wearer: Wearer) -> np.ndarray:

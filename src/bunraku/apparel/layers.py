@@ -30,6 +30,7 @@ FEW = 0.25  # share of what is around a vertex that must be moved for it to move
 CELL = 0.02  # one vertex of a part stands for all in a cube of this, over the same [m]
 SOFT = 0.004  # how much what lacks height must lack to count whole, over the same [m]
 LEAST = 1e-3  # a way back to the skin that rises by less is none, over the same [m]
+RISE = 0.2  # how far below the hips all that hangs goes back as far as it must, over the same [m]
 SMOOTH = 1.5  # standard deviation in time [frames]
 MOST = 0.2  # farther than this nothing is laid over another, over the same [m]
 
@@ -64,9 +65,14 @@ class Layers:
 
     def __init__(self, wearer: Wearer, vertices: np.ndarray):
         self.scale = wearer.scale
-        low = wearer.rest[vertices, 1] < wearer.joints[list(LEGS[:2]), 1].mean()
-        hung = low & ~np.isin(wearer.weights[vertices].argmax(axis=1), LEGS)
+        hips = wearer.joints[list(LEGS[:2]), 1].mean()
+        low = wearer.rest[vertices, 1] < hips
+        carrier = wearer.weights[vertices].argmax(axis=1)
+        hung = low & ~np.isin(carrier, LEGS)
         legs = ~wearer.apparel & (wearer.weights[:, LEGS].sum(axis=1) > LEG)
+        # hair that begins far above is lifted over a leg without a ledge at the hips
+        below = smooth_step(hips - wearer.rest[vertices, 1], 0, RISE * self.scale)
+        self.below = np.where(carrier == 0, 1, below)[hung].astype(np.float32)
         self.skirt = _Over(wearer, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS)
         part = wearer.part[vertices]
         others = [
@@ -108,7 +114,7 @@ class Layers:
         lack = np.where(over.counts & (rise > LEAST * self.scale), over.clear - height, 0) * beside
         share = np.clip(lack / np.maximum(rise, LEAST * self.scale), 0, 1).max(axis=1)
         share = np.maximum(share, over.spread(share[:, None], share)[over.chosen, 0])
-        out[over.rows] += (over.back @ share)[:, None] * back
+        out[over.rows] += (self.below * (over.back @ share))[:, None] * back
         over = self.rest
         if len(over):
             for _ in range(ROUNDS):

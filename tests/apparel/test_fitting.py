@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+
+from bunraku.apparel.fitting import fitted_wearer
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.body.reference import reference_body
+
+
+def tube(radius, low, high, around=24, rings=12):
+    """An upright tube about the axis through the origin."""
+    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, around, endpoint=False), np.linspace(low, high, rings))
+    points = np.stack([radius * np.sin(angle), height, radius * np.cos(angle)], axis=-1).reshape(-1, 3)
+    here = np.arange(len(points)).reshape(rings, around)
+    after = np.roll(here, -1, axis=1)
+    quads = np.stack([here[:-1], after[:-1], after[1:], here[1:]], axis=-1).reshape(-1, 4)
+    return points, np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
+
+
+def worn(joint, *radii):
+    """A trunk that one joint moves, and skirts that hang from it."""
+    tubes = [tube(0.1, 0.9, 1.6), *(tube(radius, 0.4, 0.9) for radius in radii)]
+    count = len(tubes[0][0])
+    vertices = np.concatenate([points for points, _ in tubes]).astype(np.float32)
+    faces = np.concatenate([own + number * count for number, (_, own) in enumerate(tubes)])
+    weights = np.zeros((len(vertices), 22), np.float32)
+    weights[:, JOINT_NAMES.index(joint)] = 1
+    blank = np.zeros(len(vertices), np.float32)
+    joints = np.array(reference_body().joints[:22], np.float32)
+    return fitted_wearer(vertices, faces, joints, weights, np.arange(len(vertices)) >= count, blank, blank)
+
+
+@pytest.mark.parametrize(
+    ("joint", "radii", "parts"),
+    [
+        ("pelvis", (0.12, 0.14), 1),  # two layers of a skirt
+        ("pelvis", (0.12, 0.14, 0.16), 1),
+        ("pelvis", (0.12, 0.22), 2),
+        ("spine3", (0.12, 0.14), 2),  # what hangs from elsewhere stays apart, as locks of hair do
+    ],
+)
+def test_layers_of_a_skirt_are_one_part(joint, radii, parts):
+    wearer = worn(joint, *radii)
+    assert set(np.unique(wearer.part)) == {-1, *range(parts)}
+    assert len(wearer.stiffness) == len(wearer.damping) == parts
+    assert (wearer.weights[wearer.part >= 0].argmax(axis=1) == JOINT_NAMES.index(joint)).all()
