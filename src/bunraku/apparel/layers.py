@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from bunraku.apparel.parts import apparel_parts
 from bunraku.apparel.wearer import LEGS, Wearer
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.normals import vertex_normals
@@ -65,6 +66,8 @@ class Layers:
 
     def __init__(self, wearer: Wearer, vertices: np.ndarray):
         self.scale = wearer.scale
+        # what moves as one part may be several sheets
+        part = apparel_parts(wearer.rest, wearer.faces, wearer.part >= 0)
         hips = wearer.joints[list(LEGS[:2]), 1].mean()
         low = wearer.rest[vertices, 1] < hips
         carrier = wearer.weights[vertices].argmax(axis=1)
@@ -73,13 +76,12 @@ class Layers:
         # hair that begins far above is lifted over a leg without a ledge at the hips
         below = smooth_step(hips - wearer.rest[vertices, 1], 0, RISE * self.scale)
         self.below = np.where(carrier == 0, 1, below)[hung].astype(np.float32)
-        self.skirt = _Over(wearer, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS)
-        part = wearer.part[vertices]
+        self.skirt = _Over(wearer, part, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS)
         others = [
-            (number, _thinned(wearer, np.flatnonzero(wearer.part != number)))
-            for number in range(part.max(initial=-1) + 1)
+            (number, _thinned(wearer, part, np.flatnonzero(part != number)))
+            for number in range(int(part.max(initial=-1)) + 1)
         ]
-        self.rest = _Over(wearer, vertices, np.arange(len(vertices)), others, OVER_PARTS)
+        self.rest = _Over(wearer, part, vertices, np.arange(len(vertices)), others, OVER_PARTS)
 
     def clip(
         self, places: np.ndarray, skinned: np.ndarray, progress: Callable[[float], None] | None = None
@@ -134,6 +136,7 @@ class _Over:
 
     Args:
         wearer: The character.
+        part: Number of the sheet of each vertex, -1 on the body, shape (V,).
         vertices: All apparel vertices that are moved, shape (A,).
         rows: Which of them may lie over something, shape (R,).
         under: The vertices that they may lie over, for each part, or for all (None).
@@ -143,6 +146,7 @@ class _Over:
     def __init__(
         self,
         wearer: Wearer,
+        part: np.ndarray,
         vertices: np.ndarray,
         rows: np.ndarray,
         under: Sequence[tuple[int | None, np.ndarray]],
@@ -153,11 +157,11 @@ class _Over:
         self.chosen = rows[:0]
         if not len(rows):
             return
-        chosen = np.searchsorted(self.vertices, _thinned(wearer, self.vertices))
-        places, part = rest[self.vertices[chosen]], wearer.part[self.vertices[chosen]]
+        chosen = np.searchsorted(self.vertices, _thinned(wearer, part, self.vertices))
+        places, sheet = rest[self.vertices[chosen]], part[self.vertices[chosen]]
         points, gap = np.zeros((len(chosen), how.near), np.int64), np.full((len(chosen), how.near), np.inf)
         for number, beneath in under:
-            own = np.flatnonzero(part == number) if number is not None else np.arange(len(part))
+            own = np.flatnonzero(sheet == number) if number is not None else np.arange(len(sheet))
             near = min(how.near, len(beneath))
             if near and len(own):
                 found = cKDTree(rest[beneath]).query(places[own], near)
@@ -177,7 +181,7 @@ class _Over:
         self.clear = np.minimum(height, how.clear * scale).astype(np.float32)
         self.together = under[0][0] is None  # two layers of a skirt go together
         self.beside = tuple(scale * bound for bound in how.beside)
-        self._shares(places, rest[self.vertices], wearer.part[self.vertices], SPREAD * scale)
+        self._shares(places, rest[self.vertices], part[self.vertices], SPREAD * scale)
 
     def _shares(self, places: np.ndarray, rest: np.ndarray, part: np.ndarray, spread: float) -> None:
         """How much each chosen vertex counts near each other one of its part, and for each vertex."""
@@ -222,7 +226,7 @@ class _Over:
         return np.asarray(self.back @ (near[:, :-1] / np.maximum(near[:, -1:], FEW)))
 
 
-def _thinned(wearer: Wearer, rows: np.ndarray) -> np.ndarray:
+def _thinned(wearer: Wearer, part: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """One vertex for each small cube and part."""
-    cells = np.column_stack([wearer.part[rows], np.floor(wearer.rest[rows] / (CELL * wearer.scale))])
+    cells = np.column_stack([part[rows], np.floor(wearer.rest[rows] / (CELL * wearer.scale))])
     return np.asarray(rows[np.unique(cells, axis=0, return_index=True)[1]])
