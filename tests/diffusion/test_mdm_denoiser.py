@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -80,3 +81,12 @@ def test_it_is_saved_built_and_sampled_like_the_other(model, encoder, tmp_path):
     first, second = (sample(one, text, 40, steps=3, seed=4) for one in (model, again))
     assert first.values.shape == (2, 40, 271) and first.adaptation.shape == (2, 40, 30, 3)
     assert torch.allclose(first.values, second.values, atol=1e-4)
+
+
+def test_the_weights_to_compare_with_are_of_this_kind():
+    path = Path(__file__).parents[2] / "benchmarks/weights/mdm.safetensors"
+    if not path.is_file():
+        pytest.skip("the weights of benchmarks are not in this checkout")
+    model = load_denoiser(path)
+    assert isinstance(model, EncoderDenoiser)
+    assert (model.notes["preset"], model.notes["steps"]) == ("mdm", 5000)
