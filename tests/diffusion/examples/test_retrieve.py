@@ -111,3 +111,20 @@ def test_both_feet_are_no_example_of_one(pack):
     hop = named(pack, "hop", "hops forward from both feet", "hops")
     assert names(hop, "a person hops on one foot", AXES[0]) == []
     assert names(hop, "a person hops", AXES[0]) == [("hop", False)]
+
+
+def test_who_sets_off_from_a_walk_is_no_example_of_a_run(pack):
+    off = named(pack, "off", "someone walks forward a little and then takes off into a run", "a person runs")
+    assert names(off, "a person runs forward", AXES[0]) == []
+    off = named(pack, "off", "a person runs, speeding up", "a person runs")
+    assert names(off, "a person runs", AXES[0]) == []
+    assert names(off, "a person runs, speeding up", AXES[0]) == [("off", False)]
+
+
+def test_who_climbs_down_or_up_a_ladder_is_no_example_of_climbing_stairs(pack):
+    down = named(pack, "down", "a person climbs back down step by step", "climbs")
+    assert names(down, "a person climbs", AXES[0]) == []
+    assert names(down, "a person climbs down", AXES[0]) == [("down", False)]
+    ladder = named(pack, "ladder", "a person climbs a ladder", "climbs")
+    assert names(ladder, "a person climbs the stairs", AXES[0]) == []
+    assert names(ladder, "a person climbs", AXES[0]) == [("ladder", False)]

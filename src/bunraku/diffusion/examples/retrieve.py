@@ -41,6 +41,7 @@ _CHAIR = re.compile(r"\b(chair|stool|bench|seat|sofa|couch|armchair)\b")
 _BOTH = re.compile(r"\b(both|two|arms|hands)\b")
 _ONE_FOOT = re.compile(r"\b(one|left|right) (foot|leg)\b")
 _HALTS = re.compile(r"\b(halt\w*|stop\w*|pauses?|waits?|restart\w*)\b")
+_SETS_OFF = re.compile(r"\b(walk\w*|stands?|starts?|(takes?|sets?) off|speed\w* up|accelerat\w*|slow\w*)\b")
 _DOWN = re.compile(r"\b(down|descend\w*|drop\w*|hang\w*|lets? go)\b")
 _STAIRS = re.compile(r"\b(stairs?|staircase|stairway|upstairs|downstairs)\b")
 _FLOOR = re.compile(r"\b(floor|ground|knees|l(ies|ying))\b")
@@ -127,6 +128,8 @@ def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) ->
         if here.search(asked.words) and there.search(words):
             return False
     if asked.actions == {"hop"} and _ONE_FOOT.search(asked.words) and not _ONE_FOOT.search(words):
+        return False
+    if asked.actions == {"run"} and _SETS_OFF.search(words) and not _SETS_OFF.search(asked.words):
         return False
     if _STAIRS.search(asked.words) and not _STAIRS.search(words):
         return False
