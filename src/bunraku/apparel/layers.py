@@ -77,6 +77,8 @@ class Layers:
         below = smooth_step(hips - wearer.rest[vertices, 1], 0, RISE * self.scale)
         self.below = np.where(carrier == 0, 1, below)[hung].astype(np.float32)
         self.skirt = _Over(wearer, part, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS)
+        if not len(self.skirt):
+            return  # nothing is laid over anything
         others = [
             (number, _thinned(wearer, part, np.flatnonzero(part != number)))
             for number in range(int(part.max(initial=-1)) + 1)

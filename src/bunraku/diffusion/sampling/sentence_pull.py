@@ -17,6 +17,7 @@ from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.matching import RADIUS, Extractor
+from bunraku.diffusion.ranking import LONGEST, SHORTEST
 from bunraku.diffusion.sampling.sampler import ROOT
 
 __all__ = ["Critic", "SentencePull", "Spoken", "smoothed"]
@@ -27,8 +28,6 @@ LAST = 100
 """Step of the sampler below which nothing is pulled: what is left there are details."""
 SPREAD = 2.0
 """Standard deviation of the smoothing [frames]."""
-LONGEST, SHORTEST = 196, 8
-"""Frames of a stretch; longer parts are pulled in pieces, shorter ones are not."""
 GROUP = 16
 """Stretches that go through the network at once."""
 
@@ -143,7 +142,7 @@ class Critic:
                 pieces = -(-length // LONGEST)
                 bounds = [first + round(length * piece / pieces) for piece in range(pieces + 1)]
                 for low, high in zip(bounds, bounds[1:], strict=False):
-                    if min(high, end) - low >= SHORTEST:
+                    if min(high, end) - low >= SHORTEST:  # as the ranker looks at it
                         until = 1000
                         if guide is not None:
                             share, down_to = guide[1][low:high], guide[2][low:high]
