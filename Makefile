@@ -73,7 +73,7 @@ demo: $(READY) demo/$(SAMPLE).glb
 	@echo "animation: demo/$(SAMPLE)-animated.glb"
 	@echo "video:     demo/$(SAMPLE)-animated.mp4"
 
-demo/$(SAMPLE).glb: $(READY) $(wildcard src/bunraku/synthetic/samples/*.py)
+demo/$(SAMPLE).glb: $(READY) $(wildcard src/bunraku/samples/*.py)
 	@$(BIN)/bunraku samples $(SAMPLE) -o demo
 	@touch $@
 

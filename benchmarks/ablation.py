@@ -19,13 +19,13 @@ import numpy as np
 import torch
 
 from bunraku.body.layout import HANDLE_MIRROR
-from bunraku.datasets.characters.build import load_characters, reference_characters
-from bunraku.datasets.characters.training_character import AugmentConfig, TrainingCharacter
 from bunraku.handles.graph import mesh_graph
 from bunraku.handles.predictor import load_predictor
-from bunraku.training.handles.damage import DamageConfig
-from bunraku.training.handles.train import HandleTrainConfig, HandleTrainer, validate_handles
-from bunraku.training.losses.handle_losses import LossConfig
+from bunraku_lab.datasets.characters.build import load_characters, reference_characters
+from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter
+from bunraku_lab.training.handles.damage import DamageConfig
+from bunraku_lab.training.handles.train import HandleTrainConfig, HandleTrainer, validate_handles
+from bunraku_lab.training.losses.handle_losses import LossConfig
 
 LOSS = LossConfig(smoothness=0.1)  # every loss that was ever tried is on
 NONE = DamageConfig(slide_rate=0, coarse_rate=0, hole_rate=0, split_rate=0, noise=0, normal_noise=0)

@@ -40,11 +40,11 @@ def measure(seed: int, frames: int) -> dict[str, Any]:
 
     from bunraku.apparel.displacement.player import ApparelPlayer
     from bunraku.apparel.unified import UnifiedBody
-    from bunraku.datasets.apparel.build import body_animation
-    from bunraku.evaluation.transfer.stock_motions import stock_motion
     from bunraku.physics.worn import wearer_of_file
     from bunraku.pipelines.apparel import shipped_displacement
-    from bunraku.synthetic.wardrobe import wardrobe_character
+    from bunraku_lab.datasets.apparel.build import body_animation
+    from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+    from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
     character = wardrobe_character(seed)
     body = UnifiedBody.of(character)

@@ -20,7 +20,7 @@ from bunraku.apparel.layers import LEG, Layers
 from bunraku.apparel.wearer import LEGS
 from bunraku.pipelines.apparel import animated_wearer, shipped_displacement
 from bunraku.render import render_frames
-from bunraku.synthetic.wardrobe import wardrobe_character
+from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 PROMPTS = (
     "a person dances and turns around", "a person kicks with the right leg", "a person runs forward",

@@ -55,8 +55,8 @@ def main() -> None:
     from bunraku.diffusion.features import FeatureStatistics, decode
     from bunraku.diffusion.generate import load_generator
     from bunraku.diffusion.sampling.sampler import sample
-    from bunraku.evaluation.motion.seams import posed_positions
     from bunraku.nn.threads import fitting_threads
+    from bunraku_lab.evaluation.motion.seams import posed_positions
 
     torch.set_num_threads(args.threads)
     model, encoder = load_generator(args.checkpoint)
@@ -113,7 +113,7 @@ def main() -> None:
     def distance(ours: np.ndarray | None, theirs: np.ndarray | None) -> str:
         if ours is None or theirs is None:
             return "-"
-        from bunraku.evaluation.motion.metrics import fid
+        from bunraku_lab.evaluation.motion.metrics import fid
 
         return f"{fid(ours, theirs):.3f}"
 

@@ -10,7 +10,7 @@ import numpy as np
 
 import bunraku
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bunraku
 from bunraku.render import save_preview
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)

@@ -129,9 +129,9 @@ def bank_path(tmp_path_factory):
     """
     from dataclasses import replace
 
-    from bunraku.datasets.characters.character_bank import bank_row, write_rows
     from bunraku.handles.from_rig import rig_handles
-    from bunraku.synthetic.samples import sample_character
+    from bunraku.samples import sample_character
+    from bunraku_lab.datasets.characters.character_bank import bank_row, write_rows
 
     random, rows = np.random.default_rng(0), []
     for name in ("dancer", "dog", "person"):

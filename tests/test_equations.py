@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = ROOT / "src" / "bunraku"
+SOURCES = ROOT / "src"
 TAG = re.compile(r"\[((?:TapMo|MMDMC) \d+)\]")
 ROW = re.compile(r"^\| ((?:TapMo|MMDMC) \d+) \| [^|]+ \| `([\w/]+\.py)` \| `([\w.]+)` \|$", re.MULTILINE)
 

@@ -31,10 +31,12 @@ def wheel(tmp_path_factory) -> Path:
 def test_wheel_holds_every_file_of_the_package(wheel):
     assert wheel.name == f"bunraku-{bunraku.__version__}-py3-none-any.whl"
     names = set(zipfile.ZipFile(wheel).namelist())
-    for path in (ROOT / "src" / "bunraku").rglob("*"):
+    for path in (ROOT / "src").rglob("*"):
         if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".pyc":
             assert path.relative_to(ROOT / "src").as_posix() in names
-    assert all(name.startswith(("bunraku/", f"bunraku-{bunraku.__version__}.dist-info/")) for name in names)
+    assert all(
+        name.startswith(("bunraku/", "bunraku_lab/", f"bunraku-{bunraku.__version__}.dist-info/")) for name in names
+    )
     assert not any(name.endswith((".pyc", ".part", ".tmp")) for name in names)
     assert all(any(name.endswith(f"licenses/{text}") for name in names) for text in ("LICENSE", "NOTICE"))
     assert wheel.stat().st_size < 96e6

@@ -34,12 +34,12 @@ RESERVE = 25.0
 
 
 def pack(options: argparse.Namespace) -> None:
-    from bunraku.datasets.motions.bundle import write_bundle
+    from bunraku_lab.datasets.motions.bundle import write_bundle
 
     out = options.output
     out.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(out / "src", ignore_errors=True)
-    for path in sorted((SOURCES / "bunraku").rglob("*")):
+    for path in sorted(SOURCES.rglob("*")):
         place = path.relative_to(SOURCES)
         left = "__pycache__" in place.parts or "static" in place.parts
         small = path.suffix == ".py" or path.stat().st_size <= LARGEST
@@ -69,7 +69,7 @@ def train(options: argparse.Namespace) -> None:
     alarm = threading.Timer(max(60 * options.limit - RESERVE, 1.0), os.kill, (os.getpid(), signal.SIGTERM))
     alarm.daemon = True
     alarm.start()
-    from bunraku.training.diffusion.train import TrainingConfig, train_diffusion
+    from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
 
     settings = {"batch": options.batch, "learning_rate": options.learning_rate, "steps": options.steps}
     config = TrainingConfig(

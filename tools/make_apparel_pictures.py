@@ -15,11 +15,11 @@ import numpy as np
 
 import bunraku
 from bunraku.apparel.unified import UnifiedBody
-from bunraku.datasets.apparel.build import body_animation
-from bunraku.evaluation.transfer.stock_motions import stock_motion
 from bunraku.pipelines.apparel import dressed
 from bunraku.render import contact_sheet, render_frames, save_preview
-from bunraku.synthetic.wardrobe import wardrobe_character
+from bunraku_lab.datasets.apparel.build import body_animation
+from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
 SEED, PROMPT, SECONDS = 801, "a person dances and turns around", 4.0

@@ -18,8 +18,6 @@ import numpy as np
 import bunraku
 from bunraku.cli import main as bunraku_command
 from bunraku.core.animation import Animation
-from bunraku.evaluation.transfer.character import facing_character
-from bunraku.evaluation.transfer.quadrupeds import captured_animal
 from bunraku.io import save_character
 from bunraku.io.play import load_animation
 from bunraku.pipelines.animate import animate, rig
@@ -27,8 +25,10 @@ from bunraku.pipelines.apply import apply_motion
 from bunraku.render import contact_sheet, render_animation
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.synthetic.families import EVALUATION_SEED, code_made_character
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
+from bunraku_lab.evaluation.transfer.character import facing_character
+from bunraku_lab.evaluation.transfer.quadrupeds import captured_animal
+from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
 SIZE = (190, 170)

@@ -19,12 +19,12 @@ import numpy as np
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
-from bunraku.evaluation.transfer.character import facing_character
-from bunraku.evaluation.transfer.ground import ground_heights, off_ground
 from bunraku.pipelines.animate import animate_each, rig
 from bunraku.pipelines.decisions import body_facts
 from bunraku.render import contact_sheet, render_animation
-from bunraku.synthetic.families import EVALUATION_SEED, code_made_character
+from bunraku_lab.evaluation.transfer.character import facing_character
+from bunraku_lab.evaluation.transfer.ground import ground_heights, off_ground
+from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
 SENTENCES = ("walks forward", "runs", "attacks", "stands still")

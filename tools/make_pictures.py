@@ -21,9 +21,9 @@ from bunraku.core.character import Character
 from bunraku.pipelines.animate import animate, rig
 from bunraku.render import contact_sheet, render_animation, render_still
 from bunraku.retarget.body_motion import body_handle_motion
-from bunraku.synthetic.gestures.catalogue import GESTURES
-from bunraku.synthetic.gestures.play import gesture_motion
-from bunraku.synthetic.samples import sample_character, sample_names
+from bunraku.samples import sample_character, sample_names
+from bunraku_lab.synthetic.gestures.catalogue import GESTURES
+from bunraku_lab.synthetic.gestures.play import gesture_motion
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
 PROMPTS = (

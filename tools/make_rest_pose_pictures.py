@@ -12,13 +12,13 @@ import numpy as np
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
-from bunraku.evaluation.handles.rest_pose_transfer import TRANSFER_POSES, code_made_motions
-from bunraku.evaluation.handles.rest_poses import posed_limbs
-from bunraku.evaluation.handles.subjects import subject
 from bunraku.pipelines.animate import rig
 from bunraku.render import contact_sheet, render_animation, render_still
 from bunraku.retarget.fit import fit_motion
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
+from bunraku_lab.evaluation.handles.rest_pose_transfer import TRANSFER_POSES, code_made_motions
+from bunraku_lab.evaluation.handles.rest_poses import posed_limbs
+from bunraku_lab.evaluation.handles.subjects import subject
 
 OUT = Path(__file__).parents[1] / "docs/pictures/rest-poses.png"
 FRAMES = (("wave", 0.75), ("walk", 0.25), ("squat", 0.5))  # motion and moment [s]

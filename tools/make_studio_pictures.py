@@ -128,8 +128,8 @@ STATES = {  # those of a first visit before those that leave something behind
 def study(browser: object) -> None:
     """A trial of a blind study."""
     from bunraku.pipelines.animate import animate, rig
+    from bunraku.samples import sample_character
     from bunraku.studio.study.make import Line, make_study
-    from bunraku.synthetic.samples import sample_character
 
     character = sample_character("dragon")
     handles = rig(character)

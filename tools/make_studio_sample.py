@@ -11,12 +11,12 @@ import tempfile
 from pathlib import Path
 
 from bunraku.io import save_character
+from bunraku.samples import sample_character
 from bunraku.studio.desk import SAMPLE
 from bunraku.studio.projects import pack_project
 from bunraku.studio.store import Store
 from bunraku.studio.tasks import run_task
 from bunraku.studio.workshop import Workshop
-from bunraku.synthetic.samples import sample_character
 
 NAME = "dragon"
 SCRIPT = [{"text": "walks forward", "seconds": 4}]

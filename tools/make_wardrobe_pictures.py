@@ -17,7 +17,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.physics.simulate import simulate
 from bunraku.render import contact_sheet, render_animation, render_still
-from bunraku.synthetic.wardrobe import wardrobe_character, wardrobe_costume
+from bunraku_lab.synthetic.wardrobe import wardrobe_character, wardrobe_costume
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
 COUNT, SHEETS, COLUMNS, CELL = 60, 3, 10, (124, 168)

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from bunraku.pipelines.edit import edit
     from bunraku.pipelines.transfer import transfer
     from bunraku.retarget.fit import Stages
+    from bunraku.samples import sample_character
 
 __version__ = "0.1.0"
 
@@ -72,6 +73,7 @@ __all__ = [
     "load_character",
     "load_motion",
     "rig",
+    "sample_character",
     "save_character",
     "transfer",
     "upright",
@@ -96,6 +98,7 @@ _HOME = {
     "load_character": "bunraku.io",
     "load_motion": "bunraku.io",
     "rig": "bunraku.pipelines.animate",
+    "sample_character": "bunraku.samples",
     "save_character": "bunraku.io",
     "transfer": "bunraku.pipelines.transfer",
     "upright": "bunraku.handles.orientation",

@@ -20,7 +20,7 @@ from bunraku.apparel.segmentation.network import (
 )
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.body.reference import reference_body
-from bunraku.training.losses.apparel_losses import edge_loss, mask_loss, smoothness_loss, vertex_loss
+from bunraku_lab.training.losses.apparel_losses import edge_loss, mask_loss, smoothness_loss, vertex_loss
 
 
 def test_the_attention_map_by_hand():

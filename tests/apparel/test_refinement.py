@@ -19,7 +19,7 @@ from bunraku.apparel.wearer import SIZE, Wearer
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.errors import WeightsError
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.training.losses.apparel_losses import edge_loss, refinement_loss, vertex_loss
+from bunraku_lab.training.losses.apparel_losses import edge_loss, refinement_loss, vertex_loss
 
 ROWS = 41
 

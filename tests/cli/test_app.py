@@ -9,13 +9,13 @@ import pytest
 
 import bunraku
 from bunraku.cli import main
-from bunraku.cli.app import VERBS, _explain
+from bunraku.cli.app import _explain, all_verbs
 from bunraku.cli.checks import slug
-from bunraku.cli.evaluate.report import size_text
+from bunraku.cli.report import size_text
 from bunraku.cli.verbs.samples import Samples
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", all_verbs())
 def test_every_verb_helps_with_an_example(capsys, verb):
     assert main([*verb, "--help"]) == 0
     said = capsys.readouterr().out
@@ -26,7 +26,7 @@ def test_every_verb_helps_with_an_example(capsys, verb):
 def test_help_names_every_verb(capsys):
     assert main(["--help"]) == 0
     said = capsys.readouterr().out
-    assert all(" ".join(verb) in said for verb in VERBS)
+    assert all(" ".join(verb) in said for verb in all_verbs())
     assert main(["data", "--help"]) == 0
     assert "animate" not in capsys.readouterr().out
 

@@ -20,7 +20,7 @@ QUICK = ["--steps", "2"]
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     from bunraku.io import save_character
-    from bunraku.synthetic.samples import sample_character
+    from bunraku.samples import sample_character
 
     folder = tmp_path_factory.mktemp("edit")
     save_character(sample_character("person", 0.3), folder / "person.glb")

@@ -17,7 +17,7 @@ from bunraku.handles.orientation import Orientation, Settled, settled_axes
 from bunraku.io import load_character, save_character
 from bunraku.io.registry import read_motion
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 
 def need_weights(*names):

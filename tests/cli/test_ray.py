@@ -15,8 +15,8 @@ import pytest
 from bunraku.cli import main
 from bunraku.cli.transfer.jobs import Pair
 from bunraku.cli.transfer.runs import run_pairs
-from bunraku.evaluation.transfer.stock_motions import stock_motion
 from bunraku.io.play import load_animation
+from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 
 ray = pytest.importorskip("ray", reason="ray is not installed; pip install 'bunraku[ray]'")
 PAIRS = 40

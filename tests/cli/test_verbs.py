@@ -11,11 +11,11 @@ import pytest
 
 import bunraku
 from bunraku.cli import main
-from bunraku.cli.app import VERBS
+from bunraku.cli.app import all_verbs
 from bunraku.cli.checks import SECONDS
 from bunraku.cli.verbs.inspect import describe
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.synthetic.samples import sample_names
+from bunraku.samples import sample_names
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -231,9 +231,9 @@ def test_limits_and_defaults_agree_with_the_library():
 
 def test_every_option_is_documented():
     text = (ROOT / "docs" / "cli.md").read_text()
-    for verb, (module, name, _) in VERBS.items():
+    for verb, (module, name, _) in all_verbs().items():
         assert f"bunraku {' '.join(verb)}" in text
-        kind = getattr(importlib.import_module(f"bunraku.cli.{module}"), name)
+        kind = getattr(importlib.import_module(module), name)
         if isinstance(kind, type):
             section = text[text.index(f"## bunraku {verb[0]}") if verb[0] != "evaluate" else 0 :]
             for field in dataclasses.fields(kind):

@@ -10,7 +10,7 @@ from bunraku.diffusion.editing import continue_motion, edit_motion, span_frames
 from bunraku.diffusion.features import encode
 from bunraku.diffusion.generate import generate_motion, generate_motions
 from bunraku.errors import MotionError, OptionError
-from bunraku.evaluation.motion.seams import posed_positions
+from bunraku_lab.evaluation.motion.seams import posed_positions
 
 ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")
 

@@ -11,7 +11,7 @@ from bunraku.core.character import Character
 from bunraku.errors import FormatError
 from bunraku.formats.mmd.pmx_write import save_pmx
 from bunraku.io import load_character
-from bunraku.synthetic.wardrobe import wardrobe_character
+from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 
 @pytest.fixture(scope="module")

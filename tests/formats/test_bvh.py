@@ -334,8 +334,8 @@ def test_two_minutes_at_120_hz_take_half_a_second(tmp_path):
     not (ARCHIVE / "unpack_motions.py").is_file(), reason="needs the motion archive, named by BUNRAKU_DATA"
 )
 def test_files_of_the_archive_give_its_positions(tmp_path, monkeypatch):
-    from bunraku.datasets.motions.build import MotionArchive
     from bunraku.skeletons.to_smpl import to_smpl
+    from bunraku_lab.datasets.motions.build import MotionArchive
 
     spec = importlib.util.spec_from_file_location("unpack_motions", ARCHIVE / "unpack_motions.py")
     script = importlib.util.module_from_spec(spec)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from bunraku import Animation, Character, FormatError, HandleMotion, Handles, OptionError
 from bunraku.io import save_animation, save_character
 from bunraku.io.play import load_animation
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 
 def random_animation(seed: int = 0, frames: int = 12, count: int = 5) -> Animation:

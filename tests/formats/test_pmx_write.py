@@ -12,8 +12,8 @@ from bunraku.errors import FormatError
 from bunraku.formats.mmd.build import MmdFile, mmd_character
 from bunraku.formats.mmd.pmx import read_pmx_file
 from bunraku.formats.mmd.pmx_write import pmx_bytes, save_pmx, write_pmx
-from bunraku.synthetic.samples import sample_character
-from bunraku.synthetic.wardrobe import wardrobe_character
+from bunraku.samples import sample_character
+from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 
 def _assert_same(first: Character, second: Character) -> None:

@@ -9,7 +9,7 @@ import bunraku
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.errors import CharacterError, OptionError
 from bunraku.handles.from_rig import rig_handles, settle_joints
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 
 def test_joints_without_a_name_join_their_nearest_known_ancestor():

@@ -12,7 +12,7 @@ from bunraku.geometry.axes import ORIENTATIONS, default_orientation, upright_rot
 from bunraku.handles.orientation import SURE, Orientation, guess_orientation, settle, settled_axes, upright
 from bunraku.handles.orientation_evidence import combined, format_weights
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.synthetic.samples import sample_character, sample_names
+from bunraku.samples import sample_character, sample_names
 
 try:
     shipped_checkpoint("orientation")

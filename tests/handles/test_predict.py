@@ -10,7 +10,7 @@ from bunraku.body.layout import HANDLE_MIRROR, HANDLE_NAMES
 from bunraku.core.character import Character
 from bunraku.handles.predict import mesh_feature, predict_handles, smooth_weights, trim_weights
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 needs_weights = pytest.mark.skipif(
     not shipped_checkpoint("handles").is_file(), reason="the shipped weights are not there"

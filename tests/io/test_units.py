@@ -12,7 +12,7 @@ from bunraku.errors import OptionError
 from bunraku.formats.frames import likely_unit
 from bunraku.io import load_character, save_character
 from bunraku.io.units import in_metres, settle_unit
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 
 def box(path, size):

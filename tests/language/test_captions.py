@@ -132,7 +132,7 @@ def test_labels_have_rewordings_of_all_lengths(label):
 
 def test_game_clips_have_rewordings():
     table = json.loads(
-        resources.files("bunraku.datasets.motions").joinpath("game_clips.json").read_text(encoding="utf-8")
+        resources.files("bunraku_lab.datasets.motions").joinpath("game_clips.json").read_text(encoding="utf-8")
     )
     texts = {
         text.format(hand=side, leg=side)
@@ -229,7 +229,7 @@ def test_every_action_makes_sentences_of_several_lengths():
 
 def test_the_table_of_creature_clips_uses_actions_that_have_words():
     table = json.loads(
-        resources.files("bunraku.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8")
+        resources.files("bunraku_lab.datasets.motions").joinpath("creature_clips.json").read_text(encoding="utf-8")
     )
     words = json.loads(
         resources.files("bunraku.language").joinpath("creature_captions.json").read_text(encoding="utf-8")

@@ -10,7 +10,7 @@ import pytest
 import bunraku
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.pipelines.animate import animate, animate_each, rig
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 pytestmark = pytest.mark.skipif(
     not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()),

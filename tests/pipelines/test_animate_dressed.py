@@ -12,8 +12,8 @@ from bunraku.physics.from_file import apparel_rig
 from bunraku.pipelines.animate import animate, generate
 from bunraku.pipelines.apply import apply_simulated
 from bunraku.retarget.to_rig import fit_rig
-from bunraku.synthetic.samples import sample_character
-from bunraku.synthetic.wardrobe import wardrobe_character
+from bunraku.samples import sample_character
+from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 pytestmark = pytest.mark.skipif(
     not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()),

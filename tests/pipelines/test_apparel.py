@@ -14,10 +14,10 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import CharacterError, OptionError
-from bunraku.evaluation.transfer.stock_motions import stock_motion
 from bunraku.geometry.areas import vertex_areas
 from bunraku.pipelines.apparel import dressed, learned
 from bunraku.pipelines.together import check_apparel_option, check_together
+from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 
 MOTION = stock_motion("walk", 1.0, 20.0)
 

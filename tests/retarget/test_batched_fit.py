@@ -12,7 +12,7 @@ from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.batched_fit import LONGEST, bone_positions, capped, fit_locals, move_points, posed_positions
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 
 @pytest.fixture

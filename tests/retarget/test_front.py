@@ -12,7 +12,7 @@ from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.creatures.front import SINK, raised_front
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.attach import attach_joints
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 FRAMES = 41
 

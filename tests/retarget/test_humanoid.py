@@ -16,7 +16,7 @@ from bunraku.io import load_motion
 from bunraku.io.humanoid import humanoid_motion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.from_mesh import handle_motion_of_body
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 
 def degrees(a, b):

@@ -13,7 +13,7 @@ from bunraku.handles.from_rig import rig_handles
 from bunraku.pipelines.animate import rig
 from bunraku.retarget.fit import fit_motion
 from bunraku.retarget.stages.pins import PINNED, Pin, end_places, limb_ends, meet_pins, spread
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 HUMAN = 1.7
 

@@ -14,7 +14,7 @@ from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.reference import WayBack, motion_to_reference
 from bunraku.retarget.stages.attach import reference_joints
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 BARE = Stages(feet=False, smooth=False, floor=False)
 

@@ -9,11 +9,11 @@ from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import SkeletalMotion
-from bunraku.evaluation.handles.rest_pose_transfer import code_made_motions
 from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.stages.attach import find_joints, refined_joints
 from bunraku.retarget.stance import rest_to_reference, stance_of
+from bunraku_lab.evaluation.handles.rest_pose_transfer import code_made_motions
 
 POSES = {
     "A": {"shoulder": ("z", -45)},

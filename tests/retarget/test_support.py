@@ -13,7 +13,7 @@ from bunraku.retarget.legs import find_legs, foot_points
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.attach import attach_joints
 from bunraku.retarget.stages.support import LONG, keep_support, unsupported
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 FPS = 20.0

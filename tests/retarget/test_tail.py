@@ -15,7 +15,7 @@ from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.creatures.tail import HIGHEST, lowered_tail, raised_tail
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.attach import Joints, attach_joints
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
 
 FPS, FRAMES = 20.0, 60
 TAIL, TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")

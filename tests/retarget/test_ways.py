@@ -17,8 +17,8 @@ from bunraku.retarget.creatures.plan import plan_of
 from bunraku.retarget.creatures.ways import BEATS, HELD, HOVER, TILT, in_air, moved_so, wing_swing
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.synthetic.families import EVALUATION_SEED, code_made_character
-from bunraku.synthetic.samples import sample_character
+from bunraku.samples import sample_character
+from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
 
 FRAMES = 60
 EVERY = slice(0, FRAMES)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from tiny_inputs import MADE
 
-from bunraku.cli.app import VERBS
+from bunraku.cli.app import all_verbs
 
 HOOK = '''
 """Counts what is done to files below a folder, and kills the whole session at one of these events."""
@@ -197,7 +197,7 @@ INTERRUPTED = (
     *_LIVE,
     *(
         Command(" ".join(verb), (*verb, "--help"))
-        for verb in VERBS
+        for verb in all_verbs()
         if not any(command.words[: len(verb)] == verb for command in _LIVE)
     ),
 )

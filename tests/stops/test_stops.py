@@ -8,18 +8,18 @@ import pytest
 import torch
 from stops import INTERRUPTED, KILLED, Command, Killer, contents, interrupt, make_inputs
 
-from bunraku.cli.app import VERBS
+from bunraku.cli.app import all_verbs
 from bunraku.nn.checkpoints import save_checkpoint
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs the /proc of Linux")
 
 
 def test_every_command_is_interrupted_and_every_writer_is_killed():
-    for verb in VERBS:
+    for verb in all_verbs():
         assert any(command.words[: len(verb)] == verb for command in INTERRUPTED), verb
     killed = {command.words[:2] for command in KILLED}
     assert {words[0] for words in killed} >= {"samples", "animate", "transfer"}
-    assert killed >= {verb for verb in VERBS if verb[0] in ("data", "train")}
+    assert killed >= {verb for verb in all_verbs() if verb[0] in ("data", "train")}
 
 
 def test_networks_are_compared_without_the_seconds_and_the_folder(tmp_path):

@@ -23,7 +23,7 @@ def make_clips(folder: Path) -> None:
 def make_characters(folder: Path) -> None:
     """A folder of two rigged characters."""
     from bunraku.io import save_character
-    from bunraku.synthetic.samples import sample_character
+    from bunraku.samples import sample_character
 
     (folder / "characters").mkdir()
     for name in ("person", "dancer"):
@@ -32,8 +32,8 @@ def make_characters(folder: Path) -> None:
 
 def make_motions(folder: Path) -> None:
     """Clips as `bunraku data motions` writes them, to train on and to validate with."""
-    from bunraku.datasets.motions.clips import write_clip, write_index
-    from bunraku.evaluation.transfer.stock_motions import stock_motion
+    from bunraku_lab.datasets.motions.clips import write_clip, write_index
+    from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 
     out, index = folder / "motions", {}
     out.mkdir()

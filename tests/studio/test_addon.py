@@ -66,7 +66,7 @@ def test_it_makes_an_action_in_blender(studio, tmp_path):
     if not python or shutil.which(python) is None:
         pytest.skip("BUNRAKU_BLENDER_PYTHON names no Python with Blender's module bpy")
     from bunraku import save_character
-    from bunraku.synthetic.samples import sample_character
+    from bunraku.samples import sample_character
 
     assert main(["blender-addon", "-o", str(tmp_path / "bunraku_addon.py")]) == 0
     mesh = save_character(sample_character("person"), tmp_path / "person.glb")

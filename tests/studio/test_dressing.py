@@ -17,12 +17,12 @@ from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError, OptionError
-from bunraku.evaluation.transfer.stock_motions import stock_motion
 from bunraku.formats.gltf.read import read_gltf
 from bunraku.geometry.rotations import matrix_from_quaternion
 from bunraku.io import save_character
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.apply import apply_motion
+from bunraku.samples import sample_character
 from bunraku.studio import dressing
 from bunraku.studio.clips import (
     Dressed,
@@ -37,8 +37,8 @@ from bunraku.studio.dressing import Apparel, dressed_anew, is_worn
 from bunraku.studio.opened import Settings, opened_character
 from bunraku.studio.tasks import run_task
 from bunraku.studio.workshop import Workshop
-from bunraku.synthetic.samples import sample_character
-from bunraku.synthetic.wardrobe import wardrobe_character
+from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
+from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 STUDIO = Path(__file__).resolve().parents[2] / "studio"
 

@@ -19,8 +19,8 @@ from bunraku.io.clips import load_clip_animation
 from bunraku.render.camera import Camera
 from bunraku.render.loops import kernels
 from bunraku.retarget.stages.pins import end_places, limb_ends
+from bunraku.samples import sample_character
 from bunraku.studio.clips import load_handles, load_take
-from bunraku.synthetic.samples import sample_character
 
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium; on Debian: apt-get install chromium"),
@@ -115,7 +115,7 @@ def test_characters_are_dropped(page, tmp_path, kind):
         path.write_bytes(gzip.decompress((FILES / "boxman_y_up_m.fbx.gz").read_bytes()))
     elif kind == "pmx":
         from bunraku.formats.mmd.pmx_write import save_pmx
-        from bunraku.synthetic.wardrobe import wardrobe_character
+        from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
         save_pmx(wardrobe_character(3), path)
     else:

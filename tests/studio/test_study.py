@@ -11,14 +11,14 @@ from bunraku.cli import main
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
-from bunraku.evaluation.study.answers import FROZEN, QUESTIONS, load_answers, load_study
-from bunraku.evaluation.study.ranks import left_out, outcome
 from bunraku.formats.gltf.container.open import open_document
 from bunraku.io.play import load_animation
 from bunraku.pipelines.animate import rig
+from bunraku.samples import sample_character
+from bunraku.studio.study.answers import FROZEN, QUESTIONS, load_answers, load_study
 from bunraku.studio.study.make import Line, make_study, read_lines
 from bunraku.studio.study.show import Session, placed, trial_order
-from bunraku.synthetic.samples import sample_character
+from bunraku_lab.evaluation.study.ranks import left_out, outcome
 
 METHODS = ("ours", "mdm-sr", "mdm-sfr")
 

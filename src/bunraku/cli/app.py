@@ -16,90 +16,62 @@ from typing import Any
 
 from bunraku.errors import BunrakuError, OptionError
 
-__all__ = ["VERBS", "main"]
+__all__ = ["VERBS", "Verbs", "all_verbs", "main"]
 
-# Words -> module in bunraku.cli, its attribute that is the verb, one line of help.
-VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
-    ("animate",): ("verbs.animate", "Animate", "make a character do what a sentence says"),
-    ("transfer",): ("transfer.command", "Transfer", "put a motion that exists already on a character, or many on many"),
-    ("edit",): ("verbs.edit", "Edit", "keep a part of a clip and generate the rest"),
-    ("rig",): ("verbs.rig", "Rig", "give a character its 30 handles as a skin, without motion"),
-    ("inspect",): ("verbs.inspect", "Inspect", "tell what a file holds"),
-    ("render",): ("verbs.render", "Render", "make a video or a picture of an animated file, a character or a motion"),
-    ("studio",): ("verbs.studio", "Studio", "open a page: drop a character, type a sentence, watch it move"),
+Verbs = dict[tuple[str, ...], tuple[str, str, str]]
+"""Words -> module, its attribute that is the verb, one line of help."""
+
+VERBS: Verbs = {
+    ("animate",): ("bunraku.cli.verbs.animate", "Animate", "make a character do what a sentence says"),
+    ("transfer",): (
+        "bunraku.cli.transfer.command",
+        "Transfer",
+        "put a motion that exists already on a character, or many on many",
+    ),
+    ("edit",): ("bunraku.cli.verbs.edit", "Edit", "keep a part of a clip and generate the rest"),
+    ("rig",): ("bunraku.cli.verbs.rig", "Rig", "give a character its 30 handles as a skin, without motion"),
+    ("inspect",): ("bunraku.cli.verbs.inspect", "Inspect", "tell what a file holds"),
+    ("render",): (
+        "bunraku.cli.verbs.render",
+        "Render",
+        "make a video or a picture of an animated file, a character or a motion",
+    ),
+    ("studio",): (
+        "bunraku.cli.verbs.studio",
+        "Studio",
+        "open a page: drop a character, type a sentence, watch it move",
+    ),
     ("blender-addon",): (
-        "verbs.blender_addon",
+        "bunraku.cli.verbs.blender_addon",
         "BlenderAddon",
         "write the add-on for Blender, which asks the studio",
     ),
-    ("samples",): ("verbs.samples", "Samples", "write the sample characters"),
-    ("doctor",): ("verbs.doctor", "Doctor", "tell what this installation has, what is missing, and what that costs"),
-    ("data", "motions"): ("data.samples", "Motions", "turn a motion archive into handle motions to train on"),
-    ("data", "characters"): ("data.samples", "Characters", "turn rigged characters into samples to train on"),
-    ("data", "mesh-bank"): ("data.samples", "MeshBank", "write the mesh features of characters to train with"),
-    ("data", "character-bank"): (
-        "data.character_bank",
-        "CharacterBank",
-        "pack rigged characters for the losses of mesh-specific motion learning",
+    ("samples",): ("bunraku.cli.verbs.samples", "Samples", "write the sample characters"),
+    ("doctor",): (
+        "bunraku.cli.verbs.doctor",
+        "Doctor",
+        "tell what this installation has, what is missing, and what that costs",
     ),
-    ("data", "bundle"): (
-        "data.bundle",
-        "DataBundle",
-        "pack the motion data into one file, to train with on another machine",
-    ),
-    ("data", "examples"): (
-        "data.examples",
-        "Examples",
-        "pack captured stretches that generated motion may start from",
-    ),
-    ("data", "wardrobe"): (
-        "data.wardrobe",
-        "Wardrobe",
-        "make dressed characters with rigid bodies for their apparel, as PMX files",
-    ),
-    ("data", "apparel"): (
-        "data.apparel",
-        "Apparel",
-        "simulate the apparel of characters in motion, as data to train on",
-    ),
-    ("data", "push-out"): ("data.push_out", "PushOutData", "push the apparel of stored data out of the bodies"),
-    ("train", "handles"): ("train", "handles", "train the Mesh Handle Predictor"),
-    ("train", "orientation"): ("train", "orientation", "train the network that knows how a character stands"),
-    ("train", "diffusion"): ("train", "diffusion", "train the Shape-aware Motion Diffusion"),
-    ("train", "extractor"): (
-        "train",
-        "extractor",
-        "train the feature extractor that generated motion is measured with",
-    ),
-    ("train", "ranker"): ("train", "ranker", "train the ranker that chooses among candidates"),
-    ("train", "apparel-mask"): ("train", "apparel_mask", "train the network that finds apparel on a mesh"),
-    ("train", "apparel-body"): ("train", "apparel_body", "train skinning weights by geodesic attention"),
-    ("train", "apparel-refinement"): ("train", "apparel_refinement", "train what merges body and apparel"),
-    ("train", "apparel"): ("train", "apparel", "train the network that moves apparel"),
-    ("train", "adaptation"): ("train", "adaptation", "fine-tune the adaptation of motions to meshes"),
-    ("evaluate", "handles"): ("evaluate.handles", "EvaluateHandles", "measure the handles on rigged characters"),
-    ("evaluate", "motion"): ("evaluate.motion", "EvaluateMotion", "measure generated motion on held-out clips"),
-    ("evaluate", "transfer"): ("evaluate.transfer", "EvaluateTransfer", "measure motion transfer on rigged characters"),
-    ("evaluate", "physics"): (
-        "evaluate.physics",
-        "EvaluatePhysics",
-        "measure the simulated apparel of MMD and VRM characters",
-    ),
-    ("evaluate", "study"): ("evaluate.study", "EvaluateStudy", "tell what people said in a blind study"),
-    ("study", "make"): ("study", "StudyMake", "make a blind study of what methods made of the same sentences"),
-    ("evaluate", "apparel"): (
-        "evaluate.apparel",
-        "EvaluateApparel",
-        "measure learned apparel on characters and motions that it has not seen",
-    ),
-    ("evaluate", "retrieval"): (
-        "evaluate.retrieval",
-        "Retrieval",
-        "test how well sentences are found back from motions",
+    ("study", "make"): (
+        "bunraku.cli.study",
+        "StudyMake",
+        "make a blind study of what methods made of the same sentences",
     ),
 }
 
+_GROUP = "bunraku.verbs"
+"""Entry points by which other packages, the laboratory among them, add verbs."""
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+def all_verbs() -> Verbs:
+    """The verbs of this package, then those that installed packages add."""
+    from importlib.metadata import entry_points
+
+    found = dict(VERBS)
+    for entry in sorted(entry_points(group=_GROUP), key=lambda entry: entry.name):
+        found |= {words: verb for words, verb in entry.load().items() if words not in VERBS}
+    return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -148,26 +120,27 @@ def _mend_streams() -> None:
 
 def _dispatch(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
-        _print_help(VERBS)
+        _print_help(all_verbs())
         return 0 if words else 2
     if words[0] in ("-V", "--version", "version"):
         from bunraku import __version__
 
         print(f"bunraku {__version__}")
         return 0
-    verb = tuple(words[:1])
-    if verb not in VERBS:
-        group = {key: value for key, value in VERBS.items() if key[0] == words[0]}
+    verbs, verb = VERBS, tuple(words[:1])
+    if verb not in verbs:
+        verbs = all_verbs()
+        group = {key: value for key, value in verbs.items() if key[0] == words[0]}
         if not group:
-            raise OptionError(_unknown("command", words[0], sorted({key[0] for key in VERBS})))
+            raise OptionError(_unknown("command", words[0], sorted({key[0] for key in verbs})))
         if len(words) < 2 or words[1] in ("-h", "--help"):
             _print_help(group, words[0])
             return 0 if len(words) > 1 else 2
         verb = tuple(words[:2])
-        if verb not in VERBS:
+        if verb not in verbs:
             raise OptionError(_unknown(f"'{words[0]}' command", words[1], [key[1] for key in group]))
-    module, name, summary = VERBS[verb]
-    target: Any = getattr(importlib.import_module(f"bunraku.cli.{module}"), name)
+    module, name, summary = verbs[verb]
+    target: Any = getattr(importlib.import_module(module), name)
     # A verb is a dataclass with `run`, or a function that gives another module's dataclass and what to do with it.
     kind, action = target() if inspect.isfunction(target) else (target, target.run)
     return action(_parse(kind, verb, _joined(words[len(verb) :]), target.__doc__ or summary)) or 0
@@ -202,7 +175,7 @@ def _unknown(kind: str, word: str, known: list[str]) -> str:
     return f"there is no {kind} '{word}'; {hint}"
 
 
-def _print_help(verbs: dict[tuple[str, ...], tuple[str, str, str]], group: str = "") -> None:
+def _print_help(verbs: Verbs, group: str = "") -> None:
     prefix = f"bunraku {group}".strip()
     print(f"usage: {prefix} COMMAND [options]\n")
     if not group:

@@ -37,7 +37,7 @@ class Workshop:
         """Load the networks, so that the first user does not wait for them."""
         from bunraku.pipelines.animate import generate, rig
         from bunraku.pipelines.apply import apply_motion
-        from bunraku.synthetic.samples import sample_character
+        from bunraku.samples import sample_character
 
         try:
             character = sample_character("person")

@@ -19,9 +19,9 @@ from bunraku.diffusion.examples.pack import (
 )
 from bunraku.diffusion.features import decode, encode
 from bunraku.errors import WeightsError
-from bunraku.evaluation.motion.seams import posed_positions
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.retarget.body_motion import body_handle_motion
+from bunraku_lab.evaluation.motion.seams import posed_positions
 
 
 def test_a_packed_stretch_is_the_same_to_half_a_millimetre_and_a_milliradian():

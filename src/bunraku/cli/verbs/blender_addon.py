@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from bunraku.cli.checks import check_output
-from bunraku.cli.evaluate.report import wrote
+from bunraku.cli.report import wrote
 from bunraku.formats.files import atomic_write
 
 __all__ = ["BlenderAddon"]

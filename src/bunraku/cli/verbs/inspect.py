@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from bunraku.cli.checks import check_input
-from bunraku.cli.evaluate.report import size_text
 from bunraku.cli.orientation import UnitOption
+from bunraku.cli.report import size_text
 from bunraku.errors import CharacterError, WeightsError
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from bunraku.cli.checks import check_input, check_output, check_range
-from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.ledger import check_free, note_written
 from bunraku.cli.orientation import AxisOption, UnitOption, check_axes, stand_up
 from bunraku.cli.outputs import PREVIEWS
 from bunraku.cli.progress import Report, stages
+from bunraku.cli.report import wrote
 from bunraku.errors import FormatError, OptionError
 
 if TYPE_CHECKING:

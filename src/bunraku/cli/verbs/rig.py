@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 import tyro
 
 from bunraku.cli.checks import check_input, check_output, make_folder
-from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.ledger import check_free, note_written
 from bunraku.cli.orientation import AxisOption, UnitOption, check_axes, stand_up
 from bunraku.cli.progress import stages
+from bunraku.cli.report import wrote
 
 __all__ = ["Rig"]
 

@@ -10,9 +10,9 @@ from typing import Annotated
 import tyro
 
 from bunraku.cli.checks import check_folder
-from bunraku.cli.evaluate.report import wrote
 from bunraku.cli.ledger import check_free
 from bunraku.cli.progress import stages
+from bunraku.cli.report import wrote
 from bunraku.errors import OptionError
 
 __all__ = ["Samples"]
@@ -37,7 +37,7 @@ class Samples:
     def run(self) -> None:
         from bunraku.formats.files import atomic_write
         from bunraku.io import save_character
-        from bunraku.synthetic.samples import sample_character, sample_names
+        from bunraku.samples import sample_character, sample_names
 
         known = tuple(sample_names())
         for name in self.names:

@@ -58,7 +58,7 @@ def _fresh(title: str, file: str) -> dict[str, Any]:
 
 def _sampled(desk: Desk, sample: str) -> dict[str, Any]:
     from bunraku.io import save_character
-    from bunraku.synthetic.samples import sample_character, sample_names
+    from bunraku.samples import sample_character, sample_names
 
     if sample not in sample_names():
         raise OptionError(f"there is no sample '{sample[:40]}'; there are {', '.join(sample_names())}")

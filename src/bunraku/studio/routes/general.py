@@ -23,7 +23,7 @@ __all__ = ["ROUTES"]
 async def about(request: Request) -> Any:
     """What this installation can do, and all that there is."""
     from bunraku import __version__
-    from bunraku.synthetic.samples import sample_names
+    from bunraku.samples import sample_names
 
     desk = desk_of(request)
     return {

@@ -18,11 +18,11 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
-from bunraku.evaluation.study.answers import FROZEN, VERSION
 from bunraku.formats.files import atomic_write, check_text, read_bounded, writing
 from bunraku.formats.gltf.handle_channels import add_motion
 from bunraku.formats.gltf.write import build_document, finish_document
 from bunraku.io.play import load_animation
+from bunraku.studio.study.answers import FROZEN, VERSION
 
 __all__ = ["Line", "make_study", "read_lines"]
 

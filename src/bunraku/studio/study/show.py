@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from bunraku.errors import OptionError
-from bunraku.evaluation.study.answers import QUESTIONS, load_answers, load_study
 from bunraku.formats.files import writing
+from bunraku.studio.study.answers import QUESTIONS, load_answers, load_study
 
 __all__ = ["Session", "placed", "trial_order"]
 

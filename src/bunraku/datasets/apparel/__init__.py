@@ -1,7 +1,0 @@
-"""The apparel data set: characters in clothes that physics move, to train and test apparel networks on (MMDMC, section
-3).
-"""
-
-from bunraku.datasets.apparel.reader import ApparelCharacter, ApparelClip, ApparelData, ApparelWindow
-
-__all__ = ["ApparelCharacter", "ApparelClip", "ApparelData", "ApparelWindow"]

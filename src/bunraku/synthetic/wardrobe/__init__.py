@@ -1,6 +1,0 @@
-"""The wardrobe: dressed characters made by code, with rigs, rigid bodies and joints of their own, as MMD models."""
-
-from bunraku.synthetic.wardrobe.build import build_wardrobe
-from bunraku.synthetic.wardrobe.character import wardrobe_character, wardrobe_costume
-
-__all__ = ["build_wardrobe", "wardrobe_character", "wardrobe_costume"]

@@ -1,0 +1,107 @@
+"""`bunraku evaluate handles`: the table of the Mesh Handle Predictor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from bunraku.cli.checks import check_input, check_source
+from bunraku.cli.progress import stages
+from bunraku.cli.report import measured
+from bunraku.errors import OptionError
+from bunraku.nn.spread import parse_jobs
+
+__all__ = ["EvaluateHandles"]
+
+
+@dataclass(frozen=True)
+class EvaluateHandles:
+    """Measure how good the predicted handles are, on rigged characters whose own rigs are the truth.
+
+    Without --characters, 30 characters are made by code, of seeds that no training sees.
+
+    Example: bunraku evaluate handles --characters archive/characters --json
+    """
+
+    characters: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Folder of rigged characters, searched through. Of the training archive only those that no training sees are
+    taken.
+    """
+    avatars: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Folder of avatars (PMX, VRM) for the list of detailed people, searched through. Without it those of the archive
+    and of the wardrobe are taken.
+    """
+    all: bool = False
+    """Take every character of the folder, those that were trained on too."""
+    checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Weights of the handle predictor. Default: the shipped ones."""
+    no_baselines: bool = False
+    """Leave out the clusters and the bone heat to which the pose error is compared."""
+    no_speed: bool = False
+    """Leave out the time that predictions take, which says little on a busy machine."""
+    seed: int = 0
+    """Of the random poses and the clusters."""
+    jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
+    """How many processes share the characters, or "ray" for a Ray cluster."""
+    json: bool = False
+    """Print JSON for programs, with a row for each character."""
+
+    def run(self) -> None:
+        check_source(self.characters, "give one with rigged characters")
+        check_source(self.avatars, "give one with avatars")
+        if self.all and self.characters is None:
+            raise OptionError("--all needs --characters, the folder to take all characters of")
+        if self.seed < 0:
+            raise OptionError(f"--seed must be 0 or more, not {self.seed}")
+        if self.checkpoint is not None:
+            check_input(self.checkpoint)
+        jobs = parse_jobs(self.jobs)
+        from bunraku_lab.evaluation.handles.detailed import detailed_subjects
+        from bunraku_lab.evaluation.handles.table import code_made_subjects, evaluate_handles, folder_subjects
+
+        subjects = code_made_subjects() if self.characters is None else folder_subjects(self.characters, self.all)
+        with stages() as report:
+            result = evaluate_handles(
+                subjects,
+                detailed=detailed_subjects(self.characters, self.avatars),
+                checkpoint=self.checkpoint,
+                baselines=not self.no_baselines,
+                speed=not self.no_speed,
+                seed=self.seed,
+                jobs=jobs,
+                progress=report,
+            )
+        measured(result, self.json, _print)
+
+
+def _print(result: dict[str, Any]) -> None:
+    from bunraku_lab.evaluation.handles.table import BARS
+
+    counts = result["counts"]
+    print(
+        f"{counts['characters']} characters, {counts['humanoids']} humanoids; resolutions on {counts['resampled']}; "
+        f"{counts['detailed']} detailed people"
+    )
+    width = max(len(bar.title) for bar in BARS.values())
+    print(f"{'measure':<{width}}  {'value':>8}  {'bar':>9}  reached")
+    for key, bar in BARS.items():
+        value, reached = result[key], result["reached"].get(key)
+        sign = ">=" if bar.high else "<="
+        limit = "" if bar.bar is None else f"{sign} {_number(bar.bar, key)}"
+        verdict = "" if reached is None else "yes" if reached else "no"
+        print(f"{bar.title:<{width}}  {_number(value, key):>8}  {limit:>9}  {verdict}".rstrip())
+    for name, reason in result["left_out"].items():
+        print(f"left out {name}: {reason}")
+
+
+def _number(value: float | None, key: str) -> str:
+    if value is None:
+        return "-"
+    if key.startswith("seconds"):
+        return f"{value:.2f} s"
+    if key == "resolution_l1":
+        return f"{value:.3f}"
+    return f"{value:.2%}" if "error" in key or key == "stretched_edges" else f"{value:.1%}"

@@ -1,0 +1,186 @@
+"""`bunraku evaluate motion`: the table of generated motion, and what a viewer sees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from bunraku.cli.checks import check_input, check_range, check_source
+from bunraku.cli.progress import stages
+from bunraku.cli.report import measured
+
+if TYPE_CHECKING:
+    from bunraku_lab.evaluation.motion.blocks import Bar
+
+__all__ = ["EvaluateMotion"]
+
+_COLUMNS = (
+    ("r_precision_1", "R-Prec. 1"), ("r_precision_2", "R-Prec. 2"), ("r_precision_3", "R-Prec. 3"), ("fid", "FID"),
+    ("mm_dist", "MM-Dist"), ("diversity", "Diversity"), ("multimodality", "MModality"),
+)  # fmt: skip
+_NAMES = {
+    "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_pulled": "- pulled",
+    "tapmo_led": "- from examples", "tapmo_chosen": "- as chosen",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class EvaluateMotion:
+    """Measure generated motion on held-out clips, as TapMo's Tables 1 and 2 do, and what a viewer sees of it.
+
+    Motions of the table are kept in the folder --work, so the same command goes on where a run was stopped.
+
+    Example: bunraku evaluate motion --data data/motions --mdm runs/mdm/diffusion.safetensors --json
+    """
+
+    data: Path
+    """Folder that `bunraku data motions` wrote."""
+    characters: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Folder of rigged characters (the archive), for what is measured on characters. Left out without it."""
+    checkpoint: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Weights of the diffusion model. Default: the shipped ones."""
+    mdm: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Weights of the encoder-only model (`bunraku train diffusion --preset mdm`), for its row. Left out without it."""
+    extractor: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Weights of the feature extractor. Default: the shipped ones."""
+    work: Path = Path("runs/evaluation")
+    """Folder in which generated motions are kept."""
+    split: Literal["test", "val"] = "test"
+    """Which clips."""
+    runs: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Runs of the 95 % intervals. Default: 20, or 3 with --quick."""
+    clips: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Windows that a run draws. Default: 1000, or 200 with --quick."""
+    pool: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Windows to draw from, and motions of each model. Default: 1600, or 256 with --quick."""
+    candidates: int = 32
+    """Sentences that a motion is tried with, 4 to 100."""
+    steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Sampling steps, 1 to 1000. Default: the sampler's."""
+    guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
+    """Classifier-free guidance scale, 0 to 20. Default: the sampler's."""
+    best_of: int = 1
+    """Of how many the ranker chooses each motion of what a viewer sees, and of a row of the table, 1 to 16; `bunraku
+    animate` takes 3.
+    """
+    examples: bool = True
+    """What is chosen from starts from captured examples."""
+    pull: bool = True
+    """What is predicted is pulled towards its sentence by the ranker's gradient, in the rows beside the network's."""
+    reference_steps: int = 0
+    """Compare the default sampler with so many steps of DDPM's, 1000 for the paper's; hours on a processor. 0 leaves it
+    out.
+    """
+    reference_clips: int = 256
+    """Motions that this comparison is made on."""
+    quick: bool = False
+    """Few motions, 3 runs, and only what is fast: minutes, and wide intervals."""
+    only: Annotated[Literal["table", "viewer"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """The paper's table alone, or what a viewer sees alone, which takes minutes. Default: these and all the rest."""
+    seed: int = 0
+    """Of everything random."""
+    json: bool = False
+    """Print JSON for programs."""
+
+    def run(self) -> None:
+        check_range("--runs", self.runs, 1, 1000)
+        check_range("--clips", self.clips, 32, 100_000)
+        check_range("--pool", self.pool, 32, 100_000)
+        check_range("--candidates", self.candidates, 4, 100)
+        check_range("--steps", self.steps, 1, 1000)
+        check_range("--guidance", self.guidance, 0, 20)
+        check_range("--best-of", self.best_of, 1, 16)
+        check_range("--reference-steps", self.reference_steps, 0, 1000)
+        check_range("--reference-clips", self.reference_clips, 2, 100_000)
+        check_range("--seed", self.seed, 0, 2**31)
+        check_source(self.data, "make it with `bunraku data motions`")
+        check_source(self.characters, "give one with rigged characters")
+        for path in (self.checkpoint, self.mdm, self.extractor):
+            if path is not None:
+                check_input(path)
+        from bunraku_lab.evaluation.motion.blocks import add_blocks
+        from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion
+        from bunraku_lab.evaluation.motion.viewer.prompts import viewer_figures
+
+        pool = self.pool or max(256 if self.quick else 1600, self.clips or 0)
+        config = MotionEvalConfig(
+            data=self.data, characters=self.characters, checkpoint=self.checkpoint, mdm=self.mdm,
+            extractor=self.extractor, work=self.work,
+            split=self.split, pool=pool, clips=min(self.clips or (200 if self.quick else 1000), pool),
+            runs=self.runs or (3 if self.quick else 20),
+            references=1000 if self.quick else 3000, prompts=8 if self.quick else 20, repeats=4 if self.quick else 10,
+            candidates=self.candidates,
+            steps=self.steps, guidance=self.guidance, best_of=self.best_of, examples=self.examples, pull=self.pull,
+            reference_steps=self.reference_steps,
+            reference_clips=self.reference_clips, seed=self.seed,
+        )  # fmt: skip
+        with stages() as report:
+            result = {} if self.only == "viewer" else evaluate_motion(config, report)
+            if self.only is None:
+                add_blocks(result, config, self.quick, report)
+            if self.only != "table":
+                result |= viewer_figures(config, self.quick, report)
+        measured(result, self.json, _print)
+
+
+def _print(result: dict[str, Any]) -> None:
+    from bunraku_lab.evaluation.motion.blocks import BARS
+    from bunraku_lab.evaluation.motion.viewer.prompts import VIEWER_BARS
+
+    if "rows" in result:
+        _print_rows(result)
+        _print_bars("measure", BARS, result)
+    if any(bar.key in result for bar in VIEWER_BARS):
+        _print_bars("what a viewer sees", VIEWER_BARS, result)
+        _print_actions(result)
+    for name, reason in result.get("left_out", {}).items():
+        print(f"left out {name}: {reason}")
+
+
+def _print_rows(result: dict[str, Any]) -> None:
+    """The paper's table."""
+    counts = result["counts"]
+    print(
+        f"{counts['clips']} clips of {counts['meanings']} meanings ({counts['seconds']:,.0f} s), "
+        f"{counts['windows']:,} windows, "
+        f"{counts['drawn']:,} a run, {counts['runs']} runs, {counts['candidates']} sentences each, {counts['steps']} "
+        "steps"
+    )
+    width = max(len(name) for name in _NAMES.values())
+    print(f"{'':<{width}}  " + "  ".join(f"{title:>14}" for _, title in _COLUMNS))
+    for key, name in _NAMES.items():
+        row = result["rows"].get(key)
+        if row is not None:
+            print(f"{name:<{width}}  " + "  ".join(f"{_cell(row.get(column)):>14}" for column, _ in _COLUMNS))
+
+
+def _print_bars(title: str, bars: Sequence[Bar], result: dict[str, Any]) -> None:
+    """Figures beside their bars."""
+    print(f"\n{title:<62}  {'value':>8}  {'bar':>8}  reached")
+    for bar in bars:
+        value = result.get(bar.key)
+        verdict = "" if value is None or not bar.limit else "yes" if bar.reached(value) else "no"
+        print(f"{bar.title:<62}  {_figure(value):>8}  {bar.limit:>8}  {verdict}".rstrip())
+
+
+def _print_actions(result: dict[str, Any]) -> None:
+    """What lies behind the figures of sides, speed and trembling."""
+    sides = ", ".join(f"{action} {share:.0%}" for action, share in result["side_accuracy_by_action"].items())
+    print(f"the side asked for: {sides}")
+    for title, key in (("speed [m/s]", "speed_by_action"), ("third difference [cm]", "jitter_by_action")):
+        print(f"\n{title:<22}  {'generated':>9}  {'captured':>9}  {'ratio':>6}  clips")
+        for action, row in result[key].items():
+            cells = f"{_figure(row['generated']):>9}  {_figure(row['captured']):>9}  {_figure(row['ratio']):>6}"
+            print(f"{action:<22}  {cells}  {row['clips']:>5}")
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _cell(value: dict[str, float] | None) -> str:
+    return "-" if value is None else f"{value['mean']:.3f} ±{value['half']:.3f}"

@@ -1,0 +1,83 @@
+"""`bunraku evaluate transfer`: the table of motion transfer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from bunraku.cli.checks import check_range
+from bunraku.cli.progress import stages
+from bunraku.cli.report import measured
+from bunraku.errors import FormatError
+from bunraku.nn.spread import parse_jobs
+
+__all__ = ["EvaluateTransfer"]
+
+
+@dataclass(frozen=True)
+class EvaluateTransfer:
+    """Measure motion transfer: each character with a walk, a dance, a kick, a sitting down and a roll.
+
+    Example: bunraku evaluate transfer --characters archive/characters --motions archive/bvh --json
+    """
+
+    characters: Path
+    """Folder of characters, searched through."""
+    motions: Path
+    """Folder of motions: with a captions.csv beside them, or named by what is done."""
+    limit: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Take only so many characters, spread over all."""
+    mmd: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Folder of MMD models and VMD files with leg IK, for the rows of soles; left out without it."""
+    work: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Where rows of characters are kept, so that the same command goes on where it was stopped."""
+    no_speed: bool = False
+    """Leave out the times, which say little on a busy machine."""
+    jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
+    """How many processes share the characters, or "ray" for a Ray cluster."""
+    json: bool = False
+    """Print JSON for programs, with a row for each character."""
+
+    def run(self) -> None:
+        check_range("--limit", self.limit, 1, 100_000)
+        for folder in (self.characters, self.motions, self.mmd):
+            if folder is not None and not folder.is_dir():
+                raise FormatError(folder, "there is no such folder")
+        jobs = parse_jobs(self.jobs)
+        from bunraku_lab.evaluation.transfer.table import evaluate_transfer
+
+        with stages() as report:
+            how: dict[str, Any] = {"mmd": self.mmd, "limit": self.limit, "work": self.work, "speed": not self.no_speed}
+            how["jobs"] = jobs
+            result = evaluate_transfer(self.characters, self.motions, progress=report, **how)
+        measured(result, self.json, _print)
+
+
+def _print(result: dict[str, Any]) -> None:
+    from bunraku_lab.evaluation.transfer.table import BARS
+
+    counts = result["counts"]
+    print(
+        f"{counts['characters']} characters, {counts['humanoids']} humanoids with a rig, {counts['clips']} of them "
+        "with clips"
+    )
+    print("motions: " + ", ".join(f"{kind} {name}" for kind, name in result["motions"].items()))
+    width = max(len(bar.title) for bar in BARS.values())
+    print(f"{'measure':<{width}}  {'value':>10}  {'bar':>12}  reached")
+    for key, bar in BARS.items():
+        value, reached = result[key], result["reached"].get(key)
+        text = "-" if value is None else _number(value, bar.unit)
+        limit = "" if bar.bar is None else f"{'>=' if bar.high else '<='} {_number(bar.bar, bar.unit)}"
+        said = "" if reached is None else "yes" if reached else "no"
+        print(f"{bar.title:<{width}}  {text:>10}  {limit:>12}  {said}".rstrip())
+    for name, reason in result["failed"].items():
+        print(f"failed {name}: {reason}")
+
+
+def _number(value: float, unit: str) -> str:
+    if unit == " m":
+        return f"{1000 * value:.4f} mm"
+    return f"{value:.2f}{unit}" if unit and value >= 0.1 else f"{value:.4f}{unit}" if unit else f"{value:.2%}"

@@ -1,0 +1,122 @@
+"""The verbs of the laboratory: `bunraku data`, `bunraku train` and `bunraku evaluate`.
+
+The entry point "bunraku.verbs" tells the command line of them, so that nothing of `bunraku` imports this package.
+"""
+
+from __future__ import annotations
+
+__all__ = ["VERBS"]
+
+# Words -> module, its attribute that is the verb, one line of help.
+VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
+    ("data", "motions"): (
+        "bunraku_lab.cli.data.samples",
+        "Motions",
+        "turn a motion archive into handle motions to train on",
+    ),
+    ("data", "characters"): (
+        "bunraku_lab.cli.data.samples",
+        "Characters",
+        "turn rigged characters into samples to train on",
+    ),
+    ("data", "mesh-bank"): (
+        "bunraku_lab.cli.data.samples",
+        "MeshBank",
+        "write the mesh features of characters to train with",
+    ),
+    ("data", "character-bank"): (
+        "bunraku_lab.cli.data.character_bank",
+        "CharacterBank",
+        "pack rigged characters for the losses of mesh-specific motion learning",
+    ),
+    ("data", "bundle"): (
+        "bunraku_lab.cli.data.bundle",
+        "DataBundle",
+        "pack the motion data into one file, to train with on another machine",
+    ),
+    ("data", "examples"): (
+        "bunraku_lab.cli.data.examples",
+        "Examples",
+        "pack captured stretches that generated motion may start from",
+    ),
+    ("data", "wardrobe"): (
+        "bunraku_lab.cli.data.wardrobe",
+        "Wardrobe",
+        "make dressed characters with rigid bodies for their apparel, as PMX files",
+    ),
+    ("data", "apparel"): (
+        "bunraku_lab.cli.data.apparel",
+        "Apparel",
+        "simulate the apparel of characters in motion, as data to train on",
+    ),
+    ("data", "push-out"): (
+        "bunraku_lab.cli.data.push_out",
+        "PushOutData",
+        "push the apparel of stored data out of the bodies",
+    ),
+    ("train", "handles"): ("bunraku_lab.cli.train", "handles", "train the Mesh Handle Predictor"),
+    ("train", "orientation"): (
+        "bunraku_lab.cli.train",
+        "orientation",
+        "train the network that knows how a character stands",
+    ),
+    ("train", "diffusion"): ("bunraku_lab.cli.train", "diffusion", "train the Shape-aware Motion Diffusion"),
+    ("train", "extractor"): (
+        "bunraku_lab.cli.train",
+        "extractor",
+        "train the feature extractor that generated motion is measured with",
+    ),
+    ("train", "ranker"): ("bunraku_lab.cli.train", "ranker", "train the ranker that chooses among candidates"),
+    ("train", "apparel-mask"): (
+        "bunraku_lab.cli.train",
+        "apparel_mask",
+        "train the network that finds apparel on a mesh",
+    ),
+    ("train", "apparel-body"): (
+        "bunraku_lab.cli.train",
+        "apparel_body",
+        "train skinning weights by geodesic attention",
+    ),
+    ("train", "apparel-refinement"): (
+        "bunraku_lab.cli.train",
+        "apparel_refinement",
+        "train what merges body and apparel",
+    ),
+    ("train", "apparel"): ("bunraku_lab.cli.train", "apparel", "train the network that moves apparel"),
+    ("train", "adaptation"): ("bunraku_lab.cli.train", "adaptation", "fine-tune the adaptation of motions to meshes"),
+    ("evaluate", "handles"): (
+        "bunraku_lab.cli.evaluate.handles",
+        "EvaluateHandles",
+        "measure the handles on rigged characters",
+    ),
+    ("evaluate", "motion"): (
+        "bunraku_lab.cli.evaluate.motion",
+        "EvaluateMotion",
+        "measure generated motion on held-out clips",
+    ),
+    ("evaluate", "transfer"): (
+        "bunraku_lab.cli.evaluate.transfer",
+        "EvaluateTransfer",
+        "measure motion transfer on rigged characters",
+    ),
+    ("evaluate", "physics"): (
+        "bunraku_lab.cli.evaluate.physics",
+        "EvaluatePhysics",
+        "measure the simulated apparel of MMD and VRM characters",
+    ),
+    ("evaluate", "study"): (
+        "bunraku_lab.cli.evaluate.study",
+        "EvaluateStudy",
+        "tell what people said in a blind study",
+    ),
+    ("evaluate", "apparel"): (
+        "bunraku_lab.cli.evaluate.apparel",
+        "EvaluateApparel",
+        "measure learned apparel on characters and motions that it has not seen",
+    ),
+    ("evaluate", "retrieval"): (
+        "bunraku_lab.cli.evaluate.retrieval",
+        "Retrieval",
+        "test how well sentences are found back from motions",
+    ),
+}

@@ -1,0 +1,294 @@
+"""`bunraku data apparel`: characters x motions, simulated, as shards.
+
+One process makes one shard after the other; a shard is written whole or not at all, so a second run goes on where the
+first one was stopped, and as each depends on its plan alone, any number of processes gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.apparel.unified import UnifiedBody
+from bunraku.core.character import Character
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import BunrakuError, CharacterError, FormatError
+from bunraku.formats.files import atomic_write, sweep
+from bunraku.nn.spread import spread
+from bunraku_lab.datasets.apparel.mend import bare_wearer, pushed_out_clips
+from bunraku_lab.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, ShardPlan
+from bunraku_lab.datasets.apparel.reader import INDEX
+from bunraku_lab.datasets.apparel.recording import record
+from bunraku_lab.datasets.apparel.shards import Shard, shard_fingerprint, write_shard
+
+__all__ = ["BuildState", "body_animation", "build_apparel", "build_shard"]
+
+
+@dataclass
+class BuildState:
+    """How far a build is; `build_apparel` tells it after every shard.
+
+    Args:
+        shards: Shards of the plan.
+        minutes: Their length [min].
+        done: Shards that are built, now or before.
+        built_minutes: Their length [min].
+        seconds_left: Time that is still needed [s], None while nothing is known.
+        failed: What was left out and why, by the names of characters, shards, or clips.
+        fly_aways: Clips in which a body flew away and was put back, and which body.
+        rounding: Largest error of half precision in any vertex [m].
+    """
+
+    shards: int = 0
+    minutes: float = 0.0
+    done: int = 0
+    built_minutes: float = 0.0
+    seconds_left: float | None = None
+    failed: dict[str, str] = field(default_factory=dict)
+    fly_aways: dict[str, str] = field(default_factory=dict)
+    rounding: float = 0.0
+
+
+def build_apparel(
+    folder: str | Path,
+    plan: Sequence[ShardPlan],
+    *,
+    jobs: int | str = 1,
+    progress: Callable[[BuildState], None] | None = None,
+) -> BuildState:
+    """Build the shards of a plan that are not there yet, and the index.
+
+    Args:
+        folder: Folder for `shards/` and `index.json`, made when it is not there.
+        plan: From `plan_shards`.
+        jobs: How many processes, or "ray" for a cluster of the package ray, whose machines must see the same files.
+        progress: Called after every shard.
+
+    Raises:
+        FormatError: The folder cannot be written.
+        MissingExtraError: ray is not installed.
+    """
+    folder = Path(folder).resolve()
+    try:
+        (folder / "shards").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(folder, f"the folder cannot be made ({error.strerror}); choose another") from error
+    for place in (folder, folder / "shards"):
+        sweep(place)
+    progress = progress or (lambda state: None)
+    state = BuildState(len(plan), sum(shard.seconds for shard in plan) / 60)
+    todo = [shard for shard in plan if shard_fingerprint(_path(folder, shard)) != shard.fingerprint()]
+    waiting = {shard.name for shard in todo}
+    for shard in plan:
+        if shard.name not in waiting:
+            _note(state, shard, _path(folder, shard))
+    _write_index(folder, plan)
+    progress(state)
+    started, before = time.monotonic(), state.built_minutes
+    total = sum(shard.seconds for shard in todo) / 60
+    tried = 0.0
+    for shard, problem in spread(partial(_build_batch, folder), [[shard] for shard in todo], jobs, str):
+        tried += shard.seconds / 60
+        if problem:
+            state.failed[shard.name] = problem
+        else:
+            _note(state, shard, _path(folder, shard))
+        state.seconds_left = (time.monotonic() - started) * (total - tried) / max(tried, 1e-9)
+        _write_index(folder, plan)
+        progress(state)
+    assert state.built_minutes >= before
+    return state
+
+
+def _build_batch(folder: Path, shards: list[ShardPlan]) -> list[str]:
+    return [build_shard(folder, shard) for shard in shards]
+
+
+def _path(folder: Path, shard: ShardPlan) -> Path:
+    return folder / "shards" / f"{shard.name}.safetensors"
+
+
+def _note(state: BuildState, shard: ShardPlan, path: Path) -> None:
+    facts = Shard(path).facts
+    state.done += 1
+    state.built_minutes += sum(clip["frames"] for clip in facts["clips"]) / FPS / 60
+    state.rounding = max(state.rounding, float(facts["rounding"]))
+    state.failed |= {f"{shard.name} {motion}": reason for motion, reason in facts["failed"].items()}
+    for clip in facts["clips"]:
+        bodies = sorted({str(body) for body, frame in clip["fly_aways"] if frame >= 0})
+        if bodies:
+            state.fly_aways[f"{shard.name} {clip['motion']}"] = ", ".join(bodies)
+
+
+def _write_index(folder: Path, plan: Sequence[ShardPlan]) -> None:
+    """The clips of all shards of the plan that are there, in the plan's order."""
+    shards = {}
+    for shard in plan:
+        path = _path(folder, shard)
+        try:
+            facts = _facts(str(path), path.stat().st_mtime_ns, path.stat().st_size)
+        except (OSError, FormatError):
+            continue
+        if facts["fingerprint"] == shard.fingerprint():
+            shards[shard.name] = {key: facts[key] for key in ("name", "split", "clips", "vertices", "apparel", "kind")}
+    with atomic_write(folder / INDEX) as file:
+        file.write(json.dumps({"fps": FPS, "shards": shards}, indent=1).encode())
+
+
+@lru_cache(maxsize=4096)
+def _facts(path: str, changed: int, size: int) -> dict[str, Any]:
+    return Shard(path).facts
+
+
+def build_shard(folder: Path, shard: ShardPlan) -> str:
+    """Make one shard.
+
+    Returns:
+        "" when it is written, otherwise what went wrong.
+    """
+    try:
+        _build(folder, shard)
+    except BunrakuError as error:
+        return str(error)
+    except MemoryError:
+        return "the memory is not enough for this; use fewer processes"
+    except Exception as error:  # one bad character must not stop the others
+        return f"this is a fault of Bunraku, not yours: {type(error).__name__}: {error}"
+    return ""
+
+
+def _build(folder: Path, shard: ShardPlan) -> None:
+    from bunraku.apparel.mask import apparel_mask
+    from bunraku.apparel.parts import apparel_parts
+    from bunraku.physics.from_file import apparel_rig
+    from bunraku.physics.simulate import simulate
+    from bunraku.physics.worn import part_springs
+
+    character = _character(shard.character)
+    rig = apparel_rig(character)
+    mask = apparel_mask(character)
+    if rig is None or mask is None or not mask.any():
+        raise CharacterError(f"{character.name}: its file says nothing of apparel that physics move; leave it out")
+    body = UnifiedBody.of(character)
+    animations: list[RigAnimation] = []
+    clips: list[dict[str, Any]] = []
+    failed: dict[str, str] = {}
+    first = 0
+    for clip in shard.clips:
+        try:
+            simulation = simulate(_clip_animation(body, clip), rig)
+            animation = simulation.animation
+        except BunrakuError as error:
+            failed[clip.motion.name] = str(error)
+            continue
+        away = [[lost.body, int(lost.frame)] for lost in simulation.report.recoveries]
+        clips.append(
+            {
+                "motion": clip.motion.name,
+                "start": clip.start,
+                "first": first,
+                "frames": len(animation),
+                "fly_aways": away,
+            }
+        )
+        animations.append(animation)
+        first += len(animation)
+    if not animations:
+        raise CharacterError(f"{character.name}: none of its motions can be used: {next(iter(failed.values()))}")
+    recording = record(body, animations)
+    own = character.rig
+    assert own is not None
+    part = apparel_parts(character.vertices, character.faces, mask)
+    springs = part_springs(character, rig, part)
+    wearer = bare_wearer(character.vertices, character.faces, body.joints, body.weights, mask, part)
+    offsets = pushed_out_clips(wearer, recording.transforms, recording.loose, recording.offsets, clips)
+    arrays = {
+        "rest": character.vertices, "faces": character.faces, "joints": body.joints, "weights": body.weights,
+        "apparel": mask, "part": part, "spring": springs.spring, "mass": springs.mass, "damping": springs.damping,
+        "loose": recording.loose, "transforms": recording.transforms, "offsets": offsets,
+        "bone_parents": own.parents,
+        "bone_positions": own.positions, "bone_moved": body.moved, "bone_indices": own.indices,
+        "bone_weights": own.weights,
+    }  # fmt: skip
+    facts = {
+        "name": shard.character.name, "split": shard.character.split,
+        "kind": "file" if shard.character.path else "wardrobe", "fps": FPS,
+        "fingerprint": shard.fingerprint(), "clips": clips, "failed": failed, "rounding": recording.rounding,
+        "pushed_out": True,
+        "vertices": len(character.vertices), "apparel": int(mask.sum()), "bones": list(own.names),
+    }  # fmt: skip
+    write_shard(_path(folder, shard), arrays, facts)
+
+
+@lru_cache(maxsize=1)
+def _character(source: CharacterSource) -> Character:
+    if source.path:
+        from bunraku.io import load_character
+
+        return load_character(source.path)
+    from bunraku_lab.synthetic.wardrobe import wardrobe_character
+
+    return wardrobe_character(source.seed, clothes=source.clothes or None, body_data=source.body_data or None)
+
+
+def _clip_animation(body: UnifiedBody, clip: ClipPlan) -> RigAnimation:
+    """A clip on the character's rig, apparel going along with the body."""
+    from bunraku.core.motion import HandleMotion
+    from bunraku.core.resample import resample
+    from bunraku.pipelines.transfer import played_by_mmd
+
+    path, cut = clip.motion.path, slice(round(clip.start * FPS), round((clip.start + clip.seconds) * FPS))
+    if clip.motion.clip:
+        from bunraku_lab.datasets.motions.clips import load_clip
+
+        motion: Any = load_clip(path)
+        # Only the part that is used, in its own frames; the rest of the cut is made after resampling.
+        early = int(clip.start * motion.fps)
+        motion = motion.take(slice(early, int((clip.start + clip.seconds) * motion.fps) + 2))
+        whole = resample(motion, FPS)
+        skip = round((clip.start - early / motion.fps) * FPS)
+        whole = whole.take(slice(skip, skip + cut.stop - cut.start))
+    else:
+        played = played_by_mmd(body.parts.character, path, FPS)
+        if played is not None:
+            return RigAnimation(played.character, played.rotations[cut], played.translations[cut], FPS)
+        whole = _reference(path).take(cut)
+    assert isinstance(whole, HandleMotion)
+    return body_animation(body, whole)
+
+
+@lru_cache(maxsize=8)
+def _reference(path: str) -> Any:
+    from bunraku.io.motions import load_motion
+    from bunraku.pipelines.to_reference import reference_motion
+
+    return reference_motion(load_motion(path, fps=FPS), fps=FPS)
+
+
+def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:
+    """A handle motion on a character's rig, moved by SMPL's 22 joints alone: fingers, hair and tails go along with what
+    they hang on.
+
+    Args:
+        body: The character.
+        motion: `HandleMotion` of the reference body.
+    """
+    from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT
+    from bunraku.pipelines.transfer import TRANSFER_STAGES
+    from bunraku.retarget.to_rig import fit_rig
+    from bunraku.retarget.treadmill import is_treadmill
+
+    rotations = np.array(motion.rotations)
+    for handle in range(JOINT_COUNT, HANDLE_COUNT):
+        rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
+    motion = replace(motion, rotations=rotations)
+    # Bones keep their lengths anyway; feet that are held would carry away who slides on the spot.
+    stages = replace(TRANSFER_STAGES, shape=False, feet=not is_treadmill(motion))
+    return fit_rig(motion, body.parts, stages)

@@ -1,0 +1,251 @@
+"""Human motions as handle motions: `bunraku data motions`.
+
+Reads the packed motion archive (`motions.npz` with `motions.json` beside it), poses the reference body with each clip
+and converts the moving mesh to handle motion by weighted rigid registration (Besl & McKay 1992; sections 3.2 and A.2 of
+TapMo).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
+from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
+from bunraku.errors import FormatError
+from bunraku.formats.files import sweep
+from bunraku.geometry.rotations import matrix_from_quaternion
+from bunraku.nn.pool import Pool
+from bunraku.retarget.from_mesh import registered_body
+from bunraku_lab.datasets.motions.clips import load_clip, load_lowest, write_clip, write_index
+from bunraku_lab.datasets.motions.feet import level_feet, standing_foot_pitch, subject_pitches
+from bunraku_lab.datasets.motions.floors import floor_height, posture_fault
+from bunraku_lab.datasets.motions.hinges import unrolled
+from bunraku_lab.datasets.motions.watched import FEWEST, Stretch, load_watched
+
+__all__ = ["MotionArchive", "build_motions", "split_of"]
+
+QUATERNION_STEP = 8192.0  # the archive stores first differences of round(8192 q)
+
+
+@dataclass(frozen=True)
+class MotionArchive:
+    """The packed motions, opened.
+
+    Args:
+        path: The `motions.npz`.
+        names: Clip names.
+        bounds: First frame of each clip and the end of the last, shape (clips + 1,).
+        clips: What `motions.json` says of each clip.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    bounds: np.ndarray
+    clips: dict[str, dict[str, Any]]
+    _planes: np.ndarray
+    _root: np.ndarray
+    _offsets: np.ndarray
+    _parents: np.ndarray
+
+    @classmethod
+    def open(cls, folder: str | Path) -> MotionArchive:
+        """Open the archive in a folder that holds `motions.npz` and `motions.json`.
+
+        Raises:
+            FormatError: A file is missing, broken, or not this archive.
+        """
+        path = Path(folder) / "motions.npz"
+        labels = path.with_suffix(".json")
+        for file in (path, labels):
+            if not file.is_file():
+                raise FormatError(
+                    file, "there is no such file; give the folder that holds motions.npz and motions.json"
+                )
+        try:
+            with np.load(path, allow_pickle=False) as packed:
+                names = tuple(str(name) for name in packed["names"])
+                if tuple(str(joint) for joint in packed["joints"]) != JOINT_NAMES:
+                    raise FormatError(path, "its joints are not SMPL's 22; this is another archive")
+                return cls(
+                    path, names, packed["off"], json.loads(labels.read_text(encoding="utf-8"))["clips"],
+                    packed["dq"], packed["root"], packed["offsets"], packed["parents"],
+                )  # fmt: skip
+        except FormatError:
+            raise
+        except Exception as error:
+            raise FormatError(
+                path, f"cannot be read as a motion archive ({type(error).__name__}); copy it again"
+            ) from error
+
+    def motion(self, index: int) -> SkeletalMotion:
+        """One clip as skeletal motion at 20 frames a second."""
+        start, end = int(self.bounds[index]), int(self.bounds[index + 1])
+        planes = self._planes[:, :, start:end]
+        deltas = np.ascontiguousarray(planes.transpose(1, 2, 0)).view(np.int16)[..., 0]
+        quaternions = np.cumsum(deltas.astype(np.int32), axis=1).T.reshape(-1, len(JOINT_NAMES), 4) / QUATERNION_STEP
+        skeleton = Skeleton(JOINT_NAMES, self._parents, self._offsets[index])
+        return SkeletalMotion(
+            skeleton, matrix_from_quaternion(quaternions[..., [1, 2, 3, 0]]), self._root[start:end], 20.0
+        )
+
+
+def grounded_motion(motion: SkeletalMotion) -> tuple[HandleMotion, np.ndarray]:
+    """A captured motion as handle motion of the reference body, set on the ground by what touches it.
+
+    Hands do not count: what reaches for the floor reaches through it, as people's arms are not this body's.
+
+    Returns:
+        The motion, and the body's lowest point over the ground in each frame [m], shape (N,).
+    """
+    whole, lowest, carrying = registered_body(motion)
+    floor = floor_height(carrying, motion.fps)
+    drop = np.outer(floor, [0, 1, 0]).astype(np.float32)
+    return replace(whole, root_translation=whole.root_translation - drop), (lowest - floor).astype(np.float32)
+
+
+def split_of(name: str) -> str:
+    """The split of a clip, fixed for ever by its name: 6 % "test", 3 % "val", the rest "train"."""
+    number = int(hashlib.sha256(name.encode()).hexdigest()[:8], 16) % 100
+    return "test" if number < 6 else "val" if number < 9 else "train"
+
+
+def _convert(archive: MotionArchive, indices: list[int], out: Path, slopes: dict[str, float]) -> int:
+    for index in indices:
+        name = archive.names[index]
+        write_clip(out / f"{name}.npz", *grounded_motion(level_feet(unrolled(archive.motion(index)), name, slopes)))
+    return sum(int(archive.bounds[index + 1] - archive.bounds[index]) for index in indices)
+
+
+_ARCHIVE: MotionArchive | None = None
+
+
+def _start_worker(source: str) -> None:
+    global _ARCHIVE
+    _ARCHIVE = MotionArchive.open(source)
+
+
+def _work(indices: list[int], out: Path, slopes: dict[str, float]) -> int:
+    assert _ARCHIVE is not None
+    return _convert(_ARCHIVE, indices, out, slopes)
+
+
+def _batches(archive: MotionArchive, todo: list[int]) -> Iterator[list[int]]:
+    batch: list[int] = []
+    frames = 0
+    for index in todo:
+        batch.append(index)
+        frames += int(archive.bounds[index + 1] - archive.bounds[index])
+        if frames >= 4000:
+            yield batch
+            batch, frames = [], 0
+    if batch:
+        yield batch
+
+
+def build_motions(
+    source: str | Path, out: str | Path, jobs: int | None = None, progress: Callable[[str, float], None] | None = None
+) -> Path:
+    """Convert every clip of the archive to handle motion of the reference body.
+
+    One file a clip, written whole or not at all, so a second run goes on where the first one stopped.
+
+    Args:
+        source: Folder with `motions.npz` and `motions.json`.
+        out: Folder for the clips and `index.json` (captions, source, frames, split and weight of each clip).
+        jobs: Processes; the number of cores when None.
+        progress: Called with a stage's name and the share done.
+
+    Returns:
+        Path of `index.json`.
+
+    Raises:
+        FormatError: The archive cannot be read or the folder cannot be written.
+    """
+    archive, out = MotionArchive.open(source), Path(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(out, f"the folder cannot be made ({error.strerror}); choose another") from error
+    sweep(out)
+    todo = [index for index, name in enumerate(archive.names) if not (out / f"{name}.npz").is_file()]
+    lengths = np.diff(archive.bounds)
+    total, done = int(lengths.sum()), int(lengths.sum() - lengths[todo].sum())
+    report = progress or (lambda stage, share: None)
+    slopes: dict[str, float] = {}
+    if todo:
+        pitches = []
+        for index, name in enumerate(archive.names):
+            pitches.append((name, standing_foot_pitch(unrolled(archive.motion(index)))))
+            report("measuring feet", (index + 1) / len(archive.names))
+        slopes = subject_pitches(pitches)
+    report("converting motions", done / total)
+    jobs = jobs or os.cpu_count() or 1
+    if jobs == 1 or len(todo) < 8:
+        for batch in _batches(archive, todo):
+            done += _convert(archive, batch, out, slopes)
+            report("converting motions", done / total)
+    else:
+        with Pool(jobs, _start_worker, (str(source),)) as pool:
+            for future in as_completed([pool.submit(_work, batch, out, slopes) for batch in _batches(archive, todo)]):
+                done += future.result()
+                report("converting motions", done / total)
+    watched = load_watched(source, {name: int(length) for name, length in zip(archive.names, lengths, strict=True)})
+    entries = {}
+    for i, name in enumerate(archive.names):
+        clip = archive.clips.get(name, {})
+        entries[name] = {
+            "texts": clip.get("texts") or [],
+            "source": clip.get("source", ""),
+            "licence": clip.get("licence", ""),
+            "frames": int(lengths[i]),
+            "split": split_of(name),
+            "weight": clip_weight(name, clip.get("flags") or []),
+        }
+        if name in watched:
+            motion, bottom = load_clip(out / f"{name}.npz"), load_lowest(out / f"{name}.npz")
+            entries[name]["stretches"] = [checked(stretch, motion, bottom) for stretch in watched[name]]
+            report("checking captions", (i + 1) / len(archive.names))
+    return write_index(out, entries)
+
+
+def clip_weight(name: str, flags: Sequence[str]) -> float:
+    """How often to draw a clip: less where its caption tells more than it shows, or where a toy's proportions make feet
+    slide and arms stand out.
+    """
+    toy = 0.4 if name.startswith(("kk_", "kkm_")) else 1.0
+    return toy * (0.5 if any("partial" in flag for flag in flags) else 1.0)
+
+
+def checked(stretch: Stretch, motion: HandleMotion, lowest: np.ndarray) -> dict[str, Any]:
+    """A stretch for the index: without the T-pose that it may start or end in, and with the fault that keeps it from
+    training, if it has one.
+    """
+    start, stop = stretch.start, stretch.stop
+    if "T-pose" in stretch.note:
+        posed = t_pose(motion)
+        while start < stop and posed[start]:
+            start += 1
+        while stop > start and posed[stop - 1]:
+            stop -= 1
+    part = slice(start, stop)
+    fault = stretch.fault or ("nothing but a T-pose" if stop - start < FEWEST else None)
+    fault = fault or posture_fault(list(stretch.texts), motion.root_translation[part, 1], lowest[part])
+    return {"start": start, "stop": stop, "texts": list(stretch.texts)} | ({"fault": fault} if fault else {})
+
+
+def t_pose(motion: HandleMotion) -> np.ndarray:
+    """Frames in which both arms are stretched out to the sides as in the reference body's rest pose, shape (N,),
+    bool.
+    """
+    parts = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow")]
+    turned = np.einsum("nkii->nk", motion.rotations[:, parts])  # 3 at rest
+    return np.asarray((turned > 1 + 2 * np.cos(np.radians(22))).all(axis=1))

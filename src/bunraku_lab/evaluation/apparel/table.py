@@ -1,0 +1,275 @@
+"""What learned apparel is worth: the tables of `bunraku evaluate apparel`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
+from bunraku.apparel.refinement.network import load_refinement
+from bunraku.errors import BunrakuError, FormatError, WeightsError
+from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku_lab.datasets.apparel import ApparelData
+from bunraku_lab.evaluation.apparel.clips import TrueClip, data_clips, file_clips, long_clip
+from bunraku_lab.evaluation.apparel.modules import body_table, mask_scores, module_row
+from bunraku_lab.evaluation.apparel.rows import clip_row, drift_row, frame_milliseconds, ten_frames
+from bunraku_lab.evaluation.transfer.table import Bar
+
+__all__ = ["APPAREL_BARS", "evaluate_apparel"]
+
+Progress = Callable[[str, float], None]
+FILE_MOTIONS = ("walk", "dance")
+LONG = 3  # characters in clips of a minute
+ENOUGH = 2000  # apparel vertices that a frame is timed with
+
+APPAREL_BARS: dict[str, Bar] = {
+    "mask_iou": Bar("apparel found, intersection over union, wardrobe", 0.9, True),
+    "mask_iou_files": Bar("the same, files", 0.45, True),
+    "pmd_apparel_rest_6s_over_rigid": Bar("PMD_a from rest, 6 s, over parent-rigid skinning", 0.4),
+    "pmd_apparel_10_frames_over_rigid": Bar("PMD_a, 10 frames from the true state, over the same", 0.25),
+    "pmd_apparel_10_frames_over_frozen": Bar("the same over the true offset kept", 0.5),
+    "els_minus_truth": Bar("ELS of apparel, less the truth's", -0.02, True),
+    "drift_60s": Bar("60 s: error of the last second over that of the second one", 1.2),
+    "inside_over_truth": Bar("apparel deeper than 1 cm in the body, over the truth's", 1.2),
+    "inside_over_rigid": Bar("the same over rigid apparel's", 1 / 3),
+    "real_over_rigid": Bar("files: PMD_a over parent-rigid, the worst", 1.0),
+    "body_attention_first": Bar("body: geodesic attention before both variants", 1.0, True),
+    "frame_ms": Bar("a frame at 2,000 apparel vertices [ms]", 6.0),
+}
+
+
+def evaluate_apparel(
+    data: str | Path,
+    *,
+    motions: Path | None = None,
+    files: Sequence[Path] = (),
+    clips: int = 24,
+    weights: Path | None = None,
+    masks: Path | None = None,
+    bodies: Sequence[Path] = (),
+    refinement: Path | None = None,
+    literal: Path | None = None,
+    quick: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Measure all rows.
+
+    Args:
+        data: Folder of the data set; its split "test" is measured.
+        motions: Folder of motions for clips of a minute.
+        files: PMX, PMD or VRM files with physics.
+        clips: Most clips of the data set.
+        weights: Displacement network.
+        masks: Segmentation network.
+        bodies: Body networks; Table 3 takes the first.
+        refinement: Joint refinement of Table 3.
+        literal: Displacement network of the paper's own form, for rows beside ours.
+        quick: Leave out what takes long: 60 s, the best static skinning and insides.
+        progress: Called with a stage's name and the share done.
+
+    Returns:
+        The keys of `APPAREL_BARS` and whether they are reached, the tables, and a row for each clip.
+
+    Raises:
+        FormatError: The data set has no test clips.
+        WeightsError: A network is missing or broken.
+    """
+    progress = progress or (lambda stage, done: None)
+    network = load_displacement(weights or shipped_checkpoint("apparel"))
+    found = list(data_clips(ApparelData(data, "test"), clips))
+    if not found:
+        raise FormatError(Path(data), "there are no test clips of 6 s; build more of `bunraku data apparel`")
+    rows, tens, modules, scores = [], [], [], []
+    body = bodies[0] if bodies else None
+    known_body = body is not None or _ships("apparel-body")
+    if refinement is None and _ships("apparel-refinement"):
+        refinement = shipped_checkpoint("apparel-refinement")
+    merging = None if refinement is None else load_refinement(refinement)
+    paper = None if literal is None else load_displacement(literal)
+    for number, clip in enumerate(found):
+        progress("clips", number / len(found))
+        rows.append(clip_row(clip, network, slow=not quick))
+        if number % 2 == 0 or quick:
+            tens.append(ten_frames(clip, network))
+        if paper is not None:
+            rows[-1] |= _literal(clip_row(clip, paper, slow=False))
+            if number % 2 == 0 or quick:
+                tens[-1]["literal"] = ten_frames(clip, paper)["learned"]
+        scores.append(mask_scores(clip, masks))
+        if number % 3 == 0 and known_body:
+            modules.append(module_row(clip, network, masks, body, merging))
+    progress("clips", 1.0)
+    real, failed = _files(files, network, masks, progress)
+    out = _summary(rows, tens, scores, real)
+    drift = [] if quick else _drifts(network, motions, found, progress)
+    out["drift_60s"] = _over(drift, "last", "second")
+    out["frame_ms"] = frame_milliseconds(min(found, key=_far_from_enough), network)
+    table4 = body_table(found[: 4 if quick else 12], bodies)
+    out["body_attention_first"] = _attention_first(table4)
+    reached = {
+        key: None if out.get(key) is None or bar.bar is None
+        else bool(out[key] >= bar.bar if bar.high else out[key] <= bar.bar)
+        for key, bar in APPAREL_BARS.items()
+    }  # fmt: skip
+    tables = {
+        "From rest, 6 s: PMD_a [cm], ELS of apparel, deeper than 1 cm in the body": _rest_table(rows),
+        "Ten frames from the true state: PMD_a [cm]": _ten_table(tens),
+        "60 s from rest: PMD_a [cm]": _drift_table(drift),
+        "Modules (Table 3): PMD [cm]": _module_table(modules),
+        "Body (Table 4): PMD [cm]": table4,
+        "Files, from rest: PMD_a [cm]": _real_table(real),
+    }
+    return out | {
+        "reached": reached, "tables": {title: table for title, table in tables.items() if table},
+        "clips": rows, "ten_frames": tens, "minutes": drift, "files": real, "failed": failed, "masks": scores,
+    }  # fmt: skip
+
+
+def _literal(row: dict[str, Any]) -> dict[str, Any]:
+    """The row of the paper's own form, under names of its own."""
+    return {key.replace("learned", "literal"): value for key, value in row.items() if key.startswith("learned")}
+
+
+def _ships(name: str) -> bool:
+    try:
+        shipped_checkpoint(name)
+    except WeightsError:
+        return False
+    return True
+
+
+def _far_from_enough(clip: TrueClip) -> float:
+    return abs(float(clip.wearer.apparel.sum()) - ENOUGH)
+
+
+def _files(
+    files: Sequence[Path], network: DisplacementNetwork, masks: Path | None, progress: Progress
+) -> tuple[list[dict[str, Any]], dict[str, str]]:
+    from bunraku.io import load_character
+
+    real: list[dict[str, Any]] = []
+    failed: dict[str, str] = {}
+    for number, path in enumerate(files):
+        progress("files", number / len(files))
+        try:
+            clips = file_clips(load_character(path), FILE_MOTIONS)
+            rows = [clip_row(clip, network, slow=False) for clip in clips]
+            mean = {
+                key: float(np.mean([row[key] for row in rows])) for key in ("rigid", "nearest_joint", "learned", "safe")
+            }
+            real.append({"name": path.stem, **mean, "iou": mask_scores(clips[0], masks)["iou"]})
+        except BunrakuError as error:
+            failed[path.name] = str(error)
+    return real, failed
+
+
+def _drifts(
+    network: DisplacementNetwork, motions: Path | None, found: Sequence[TrueClip], progress: Progress
+) -> list[dict[str, Any]]:
+    """Clips of a minute of test characters of the wardrobe, each in the motion that it has in the data set."""
+    out: list[dict[str, Any]] = []
+    if motions is None:
+        return out
+    seen = list({clip.name: clip for clip in found}.values())[:LONG]
+    for number, clip in enumerate(seen):
+        progress("minutes", number / len(seen))
+        path = Path(motions) / f"{clip.motion}.npz"
+        seed = clip.name.removeprefix("wardrobe_")
+        if path.is_file() and seed.isdecimal():
+            out.append({"name": clip.name} | drift_row(long_clip(int(seed), path), network))
+    return out
+
+
+def _over(rows: Sequence[dict[str, Any]], key: str, under: str) -> float | None:
+    known = [row for row in rows if key in row and under in row]
+    below = sum(row[under] for row in known)
+    return float(sum(row[key] for row in known) / below) if below > 0 else None
+
+
+def _summary(
+    rows: list[dict[str, Any]], tens: list[dict[str, float]], scores: list[dict[str, float]], real: list[dict[str, Any]]
+) -> dict[str, Any]:
+    files = [row["iou"] for row in real]
+    return {
+        "mask_iou": float(np.mean([row["iou"] for row in scores])),
+        "mask_iou_files": float(np.mean(files)) if files else None,
+        "pmd_apparel_rest_6s_over_rigid": _over(rows, "safe", "rigid"),
+        "pmd_apparel_10_frames_over_rigid": _over(tens, "learned", "rigid"),
+        "pmd_apparel_10_frames_over_frozen": _over(tens, "learned", "frozen"),
+        "els_minus_truth": float(np.mean([row["safe_els"] - row["els_truth"] for row in rows])),
+        "inside_over_truth": _over(rows, "inside_safe", "inside_truth"),
+        "inside_over_rigid": _over(rows, "inside_safe", "inside_rigid"),
+        "real_over_rigid": max((row["safe"] / max(row["rigid"], 1e-9) for row in real), default=None),
+    }
+
+
+def _rest_table(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
+    names = {
+        "rigid": "parent-rigid", "nearest_joint": "nearest joint", "oracle_skinning": "best static skinning",
+        "literal": "the paper's form", "head": "head alone", "learned": "learned", "safe": "learned, safe",
+        "truth": "truth",
+        "truth_safe": "truth, safe",
+    }  # fmt: skip
+    out: dict[str, dict[str, float | None]] = {}
+    for key, name in names.items():
+        inside = [row[f"inside_{key}"] for row in rows if f"inside_{key}" in row]
+        els = [row["els_truth" if key == "truth" else f"{key}_els"] for row in rows
+               if ("els_truth" if key == "truth" else f"{key}_els") in row]  # fmt: skip
+        pmd = [row[key] for row in rows if key in row]
+        two = [row[f"{key}_2s"] for row in rows if f"{key}_2s" in row]
+        if pmd or inside or els:
+            out[name] = {
+                "PMD_a": 100 * float(np.mean(pmd)) if pmd else None,
+                "first 2 s": 100 * float(np.mean(two)) if two else None,
+                "over rigid": _over(rows, key, "rigid") if pmd else None,
+                "ELS": float(np.mean(els)) if els else None,
+                "inside [%]": 100 * float(np.mean(inside)) if inside else None,
+            }
+    return out
+
+
+def _ten_table(tens: list[dict[str, float]]) -> dict[str, dict[str, float]]:
+    names = {
+        "rigid": "parent-rigid", "frozen": "true offset kept", "literal": "the paper's form", "learned": "learned",
+    }  # fmt: skip
+    return {
+        name: {
+            "PMD_a": 100 * float(np.mean([row[key] for row in tens])),
+            "over rigid": _over(tens, key, "rigid") or 0.0,
+        }
+        for key, name in names.items()
+        if all(key in row for row in tens)
+    }
+
+
+def _drift_table(drift: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    columns = {"second": "second 2", "last": "last", "all": "all", "rigid": "rigid"}
+    return {row["name"]: {title: 100 * row[key] for key, title in columns.items()} for row in drift}
+
+
+def _module_table(modules: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
+    if not modules:
+        return {}
+    return {
+        name: {key: float(np.mean([row[name][key] for row in modules])) for key in modules[0][name]}
+        for name in modules[0]
+    }
+
+
+def _real_table(real: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    return {
+        row["name"]: {
+            "rigid": 100 * row["rigid"], "nearest joint": 100 * row["nearest_joint"], "learned": 100 * row["learned"],
+            "safe": 100 * row["safe"], "over rigid": row["safe"] / max(row["rigid"], 1e-9), "mask IoU": row["iou"],
+        }
+        for row in real
+    }  # fmt: skip
+
+
+def _attention_first(table: dict[str, dict[str, float]]) -> float | None:
+    if not {"attention", "none", "sorted"} <= set(table):
+        return None
+    return float(all(table["attention"]["PMD"] < table[other]["PMD"] for other in ("none", "sorted")))

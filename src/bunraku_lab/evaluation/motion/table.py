@@ -1,0 +1,369 @@
+"""The table of generated motion (A.2 of TapMo): real data, our denoiser, and "TapMo (MDM)", in one protocol.
+
+Windows of clips that no training saw are drawn once (`motion_windows`); each model makes a motion of each window's
+length from its sentence, once. A run then draws `clips` of the windows without repetition, and for each 31 sentences
+that mean something
+else: all rows of the table see the same windows and the same sentences in a run. FID compares the drawn motions with
+`references` other windows of the same clips, so the FID of the real row, which is the drawn windows themselves, is what
+a perfect generator would reach. Means over the runs come with 95 % intervals, which tell how far the choice of windows,
+sentences and pairs matters; runs share motions unless the pool has `clips` for each of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.diffusion.matching import Extractor, embed_motions, embed_sentences, load_extractor
+from bunraku.errors import OptionError
+from bunraku.language.encoders import encoder_of
+from bunraku_lab.evaluation.motion.metrics import (
+    diversity,
+    fid,
+    interval,
+    multimodal_distance,
+    multimodality,
+    r_precision,
+)
+from bunraku_lab.evaluation.motion.samples import (
+    Request,
+    SamplerSettings,
+    checkpoint_digest,
+    choose_motions,
+    make_motions,
+)
+from bunraku_lab.evaluation.motion.train_extractor import people
+from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
+from bunraku_lab.training.diffusion.clip_data import load_clips
+
+__all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows"]
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class MotionEvalConfig:
+    """Settings of an evaluation.
+
+    Args:
+        data: Folder that `bunraku data motions` wrote.
+        characters: Folder of rigged characters, for the ARAP-Loss and the creatures; None leaves these out.
+        checkpoint: Weights of the denoiser; None takes the shipped ones.
+        mdm: Weights of the encoder-only denoiser, "TapMo (MDM)"; None leaves its row out.
+        extractor: Weights of the feature extractor; None takes the shipped ones.
+        work: Folder in which generated motions are kept.
+        split: Split of the clips, of the data's index.
+        pool: Windows, and motions of each model.
+        references: Other real windows, which FID compares with.
+        clips: Windows that a run draws.
+        runs: Runs.
+        candidates: Sentences that a motion is tried with, its own included.
+        prompts: Sentences of MModality.
+        repeats: Motions of each of them.
+        steps: Steps of the default sampler; None takes the default.
+        guidance: Scale of classifier-free guidance; None takes the default.
+        best_of: Of how many the ranker chooses each motion of the second table, and of a row of the first, as `animate`
+            does; 1 for none, and no such row.
+        examples: What is chosen from starts from captured examples, as in `animate`.
+        pull: What is predicted is pulled towards its sentence, as in `animate`.
+        reference_steps: Steps of DDPM's sampler that the default is compared with; 0 leaves the comparison out.
+        reference_clips: Motions that it is compared on.
+        seed: Of everything random.
+    """
+
+    data: Path = Path("runs/data/motions")
+    characters: Path | None = None
+    checkpoint: Path | None = None
+    mdm: Path | None = None
+    extractor: Path | None = None
+    work: Path = Path("runs/evaluation")
+    split: str = "test"
+    pool: int = 1600
+    references: int = 3000
+    clips: int = 1000
+    runs: int = 20
+    candidates: int = 32
+    prompts: int = 20
+    repeats: int = 10
+    steps: int | None = None
+    guidance: float | None = None
+    best_of: int = 1
+    examples: bool = True
+    pull: bool = True
+    reference_steps: int = 0
+    reference_clips: int = 256
+    seed: int = 0
+
+    def sampler(self) -> SamplerSettings:
+        """The sampler that is measured."""
+        from bunraku.diffusion.generate import GUIDANCE, STEPS
+
+        steps, guidance = (
+            STEPS if self.steps is None else self.steps,
+            GUIDANCE if self.guidance is None else self.guidance,
+        )
+        return SamplerSettings(steps, guidance, seed=self.seed)
+
+
+@dataclass
+class Row:
+    """A row of the table: vectors of the motions of all windows (P, E), and of MModality's (S, M, E)."""
+
+    vectors: np.ndarray
+    repeated: np.ndarray | None = None
+    values: dict[str, list[float]] = field(default_factory=dict)
+
+    def add(self, name: str, value: float) -> None:
+        self.values.setdefault(name, []).append(value)
+
+
+def measure_rows(
+    rows: Mapping[str, Row],
+    references: np.ndarray,
+    windows: list[Window],
+    clips: Mapping[str, Mapping[str, Any]],
+    sentences: Mapping[str, np.ndarray],
+    config: MotionEvalConfig,
+    report: Report,
+) -> None:
+    """All runs: adds the measures of each to the rows.
+
+    Args:
+        rows: By name.
+        references: Vectors of the real windows that FID compares with, shape (R, E).
+        windows: The P windows.
+        clips: What `load_clips` returned.
+        sentences: The vector of each sentence.
+        config: Settings.
+        report: Called with the stage and the share done.
+    """
+    for run in range(config.runs):
+        drawn = np.random.default_rng([config.seed, run, 1]).permutation(len(windows))[: config.clips]
+        table = candidate_sentences(
+            [windows[i] for i in drawn], clips, config.candidates, np.random.default_rng([config.seed, run, 2])
+        )
+        text = np.stack([[sentences[sentence] for sentence in row] for row in table])
+        for row in rows.values():
+            motions = row.vectors[drawn]
+            for place, share in enumerate(r_precision(motions, text), 1):
+                row.add(f"r_precision_{place}", share)
+            row.add("fid", fid(motions, references))
+            row.add("mm_dist", multimodal_distance(motions, text[:, 0]))
+            row.add(
+                "diversity", diversity(motions, np.random.default_rng([config.seed, run, 3]))
+            )  # the same pairs in all rows
+            if row.repeated is not None:
+                row.add("multimodality", multimodality(row.repeated, np.random.default_rng([config.seed, run, 4])))
+        report("measures", (run + 1) / config.runs)
+
+
+def _halves(windows: Sequence[Window], vectors: np.ndarray, runs: int, seed: int) -> float:
+    """FID between the windows of one half of the clips and those of the other, mean over `runs` ways to part them."""
+    names = np.array(sorted({window.clip for window in windows}))
+    found = []
+    for run in range(runs):
+        first = set(np.random.default_rng([seed, run, 5]).permutation(names)[: len(names) // 2].tolist())
+        side = np.array([window.clip in first for window in windows])
+        if min(side.sum(), (~side).sum()) >= 2:
+            found.append(fid(vectors[side], vectors[~side]))
+    return float(np.mean(found)) if found else 0.0
+
+
+def _distinct(windows: Sequence[Window], count: int) -> list[Window]:
+    """Windows of different meanings, the longest first of each, in the order of the draw."""
+    seen: dict[str, Window] = {}
+    for window in windows:
+        if window.meaning not in seen:
+            seen[window.meaning] = window
+    return list(seen.values())[:count]
+
+
+def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> dict[str, Any]:
+    """The table.
+
+    Args:
+        config: What to measure and how.
+        report: Called with a stage's name and the share done.
+
+    Returns:
+        Numbers and lists that JSON can say: "rows" by name ("real", "tapmo", "tapmo_mdm"), each measure with "mean" and
+        "half" (of the 95 % interval); "counts"; and at the top level the figures that the bars are about:
+        "r_precision_1" and "r_precision_1_over_real" (2 and 3 likewise), "fid", "fid_over_tapmo_mdm",
+        "fid_real_halves", "fid_steps_ratio", "mm_dist", "diversity", "multimodality", and what `motion_blocks` adds. A
+        figure that was not measured is None.
+
+    Raises:
+        OptionError: A setting is out of range, or the held-out clips have too few meanings.
+        FormatError: The data are missing or damaged.
+        WeightsError: Weights are missing or broken.
+    """
+    from bunraku.diffusion.generate import load_generator
+    from bunraku.nn.checkpoints import shipped_checkpoint
+
+    _check(config)
+    report = report or (lambda stage, done: None)
+    extractor = load_extractor(config.extractor or shipped_checkpoint("extractor"))
+    models = {"tapmo": config.checkpoint or shipped_checkpoint("diffusion")}
+    if config.mdm is not None:
+        models["tapmo_mdm"] = config.mdm
+    loaded = {name: load_generator(path) for name, path in models.items()}
+    clips = people(
+        load_clips(config.data, lambda done, total: report("clips", done / total), {config.split}), config.split
+    )
+    windows = draw_windows(clips, config.pool, np.random.default_rng([config.seed, 11]))
+    others = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))
+    named = _distinct(windows, config.prompts)
+    sampling = config.sampler()
+
+    encoder = encoder_of(extractor.config.text_encoder, loaded["tapmo"][1])
+    sentences = embed_sentences(extractor, encoder, [window.sentence for window in windows])
+    real, references = (
+        embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, others)
+    )
+    rows = {"real": Row(real)}
+    for name, (model, own_encoder) in loaded.items():
+        digest = checkpoint_digest(models[name])
+
+        def progress(done: int, total: int, name: str = name) -> None:
+            report(f"motions of {name}", done / total)
+
+        requests = [Request(window.sentence, window.frames) for window in windows]
+        motions = make_motions(
+            model, own_encoder, requests, sampling, folder=config.work, digest=digest, progress=progress
+        )
+        again = [Request(window.sentence, window.frames) for window in named for _ in range(config.repeats)]
+        repeated = (
+            make_motions(model, own_encoder, again, sampling, folder=config.work, digest=digest)
+            if config.repeats > 1
+            else []
+        )
+        vectors = embed_motions(extractor, repeated).reshape(len(named), config.repeats, -1) if repeated else None
+        rows[name] = Row(embed_motions(extractor, motions), vectors)
+    for name, candidates, examples in _ways(config):
+        found = choose_motions(
+            [Request(window.sentence, window.frames) for window in windows],
+            replace(sampling, candidates=candidates, examples=examples, pull=config.pull), models["tapmo"],
+            folder=config.work, progress=partial(_told, report, f"motions of {name}"),
+        )  # fmt: skip
+        rows[name] = Row(embed_motions(extractor, found))
+    measure_rows(rows, references, windows, clips, sentences, config, report)
+
+    result = _summary(rows)
+    result["fid_real_halves"] = _halves(others, references, config.runs, config.seed)
+    result["fid_steps_ratio"] = None
+    if config.reference_steps:
+        result |= _steps_ratio(extractor, rows["tapmo"].vectors, references, windows, config, report)
+    left_out: dict[str, str] = {}
+    if config.mdm is None:
+        left_out["fid_over_tapmo_mdm"] = "--mdm names no weights"
+    if not config.reference_steps:
+        left_out["fid_steps_ratio"] = "it needs --reference-steps 1000"
+    result["left_out"] = left_out
+    counts = {
+        "clips": len({window.clip for window in windows}),
+        "meanings": len({window.meaning for window in windows}),
+    }
+    seconds = sum(len(clips[name]["features"]) for name in {window.clip for window in windows}) / 20
+    result["counts"] = counts | {
+        "seconds": seconds,
+        "windows": len(windows),
+        "drawn": min(config.clips, len(windows)),
+        "runs": config.runs,
+    }
+    result["counts"] |= {"candidates": config.candidates, "steps": sampling.steps, "guidance": sampling.guidance}
+    result["parameters"] = {
+        name: sum(value.numel() for value in model.parameters()) for name, (model, _) in loaded.items()
+    }
+    result["notes"] = {name: model.notes for name, (model, _) in loaded.items()} | {"extractor": extractor.notes}
+    result["settings"] = {
+        key: str(value) if isinstance(value, Path) else value for key, value in asdict(config).items()
+    }
+    return result
+
+
+def _ways(config: MotionEvalConfig) -> list[tuple[str, int, bool]]:
+    """Rows of motions made as `animate` makes them: name, candidates, and whether they start from examples."""
+    if config.best_of == 1:
+        return []
+    pulled = [("tapmo_pulled", 1, False)] if config.pull else []
+    led = [("tapmo_led", 1, True)] if config.examples else []
+    return [*pulled, *led, ("tapmo_chosen", config.best_of, config.examples)]
+
+
+def _told(report: Report, stage: str, done: int, total: int) -> None:
+    report(stage, done / total)
+
+
+def _check(config: MotionEvalConfig) -> None:
+    if (
+        min(config.pool, config.references) < 4
+        or not 2 <= config.clips <= config.pool
+        or config.runs < 1
+        or config.candidates < 4
+    ):
+        raise OptionError(
+            "an evaluation needs a pool of 4 or more, from 2 to all of it drawn a run, 1 or more runs, and 4 or more "
+            "candidates"
+        )
+    if config.reference_steps < 0 or config.reference_steps > 1000 or config.reference_clips < 2:
+        raise OptionError("the comparison of samplers takes 0 to 1,000 steps and at least 2 motions")
+    if (config.steps is not None and not 1 <= config.steps <= 1000) or config.prompts < 1 or config.repeats < 0:
+        raise OptionError("steps must be 1 to 1,000, prompts 1 or more, repeats 0 or more")
+
+
+def _steps_ratio(
+    extractor: Extractor,
+    fast: np.ndarray,
+    references: np.ndarray,
+    windows: list[Window],
+    config: MotionEvalConfig,
+    report: Report,
+) -> dict[str, float]:
+    """FID of the default sampler and of many DDPM steps on the same windows, against the reference windows."""
+    from bunraku.diffusion.generate import load_generator
+    from bunraku.nn.checkpoints import shipped_checkpoint
+
+    path = config.checkpoint or shipped_checkpoint("diffusion")
+    model, encoder = load_generator(path)
+    sampling = replace(config.sampler(), steps=config.reference_steps, method="ddpm")
+    count = min(config.reference_clips, len(windows))
+    requests = [Request(window.sentence, window.frames) for window in windows[:count]]
+
+    def progress(done: int, total: int) -> None:
+        report(f"{sampling.steps} steps", done / total)
+
+    motions = make_motions(
+        model, encoder, requests, sampling, folder=config.work, digest=checkpoint_digest(path), progress=progress
+    )
+    reference = fid(embed_motions(extractor, motions), references)
+    here = fid(fast[:count], references)
+    return {
+        "fid_steps_ratio": here / max(reference, 1e-12),
+        "fid_default_steps": here,
+        "fid_reference_steps": reference,
+    }
+
+
+def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
+    """The table, and the figures of our row with their ratios."""
+    table = {name: {key: asdict(interval(values)) for key, values in row.values.items()} for name, row in rows.items()}
+    result: dict[str, Any] = {"rows": table}
+    ours, real = table["tapmo"], table["real"]
+    for key in ("r_precision_1", "r_precision_2", "r_precision_3", "fid", "mm_dist", "diversity", "multimodality"):
+        result[key] = ours[key]["mean"] if key in ours else None
+    for place in (1, 2, 3):
+        key = f"r_precision_{place}"
+        result[f"{key}_over_real"] = ours[key]["mean"] / max(real[key]["mean"], 1e-12)
+    for name in ("pulled", "led", "chosen"):
+        row = table.get(f"tapmo_{name}")
+        share = None if row is None else row["r_precision_1"]["mean"] / max(real["r_precision_1"]["mean"], 1e-12)
+        result[f"r_precision_1_over_real_{name}"] = share
+    mdm = table.get("tapmo_mdm")
+    result["fid_over_tapmo_mdm"] = None if mdm is None else ours["fid"]["mean"] / max(mdm["fid"]["mean"], 1e-12)
+    result["fid_real"] = real["fid"]["mean"]
+    return result

@@ -1,0 +1,192 @@
+"""Training of the feature extractor: a motion and its sentence are drawn together, all other pairs of the batch apart.
+
+The loss is the cross-entropy of finding the sentence among the batch's and the motion among the batch's (InfoNCE, as in
+TMR, Petrovich et al. 2023). Pairs that mean the same do not count as wrong. Batches hold motions of about one length,
+so that length tells nothing. Only clips of the training split are seen, and of these only captured motions of people.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from bunraku.diffusion.features import FeatureStatistics
+from bunraku.diffusion.matching import (
+    KIND,
+    RADIUS,
+    Extractor,
+    ExtractorConfig,
+    embed_motions,
+    embed_sentences,
+)
+from bunraku.errors import OptionError
+from bunraku.language.captions import caption_variants
+from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku_lab.evaluation.motion.metrics import r_precision
+from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
+from bunraku_lab.training.diffusion.clip_data import load_clips
+from bunraku_lab.training.diffusion.text_bank import TextBank
+from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
+from bunraku_lab.training.runs.half_precision import bf16_is_fast
+
+__all__ = ["ExtractorTrainConfig", "ExtractorTrainer", "people", "retrieval_of", "train_extractor"]
+
+
+@dataclass(frozen=True)
+class ExtractorTrainConfig(MatchingTrainConfig):
+    """Settings of a training run: those of `MatchingTrainConfig`, and these.
+
+    Args:
+        shortest: Frames; clips with fewer are left out.
+        extractor: The network.
+    """
+
+    out: Path = Path("runs/extractor")
+    shortest: int = 24
+    extractor: ExtractorConfig = field(default_factory=ExtractorConfig)
+
+
+def people(clips: Mapping[str, dict[str, Any]], split: str) -> dict[str, dict[str, Any]]:
+    """Captured motions of people of one split: no creature, and no labelled action of a game character, of which each
+    has many captions that mean the same.
+    """
+    others = ("species", "character", "action")
+    return {
+        name: entry
+        for name, entry in clips.items()
+        if entry.get("split", "train") == split and not any(entry.get(key) for key in others)
+    }
+
+
+def retrieval_of(
+    model: Extractor,
+    encoder: TextEncoder,
+    clips: Mapping[str, Mapping[str, Any]],
+    windows: Sequence[Window],
+    candidates: int = 32,
+    seed: int = 0,
+) -> tuple[float, float, float]:
+    """Top-1, top-2 and top-3 R-Precision of real windows."""
+    random = np.random.default_rng([seed, 3])
+    rows = candidate_sentences(list(windows), clips, candidates, random)
+    text = embed_sentences(model, encoder, [sentence for row in rows for sentence in row])
+    vectors = embed_motions(model, [window_features(clips, window) for window in windows])
+    return r_precision(vectors, np.stack([[text[sentence] for sentence in row] for row in rows]))
+
+
+class ExtractorTrainer(MatchingRun):
+    """One training run in memory.
+
+    Args:
+        config: Settings.
+        clips: To train on.
+        bank: Their sentences, encoded.
+    """
+
+    def __init__(self, config: ExtractorTrainConfig, clips: Mapping[str, dict[str, Any]], bank: TextBank):
+        self.config, self.clips = config, clips
+        statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
+        super().__init__(config, config.extractor, statistics, bank, len(clips), KIND)
+
+    def batch(self, number: int) -> list[Window]:
+        """Batch `number` of the endless series of the seed: a quarter of four batches' windows, sorted by length."""
+        size = self.config.batch
+        random = np.random.default_rng([self.config.seed, number // 4])
+        windows = draw_windows(self.clips, 4 * size, random, self.config.shortest)
+        windows.sort(key=lambda window: window.frames)
+        place = int(random.permutation(4)[number % 4])
+        return windows[place * size : (place + 1) * size]
+
+    def loss(self, windows: Sequence[Window]) -> tuple[Tensor, float]:
+        """The loss of a batch and the share of motions that find their sentence first."""
+        device = self.config.device
+        lengths = torch.tensor([window.frames for window in windows])
+        values = torch.zeros(len(windows), int(lengths.max()), self.model.config.features)
+        for row, window in zip(values, windows, strict=True):
+            row[: window.frames] = torch.from_numpy(
+                np.ascontiguousarray(window_features(self.clips, window), np.float32)
+            )
+        bf16 = self.config.bf16 and bf16_is_fast(device)
+        with torch.autocast(torch.device(device).type, torch.bfloat16, enabled=bf16):
+            motion = self.model.motion(values.to(device), lengths.to(device))
+            text = self.model.text(self.bank([window.sentence for window in windows]).to(device))
+        logits = self.model.log_scale.exp().clamp(max=50) * (motion @ text.T) / RADIUS**2
+        meanings = [window.meaning for window in windows]
+        same = torch.tensor([[a == b for b in meanings] for a in meanings], device=device) & ~torch.eye(
+            len(windows), dtype=torch.bool, device=device
+        )
+        logits = logits.masked_fill(same, -1e4)
+        target = torch.arange(len(windows), device=device)
+        loss = 0.5 * (F.cross_entropy(logits, target) + F.cross_entropy(logits.T, target))
+        return loss, float((logits.argmax(1) == target).float().mean())
+
+    def step_loss(self) -> tuple[Tensor, dict[str, float]]:
+        """The loss of the batch of this step, and the share of motions that find their sentence first."""
+        loss, won = self.loss(self.batch(self.step))
+        return loss, {"won": won}
+
+
+def _sentences(clips: Mapping[str, Mapping[str, Any]]) -> set[str]:
+    texts = {text for entry in clips.values() for text in entry["texts"]}
+    return {sentence for text in texts for mirrored in (False, True) for sentence in caption_variants(text, mirrored)}
+
+
+def train_extractor(
+    config: ExtractorTrainConfig,
+    log: Callable[[dict[str, float]], None] | None = None,
+    encoder: TextEncoder | None = None,
+    report: Callable[[str, float], None] | None = None,
+) -> Path:
+    """Train, or go on training, and return the path of the averaged weights.
+
+    Args:
+        config: The run.
+        log: Called with a row of the log at each validation.
+        encoder: In place of the built-in text encoder.
+        report: Called with a stage's name and the share done.
+
+    Raises:
+        OptionError: A setting is out of range, or the run folder belongs to another network.
+        FormatError: The data are missing or damaged.
+    """
+    if config.batch < 2 or config.threads < 1 or config.minutes < 0 or config.steps < 1 or config.validate_every < 1:
+        raise OptionError("batch must be 2 or more, threads, steps and validate-every 1 or more, minutes 0 or more")
+    torch.set_num_threads(config.threads)
+    report = report or (lambda stage, done: None)
+    config.out.mkdir(parents=True, exist_ok=True)
+    clips = load_clips(config.data, lambda done, total: report("clips", done / total), splits={"train", "val"})
+    train, held = people(clips, "train"), people(clips, "val")
+    if not train:
+        raise OptionError(
+            f"{config.data}: there are no training clips of people; build the data again with 'bunraku data motions'"
+        )
+    encoder = encoder or text_encoder(config.extractor.text_encoder)
+    config = replace(config, extractor=for_encoder(config.extractor, encoder))
+    trainer = ExtractorTrainer(config, train, captions_of(config, encoder, _sentences(train), report))
+    windows, candidates = _validation(held)
+
+    def validate() -> dict[str, float]:
+        if not windows:
+            return {}
+        tops = retrieval_of(trainer.average, encoder, held, windows, candidates)
+        return {"validation_candidates": candidates, "validation_top1": tops[0], "validation_top3": tops[2]}
+
+    return trainer.run(validate, log, report)
+
+
+def _validation(clips: Mapping[str, dict[str, Any]]) -> tuple[list[Window], int]:
+    """Fixed windows of the validation clips, and how many candidates their meanings allow, at most 32."""
+    try:
+        windows = draw_windows(clips, 256, np.random.default_rng(5), 24)
+    except OptionError:
+        return [], 0
+    most = max(len(set(clips[window.clip]["texts"])) for window in windows)
+    candidates = min(32, len({window.meaning for window in windows}) - most)
+    return (windows, candidates) if candidates >= 2 else ([], 0)

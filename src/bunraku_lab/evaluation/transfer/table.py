@@ -1,0 +1,247 @@
+"""What motion transfer is worth: the table of `bunraku evaluate transfer`."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.errors import FormatError
+from bunraku.nn.spread import spread
+from bunraku_lab.evaluation.transfer.character import Source, facing_character, measure_character
+from bunraku_lab.evaluation.transfer.mmd import measure_soles
+from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
+from bunraku_lab.evaluation.transfer.speed import MANY, bvh_again, times
+
+__all__ = ["BARS", "KINDS", "Bar", "evaluate_transfer", "pick_motions"]
+
+KINDS = ("walk", "dance", "kick", "sit", "roll")
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A row of the table.
+
+    Args:
+        title: What it measures.
+        bar: What must be reached.
+        high: Whether more is better.
+        unit: After the number.
+    """
+
+    title: str
+    bar: float | None
+    high: bool = False
+    unit: str = ""
+
+
+BARS: dict[str, Bar] = {
+    "finished": Bar("pairs of character and motion that finished", 1.0, True),
+    "angle_rig": Bar("limb directions on rigs, mean", 5.0, unit=" deg"),
+    "angle_handles": Bar("limb directions on handles, mean", 8.0, unit=" deg"),
+    "quadruped_limbs_degrees": Bar("captured animals on four-legged handles: limbs, mean", 15.0, unit=" deg"),
+    "quadruped_ground": Bar("the same: lowest point off the ground, over the height, mean", None),
+    "quadruped_hind_above_back": Bar("the same: frames with a hind foot above the back", 0.0),
+    "back": Bar("a character's clip to the reference body and back, over the height, mean", 0.005),
+    "back_median": Bar("the same, median", None),
+    "back_copied": Bar("a character's clip copied to the same skeleton, over the height", 0.005),
+    "bvh_degrees": Bar("BVH written and read again", 0.01, unit=" deg"),
+    "soles": Bar("VMD with leg IK: soles from where the IK target puts them, where the leg reaches", 0.01, unit=" m"),
+    "soles_reached": Bar("frames in which the leg reaches", None),
+    "soles_beyond": Bar(
+        "other frames: ankles from the place nearest to the target that the leg can reach", None, unit=" m"
+    ),
+    "soles_target": Bar("other frames: ankles from the target itself, largest", None, unit=" m"),
+    "seconds_bvh": Bar("reading a BVH of 2 minutes at 120 Hz", 0.5, unit=" s"),
+    "seconds_rig": Bar("10 s of motion onto the rig of 20k vertices", 1.5, unit=" s"),
+    "seconds_handles": Bar("10 s of motion onto the handles of 20k vertices, handles known", 1.5, unit=" s"),
+}
+
+
+def pick_motions(folder: str | Path) -> dict[str, Path]:
+    """A motion of each kind of `KINDS` in a folder: by the captions of its `captions.csv`, or by the names of the
+    files.
+
+    Of several that fit, one that says just this word is taken, then the one with the fewest words, then the first by
+    name.
+
+    Raises:
+        FormatError: There is none of some kind.
+    """
+    folder = Path(folder)
+    found: list[tuple[str, Path]] = []
+    table = folder / "captions.csv"
+    if table.is_file():
+        with table.open(newline="", encoding="utf-8") as file:
+            found = [
+                (row["caption"], folder / row["file"])
+                for row in csv.DictReader(file)
+                if row.get("caption") and (folder / row["file"]).is_file()
+            ]
+    found += [
+        (path.stem.replace("_", " "), path)
+        for path in sorted(folder.glob("*"))
+        if path.suffix.lower() in (".bvh", ".npz", ".npy", ".fbx")
+    ]
+    out = {}
+    for kind in KINDS:
+        words = [(text.lower().split(), path) for text, path in found]
+        fits = [
+            (kind not in some, len(some), path.name, path)
+            for some, path in words
+            if any(word.startswith(kind) for word in some)
+        ]
+        if not fits:
+            raise FormatError(
+                folder, f"it holds no motion whose caption or name says '{kind}'; the table needs {', '.join(KINDS)}"
+            )
+        out[kind] = min(fits)[3]
+    return out
+
+
+def evaluate_transfer(
+    characters: str | Path,
+    motions: str | Path,
+    *,
+    mmd: str | Path | None = None,
+    limit: int | None = None,
+    work: str | Path | None = None,
+    speed: bool = True,
+    jobs: int | str = 1,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Measure all rows.
+
+    Args:
+        characters: Folder of characters, searched through.
+        motions: Folder with a motion of each kind, BVH with a `captions.csv` beside them or named by kind.
+        mmd: Folder with MMD models and VMD files, searched through, for the rows of soles.
+        limit: How many characters to take, spread over all; all when None.
+        work: Where what was measured of each character is kept, so that a second call goes on where the first was
+            stopped.
+        speed: Whether to measure times too.
+        jobs: How many processes share the characters, or "ray" for a cluster whose machines see the same files.
+        progress: Called with a stage's name and the share done.
+
+    Returns:
+        Values by the keys of `BARS`, None where nothing could be measured; `reached`, `failed`, `rows` and `counts`.
+
+    Raises:
+        FormatError: There is no character, or a motion of some kind is missing.
+    """
+    from bunraku.io.motions import load_motion
+    from bunraku.pipelines.to_reference import reference_motion
+
+    folder = Path(characters).absolute() if jobs == "ray" else Path(characters)
+    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".glb", ".gltf", ".vrm", ".fbx"))
+    if not files:
+        raise FormatError(folder, "it holds no .glb, .gltf, .vrm or .fbx character")
+    if limit is not None and limit < len(files):
+        files = [files[index] for index in np.linspace(0, len(files) - 1, limit).round().astype(int)]
+    picked = pick_motions(motions)
+    sources = {kind: Source.of(reference_motion(load_motion(path))) for kind, path in picked.items()}
+    names = {path: path.relative_to(folder).with_suffix("").as_posix() for path in files}
+    kept = _Kept(None if work is None else Path(work), picked)
+    before = {path: kept.row(path, names[path]) for path in files}
+    found_rows = {path: row for path, row in before.items() if row is not None}
+    measure = partial(_measured, sources)
+    batches = [[(path, names[path])] for path in files if path not in found_rows]
+    alone = ((batch[0], measure(batch)[0]) for batch in batches)
+    for (path, name), row in alone if jobs == 1 else spread(measure, batches, jobs, _lost):
+        if isinstance(row, str):  # its process ended, and may not next time
+            row = {"name": name, "finished": 0, "failed": {"": row}}
+        else:
+            kept.keep(path, row)
+        found_rows[path] = row
+        if progress:
+            progress("characters", len(found_rows) / len(files))
+    rows = [found_rows[path] for path in files]
+    result: dict[str, Any] = {"finished": sum(row["finished"] for row in rows) / (len(rows) * len(KINDS))}
+    found = {
+        key: [row[key] for row in rows if key in row] for key in ("angle_rig", "angle_handles", "back", "back_copied")
+    }
+    result |= {key: float(np.mean(values)) if values else None for key, values in found.items()}
+    result["back_median"] = float(np.median(found["back"])) if found["back"] else None
+    result["bvh_degrees"] = bvh_again(picked["walk"])
+    failed = {f"{row['name']} {kind}".rstrip(): reason for row in rows for kind, reason in row["failed"].items()}
+    result |= measure_quadrupeds({names[path]: path for path in files}, progress=progress)
+    failed |= {f"{row['target']} as {row['source']}": row["failed"] for row in result["quadrupeds"] if "failed" in row}
+    result |= measure_soles(mmd, failed)
+    if speed:
+        humanoids = [
+            (abs(row["vertices"] - MANY), path) for row, path in zip(rows, files, strict=True) if row.get("humanoid")
+        ]
+        nearest = min(humanoids)[1] if humanoids else None
+        result |= times(None if nearest is None else facing_character(nearest, names[nearest]), sources["walk"].motion)
+    else:
+        result |= dict.fromkeys(("seconds_bvh", "seconds_rig", "seconds_handles"))
+    known = {key: bar for key, bar in BARS.items() if bar.bar is not None and result[key] is not None}
+    result["reached"] = {
+        key: bool(result[key] >= bar.bar if bar.high else result[key] <= bar.bar) for key, bar in known.items()
+    }
+    counts = {
+        "characters": len(rows),
+        "humanoids": sum(bool(row.get("humanoid")) for row in rows),
+        "clips": len(found["back"]),
+    }
+    return result | {
+        "counts": counts,
+        "motions": {kind: path.name for kind, path in picked.items()},
+        "failed": failed,
+        "rows": rows,
+    }
+
+
+def _measured(sources: Mapping[str, Source], characters: list[tuple[Path, str]]) -> list[dict[str, Any] | str]:
+    """The row of each character, by its file and name."""
+    return [measure_character(path, name, sources) for path, name in characters]
+
+
+def _lost(reason: str) -> dict[str, Any] | str:
+    return reason
+
+
+class _Kept:
+    """Rows of characters in a file, a line of JSON each, with what they were made of."""
+
+    def __init__(self, folder: Path | None, picked: dict[str, Path]):
+        from bunraku import __version__
+
+        self.file = None if folder is None else folder / "transfer.jsonl"
+        self.made_of = [__version__, *(_mark(path) for path in picked.values())]
+        self.rows: dict[str, dict[str, Any]] = {}
+        if folder is None or self.file is None:
+            return
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            lines = self.file.read_text(encoding="utf-8").splitlines() if self.file.is_file() else []
+        except OSError as error:
+            raise FormatError(
+                folder, f"rows cannot be kept here ({error.strerror}); name another folder with --work"
+            ) from None
+        for line in lines:
+            try:
+                made_of, row = json.loads(line)
+                self.rows[json.dumps(made_of)] = dict(row)
+            except (ValueError, TypeError, RecursionError):
+                continue  # the line that was being written when the run was stopped
+
+    def row(self, path: Path, name: str) -> dict[str, Any] | None:
+        return self.rows.get(json.dumps([*self.made_of, name, _mark(path)]))
+
+    def keep(self, path: Path, row: dict[str, Any]) -> None:
+        if self.file is not None:
+            with self.file.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([[*self.made_of, row["name"], _mark(path)], row]) + "\n")
+
+
+def _mark(path: Path) -> list[Any]:
+    facts = path.stat()
+    return [path.name, facts.st_size, facts.st_mtime_ns]

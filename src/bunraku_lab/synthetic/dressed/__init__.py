@@ -1,0 +1,10 @@
+"""Dressed people to train on: MakeHuman bodies of every shape and age, in clothes, with hats and capes, in the
+proportions of games.
+
+`dressed_person` makes one.
+"""
+
+from bunraku_lab.synthetic.dressed.people import Dressed, dressed_person
+from bunraku_lab.synthetic.dressed.wardrobe import Wardrobe
+
+__all__ = ["Dressed", "Wardrobe", "dressed_person"]

@@ -1,0 +1,188 @@
+"""What a dressed character wears: random outfits from the archive's clothes, garments cut from the base mesh, and
+extras.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bunraku.body.layout import JOINT_NAMES
+from bunraku_lab.synthetic.dressed import extras
+from bunraku_lab.synthetic.dressed.wardrobe import Garment, Piece, Wardrobe, Worn
+
+__all__ = ["Outfit", "random_outfit"]
+
+_J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
+_LEGS = [_J[f"{side}_{part}"] for side in ("left", "right") for part in ("hip", "knee", "ankle", "foot")]
+_FOREARMS = [_J[f"{side}_{part}"] for side in ("left", "right") for part in ("elbow", "wrist")]
+_ARMS = [*_FOREARMS, _J["left_shoulder"], _J["right_shoulder"]]
+
+
+@dataclass
+class Outfit:
+    """Pieces on one body.
+
+    Args:
+        pieces: Without the body itself.
+        hidden: Base vertices that the pieces cover, several arrays.
+        names: What they are, for people to read.
+    """
+
+    pieces: list[Piece] = field(default_factory=list)
+    hidden: list[np.ndarray] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+
+    def add(self, name: str, piece: Piece, hidden: np.ndarray | None = None) -> None:
+        if len(piece.faces):
+            self.pieces.append(piece)
+            self.names.append(name)
+            if hidden is not None:
+                self.hidden.append(hidden)
+
+
+def random_outfit(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Outfit:
+    """A random outfit: a suit of the archive, its parts mixed, garments made of the helper surfaces, or next to
+    nothing.
+    """
+    outfit = Outfit()
+    kind = rng.choice(["archive", "overall", "gown", "bare"], p=[0.73, 0.1, 0.1, 0.07])
+    if kind == "overall" and wardrobe.whole:
+        name, garment = _pick(wardrobe.whole, rng)
+        outfit.add(name, wardrobe.wear(garment, worn), garment.clothes.deleted)
+    elif kind == "gown":
+        outfit.add("gown", _top(wardrobe, worn, rng))
+        outfit.add("long skirt", wardrobe.skirt(worn, float(rng.uniform(0.5, 2)), float(rng.uniform(0, 0.9))))
+    elif kind != "bare":
+        _two_parts(outfit, wardrobe, worn, rng)
+    _hands_and_feet(outfit, wardrobe, worn, rng)
+    if rng.random() < 0.1:
+        _armour(outfit, wardrobe, worn, rng)
+    _head(outfit, wardrobe, worn, rng)
+    for rate, extra in (
+        (0.1, extras.cape),
+        (0.04, extras.wings),
+        (0.06, extras.tail),
+        (0.08, extras.bag),
+        (0.06, extras.shoulder_pads),
+    ):
+        if rng.random() < rate:
+            outfit.add(extra.__name__, extra(wardrobe, worn, rng))
+    return outfit
+
+
+def _pick(shelf: dict[str, Garment], rng: np.random.Generator) -> tuple[str, Garment]:
+    name = str(rng.choice(sorted(shelf)))
+    return name, shelf[name]
+
+
+def _two_parts(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> None:
+    legs = wardrobe.body.joint_weights[:, _LEGS].sum(axis=1) > 0.5
+    name, garment = _pick(wardrobe.upper, rng)
+    if rng.random() < 0.7:
+        deleted = garment.clothes.deleted
+        outfit.add(name, wardrobe.wear(garment, worn), deleted[~legs[deleted]])
+    else:
+        outfit.add("top", _top(wardrobe, worn, rng))
+    choice = rng.choice(["same", "other", "trousers", "skirt"], p=[0.25, 0.3, 0.2, 0.25])
+    if choice == "trousers":
+        outfit.add("trousers", _trousers(wardrobe, worn, rng))
+        return
+    if choice == "skirt":
+        length = float(rng.uniform(0.3, 2.0))
+        outfit.add(f"skirt {length:.1f}", wardrobe.skirt(worn, length, float(rng.choice([0.0, rng.uniform(0, 0.9)]))))
+        return
+    if choice == "other" or name not in wardrobe.lower:
+        name = _pick(wardrobe.lower, rng)[0]
+    garment = wardrobe.lower[name]
+    deleted = garment.clothes.deleted
+    outfit.add(name, wardrobe.wear(garment, worn), None if garment.skirt else deleted[legs[deleted]])
+
+
+def _top(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+    """The upper part of the tights with sleeves of any length, tight or wide."""
+    tights = wardrobe.part(worn, "helper-tights")
+    without = ([], _FOREARMS, _ARMS)[rng.choice(3, p=[0.5, 0.3, 0.2])]
+    keep = tights.joints[:, _LEGS].sum(axis=1) < 0.4
+    if without:
+        keep &= tights.joints[:, without].sum(axis=1) < 0.5
+    top = tights.cut(keep)
+    wide = float(rng.choice([0.0, rng.uniform(0, 0.06)]))
+    return top.puffed(rng.uniform(0.003, 0.02) + wide * top.joints[:, _FOREARMS].sum(axis=1))
+
+
+def _trousers(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+    """The lower part of the tights: shorts, leggings, wide trousers."""
+    tights = wardrobe.part(worn, "helper-tights")
+    shins = [_J["left_knee"], _J["right_knee"]]
+    keep = tights.joints[:, [0, *_LEGS]].sum(axis=1) > 0.5
+    keep &= tights.joints[:, [_J["left_ankle"], _J["right_ankle"], _J["left_foot"], _J["right_foot"]]].sum(axis=1) < 0.5
+    if rng.random() < 0.35:
+        keep &= tights.joints[:, shins].sum(axis=1) < rng.uniform(0.2, 0.9)
+    cut = tights.cut(keep)
+    wide = float(rng.choice([0.0, rng.uniform(0, 0.05)]))
+    return cut.puffed(rng.uniform(0.003, 0.025) + wide * cut.joints[:, shins].sum(axis=1))
+
+
+def _hands_and_feet(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> None:
+    chance = rng.random()
+    if chance < 0.6 and wardrobe.shoes:
+        name, garment = _pick(wardrobe.shoes, rng)
+        outfit.add(name, wardrobe.wear(garment, worn), garment.clothes.deleted)
+    elif chance < 0.85:
+        shaft = wardrobe.body.joint_weights[:, 4:6].sum(axis=1) + wardrobe.body.joint_weights[:, [7, 8, 10, 11]].sum(
+            axis=1
+        )
+        boots = wardrobe.part(worn, "helper-tights").puffed(rng.uniform(0.006, 0.03))
+        knee, ankle = worn.joints[4, 1], worn.joints[7, 1]
+        tights = np.unique(wardrobe.body.groups["helper-tights"])
+        outfit.add(
+            "boots",
+            boots.cut((shaft[tights] > 0.5) & (boots.points[:, 1] < ankle + rng.uniform(0.15, 1) * (knee - ankle))),
+        )
+    if rng.random() < 0.15:
+        outfit.add(
+            "gloves", extras.shell(wardrobe, worn, "body", ("left_wrist", "right_wrist"), rng.uniform(0.002, 0.008))
+        )
+
+
+def _armour(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> None:
+    thick = float(rng.uniform(0.015, 0.04))
+    for rate, name, joints in (
+        (0.8, "breastplate", ("spine1", "spine2", "spine3", "left_collar", "right_collar")),
+        (0.6, "greaves", ("left_knee", "right_knee")),
+        (0.6, "bracers", ("left_elbow", "right_elbow")),
+    ):
+        if rng.random() < rate:
+            outfit.add(name, extras.shell(wardrobe, worn, "helper-tights", joints, thick, float(rng.uniform(0, 0.02))))
+
+
+def _head(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> None:
+    if rng.random() < 0.07:
+        outfit.add("helmet", extras.helmet(wardrobe, worn, rng))
+        return
+    chance = rng.random()
+    if chance < 0.62 and wardrobe.hair:
+        name, garment = _pick(wardrobe.hair, rng)
+        outfit.add(name, _trimmed(wardrobe.wear_on_head(garment, worn), worn, float(rng.uniform(0.3, 1.1))))
+    elif chance < 0.75:
+        outfit.add("spikes", extras.spikes(wardrobe, worn, rng))
+    chance = rng.random()
+    if chance < 0.06 and wardrobe.hats:
+        name, garment = _pick(wardrobe.hats, rng)
+        outfit.add(name, wardrobe.wear_on_head(garment, worn))
+    elif chance < 0.2:
+        outfit.add("hat", extras.hat(wardrobe, worn, rng))
+    elif chance < 0.29:
+        outfit.add("ears", extras.ears(wardrobe, worn, rng))
+    if rng.random() < 0.06:
+        outfit.add("glasses", extras.glasses(wardrobe, worn, rng))
+
+
+def _trimmed(hair: Piece, worn: Worn, length: float) -> Piece:
+    """Hair whose part below the base of the skull is this much as long."""
+    points = hair.points.copy()
+    chin = worn.joints[_J["head"], 1]
+    points[:, 1] = np.where(points[:, 1] < chin, chin + length * (points[:, 1] - chin), points[:, 1])
+    return Piece(points, hair.faces, hair.joints, hair.handles)

@@ -1,0 +1,235 @@
+"""MMD's standard skeleton on a figure: bones by their Japanese names, weights, inverse kinematics of the legs, and the
+body's colliders.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bunraku.core.mmd_model import MmdBody, MmdBone, MmdIk, MmdIkLink
+from bunraku_lab.synthetic.wardrobe.figure import Figure, J
+from bunraku_lab.synthetic.wardrobe.model import Costume, bone_frame
+
+__all__ = ["ARMS", "HEAD", "LEGS", "SOLID", "TRUNK", "add_skeleton", "body_weights", "capsule_of"]
+
+TRUNK, HEAD, ARMS, LEGS = 0, 1, 2, 3
+"""Collision groups of the body; those of apparel are higher."""
+SOLID = {"trunk": 1 << TRUNK, "head": 1 << HEAD, "arms": 1 << ARMS, "legs": 1 << LEGS}
+
+_SIDES = (("left", "左"), ("right", "右"))
+_BONE_OF = {
+    "pelvis": "下半身", "spine1": "上半身", "spine2": "上半身", "spine3": "上半身2", "neck": "首", "head": "頭",
+    "collar": "肩", "shoulder": "腕", "elbow": "ひじ", "wrist": "手首", "hip": "足", "knee": "ひざ", "ankle": "足首",
+    "foot": "つま先",
+}  # fmt: skip
+
+
+def add_skeleton(costume: Costume, figure: Figure) -> None:
+    """Add the standard bones and the kinematic bodies of trunk, head and limbs."""
+    _bones(costume, figure)
+    _colliders(costume, figure)
+
+
+def _bones(costume: Costume, figure: Figure) -> None:
+    hips = figure.at("pelvis")
+    waist = 0.5 * (figure.at("spine1") + hips)
+    heights = {
+        "全ての親": np.zeros(3),
+        "センター": np.array([0, 0.78 * hips[1], 0.0]),
+        "グルーブ": np.array([0, 0.8 * hips[1], 0.0]),
+    }
+    above = -1
+    for (name, position), english in zip(heights.items(), ("mother", "center", "groove"), strict=True):
+        above = costume.bone(MmdBone(name, english, position, above, moves=True, tail=np.array([0, 0.05, 0.0])))
+    groove = above
+
+    def put(name: str, english: str, position: np.ndarray, parent: int, tail: np.ndarray) -> int:
+        return costume.bone(MmdBone(name, english, position, parent, tail=tail - position))
+
+    lower = put("下半身", "lower body", waist, groove, hips)
+    upper = put("上半身", "upper body", waist, groove, figure.at("spine3"))
+    chest = put("上半身2", "upper body2", figure.at("spine3"), upper, figure.at("neck"))
+    neck = put("首", "neck", figure.at("neck"), chest, figure.at("head"))
+    put("頭", "head", figure.at("head"), neck, figure.skull[0] + [0, figure.skull[1][1], 0])
+    for side, mark in _SIDES:
+        at = {
+            part: figure.at(f"{side}_{part}")
+            for part in ("collar", "shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
+        }
+        parent = chest
+        ends = [at["shoulder"], at["elbow"], at["wrist"], at["wrist"] + 0.35 * (at["wrist"] - at["elbow"])]
+        for part, english, tail in zip(
+            ("collar", "shoulder", "elbow", "wrist"), ("shoulder", "arm", "elbow", "wrist"), ends, strict=True
+        ):
+            parent = put(mark + _BONE_OF[part], f"{english}_{side[0].upper()}", at[part], parent, tail)
+        parent = lower
+        toe = at["foot"] + [0, 0, 0.03]
+        for part, english, tail in zip(
+            ("hip", "knee", "ankle", "foot"),
+            ("leg", "knee", "ankle", "toe"),
+            [at["knee"], at["ankle"], at["foot"], toe],
+            strict=True,
+        ):
+            parent = put(mark + _BONE_OF[part], f"{english}_{side[0].upper()}", at[part], parent, tail)
+        _leg_ik(costume, mark, at)
+
+
+def _leg_ik(costume: Costume, mark: str, at: dict[str, np.ndarray]) -> None:
+    """Goals of the ankle and of the toes; the knee only bends backwards."""
+    leg, knee, ankle, toe = (costume.place(mark + name) for name in ("足", "ひざ", "足首", "つま先"))
+    bend = [np.array([angle, 0, 0], np.float32).astype(float) for angle in (np.radians(0.5), np.pi)]
+    letter = "L" if mark == "左" else "R"
+    links = MmdIkLink(knee, *bend), MmdIkLink(leg)
+    root = costume.bone(
+        MmdBone(mark + "足ＩＫ", f"leg IK_{letter}", at["ankle"], 0, 1, moves=True, tail=np.array([0, 0, -0.08]),
+        ik=MmdIk(ankle, 40, 2.0, links))
+    )  # fmt: skip
+    goal = MmdIk(toe, 3, 4.0, (MmdIkLink(ankle),))
+    costume.bone(
+        MmdBone(
+            mark + "つま先ＩＫ",
+            f"toe IK_{letter}",
+            at["foot"],
+            root,
+            1,
+            moves=True,
+            tail=np.array([0, -0.08, 0]),
+            ik=goal,
+        )
+    )
+
+
+def body_weights(costume: Costume, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bones and shares of vertices with weights on the 22 joints, shape (V, 22) each."""
+    bones = np.zeros(len(J), np.int64)
+    for name, joint in J.items():
+        side, _, part = name.partition("_")
+        mark = {"left": "左", "right": "右"}.get(side, "")
+        bones[joint] = costume.place(mark + _BONE_OF[part if mark else name])
+    return np.tile(bones, (len(weights), 1)), weights
+
+
+def capsule_of(name: str, bone: int, a: np.ndarray, b: np.ndarray, radius: float, group: int, mask: int) -> MmdBody:
+    """A kinematic capsule from a to b, the middles of its ends; a ball where they are one."""
+    length = float(np.linalg.norm(b - a))
+    shape = "capsule" if length > 1e-4 else "sphere"
+    turn = bone_frame(a - b, np.array([0, 0, 1.0])) if length > 1e-4 else np.eye(3)
+    size = np.array([radius, length if shape == "capsule" else 0.0, 0.0])
+    return MmdBody(name, bone, shape, size, 0.5 * (a + b), turn, 1.0, 0.5, 0.5, 0.0, 0.5, 0, group, mask)
+
+
+def _colliders(costume: Costume, figure: Figure) -> None:
+    everything = 0xFFFF & ~(SOLID["trunk"] | SOLID["head"] | SOLID["arms"] | SOLID["legs"])
+
+    def put(name: str, bone: str, a: np.ndarray, b: np.ndarray, radius: float, group: int) -> None:
+        costume.body(capsule_of(name, costume.place(bone), a, b, radius, group, everything))
+
+    _trunk(figure, put)
+    center, half = figure.skull
+    round_ = float(min(half[0], half[2], half[1]))
+    slide = np.array([0, 0, max(half[2] - round_, 0)])
+    put("頭", "頭", center - slide, center + slide, 0.97 * round_, HEAD)
+    chin = float(figure.head[:, 1].min())
+    jaw = 0.62 * float(half[0])
+    put(
+        "頭2",
+        "頭",
+        center + [0, -0.4 * half[1], 0.3 * half[2]],
+        np.array([0, chin + 1.1 * jaw, center[2] + 0.35 * half[2]]),
+        jaw,
+        HEAD,
+    )
+    put("首", "首", figure.at("neck"), figure.at("head"), _girth(figure, ["neck"], "neck", "head", 60), TRUNK)
+    for side, mark in _SIDES:
+        shoulder, elbow, wrist = (figure.at(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist"))
+        put(
+            f"{mark}肩",
+            f"{mark}肩",
+            0.5 * (figure.at(f"{side}_collar") + shoulder),
+            shoulder,
+            _girth(figure, [f"{side}_shoulder"], f"{side}_shoulder", f"{side}_elbow", 60),
+            TRUNK,
+        )
+        put(
+            f"{mark}腕",
+            f"{mark}腕",
+            shoulder,
+            elbow,
+            _girth(figure, [f"{side}_shoulder"], f"{side}_shoulder", f"{side}_elbow", 55),
+            ARMS,
+        )
+        put(
+            f"{mark}ひじ",
+            f"{mark}ひじ",
+            elbow,
+            wrist,
+            _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 55),
+            ARMS,
+        )
+        hand = figure.skin.points[figure.skin.weights[:, J[f"{side}_wrist"]] > 0.6].mean(axis=0)
+        put(
+            f"{mark}手首",
+            f"{mark}手首",
+            wrist,
+            hand,
+            0.9 * _girth(figure, [f"{side}_elbow"], f"{side}_elbow", f"{side}_wrist", 40),
+            ARMS,
+        )
+        hip, knee, ankle = (figure.at(f"{side}_{part}") for part in ("hip", "knee", "ankle"))
+        thigh = _girth(figure, [f"{side}_hip"], f"{side}_hip", f"{side}_knee", 50)
+        put(f"{mark}足", f"{mark}足", hip + 0.12 * (knee - hip), knee, thigh, LEGS)
+        upper = _girth(figure, [f"{side}_hip"], f"{side}_hip", f"{side}_knee", 80)
+        put(f"{mark}足+", f"{mark}足", hip + 0.18 * (knee - hip), hip + 0.5 * (knee - hip), upper, LEGS)
+        shin = _girth(figure, [f"{side}_knee"], f"{side}_knee", f"{side}_ankle", 60)
+        put(f"{mark}ひざ", f"{mark}ひざ", knee, ankle, shin, LEGS)
+        foot = figure.at(f"{side}_foot")
+        put(
+            f"{mark}足首",
+            f"{mark}足首",
+            ankle + [0, -0.3 * ankle[1], 0],
+            foot + [0, 0.15 * ankle[1], 0],
+            max(0.4 * ankle[1], 0.015),
+            LEGS,
+        )
+
+
+def _girth(figure: Figure, joints: list[str], start: str, end: str, share: float) -> float:
+    """Radius of a limb: this percentile of the distances of its skin from the line between two joints [m]."""
+    skin = figure.skin
+    shares = skin.weights[:, [J[name] for name in joints]].sum(axis=1)
+    own = skin.points[shares > 0.7 * shares.max()]
+    a, b = figure.at(start), figure.at(end)
+    along = np.clip((own - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-9), 0, 1)
+    apart = np.linalg.norm(own - a - along[:, None] * (b - a), axis=1)
+    inside = apart[(along > 0.05) & (along < 0.95)]
+    return max(float(np.percentile(inside if len(inside) > 4 else apart, share)), 0.012)
+
+
+def _trunk(figure: Figure, put) -> None:  # type: ignore[no-untyped-def]
+    """Capsules across the trunk, one above the other, as wide and deep as it is at their heights."""
+    hip, waist, chest, neck = (
+        figure.at("left_hip")[1],
+        0.5 * (figure.at("spine1") + figure.at("pelvis"))[1],
+        figure.at("spine3")[1],
+        figure.at("neck")[1],
+    )
+    skin = figure.skin
+    limbs = [
+        J[f"{side}_{part}"]
+        for side in ("left", "right")
+        for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "foot")
+    ]
+    points = skin.points[skin.weights[:, limbs].sum(axis=1) < 0.5]
+    step = (neck - hip) / 5.2
+    for number in range(5):
+        height = hip + (number + 0.35) * step
+        near = points[np.abs(points[:, 1] - height) < 0.35 * step]
+        if len(near) < 6:
+            continue
+        front, back = float(np.percentile(near[:, 2], 92)), float(np.percentile(near[:, 2], 8))
+        wide = float(np.percentile(np.abs(near[:, 0]), 92))
+        radius = min(0.5 * (front - back), wide)
+        across = np.array([max(wide - radius, 0), 0, 0])
+        middle = np.array([0, height, 0.5 * (front + back)])
+        bone = "下半身" if height < waist + 0.02 * figure.height else "上半身" if height < chest else "上半身2"
+        put(f"{bone}{number}", bone, middle - across, middle + across, radius, TRUNK)

@@ -1,0 +1,358 @@
+"""Fine-tuning of the adaptation on ARAP pseudo-labels (Eq. 10 and 11 of TapMo).
+
+Only the linear layer `adaptation_out` learns. At each step the network's adaptation of some motions on some characters
+is improved by the ARAP objective (Eq. 10, `arap_labels`), and the layer is drawn towards the improved one (Eq. 11). The
+layer is trained in whitened coordinates of what it sees, the mesh token's main directions only, and folded back when it
+is saved.
+
+A run folder holds `pairs` (the layer's inputs), `state.safetensors` (to go on from), `diffusion.safetensors` (the
+denoiser with the new layer), `log.csv` and `events`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from bunraku.diffusion.adaptation_head import AdaptationHead, label_distance, whitening
+from bunraku.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
+from bunraku.diffusion.denoiser import Denoiser, joint_offsets
+from bunraku.diffusion.features import FeatureStatistics
+from bunraku.errors import OptionError
+from bunraku.formats.files import sweep
+from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku.retarget.batched_fit import capped, fit_locals
+from bunraku.retarget.character_bank import CharacterBank, load_character_bank
+from bunraku_lab.training.adaptation.arap_labels import EdgeSystem, arap_labels, edge_system
+from bunraku_lab.training.adaptation.pairs import AdaptationPairs, collect_pairs
+from bunraku_lab.training.diffusion.clip_data import load_clips
+from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.diffusion.mesh_learning import local_motion
+from bunraku_lab.training.runs.events import EventLog
+from bunraku_lab.training.runs.runs import Stop, append_row, learning_rate, plain_settings
+
+__all__ = ["AdaptationConfig", "train_adaptation"]
+
+FRAMES = ("root", "joints")
+
+
+@dataclass(frozen=True)
+class AdaptationConfig:
+    """Settings of the fine-tuning.
+
+    Args:
+        diffusion: The denoiser, as `bunraku train diffusion` wrote it.
+        cache: The bank of characters that `bunraku data character-bank` wrote.
+        data: Folder that `bunraku data motions` wrote.
+        out: Run folder; the same folder goes on with the same run.
+        pairs: Motions on characters to learn from.
+        frames: Frames of each.
+        steps: Optimiser steps.
+        batch: Pairs a step.
+        edges: Edges of each character a step.
+        strength: nu_v of Eq. 10, over a mean of the character's own ARAP-Loss and half the usual one [m^2].
+        calm: Weight of delta's own squared length in Eq. 10, so that it stays short where edges do not ask for it.
+        label_steps: Steps of Eq. 10, each held near the one before, for one label.
+        frame: What the layer says: "joints", how far joints should be moved, or "root", offsets as in the paper.
+        mesh: Let the layer see the mesh token beside the hidden state.
+        mesh_size: Main directions of the mesh token that are used.
+        learning_rate: Peak.
+        decay: Weight decay, in whitened coordinates.
+        text_folder: Folder with CLIP, for a denoiser that was trained with it.
+        device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
+        threads: CPU threads of torch.
+        save_every: Minutes between saved states.
+        validate_every: Steps between validations.
+        seed: Of everything random.
+    """
+
+    diffusion: Path = Path("runs/diffusion/diffusion.safetensors")
+    cache: Path = Path("runs/data/character_bank.npz")
+    data: Path = Path("runs/data/motions")
+    out: Path = Path("runs/adaptation")
+    pairs: int = 2000
+    frames: int = 64
+    steps: int = 2000
+    batch: int = 12
+    edges: int = 500
+    strength: float = 0.02
+    calm: float = 0.03
+    label_steps: int = 1
+    frame: str = "joints"
+    mesh: bool = True
+    mesh_size: int = 64
+    learning_rate: float = 6e-4
+    decay: float = 1e-3
+    text_folder: Path | None = None
+    device: str | None = None
+    threads: int = 1
+    save_every: float = 5.0
+    validate_every: int = 100
+    seed: int = 0
+
+
+class _Run:
+    """Head, optimiser and data of one run."""
+
+    def __init__(
+        self,
+        config: AdaptationConfig,
+        model: Denoiser,
+        bank: CharacterBank,
+        pairs: AdaptationPairs,
+        held: AdaptationPairs,
+    ):
+        self.config, self.model, self.pairs, self.held = config, model, pairs, held
+        self.device = model.mean.device
+        self.bank = bank.to(self.device)
+        layer, width = model.adaptation_out, model.config.width
+        weight = layer.weight.detach().float()
+        inputs = width * (2 if config.mesh else 1)
+        if weight.shape[1] < inputs:
+            weight = torch.cat([weight, weight.new_zeros(len(weight), inputs - weight.shape[1])], 1)
+        white, centre = whitening(pairs.seen.flatten(0, 1)[:, :inputs].float(), width, config.mesh_size)
+        self.inputs = inputs
+        self.head = AdaptationHead(weight, layer.bias.detach().float(), white, centre, model.config.handles).to(
+            self.device
+        )
+        self.optimizer = torch.optim.AdamW(self.head.parameters(), lr=config.learning_rate, weight_decay=config.decay)
+        self.step, self.seconds = 0, 0.0
+        self.usual = self._usual()
+
+    @torch.no_grad()
+    def _usual(self) -> float:
+        """Mean ARAP-Loss of some pairs without any adaptation."""
+        random = np.random.default_rng(1)
+        some = np.arange(0, len(self.pairs.row), max(1, len(self.pairs.row) // 64))
+        return max(
+            float(
+                np.mean(
+                    [self.systems(self.pairs, some[i : i + 8], random)[0].loss().mean() for i in range(0, len(some), 8)]
+                )
+            ),
+            1e-6,
+        )
+
+    def systems(
+        self, pairs: AdaptationPairs, which: np.ndarray, random: np.random.Generator
+    ) -> tuple[EdgeSystem, Callable[[], Tensor]]:
+        """Edges of some pairs in one frame of each token, and what gives the adaptation there, shape (B, T, K, 3)."""
+        index = torch.from_numpy(which)
+        seen, row = pairs.seen[index].to(self.device).float()[..., : self.inputs], pairs.row[index].to(self.device)
+        features = pairs.motion[index].to(self.device).float() * self.model.std + self.model.mean
+        patch, tokens = self.head.patch, seen.shape[1]
+        phase = torch.from_numpy(random.integers(0, patch, (len(which), tokens))).to(self.device)
+        each = torch.arange(len(which), device=self.device)[:, None]
+        features = features[
+            each, (torch.arange(tokens, device=self.device) * patch + phase).clamp(max=features.shape[1] - 1)
+        ]
+        picked = torch.from_numpy(random.choice(self.bank.edge_points.shape[1], self.config.edges, replace=False)).to(
+            self.device
+        )
+        system = edge_system(fit_locals(*local_motion(features), self.bank, row), self.bank, picked)
+
+        def adaptation() -> Tensor:
+            said = self.head(seen)[each, torch.arange(tokens, device=self.device), phase]
+            return capped(joint_offsets(said, features) if self.config.frame == "joints" else said)
+
+        return system, adaptation
+
+    def update(self) -> float:
+        """One step of Eq. 11; the squared distance to the labels, in square centimetres a handle."""
+        config = self.config
+        random = np.random.default_rng([config.seed, self.step, 5])
+        share = self.step / max(config.steps, 1)
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(config.learning_rate, self.step, 20, share)
+        system, adaptation = self.systems(self.pairs, random.integers(0, len(self.pairs.row), config.batch), random)
+        delta = adaptation()
+        with torch.no_grad():  # a character that distorts a lot by nature does not outweigh all others
+            own = system.loss().mean(1)
+        label = arap_labels(
+            system, delta.detach(), config.strength / (own + 0.5 * self.usual), config.label_steps, calm=config.calm
+        )
+        loss = label_distance(delta, label)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.head.parameters(), 100.0)
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        self.step += 1
+        return float(loss.detach())
+
+    @torch.no_grad()
+    def validate(self, pairs: AdaptationPairs, count: int = 96) -> tuple[float, float, float]:
+        """ARAP-Loss with the adaptation over without, of the means and as the mean of each pair's own; and delta's mean
+        length [m].
+        """
+        with_it, without, ratios, length = 0.0, 0.0, [], []
+        random = np.random.default_rng(9)
+        for start in range(0, min(count, len(pairs.row)), 8):
+            system, adaptation = self.systems(pairs, np.arange(start, min(start + 8, len(pairs.row))), random)
+            delta = adaptation()
+            after, before = system.loss(delta).mean(1), system.loss().mean(1)
+            with_it, without = with_it + float(after.sum()), without + float(before.sum())
+            ratios += (after[before > 0] / before[before > 0]).tolist()
+            length.append(float(delta[:, :, 1:].norm(dim=-1).mean()))
+        return with_it / max(without, 1e-30), float(np.mean(ratios)), float(np.mean(length))
+
+    def save(self, folder: Path) -> None:
+        state = {"head": self.head.state_dict()}
+        optimizers = {"adamw": self.optimizer.state_dict()}
+        settings = {"run": plain_settings(asdict(self.config))}
+        save_training_state(
+            folder / "state.safetensors",
+            TrainingState(self.step, state, optimizers, settings, {"seconds": self.seconds}),
+        )
+        weight, bias = self.head.folded()
+        tensors = {**self.model.state_dict(), "adaptation_out.weight": weight, "adaptation_out.bias": bias}
+        built = build_denoiser(
+            replace(self.model.config, adaptation_mesh=self.config.mesh, adaptation_frame=self.config.frame)
+        )
+        built.load_state_dict(tensors)
+        save_denoiser(folder / "diffusion.safetensors", built, {**self.model.notes, "adaptation_steps": self.step})
+
+    def restore(self, path: Path) -> None:
+        """Go on from a saved state.
+
+        Raises:
+            OptionError: The state belongs to other data or another layer.
+        """
+        state = load_training_state(path)
+        try:
+            self.head.load_state_dict(state.models["head"])
+            self.optimizer.load_state_dict(state.optimizers["adamw"])
+        except Exception as error:
+            problem = (
+                "this run was started with another denoiser, bank or layer; give the same ones, or another run folder"
+            )
+            raise OptionError(f"{path}: {problem}") from error
+        self.step, self.seconds = state.step, float(state.values["seconds"])
+
+
+def train_adaptation(
+    config: AdaptationConfig,
+    log: Callable[[dict[str, float]], None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    encoder: TextEncoder | None = None,
+) -> Path:
+    """Fine-tune, or go on fine-tuning, and return the path of the denoiser with its new layer.
+
+    Args:
+        config: The run.
+        log: Called with each row of the log.
+        progress: Called with a stage's name and the share done.
+        encoder: In place of the denoiser's own text encoder.
+
+    Raises:
+        OptionError: A setting is out of range, or the run folder belongs to another run.
+        FormatError: The data or the bank are missing or damaged.
+        WeightsError: The denoiser is missing or broken.
+    """
+    if config.frame not in FRAMES:
+        raise OptionError(f"the frame '{config.frame}' is unknown; choose one of: {', '.join(FRAMES)}")
+    if (
+        min(config.pairs, config.frames, config.steps, config.batch, config.edges, config.label_steps, config.threads)
+        < 1
+    ):
+        raise OptionError("pairs, frames, steps, batch, edges, label steps and threads must be positive")
+    torch.set_num_threads(config.threads)
+    device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
+    model = load_denoiser(config.diffusion, device)
+    if model.config.architecture != "decoder":
+        raise OptionError(f"{config.diffusion}: only the decoder has an adaptation to fine-tune")
+    bank = load_character_bank(config.cache)
+    if bank.features.shape[1] != model.config.mesh_features:
+        raise OptionError(
+            f"{config.cache}: its f_phi has {bank.features.shape[1]} numbers, but the denoiser takes "
+            f"{model.config.mesh_features}"
+        )
+    if model.config.adaptation_frame != config.frame or (model.config.adaptation_mesh and not config.mesh):
+        nn.init.zeros_(model.adaptation_out.weight)  # what the layer said so far has another meaning
+        nn.init.zeros_(model.adaptation_out.bias)
+    frames = min(config.frames, model.config.frames) // model.config.frames_per_token * model.config.frames_per_token
+    config.out.mkdir(parents=True, exist_ok=True)
+    sweep(config.out)
+    if encoder is None:
+        name = model.config.text_encoder
+        encoder = text_encoder(name, config.text_folder if name.startswith("clip") else None)
+    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
+    clips = load_clips(config.data, (lambda done, total: progress("clips", done / total)) if progress else None)
+    inputs = repr(
+        (frames, config.seed, _stamp(config.diffusion), _stamp(config.cache), _stamp(config.data / "index.json"))
+    )
+    digest = hashlib.sha256(inputs.encode())
+    pairs: list[AdaptationPairs] = []
+    for split, count in (("train", config.pairs), ("test", max(config.pairs // 10, min(config.pairs, 96)))):
+        rows, drawn = (
+            bank.rows(split),
+            ClipSet(clips, statistics, split, model.config.frames, computed=0.0, borrowed=0.0),
+        )
+        if not len(rows) or not drawn.clips:
+            pairs.append(pairs[0]) if pairs else None
+            continue
+        pairs.append(
+            collect_pairs(
+                model,
+                encoder,
+                drawn,
+                bank,
+                rows,
+                config.out / "pairs" / split,
+                count,
+                frames,
+                digest.hexdigest(),
+                config.seed,
+                (lambda done, total: progress("motions on characters", done / total)) if progress else None,
+            )
+        )
+    if not pairs:
+        raise OptionError(f"{config.cache}: the bank or the clips have none of the split 'train' to learn from")
+    run = _Run(config, model, bank, pairs[0], pairs[-1])
+    state = config.out / "state.safetensors"
+    if state.is_file():
+        run.restore(state)
+    _loop(run, log, progress)
+    return config.out / "diffusion.safetensors"
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    return path.stat().st_size, path.stat().st_mtime_ns
+
+
+def _loop(
+    run: _Run, log: Callable[[dict[str, float]], None] | None, progress: Callable[[str, float], None] | None
+) -> None:
+    config, stop = run.config, Stop()
+    saved = last = time.monotonic()
+    losses: list[float] = []
+    with stop.listening(), EventLog(config.out / "events") as events:
+        while not stop.asked and run.step < config.steps:
+            losses.append(run.update())
+            now = time.monotonic()
+            run.seconds, last = run.seconds + now - last, now
+            if progress is not None:
+                progress("adaptation", run.step / config.steps)
+            if run.step % config.validate_every == 0 or run.step == config.steps:
+                seen, unseen = run.validate(run.pairs), run.validate(run.held)
+                row = {
+                    "step": run.step, "seconds": run.seconds, "label_distance": float(np.mean(losses)), "seen": seen[0],
+                    "seen_each": seen[1],
+                    "unseen": unseen[0], "unseen_each": unseen[1], "delta": seen[2],
+                }  # fmt: skip
+                append_row(config.out / "log.csv", row)
+                events.write(run.step, {name: value for name, value in row.items() if name not in ("step", "seconds")})
+                losses = []
+                if log is not None:
+                    log(row)
+            if now - saved > 60 * config.save_every:
+                run.save(config.out)
+                saved = time.monotonic()
+    run.save(config.out)

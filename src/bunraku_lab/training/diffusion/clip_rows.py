@@ -1,0 +1,384 @@
+"""Training rows: clips loaded, drawn, mirrored and joined, each with a sentence and a mesh.
+
+Every batch is a pure function of the seed and its number, so a run that was killed goes on with the very batches it
+would have seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bunraku.core.motion import HandleMotion
+from bunraku.diffusion.features import FeatureStatistics, decode, feature_weights, mirror
+from bunraku.diffusion.splicing import join_point, splice
+from bunraku.language.captions import caption_group, mirror_words
+from bunraku.language.description.track import Phrase
+from bunraku.language.stretches import goes_on, joined_sentence
+from bunraku_lab.description.describe import describe, inside
+from bunraku_lab.description.wording import borrowed_sentence, can_do, computed_sentence, creature_subjects, verbs
+from bunraku_lab.training.diffusion.clip_data import MIN_FRAMES
+from bunraku_lab.training.diffusion.event_pool import EventPool
+from bunraku_lab.training.diffusion.joining import link
+from bunraku_lab.training.diffusion.joins import goes, joins_of
+from bunraku_lab.training.diffusion.training_clip import TrainingClip
+
+__all__ = ["ClipSet", "MotionBatch", "Row"]
+
+FEWEST_CLIPS, MOST_CLIPS = 20, 150
+"""Bounds between which an action is drawn more often the more clips show it."""
+_BLEND = 8
+
+
+class Row(NamedTuple):
+    """A motion (N, D) in network units, its sentence, and the character in the mesh bank that it is of; None for any
+    humanoid.
+    """
+
+    values: np.ndarray
+    sentence: str
+    mesh: str | None
+
+
+@dataclass(frozen=True)
+class MotionBatch:
+    """Padded motions with their sentences.
+
+    Args:
+        values: Normalised features, zero where padded, shape (B, N, D), float32.
+        lengths: Real frames, shape (B,).
+        sentences: One a row.
+        meshes: One a row: the character's name in the mesh bank, None for any humanoid.
+    """
+
+    values: np.ndarray
+    lengths: np.ndarray
+    sentences: list[str]
+    meshes: list[str | None]
+
+
+class ClipSet:
+    """Clips ready to be drawn.
+
+    Args:
+        clips: What `load_clips` returned.
+        statistics: Units of the network.
+        split: "train", "val" or "test".
+        frames: Longest crop.
+        creatures: Share of draws that are creatures' clips, where there are any; within them every action of every
+            species counts the same, unless the index weighs it less.
+        computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
+        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
+            creature shows, so that a person's words move a creature too.
+        events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and told by
+            them.
+    """
+
+    def __init__(
+        self, clips: dict[str, dict[str, Any]], statistics: FeatureStatistics, split: str = "train", frames: int = 196,
+        *, creatures: float = 0.25, computed: float = 0.3, borrowed: float = 0.1, events: float = 0.15,
+    ):  # fmt: skip
+        self.frames = frames
+        self.statistics = statistics
+        self.computed, self.borrowed, self.events = computed, borrowed, events
+        self._share = feature_weights()
+        self._still = (-statistics.mean[:3] / statistics.std[:3]).astype(np.float32)  # a root at rest, in network units
+        self._bucket: tuple[tuple[Any, ...], list[Row], np.ndarray] | None = None
+        self._phrases: dict[str, list[Phrase]] = {}
+        self._pool: EventPool | None = None
+        self.clips = [
+            TrainingClip.prepare(name, entry, statistics, frames)
+            for name, entry in clips.items()
+            if entry.get("split", "train") == split and len(entry["features"]) >= MIN_FRAMES
+        ]
+        self.probability = self._probability(creatures) if self.clips else np.zeros(0)
+        self._named = {clip.name: clip for clip in self.clips if clip.watched}
+        self.joins = joins_of(self.clips, statistics) if self._named else None
+        self._of_character: dict[str | None, np.ndarray] = {}
+        for character in {clip.character for clip in self.clips if clip.species} | {None}:
+            members = [
+                index
+                for index, clip in enumerate(self.clips)
+                if (clip.character if clip.species else None) == character
+            ]
+            self._of_character[character] = np.array(members, int)
+        actions: dict[str, set[str]] = {}
+        cast: dict[str, set[str]] = {}
+        for clip in self.clips:
+            if clip.species and clip.character:
+                cast.setdefault(clip.species, set()).add(clip.character)
+                if clip.action:
+                    actions.setdefault(clip.species, set()).update(can_do(clip.species, clip.action))
+        self._can = actions
+        self._cast = {species: sorted(characters) for species, characters in cast.items()}
+
+    def _probability(self, creatures: float) -> np.ndarray:
+        """People by what is done in them where clips were watched, else by labels: square roots of a group's seconds
+        (at most two minutes count).
+        """
+        groups: dict[str, list[int]] = {}
+        for index, clip in enumerate(self.clips):
+            groups.setdefault(clip.label, []).append(index)
+        weights = np.zeros(len(self.clips))
+        animal = np.array([clip.species is not None for clip in self.clips])
+        for members in groups.values():
+            seconds = np.array([len(self.clips[index].values) for index in members]) / 20
+            own = np.array([self.clips[index].weight for index in members])
+            if animal[members[0]]:
+                weights[members] = own / max(own.sum(), 1.0)
+                continue
+            worth = caption_group(self.clips[members[0]].texts[0]).weight
+            share = np.sqrt(seconds) * own
+            weights[members] = worth * np.sqrt(np.clip(seconds.sum(), 4, 120)) * share / max(share.sum(), 1e-9)
+        if any(clip.watched for clip in self.clips):
+            weights[~animal] = self._by_action(~animal)
+        if animal.any() and not animal.all():
+            weights[animal] *= creatures / weights[animal].sum()
+            weights[~animal] *= (1 - creatures) / weights[~animal].sum()
+        return weights / weights.sum()
+
+    def _by_action(self, seen: np.ndarray) -> np.ndarray:
+        """Weights of these clips: each action counts by the root of its clips, at least `FEWEST_CLIPS`, and shares that
+        out among them.
+        """
+        groups: dict[str, float] = {}
+        for index in np.flatnonzero(seen):
+            for action in self.clips[index].actions:
+                groups[action] = groups.get(action, 0.0) + self.clips[index].weight
+        worth = {
+            action: float(np.sqrt(np.clip(count, FEWEST_CLIPS, MOST_CLIPS))) / max(count, 1.0)
+            for action, count in groups.items()
+        }
+        clips = [self.clips[index] for index in np.flatnonzero(seen)]
+        return np.array([clip.weight * np.mean([worth[action] for action in clip.actions]) for clip in clips])
+
+    def draw(self, random: np.random.Generator, compose: float = 0.0) -> Row:
+        """One motion of at most `frames` frames with its sentence and mesh.
+
+        Args:
+            random: Draws everything.
+            compose: Share of rows that join two or three clips.
+        """
+        clip = self.clips[int(random.choice(len(self.clips), p=self.probability))]
+        mirrored = bool(random.random() < 0.5)
+        pair = self._compose(clip, random) if random.random() < compose else None
+        if pair is not None:
+            row = self._worded(clip, *pair, random)
+        elif clip.species is None and random.random() < self.events:
+            row = self._event(random) or self._plain(clip, random)
+        else:
+            row = self._plain(clip, random)
+        # the statistics are mirror-symmetric, so mirroring commutes with them
+        return Row(mirror(row.values), mirror_words(row.sentence), row.mesh) if mirrored else row
+
+    def _worded(
+        self,
+        clip: TrainingClip,
+        values: np.ndarray,
+        sentence: str,
+        labels: list[tuple[str, ...]],
+        random: np.random.Generator,
+    ) -> Row:
+        """A row of joined clips, sometimes with what can be computed of it for a sentence."""
+        if random.random() < self.computed:
+            found = self._true_in(clip, values, None)
+            sentence = computed_sentence(found, labels, len(values), random, clip.species) or sentence
+        return Row(values, sentence, clip.character)
+
+    def _plain(self, clip: TrainingClip, random: np.random.Generator) -> Row:
+        """One clip, whole where it is done once, or cut where it goes on, made longer by what its sentence allows."""
+        after = self._named.get(clip.follows or "")
+        if after is not None and len(clip.values) + len(after.values) <= 1.1 * self.frames and random.random() < 0.35:
+            texts = [
+                (one, other)
+                for one, other in zip(clip.texts, after.texts, strict=False)
+                if goes_on(one) and goes_on(other)
+            ]
+            if texts:
+                values = np.concatenate([clip.values, after.values])
+                start = int(random.integers(0, max(len(values) - self.frames, 0) + 1))
+                return Row(
+                    values[start : start + self.frames],
+                    joined_sentence(texts[int(random.integers(len(texts)))]),
+                    clip.character,
+                )
+        target = int(random.integers(40, self.frames + 1)) if random.random() < 0.6 else self.frames
+        values, start = clip.values, 0
+        if len(values) < target and random.random() < 0.7:
+            values = self._lengthened(clip, target, random)
+        least = target if clip.loop is not None or not clip.watched else self.frames  # what is done once is not cut
+        start = int(random.integers(0, max(len(values) - least, 0) + 1))
+        whole = values is clip.values
+        values = values[start : start + least]
+        variants = clip.sentences()
+        own = random.random() < (
+            0.5 if clip.watched else 0.3 if clip.species else 0.0
+        )  # as written, by those who know the clip
+        sentence = (
+            clip.texts[int(random.integers(len(clip.texts)))] if own else variants[int(random.integers(len(variants)))]
+        )
+        mesh = clip.character
+        if clip.species is None and random.random() < self.borrowed:
+            mesh, sentence = self._borrow(clip, sentence, random)
+        if mesh == clip.character and random.random() < (0.4 if clip.watched else 1.0) * self.computed:
+            found = self._true_in(clip, values, start if whole else None)
+            sentence = computed_sentence(found, [clip.phrases], len(values), random, clip.species) or sentence
+        return Row(values, sentence, mesh)
+
+    def _lengthened(self, clip: TrainingClip, target: int, random: np.random.Generator) -> np.ndarray:
+        if clip.loop is None and clip.species is None and self.joins is not None:
+            values = self.joins.around(clip.values, target, goes(clip), random)
+            if values is not clip.values:
+                return values
+        return clip.lengthened(target, self._still, random)
+
+    def _event(self, random: np.random.Generator) -> Row | None:
+        """Something that is plain to see in a clip's numbers (a turn, a jump, a punch, sitting down), cut out and told
+        by them alone.
+        """
+        found = self.event_pool().draw(random)
+        if found is None:
+            return None
+        clip, phrase, phrases = found
+        start = max(phrase.start - int(random.integers(2, 14)), 0)
+        stop = min(phrase.stop + int(random.integers(2, 14)), len(clip.values))
+        told = [one for one in inside(phrases, start, stop) if one.kind != "still"]
+        sentence = computed_sentence(told, [()], stop - start, random, None)
+        if sentence is None or stop - start < MIN_FRAMES:
+            return None
+        values = clip.values[start:stop]
+        if self.joins is not None and random.random() < 0.8:
+            target = int(random.integers(stop - start, self.frames + 1))
+            values = self.joins.around(values, target, goes(clip), random)
+        return Row(values, sentence, clip.character)
+
+    def event_pool(self) -> EventPool:
+        """What is plain to see in the clips' numbers, found once."""
+        if self._pool is None:
+            self._pool = EventPool(self.clips, self._all_phrases, self._motion, self.frames)
+        return self._pool
+
+    def _motion(self, clip: TrainingClip) -> HandleMotion:
+        return decode(self.statistics.restore(clip.values))
+
+    def _all_phrases(self, clip: TrainingClip) -> list[Phrase]:
+        """What can be said of the whole clip by its numbers, found once."""
+        if clip.name not in self._phrases:
+            self._phrases[clip.name] = describe(self._motion(clip), clip.species is None)
+        return self._phrases[clip.name]
+
+    def _true_in(self, clip: TrainingClip, values: np.ndarray, start: int | None) -> list[Phrase]:
+        """What can be said of a row: from the clip's own phrases where it is a plain crop of it, else from the row
+        itself.
+        """
+        if start is None:
+            return inside(describe(decode(self.statistics.restore(values)), clip.species is None), 0, len(values))
+        return inside(self._all_phrases(clip), start, start + len(values))
+
+    def _borrow(self, clip: TrainingClip, sentence: str, random: np.random.Generator) -> tuple[str | None, str]:
+        """A creature that cannot do this by itself, with words for it; nothing where every creature can."""
+        wanted = verbs(clip.phrases)
+        able = sorted(species for species, own in self._can.items() if wanted and not wanted & own)
+        if not able:
+            return None, sentence
+        species = able[int(random.integers(len(able)))]
+        characters = self._cast[species]
+        return characters[int(random.integers(len(characters)))], borrowed_sentence(
+            clip.phrases, clip.sentences(), species, random
+        )
+
+    def _compose(
+        self, clip: TrainingClip, random: np.random.Generator
+    ) -> tuple[np.ndarray, str, list[tuple[str, ...]]] | None:
+        """The clip, then one or two others that go well with its end: "a person walks forward and then waves".
+
+        People follow people, and a creature's clips those of the same character.
+        """
+        told = [clip.phrases]
+        if not told[0]:
+            return None
+        partners = self._of_character.get(clip.character if clip.species else None, np.zeros(0, int))
+        chance = self.probability[partners]
+        if not chance.sum() > 0:
+            return None
+        count = 3 if random.random() < 0.3 else 2
+        least, most = (0.2, 0.56) if count == 2 else (0.15, 0.36)
+        span = [int(random.integers(int(least * self.frames), int(most * self.frames) + 1)) for _ in range(count)]
+        if clip.watched and clip.loop is None:  # what is done once is not cut
+            span[0] = max(span[0], len(clip.values))
+            if span[0] > 0.7 * self.frames:
+                return None
+        values = clip.lengthened(span[0], self._still, random)
+        begin = int(random.integers(0, max(len(values) - span[0], 0) + 1))
+        values, last, labels = values[begin : begin + span[0]], 0, [clip.label]
+        for place in range(1, count):
+            best: tuple[float, int, int, np.ndarray, TrainingClip] | None = None
+            for index in random.choice(partners, size=6, p=chance / chance.sum()):
+                other = self.clips[int(index)]
+                if other.label in labels or not other.phrases or len(other.values) < 12 or len(values) - last < 12:
+                    continue
+                rest = span[place] if place + 1 < count else self.frames
+                if (
+                    other.watched
+                    and other.loop is None
+                    and len(other.values) > self.frames - len(values) + len(values) // 4
+                ):
+                    continue
+                head = other.lengthened(span[place], self._still, random)
+                head = head if other.watched and other.loop is None else head[:rest]
+                i, j, distance = join_point(values[last:], head, self._share)
+                if best is None or distance < best[0]:
+                    best = (distance, last + i, j, head, other)
+            if best is None or best[0] > 0.5:
+                break
+            _, i, j, head, other = best
+            values, last = splice(values, head, i, j, _BLEND), i
+            labels.append(other.label)
+            told.append(other.phrases)
+        if len(told) < 2:
+            return None
+        words = [phrases[int(random.integers(len(phrases)))] for phrases in told]
+        sentence = link(words, random, *([creature_subjects(clip.species)] if clip.species else []))
+        return values[: self.frames], sentence, told
+
+    def batch(self, seed: int, number: int, size: int, compose: float = 0.0, bucket: int = 4) -> MotionBatch:
+        """Batch `number` of the endless series of a seed. `bucket` neighbours share their draws, sorted by length, to
+        pad little.
+        """
+        key = (seed, number // bucket, size, compose, bucket)
+        if self._bucket is None or self._bucket[0] != key:
+            random = np.random.default_rng([seed, number // bucket, 7])
+            items = [self.draw(random, compose) for _ in range(size * bucket)]
+            items.sort(key=lambda item: len(item.values))
+            self._bucket = (key, items, random.permutation(bucket))
+        _, items, order = self._bucket
+        place = int(order[number % bucket])
+        return pad(items[place * size : (place + 1) * size])
+
+    def fixed(self, size: int, seed: int = 0) -> MotionBatch:
+        """The same unmirrored crops every time, for validation: each clip from its start, with a fixed sentence."""
+        random = np.random.default_rng(seed)
+        rows = []
+        for index in random.permutation(len(self.clips))[:size]:
+            clip = self.clips[index]
+            rows.append(Row(clip.values[: self.frames], clip.sentences()[0], clip.character))
+        return pad(rows)
+
+    def sentences(self) -> list[str]:
+        """All sentences that labels give, sorted, to encode before training; computed, joined and borrowed ones are
+        without end.
+        """
+        found = {sentence for clip in self.clips for mirrored in (False, True) for sentence in clip.sentences(mirrored)}
+        own = {text for clip in self.clips if clip.species for text in clip.texts}
+        return sorted(found | own | set(map(mirror_words, own)))
+
+
+def pad(rows: list[Row]) -> MotionBatch:
+    """Rows of one length, the longest, zero behind their end."""
+    lengths = np.array([len(row.values) for row in rows])
+    values = np.zeros((len(rows), int(lengths.max()), rows[0].values.shape[1]), np.float32)
+    for place, row in zip(values, rows, strict=True):
+        place[: len(row.values)] = row.values
+    return MotionBatch(values, lengths, [row.sentence for row in rows], [row.mesh for row in rows])

@@ -1,0 +1,265 @@
+"""Training of the denoiser (Eq. 6 to 9 of TapMo).
+
+A run folder holds `state.safetensors` (all that is needed to go on), `diffusion.safetensors` (the averaged weights,
+ready to use), `log.csv`, `events` (TensorBoard) and the encoded captions. The same command goes on where a run stopped.
+Under `accelerate launch` several processes train together: each draws batches of its own, and the first one writes.
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
+from bunraku.diffusion.features import FeatureStatistics
+from bunraku.errors import OptionError
+from bunraku.formats.files import sweep
+from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
+from bunraku.nn.checkpoints import load_training_state
+from bunraku.retarget.character_bank import load_character_bank
+from bunraku_lab.datasets.motions.bundle import read_bundle
+from bunraku_lab.training.diffusion.clip_data import load_clips
+from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.diffusion.mesh_bank import load_mesh_bank
+from bunraku_lab.training.diffusion.text_bank import TextBank
+from bunraku_lab.training.diffusion.trainer import Example, Trainer, TrainingConfig
+from bunraku_lab.training.diffusion.warm_start import start_from
+from bunraku_lab.training.runs.events import EventLog
+from bunraku_lab.training.runs.processes import Processes, open_processes
+from bunraku_lab.training.runs.runs import Stop, append_row, logged_columns
+
+__all__ = ["TrainingConfig", "train_diffusion"]
+
+
+def _statistics(path: Path) -> FeatureStatistics | None:
+    """Units of a run that goes on: those it began with, also where clips have been added since; None for a new run."""
+    if not path.is_file():
+        return None
+    model = load_training_state(path).models["model"]
+    return FeatureStatistics(model["mean"].numpy(), model["std"].numpy())
+
+
+def _prefetch(
+    clips: ClipSet, bank: TextBank, config: TrainingConfig, processes: Processes, first: int, stop: threading.Event
+) -> queue.Queue[Any]:
+    """Batches from step `first` on, made ahead by a thread. Of P processes, number i takes batch P * step + i."""
+    ready: queue.Queue[Any] = queue.Queue(maxsize=3)
+
+    def work() -> None:
+        number = processes.count * first + processes.index
+        try:
+            while not stop.is_set():
+                batch = clips.batch(config.seed, number, config.batch, config.compose)
+                item = (number, batch, bank(batch.sentences))
+                while not stop.is_set():
+                    try:
+                        ready.put(item, timeout=0.2)
+                        break
+                    except queue.Full:
+                        continue
+                number += processes.count
+        except Exception as error:  # handed to the training loop
+            ready.put(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    return ready
+
+
+def _sentences(clips: list[ClipSet]) -> list[str]:
+    return sorted({sentence for part in clips for sentence in part.sentences()})
+
+
+def train_diffusion(
+    config: TrainingConfig, network: DenoiserConfig | None = None, encoder: TextEncoder | None = None
+) -> Path:
+    """Train, or go on training, and return the path of the averaged weights.
+
+    Args:
+        config: The run.
+        network: In place of the preset's network.
+        encoder: In place of the built-in text encoder.
+
+    Raises:
+        OptionError: A setting is out of range, or the run folder belongs to another network.
+        FormatError: The data are missing or damaged.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    if config.preset not in PRESETS:
+        raise OptionError(f"the preset '{config.preset}' is unknown; choose one of: {', '.join(PRESETS)}")
+    if (
+        config.batch < 1
+        or config.threads < 1
+        or (config.minutes is not None and config.minutes <= 0)
+        or (config.steps is not None and config.steps < 0)
+    ):
+        raise OptionError("batch, threads, minutes and steps must be positive")
+    torch.set_num_threads(config.threads)
+    config.out.mkdir(parents=True, exist_ok=True)
+    sweep(config.out)
+    processes = open_processes(config.device)
+    console = Console(quiet=not processes.main)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("clips", total=None)
+        clips = load_clips(config.data, lambda done, total: bar.update(task, completed=done, total=total))
+        training = [entry for entry in clips.values() if entry.get("split", "train") == "train"]
+        measured = _statistics(config.out / "state.safetensors")
+        statistics = measured or FeatureStatistics.measure([entry["features"] for entry in training])
+        notes = {"creatures": True} if any(entry.get("species") for entry in training) else {}
+        frames = (network or PRESETS[config.preset]).frames
+        mixture = {
+            "creatures": config.creatures,
+            "computed": config.computed,
+            "borrowed": config.borrowed,
+            "events": config.events,
+        }
+        train, val = (ClipSet(clips, statistics, split, frames, **mixture) for split in ("train", "val"))
+        del clips, training
+        if encoder is None:
+            encoder = text_encoder(f"{'clip' if config.text_folder else MiniLMEncoder.name}+cues", config.text_folder)
+        task = bar.add_task("captions", total=None)
+        with processes.main_first():  # the others read what it has encoded
+            bank = TextBank(
+                encoder,
+                _sentences([train, val]),
+                config.out / "captions.safetensors",
+                lambda done, total: bar.update(task, completed=done, total=total),
+            )
+    if network is None:
+        sizes: dict[str, Any] = {
+            "text_encoder": encoder.name,
+            "text_size": encoder.token_size,
+            "pooled_size": encoder.pooled_size,
+        }
+        network = replace(PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh)
+    mesh_bank = config.mesh_bank
+    if mesh_bank is None and config.data.is_file() and read_bundle(config.data).meshes is not None:
+        mesh_bank = config.data
+    meshes = None if mesh_bank is None else load_mesh_bank(mesh_bank, network.mesh_features)
+    characters = None if config.character_bank is None else load_character_bank(config.character_bank)
+    if characters is not None and characters.features.shape[1] != network.mesh_features:
+        sizes_differ = f"its f_phi has {characters.features.shape[1]} numbers, not {network.mesh_features}"
+        raise OptionError(
+            f"{config.character_bank}: {sizes_differ}; write the bank again with 'bunraku data character-bank'"
+        )
+    trainer = Trainer(config, network, statistics, meshes, characters, processes, notes)
+    state = config.out / "state.safetensors"
+    if state.is_file():
+        trainer.restore(state, network)
+    elif config.start is not None:
+        start_from(config.start, trainer.model)
+        trainer.average.load_state_dict(trainer.model.state_dict())
+    examples = _validation(trainer, val, bank) if processes.main else []
+    console.print(
+        f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "
+        f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, "
+        f"{processes.count} process{'es' if processes.count > 1 else ''}, from step {trainer.step}"
+    )
+    torch.set_flush_denormal(True)  # tiny moments of the optimiser cost ten times their worth
+    try:
+        _loop(trainer, network, train, bank, examples, console)
+    finally:
+        torch.set_flush_denormal(False)
+    processes.close()
+    return config.out / "diffusion.safetensors"
+
+
+def _validation(trainer: Trainer, clips: ClipSet, bank: TextBank) -> list[Example]:
+    """Fixed crops with fixed noise at fixed steps."""
+    if len(clips.clips) < 2:
+        return []
+    examples = []
+    for part in range(2):
+        batch = clips.fixed(64, seed=part)
+        example = trainer.example(batch, bank(batch.sentences), [1, part], train=False)
+        example.step = torch.linspace(100, 950, len(batch.lengths)).long().to(trainer.device)
+        examples.append(example)
+    return examples
+
+
+def _loop(
+    trainer: Trainer, network: DenoiserConfig, clips: ClipSet, bank: TextBank, examples: list[Example], console: Any
+) -> None:
+    config, main, stop, ended = trainer.config, trainer.processes.main, Stop(), threading.Event()
+    log = config.out / "log.csv"
+    if main and not log.is_file():
+        log.write_text(",".join(_COLUMNS) + "\n", encoding="utf-8")
+    events = EventLog(config.out / "events" if main else None, console.print)
+    ready = _prefetch(clips, bank, config, trainer.processes, trainer.step, ended)
+    saved = last = time.monotonic()
+    begun, first = last, trainer.step
+    told: dict[str, list[float]] = {}
+    with stop.listening(), events:
+        try:
+            alone = trainer.processes.count == 1
+            while not (trainer.stopped or (alone and stop.asked)) and trainer.progress() < 1:
+                item = ready.get()
+                if isinstance(item, Exception):
+                    raise item
+                number, batch, text = item
+                trainer.asked = stop.asked
+                for name, value in trainer.update(trainer.example(batch, text, [config.seed, number])).items():
+                    told.setdefault(name, []).append(value)
+                now = time.monotonic()
+                trainer.seconds += now - last
+                last = now
+                due = trainer.step % config.validate_every == 0
+                if main and (due or trainer.step == first + 20):
+                    row = {name: float(np.mean(values)) for name, values in told.items()}
+                    row["validation"], row["validation_wrong_text"] = (
+                        trainer.validate(examples) if due else (math.nan, math.nan)
+                    )
+                    _tell(trainer, row, (trainer.step - first) / (now - begun), events, console)
+                    told = {}
+                if main and now - saved > 60 * config.save_every:
+                    trainer.save(config.out, network)
+                    saved = time.monotonic()
+        finally:
+            ended.set()
+        if main:
+            trainer.save(config.out, network)
+    console.print(
+        f"saved {config.out} at step {trainer.step}" + ("; the same command goes on" if trainer.progress() < 1 else "")
+    )
+
+
+_COLUMNS = (
+    "step", "seconds", "rate", "motion", "velocity", "contact", "validation", "validation_wrong_text",
+    "steps_per_second", "spring", "adversarial",
+    "discriminator", "score",
+)  # fmt: skip
+
+
+def _tell(trainer: Trainer, row: dict[str, float], speed: float, events: EventLog, console: Any) -> None:
+    """One row of figures to the log, to TensorBoard and to the terminal."""
+    row = {
+        "step": trainer.step,
+        "seconds": round(trainer.seconds),
+        "rate": trainer.learning_rate(),
+        **row,
+        "steps_per_second": speed,
+    }
+    log = trainer.config.out / "log.csv"
+    append_row(log, row, logged_columns(log))
+    events.write(trainer.step, {name: value for name, value in row.items() if name not in ("step", "seconds")})
+    extra = "  ".join(
+        f"{name} {row[name]:.4f}"
+        for name in ("contact", "spring", "adversarial", "discriminator", "score")
+        if name in row
+    )
+    console.print(
+        f"step {trainer.step:6d}  {trainer.seconds / 60:6.1f} min  loss {row['motion']:.4f} velocity "
+        f"{row['velocity']:.4f}  "
+        f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  "
+        f"{extra}{'  ' if extra else ''}{speed:.2f} steps/s"
+    )

@@ -1,0 +1,253 @@
+"""Which stretches of captured clips the sampler may start from, packed into one file.
+
+Of each action the clearest are kept: those whose motion the ranker finds nearest to their own sentences, few of one
+clip. What is plain to see in the numbers (a turn, a punch) is cut out and told by them alone. Clips of validation and
+test are never among them. Gestures that hardly anybody has captured are made by code (`synthetic.gestures`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bunraku.body.from_handles import skeleton_from_handles
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import SkeletalMotion
+from bunraku.diffusion.examples.joins import standing_stretches
+from bunraku.diffusion.examples.pack import FPS, MADE, Example, ExamplePack, fingerprint, packed_stretch, write_pack
+from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
+from bunraku.diffusion.matching import RADIUS, Extractor, embed_motions, embed_sentences
+from bunraku.diffusion.ranking import load_ranker
+from bunraku.language.actions import main_actions
+from bunraku.language.captions import mirror_words
+from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.retarget.body_motion import body_handle_motion
+from bunraku.retarget.stages.ground import lowest
+from bunraku_lab.description.describe import inside
+from bunraku_lab.description.wording import computed_sentence
+from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING
+from bunraku_lab.synthetic.gestures.play import gesture_motion
+from bunraku_lab.training.diffusion.clip_data import load_clips
+from bunraku_lab.training.diffusion.clip_rows import ClipSet
+
+__all__ = ["ExampleSettings", "build_examples"]
+
+LONGEST = 196
+_MARGIN = 8
+"""Frames around what is cut out by its numbers."""
+_OF_ONE_CLIP = 3
+HOVERS = 0.05
+"""Height [m] over the ground from which on nothing touches it."""
+_GOES = {"walk", "run", "backward", "sidestep", "turn", "turn around", "circle"}
+_BUSY = re.compile(
+    r"\b(arms?|hands?|balls?|pass(es|ing)?|strokes?|swings?|throws?|fight\w*|karate|push\w*|shov\w*)\b", re.I
+)
+_WORDINGS = 3
+
+
+@dataclass(frozen=True)
+class ExampleSettings:
+    """What is packed.
+
+    Args:
+        data: Folder that `bunraku data motions` wrote.
+        out: File to write.
+        stretches: Of one action, at the most; of two in a row, a quarter of that.
+        events: Of one kind that is plain to see, at the most.
+        standing: Stretches of standing that others are joined to.
+        ranker: Weights in place of the shipped ones; what is packed works with these alone.
+        seed: Of the wordings.
+    """
+
+    data: Path = Path("runs/data/motions")
+    out: Path = Path("runs/examples.safetensors")
+    stretches: int = 12
+    events: int = 8
+    standing: int = 12
+    ranker: Path | None = None
+    seed: int = 0
+
+
+GESTURE = "gesture"
+"""Kind of what is made by code."""
+
+
+class _Stretch(NamedTuple):
+    name: str
+    kind: str
+    texts: tuple[str, ...]
+    features: np.ndarray
+    loop: tuple[int, int] | None
+    skeleton: SkeletalMotion | None = None
+
+
+def build_examples(
+    settings: ExampleSettings,
+    encoder: TextEncoder | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> ExamplePack:
+    """Choose stretches and write them.
+
+    Args:
+        settings: Which, and where to.
+        encoder: In place of the ranker's own.
+        progress: Called with a stage's name and the share done.
+
+    Raises:
+        FormatError: The data are missing or damaged.
+        WeightsError: The ranker is.
+    """
+    progress = progress or (lambda stage, done: None)
+    path = settings.ranker or shipped_checkpoint("ranker")
+    ranker = load_ranker(path)
+    encoder = encoder or text_encoder(ranker.config.text_encoder)
+    clips = {
+        name: entry
+        for name, entry in load_clips(
+            settings.data, lambda done, total: progress("clips", done / total), splits={"train"}
+        ).items()
+        if not entry.get("species")
+    }
+    statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
+    rows = ClipSet(clips, statistics, "train", borrowed=0.0, creatures=0.0)
+    found = [*_stretches(rows, clips), *_events(rows, settings.seed), *_gestures(), *_standing(rows)]
+    progress("vectors", 0.0)
+    texts, motions, owners = _vectors(found, ranker, encoder)
+    own = np.zeros(len(found))
+    np.add.at(own, owners, np.einsum("tv,tv->t", texts[0], motions[0, owners]))
+    own /= np.maximum(np.bincount(owners, minlength=len(found)), 1)
+    kept = _clearest(found, own, settings)
+    data = []
+    for place, index in enumerate(kept):
+        skeleton = found[index].skeleton or skeleton_from_handles(decode(found[index].features), rounds=1)
+        data.append(packed_stretch(skeleton.root_translation, skeleton.rotations))
+        progress("pack", (place + 1) / len(kept))
+    examples = tuple(Example(one.name, one.texts, len(one.features), one.loop) for one in (found[i] for i in kept))
+    chosen = np.isin(owners, kept)
+    place_of = {index: place for place, index in enumerate(kept)}
+    pack = ExamplePack(
+        examples,
+        tuple(data),
+        np.array([place_of[owner] for owner in owners[chosen].tolist()], np.int32),
+        texts[:, chosen],
+        motions[:, kept],
+        fingerprint(path),
+    )
+    licences = Counter(
+        "Apache-2.0" if one.made else str(clips[one.name.split("#")[0]].get("licence", "unknown")) for one in examples
+    )
+    write_pack(settings.out, pack, {"licences": dict(licences), "frames": sum(one.frames for one in examples)})
+    return pack
+
+
+def _stretches(rows: ClipSet, clips: dict[str, dict[str, Any]]) -> Iterator[_Stretch]:
+    for clip in rows.clips:
+        if clip.watched and len(clip.values) <= LONGEST and clip.weight >= 0.5:
+            kind = "action: " + " and ".join(clip.actions)
+            yield _Stretch(clip.name, kind, clip.texts, clips[clip.name]["features"], clip.loop)
+
+
+def _events(rows: ClipSet, seed: int) -> Iterator[_Stretch]:
+    pool = rows.event_pool()
+    for kind, members in sorted(pool.kinds.items()):
+        for index, phrase in members:
+            clip = rows.clips[index]
+            start, stop = max(phrase.start - _MARGIN, 0), min(phrase.stop + _MARGIN, len(clip.values))
+            told = [one for one in inside(pool.phrases[index], start, stop) if one.kind != "still"]
+            random = np.random.default_rng([seed, index, phrase.start])
+            made = [computed_sentence(told, [()], stop - start, random, None) for _ in range(_WORDINGS)]
+            texts = tuple(dict.fromkeys(text for text in made if text))
+            if texts and clip.weight >= 0.5 and _seen(texts, clip.texts):
+                features = rows.statistics.restore(clip.values[start:stop])
+                if "jump" not in kind and _hovers(features):
+                    continue
+                yield _Stretch(f"{clip.name}#{start}", f"event: {kind}", texts, features, None)
+
+
+def _hovers(features: np.ndarray) -> bool:
+    """Whether nothing of the body is near the ground in a quarter of the frames: a floor that was found too low."""
+    body = reference_body()
+    heights = lowest(body.vertices, body.handle_weights, decode(features), body.handles.positions)
+    return bool((heights > HOVERS).mean() > 0.25)
+
+
+def _seen(computed: Sequence[str], watched: Sequence[str]) -> bool:
+    """Whether who watched a stretch says too, in few words, what its numbers say, and nothing that hands do of who goes
+    somewhere: who backs up to pass a ball is no example of walking backwards.
+    """
+    said = set(main_actions(computed))
+    busy = said <= _GOES and any(_BUSY.search(text) for text in watched)
+    return said <= set(main_actions(watched)) and not busy
+
+
+def _gestures() -> Iterator[_Stretch]:
+    for number, gesture in enumerate(GESTURES):
+        loop = None
+        if gesture.cycle is not None:
+            loop = round(gesture.cycle[1] * FPS), round(gesture.cycle[0] * FPS)
+        motion = gesture_motion(gesture, FPS)
+        features = encode(body_handle_motion(motion))
+        name = f"{MADE}{gesture.name.replace(' ', '_')}_{number}"
+        yield _Stretch(name, GESTURE, gesture.texts, features, loop, motion)
+    motion = gesture_motion(STANDING, FPS)
+    yield _Stretch(f"{MADE}{STANDING.name}", GESTURE, (), encode(body_handle_motion(motion)), None, motion)
+
+
+def _standing(rows: ClipSet) -> list[_Stretch]:
+    """Stretches of standing, the longest first."""
+    found = [
+        _Stretch(f"{clip.name}#{number}", "standing", (), rows.statistics.restore(values[:LONGEST]), None)
+        for clip in rows.clips
+        for number, values in enumerate(standing_stretches(clip.values, rows.statistics))
+    ]
+    return sorted(found, key=lambda one: -len(one.features))
+
+
+def _vectors(
+    found: list[_Stretch], ranker: Extractor, encoder: TextEncoder
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors of all sentences (2, T, V) and motions (2, E, V), as they are and in the mirror, and which stretch
+    each sentence is of, (T,).
+    """
+    owners = np.array([place for place, one in enumerate(found) for _ in one.texts])
+    both = [[text for one in found for text in one.texts]]
+    both.append(list(map(mirror_words, both[0])))
+    vectors = embed_sentences(ranker, encoder, [text for texts in both for text in texts])
+    texts = np.array([[vectors[text] for text in some] for some in both]) / RADIUS
+    motions = np.array([embed_motions(ranker, [way(one.features) for one in found]) for way in (np.asarray, mirror)])
+    motions /= RADIUS
+    for place, one in enumerate(found):
+        if one.kind == GESTURE and one.texts:  # the ranker has seen none of them, and they are what their sentences say
+            told = texts[:, owners == place].mean(axis=1)
+            motions[:, place] = told / np.linalg.norm(told, axis=-1, keepdims=True)
+    return texts, motions, owners
+
+
+def _clearest(found: list[_Stretch], own: np.ndarray, settings: ExampleSettings) -> list[int]:
+    """Places of what is kept: of each kind those whose motion is nearest to their own sentences."""
+    most: int
+    counts: Counter[str] = Counter()
+    of_clip: Counter[tuple[str, str]] = Counter()
+    kept = []
+    for index in np.argsort(-own, kind="stable").tolist():
+        kind, clip = found[index].kind, found[index].name.split("@")[0]
+        if kind == GESTURE:
+            most, clip = len(found), found[index].name
+        elif kind == "standing":
+            most, clip = settings.standing, found[index].name
+        elif kind.startswith("event"):
+            most = settings.events
+        else:  # of what is done in a row, sentences seldom ask for the very same
+            most = settings.stretches // 4 ** kind.count(" and ")
+        if counts[kind] < most and of_clip[kind, clip] < _OF_ONE_CLIP:
+            counts[kind] += 1
+            of_clip[kind, clip] += 1
+            kept.append(index)
+    return sorted(kept)

@@ -1,0 +1,318 @@
+"""Training of the Mesh Handle Predictor (Eq. 5 of TapMo): resumable, with validation on characters that it never
+sees.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from bunraku.body.layout import HANDLE_MIRROR
+from bunraku.errors import OptionError
+from bunraku.handles.graph import MeshGraph, mesh_graph
+from bunraku.handles.predictor import HandlePredictor, PredictorConfig, grow_predictor, save_predictor
+from bunraku_lab.datasets.characters.training_character import (
+    AugmentConfig,
+    TrainingCharacter,
+    TrainingMesh,
+    augment,
+    plain_mesh,
+)
+from bunraku_lab.training.handles.damage import DamageConfig, damage
+from bunraku_lab.training.handles.mesh_feature_bank import write_mesh_bank
+from bunraku_lab.training.losses import handle_losses as losses
+from bunraku_lab.training.losses.handle_losses import LossConfig
+from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.runs import append_row, plain_settings
+
+__all__ = ["HandleTrainConfig", "HandleTrainer", "train_handles", "validate_handles"]
+
+
+@dataclass(frozen=True)
+class HandleTrainConfig:
+    """Settings of a training run.
+
+    Args:
+        cache: Folder of cached characters (`bunraku_lab.datasets.characters.build.build_characters`).
+        out: Folder of the run: `state.safetensors` to go on from, `handles.safetensors` the result, `log.csv`.
+        minutes: Stop after this much training time, over all sittings; the learning rate falls to nothing by then. 0
+            for no limit.
+        epochs: Stop after so many epochs; with no limit of minutes the learning rate follows these.
+        threads: CPU threads; 0 leaves torch's choice.
+        device: Where to train.
+        bf16: Matrix products in bfloat16, where the processor has it.
+        batch: Meshes a step.
+        rate: Peak learning rate of Adam. A.2 has 1e-4 over 500 epochs; five times that suits a short run.
+        warmup: Steps until the peak.
+        decay: Decay of the running mean of the weights, which is what is validated and saved.
+        reference_share: Share of the examples that are the reference body.
+        validate_every: Epochs between validations.
+        seed: Of everything random.
+        start: Checkpoint of kind "handles" to start a new run from, for example the shipped one, to go on with it on
+            other characters; a deeper network begins as the one in the checkpoint.
+    """
+
+    cache: Path = Path("runs/data/characters")
+    out: Path = Path("runs/handles")
+    minutes: float = 40.0
+    epochs: int = 500
+    threads: int = 1
+    device: str = "cpu"
+    bf16: bool = False
+    batch: int = 4
+    rate: float = 5e-4
+    warmup: int = 100
+    decay: float = 0.998
+    reference_share: float = 0.12
+    validate_every: int = 3
+    seed: int = 1
+    start: Path | None = None
+    predictor: PredictorConfig = field(default_factory=PredictorConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
+    damage: DamageConfig = field(default_factory=DamageConfig)
+
+
+def _graph(
+    mesh: TrainingMesh, config: PredictorConfig, device: str, rng: np.random.Generator | None = None
+) -> MeshGraph:
+    return mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, config.anchors, rng).to(device)
+
+
+class HandleTrainer(AveragedRun[HandlePredictor]):
+    """One training run in memory: the network, its optimiser, and the characters.
+
+    Args:
+        config: Settings.
+        characters: To train on.
+        held_out: To validate on.
+        reference: The reference body's shapes, mixed in.
+    """
+
+    def __init__(
+        self,
+        config: HandleTrainConfig,
+        characters: Sequence[TrainingCharacter],
+        held_out: Sequence[TrainingCharacter],
+        reference: Sequence[TrainingCharacter] = (),
+    ):
+        if not characters:
+            raise OptionError("there are no characters to train on; build the cache first")
+        self.config = config
+        self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
+        torch.manual_seed(config.seed)
+        model = HandlePredictor(config.predictor).to(config.device)
+        if config.start is not None:
+            grow_predictor(model, config.start)
+        average = HandlePredictor(config.predictor).to(config.device)
+        super().__init__(config.out, model, average, torch.optim.Adam(model.parameters(), lr=config.rate))
+        self.rng = np.random.default_rng(config.seed)
+        self.generator = torch.Generator().manual_seed(config.seed)
+        self.epoch = 0
+        self.swap = torch.tensor(HANDLE_MIRROR)
+        folders = [c.name.rpartition("/")[0] for c in self.characters]
+        share = np.array(
+            [folders.count(f) ** -0.5 for f in folders]
+        )  # thirty fish that are alike do not outweigh the rest
+        self.chances = share / share.sum()
+
+    def progress(self) -> float:
+        """How far the run is through its limits, 0 to 1."""
+        parts = [self.epoch / max(self.config.epochs, 1)]
+        if self.config.minutes > 0:
+            parts.append(self.seconds / (60 * self.config.minutes))
+        return min(max(parts), 1.0)
+
+    def example_loss(self, mesh: TrainingMesh) -> tuple[torch.Tensor, dict[str, float]]:
+        """L_s + nu_p L_p + nu_r L_r [TapMo 5] with the further losses, for one mesh; and each loss before its
+        weight.
+        """
+        config, device = self.config.loss, self.config.device
+        graph = _graph(mesh, self.config.predictor, device, self.rng)
+        with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
+            predicted = self.model(graph)
+        logits, weights = predicted.logits.float(), predicted.weights.float()
+        positions = graph.inputs[:, :3]
+        parts = {
+            "semantic": losses.semantic_loss(logits, torch.from_numpy(mesh.target).to(device), graph.areas),
+            "root": config.root_unit
+            * losses.root_loss(positions, weights, torch.from_numpy(mesh.root).to(device), graph.areas),
+            "smoothness": losses.smoothness_loss(weights, torch.from_numpy(mesh.edges).to(device)),
+            "sparsity": losses.sparsity_loss(weights),
+        }
+        i, j, gamma = losses.skinning_pairs(
+            torch.from_numpy(mesh.weights),
+            config.skinning_pairs,
+            self.generator,
+            torch.from_numpy(np.ascontiguousarray(mesh.handles)),
+        )
+        parts["skinning"] = losses.skinning_loss(logits, i.to(device), j.to(device), gamma.to(device), config.apart)
+        if len(mesh.posed):
+            parts["pose"] = config.pose_unit * losses.pose_loss(
+                positions, torch.from_numpy(mesh.posed).to(device), weights
+            )
+        if self.rng.random() < config.mirror_rate:
+            again = _graph(
+                mesh, self.config.predictor, device, self.rng
+            ).mirrored()  # other anchors, so they must not matter either
+            with torch.autocast(device.split(":")[0], torch.bfloat16, enabled=self.config.bf16):
+                mirrored = self.model(again).logits.float()
+            parts["mirror"] = losses.mirror_loss(logits, mirrored, self.swap.to(device))
+        total = sum((getattr(config, name) * value for name, value in parts.items()), start=logits.sum() * 0)
+        return total, {name: float(value.detach()) for name, value in parts.items()}
+
+    def train_epoch(self, stop: Callable[[], bool] = lambda: False) -> dict[str, float]:
+        """As many examples as there are characters; the mean of each loss, before its weight."""
+        self.model.train()
+        start, sums = time.perf_counter(), {"total": 0.0}
+        counts = dict.fromkeys(sums, 0)
+        before = self.seconds
+        for _ in range(math.ceil(len(self.characters) / self.config.batch)):
+            self.set_rate(self.config.rate, self.config.warmup, self.progress())
+            for _ in range(self.config.batch):
+                known = self.reference and self.rng.random() < self.config.reference_share
+                if known:
+                    character = self.reference[self.rng.integers(len(self.reference))]
+                else:
+                    character = self.characters[self.rng.choice(len(self.characters), p=self.chances)]
+                mesh = damage(augment(character, self.rng, self.config.augment), self.rng, self.config.damage)
+                loss, parts = self.example_loss(mesh)
+                (loss / self.config.batch).backward()
+                for name, value in {"total": float(loss.detach()), **parts}.items():
+                    sums[name], counts[name] = sums.get(name, 0.0) + value, counts.get(name, 0) + 1
+            self.update(self.config.decay)
+            self.seconds = before + time.perf_counter() - start
+            if stop() or self.progress() >= 1:
+                break
+        self.epoch += 1
+        return {name: value / max(counts[name], 1) for name, value in sums.items()}
+
+    def save(self, results: dict[str, float]) -> Path:
+        """Write the checkpoint, then the training state: who is killed between comes to both again."""
+        settings = plain_settings(asdict(self.config))
+        note = {"training": settings, "seconds": self.seconds, "epochs": self.epoch, "results": results}
+        path = save_predictor(self.out / "handles.safetensors", self.average, note)
+        values = {"epoch": self.epoch, "rng": self.rng.bit_generator.state}
+        self.save_state(settings, values, {"pairs": self.generator.get_state()})
+        return path
+
+    def resume(self) -> bool:
+        """Go on from the run's folder, if it holds a state; whether it did."""
+        state = self.restore_state()
+        if state is not None:
+            self.rng.bit_generator.state = state.values["rng"]
+            self.generator.set_state(state.generators["pairs"])
+            self.epoch = int(state.values["epoch"])
+        return state is not None
+
+
+@torch.no_grad()
+def validate_handles(
+    model: HandlePredictor, characters: Sequence[TrainingCharacter], varied: bool = False, seed: int = 0
+) -> dict[str, float]:
+    """How good the predictor is on characters with known handles.
+
+    Args:
+        model: The predictor.
+        characters: With labels.
+        varied: Change each character's rest pose and proportions first.
+        seed: Of the poses.
+
+    Returns:
+        accuracy: Share of the labelled surface whose largest weight is the right handle's. purity: of the surface that
+        one joint moves (weight over 0.9), the share on the main handle of that joint's part. root: distance of handle 0
+        from the root joint, over the height. pose: mean distance between posed vertices and those that the handles
+        rebuild, over the height. outside: share of the weights outside the four largest.
+    """
+    model.eval()
+    device = next(model.parameters()).device
+    accuracy, purity, root, pose, outside = [], [], [], [], []
+    for number, character in enumerate(characters):
+        rng = np.random.default_rng([seed, number])
+        mesh = augment(character, rng) if varied else plain_mesh(character, rng)
+        graph = _graph(mesh, model.config, str(device))
+        weights = model(graph).weights
+        positions, target = graph.inputs[:, :3], torch.from_numpy(mesh.target).to(device)
+        known = (target.sum(1) > 0.5) * graph.areas
+        if float(known.sum()) > 0:
+            accuracy.append(float((known * (weights.argmax(1) == target.argmax(1))).sum() / known.sum()))
+        parts = torch.from_numpy(mesh.weights * (mesh.weights > 0.9)).to(device) * graph.areas[:, None]
+        shares = parts.T @ torch.nn.functional.one_hot(weights.argmax(1), weights.shape[1]).float()
+        if float(shares.sum()) > 0:
+            purity.append(float(shares.amax(1).sum() / shares.sum()))
+        outside.append(float(losses.sparsity_loss(weights)))
+        if (character.handles == 0).any():
+            root.append(
+                float(losses.root_loss(positions, weights, torch.from_numpy(mesh.root).to(device), graph.areas).sqrt())
+                / mesh.height
+            )
+        posed = torch.from_numpy(mesh.posed).to(device)
+        moved = losses.drive_local(positions, weights, *losses.register_torch(positions, posed, weights))
+        pose.append(float((moved - posed).norm(dim=-1).mean()) / mesh.height)
+    results = {"accuracy": accuracy, "purity": purity, "root": root, "pose": pose, "outside": outside}
+    return {name: float(np.mean(values)) if values else math.nan for name, values in results.items()}
+
+
+def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
+    """Train the predictor, or go on where the run in `config.out` stopped; at the end write `mesh_features.npz` for the
+    diffusion.
+
+    Args:
+        config: Settings.
+        report: Called after each epoch with its figures (the row of log.csv).
+
+    Returns:
+        The checkpoint.
+
+    Raises:
+        BunrakuError: No cache, the folder cannot be written, or the checkpoint to start from does not fit.
+    """
+    from bunraku_lab.datasets.characters.build import (
+        load_characters,
+        reference_characters,
+    )  # the data is built on this package's types
+
+    if config.threads > 0:
+        torch.set_num_threads(config.threads)
+    characters, held_out = load_characters(config.cache)
+    trainer = HandleTrainer(config, characters, held_out, reference_characters(config.predictor.mesh_vertices))
+    trainer.resume()
+    out = Path(config.out)
+    out.mkdir(parents=True, exist_ok=True)
+    result: dict[str, float] = {}
+    checkpoint = out / "handles.safetensors"
+    while trainer.progress() < 1:
+        row = trainer.train_epoch()
+        last = trainer.progress() >= 1
+        if last or trainer.epoch % config.validate_every == 0 or trainer.epoch == 1:
+            if held_out:
+                plain, varied = (
+                    validate_handles(trainer.average, held_out),
+                    validate_handles(trainer.average, held_out, varied=True),
+                )
+                result = {f"held_{n}": value for n, value in plain.items()} | {
+                    f"varied_{n}": value for n, value in varied.items()
+                }
+            row |= result
+            checkpoint = trainer.save(result)
+        rate = trainer.optimizer.param_groups[0]["lr"]
+        row = {"epoch": trainer.epoch, "step": trainer.step, "seconds": round(trainer.seconds, 1), "rate": rate, **row}
+        append_row(out / "log.csv", row, _COLUMNS)
+        if report:
+            report(row)
+    bank = out / "mesh_features.npz"
+    if not bank.is_file() or bank.stat().st_mtime < checkpoint.stat().st_mtime:  # older where a run was killed here
+        write_mesh_bank(trainer.average, [*trainer.characters, *trainer.reference], bank)
+    return checkpoint
+
+
+_COLUMNS = ("epoch", "step", "seconds", "rate", "total", "semantic", "skinning", "pose", "root", "sparsity",
+"smoothness", "mirror",
+            "held_accuracy", "held_purity", "held_root", "held_pose", "varied_accuracy", "varied_purity", "varied_root",
+            "varied_pose")  # fmt: skip

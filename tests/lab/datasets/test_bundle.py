@@ -1,0 +1,168 @@
+import json
+import lzma
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.body.from_handles import skeleton_from_handles
+from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.body.reference import reference_body
+from bunraku.cli.app import main
+from bunraku.core.motion import SkeletalMotion, Skeleton
+from bunraku.errors import FormatError, OptionError
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.retarget.body_motion import body_handle_motion
+from bunraku_lab.datasets.motions.bundle import KIND, read_bundle, write_bundle
+from bunraku_lab.datasets.motions.clips import load_clip, write_clip, write_index
+from bunraku_lab.datasets.motions.packing import pack_motion, unpack_motion
+from bunraku_lab.training.diffusion.clip_data import load_clips
+from bunraku_lab.training.diffusion.mesh_bank import load_mesh_bank
+
+
+def person(frames=50, seed=0):
+    """A person whose 22 joints all sway, each at a rhythm of its own, and who walks away turning."""
+    random = np.random.default_rng(seed)
+    time = np.arange(frames)[:, None, None] / 20
+    angles = 0.4 * np.sin(time * random.uniform(2, 6, (1, 22, 3)) + random.uniform(0, 6, (1, 22, 3)))
+    angles[:, 0] = 0
+    angles[:, 0, 1] = np.linspace(0, 5, frames)  # past half a turn
+    root = reference_body().skeleton.positions[0] + np.linspace(0, 1, frames)[:, None] * [1.0, 0.0, 3.0]
+    skeleton = Skeleton(JOINT_NAMES, np.asarray(JOINT_PARENTS), reference_body().skeleton.offsets)
+    return body_handle_motion(SkeletalMotion(skeleton, matrix_from_axis_angle(angles), root, 20.0))
+
+
+def apart(one, other):
+    """Largest distance between where two motions put the handles [m]."""
+    rest = reference_body().handles.positions
+    places = [
+        (motion.transforms(rest)[..., :3] @ rest[None, :, :, None])[..., 0] + motion.transforms(rest)[..., 3]
+        for motion in (one, other)
+    ]
+    return float(np.linalg.norm(places[0] - places[1], axis=-1).max())
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two people to train on, one to validate and one to test with, and a dog."""
+    out = tmp_path / "motions"
+    out.mkdir()
+    index = {}
+    for number, split in enumerate(("train", "train", "val", "test")):
+        write_clip(out / f"sway_{number}.npz", person(50 + number, number))
+        index[f"sway_{number}"] = {"texts": ["a person sways"], "split": split, "frames": 50 + number, "weight": 0.5}
+    index["sway_0"]["stretches"] = [{"start": 0, "stop": 20, "texts": ["a person sways and walks"]}]
+    write_clip(out / "dog.npz", person(30, 9))
+    index["dog"] = {"species": "dog", "character": "dog", "split": "train", "frames": 30, "action": "walk"}
+    write_index(out, index)
+    return out
+
+
+@pytest.fixture
+def bank(tmp_path):
+    path = tmp_path / "bank.npz"
+    random = np.random.default_rng(0)
+    names = ["dog", "dog~1", "person", "cat"]
+    np.savez(
+        path, features=random.normal(size=(4, 12)).astype(np.float32), names=names,
+        split=["train", "train", "train", "test"], humanoid=[False, False, True, False],
+    )  # fmt: skip
+    return path
+
+
+def test_a_motion_comes_back():
+    """All handles to the step they are kept in; or as the body's joints put them, to that step along three limbs."""
+    motion = person()
+    joints = body_handle_motion(skeleton_from_handles(motion, rounds=1))
+    for form, want in (("handles", motion), ("skeleton", joints)):
+        back = unpack_motion(pack_motion(motion, form), len(motion), form)
+        assert apart(want, back) < 0.006 and back.fps == 20
+    assert len(pack_motion(motion, "skeleton")) < 0.5 * len(pack_motion(motion, "handles"))
+
+
+def test_training_reads_a_bundle_as_it_reads_the_folder(folder, bank, tmp_path):
+    path = tmp_path / "bundle.safetensors"
+    facts = write_bundle(folder, path, bank, "handles")
+    assert facts.clips == 4 and facts.frames == 50 + 51 + 52 + 30 and facts.bytes == path.stat().st_size
+    assert 0 < facts.error <= facts.largest < 0.004
+    whole, packed = load_clips(folder, splits={"train", "val"}), load_clips(path)
+    assert sorted(packed) == sorted(whole) == ["dog", "sway_0@0", "sway_1", "sway_2"]
+    for name, entry in whole.items():
+        other = packed[name]
+        assert all(other[key] == value for key, value in entry.items() if key != "features")
+        assert np.abs(other["features"] - entry["features"])[:, 3:].max() < 0.01
+        assert np.abs(other["features"] - entry["features"])[:, :3].max() < 0.1  # speeds: a step is 20 times as much
+    one, other = load_mesh_bank(bank, 12), load_mesh_bank(path, 12)
+    assert torch.allclose(one.features, other.features, atol=2e-3) and len(other) == 3
+    assert {name: rows.tolist() for name, rows in other.rows.items()} == {"dog": [0, 1], "person": [2]}
+    assert other.humanoid.tolist() == [2]
+
+
+def test_only_people_lose_what_is_no_joint(folder, tmp_path):
+    path = tmp_path / "bundle.safetensors"
+    facts = write_bundle(folder, path)
+    found = read_bundle(path)
+    assert {name: entry["form"] for name, entry in found.clips.items()} == {
+        "dog": "handles", "sway_0": "skeleton", "sway_1": "skeleton", "sway_2": "skeleton",
+    }  # fmt: skip
+    assert apart(found.motion("dog"), load_clip(folder / "dog.npz")) < 0.004
+    joints = body_handle_motion(skeleton_from_handles(load_clip(folder / "sway_1.npz"), rounds=1))
+    assert apart(found.motion("sway_1"), joints) < 0.006 and 0.001 < facts.error < facts.largest
+    assert found.meshes is None
+    with pytest.raises(OptionError, match="skeleton, handles"):
+        write_bundle(folder, path, people="bones")
+
+
+def test_damaged_bundles_are_named(folder, bank, tmp_path):
+    path = tmp_path / "bundle.safetensors"
+    write_bundle(folder, path, bank)
+    state, config = load_checkpoint(path, KIND)
+    clips = json.loads(lzma.decompress(state["index"].numpy().tobytes()))
+
+    def index(changed):
+        return {"index": torch.from_numpy(np.frombuffer(lzma.compress(json.dumps(changed).encode()), np.uint8).copy())}
+
+    def entries(**changes):
+        return index({name: {**entry, **changes} for name, entry in clips.items()})
+
+    noise = torch.from_numpy(np.random.default_rng(0).integers(0, 256, len(state["data"]), dtype=np.uint8))
+    bomb = torch.from_numpy(np.frombuffer(lzma.compress(bytes(80 << 20)), np.uint8).copy())
+    bad = {
+        "longer than it is": entries(frames=400),
+        "shorter than it is": entries(frames=3),
+        "endless": entries(frames=10**9),
+        "no length": entries(frames="many"),
+        "another form": entries(form="cloth"),
+        "stretches of nothing": entries(stretches=[{"stop": 20}]),
+        "no entries": index([1, 2]),
+        "one too few": index(dict(list(clips.items())[1:])),
+        "noise": {"data": noise},
+        "a bomb": {"index": bomb},
+        "negative": {"sizes": -state["sizes"]},
+        "sizes": {"sizes": state["sizes"] * 2},
+    }
+    for what, changes in bad.items():
+        save_checkpoint(path, state | changes, config, KIND)
+        with pytest.raises(FormatError, match=r"bundle\.safetensors") as caught:
+            load_clips(path)
+        assert "\n" not in str(caught.value) and "again" in str(caught.value), what
+    save_checkpoint(path, state, {"meshes": 3}, KIND)
+    with pytest.raises(FormatError, match="damaged"):
+        load_mesh_bank(path, 12)
+    for words in (b"", b"{}", b"\x80\x04K."):
+        path.write_bytes(words)
+        with pytest.raises(FormatError, match=r"bundle\.safetensors"):
+            load_clips(path)
+    save_checkpoint(path, state, config, "diffusion")
+    with pytest.raises(FormatError, match="'motion-bundle' is needed"):
+        load_clips(path)
+
+
+def test_the_command_says_what_it_costs(folder, bank, tmp_path, capsys):
+    out = tmp_path / "bundle.safetensors"
+    assert main(["data", "bundle", "--data", str(folder), "--mesh-bank", str(bank), "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "wrote 4 clips" in said and "MiB" in said and "cm on average" in said
+    assert main(["data", "bundle", "--data", str(tmp_path / "none"), "-o", str(out)]) == 2
+    assert main(["data", "bundle", "--data", str(folder), "-o", str(tmp_path / "bundle.npz")]) == 2

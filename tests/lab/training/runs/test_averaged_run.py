@@ -1,0 +1,39 @@
+import pytest
+import torch
+
+from bunraku.errors import OptionError
+from bunraku_lab.training.runs.averaged_run import AveragedRun, share_done
+
+
+def run(folder, width=2):
+    model, average = (torch.nn.Linear(width, 1, bias=False) for _ in range(2))
+    return AveragedRun(folder, model, average, torch.optim.SGD(model.parameters(), lr=0.0))
+
+
+def test_a_run_ends_by_its_minutes_or_by_its_steps():
+    assert share_done(30, 1, 7, 10) == 0.5 and share_done(30, 0, 7, 10) == 0.7
+    assert share_done(90, 1, 0, 10) == 1 and share_done(0, 0, 20, 10) == 1
+
+
+def test_the_mean_follows_quickly_at_first(tmp_path):
+    one = run(tmp_path)
+    start = one.model.weight.detach().clone()
+    assert torch.equal(one.average.weight, start)
+    one.set_rate(1.0, 1, 0.0)
+    one.model.weight.grad = torch.tensor([[0.6, 0.0]])  # shorter than 1, so it is not clipped
+    one.update(decay=0.9)
+    moved = start - torch.tensor([[0.6, 0.0]])
+    assert torch.allclose(one.model.weight, moved) and one.model.weight.grad is None
+    keep = 1 / 11  # the first step of 10 + 1
+    assert torch.allclose(one.average.weight, keep * start + (1 - keep) * moved)
+
+
+def test_it_goes_on_from_its_state_and_not_from_that_of_another_network(tmp_path):
+    one, again = run(tmp_path), run(tmp_path)
+    assert again.restore_state() is None
+    one.step, one.seconds = 5, 2.5
+    one.save_state({}, {"epoch": 3})
+    assert again.restore_state().values["epoch"] == 3 and (again.step, again.seconds) == (5, 2.5)
+    assert torch.equal(again.model.weight, one.model.weight)
+    with pytest.raises(OptionError, match="another network"):
+        run(tmp_path, width=3).restore_state()

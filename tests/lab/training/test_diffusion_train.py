@@ -1,0 +1,160 @@
+import os
+import signal
+
+import pytest
+import torch
+
+from bunraku.diffusion.checkpoint import load_denoiser
+from bunraku.errors import FormatError, OptionError
+from bunraku.nn.checkpoints import load_training_state
+from bunraku_lab.training.diffusion.train import TrainingConfig, train_diffusion
+from bunraku_lab.training.diffusion.trainer import Trainer
+
+
+@pytest.fixture
+def settings(swings, tmp_path):
+    return lambda **how: TrainingConfig(
+        **{"data": swings, "out": tmp_path / "run", "minutes": None, "steps": 4, "batch": 4, "device": "cpu", **how}
+    )
+
+
+def weights(path):
+    return load_training_state(path / "state.safetensors")
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_weights(settings, tmp_path, config, encoder, monkeypatch):
+    train_diffusion(settings(out=tmp_path / "whole"), config(), encoder)
+    update = Trainer.update
+
+    def update_then_stop(self, example):
+        losses = update(self, example)
+        if self.step == 2:
+            os.kill(os.getpid(), signal.SIGTERM)  # what a batch system sends
+        return losses
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "update", update_then_stop)
+        train_diffusion(settings(), config(), encoder)
+    assert weights(tmp_path / "run").step == 2
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    path = train_diffusion(settings(), config(), encoder)
+    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "run")
+    assert whole.step == parts.step == 4
+    for name in ("model", "average"):
+        assert all(torch.equal(value, parts.models[name][key]) for key, value in whole.models[name].items())
+    model = load_denoiser(path)
+    assert model.notes["steps"] == 4 and not model.knows_meshes and model.mean.abs().sum() > 0
+    assert (tmp_path / "run" / "log.csv").read_text().startswith("step,")
+
+
+def test_mesh_features_are_trained_when_a_bank_is_given(settings, config, encoder, tmp_path):
+    import numpy as np
+
+    bank = tmp_path / "bank.npz"
+    np.savez(bank, features=np.random.default_rng(0).normal(size=(5, 12)).astype(np.float32))
+    assert load_denoiser(train_diffusion(settings(mesh_bank=bank, steps=1), config(), encoder)).knows_meshes
+    np.savez(bank, features=np.zeros((5, 3)))
+    with pytest.raises(FormatError, match=r"bank\.npz.*\(characters, 12\)"):
+        train_diffusion(settings(mesh_bank=bank), config(), encoder)
+
+
+def test_training_learns(settings, config, encoder):
+    """The motion loss of the four motions falls well below that of the mean pose, which is about their variance."""
+    import csv
+
+    path = train_diffusion(
+        settings(steps=180, batch=8, learning_rate=3e-3, warmup=10, bf16=False, validate_every=60, compose=0.0),
+        config(),
+        encoder,
+    )
+    with (path.parent / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == ["20", "60", "120", "180"]
+    assert float(rows[-1]["motion"]) < 0.5 * float(rows[0]["motion"])
+
+
+def test_wrong_settings_are_clear(settings, config, encoder, tmp_path):
+    for how, words in {
+        "preset": ("huge", "unknown"),
+        "batch": (0, "positive"),
+        "steps": (-1, "positive"),
+        "minutes": (-5.0, "positive"),
+    }.items():
+        with pytest.raises(OptionError, match=words[1]):
+            train_diffusion(settings(**{how: words[0]}), config(), encoder)
+    with pytest.raises(FormatError, match="bunraku data motions"):
+        train_diffusion(settings(data=tmp_path / "nowhere"), config(), encoder)
+    train_diffusion(settings(steps=1), config(), encoder)
+    with pytest.raises(OptionError, match="another network"):
+        train_diffusion(settings(steps=1), config(width=32), encoder)
+
+
+def test_mesh_specific_learning_goes_on_after_a_stop(settings, config, encoder, bank_path, tmp_path):
+    """Spring and adversarial loss with a bank of characters; discriminator and turn are part of the state."""
+    how = {"character_bank": bank_path, "characters": 2, "character_frames": 8, "validate_every": 2}
+    train_diffusion(settings(out=tmp_path / "whole", **how), config(), encoder)
+    train_diffusion(settings(steps=2, **how), config(), encoder)
+    path = train_diffusion(settings(**how), config(), encoder)
+    whole, parts = weights(tmp_path / "whole"), weights(tmp_path / "run")
+    for name in ("model", "discriminator"):
+        assert all(torch.equal(value, parts.models[name][key]) for key, value in whole.models[name].items())
+    assert load_denoiser(path).knows_meshes
+    log = (tmp_path / "run" / "log.csv").read_text().splitlines()
+    assert log[0].endswith("spring,adversarial,discriminator,score") and len(log) == 3 and "nan" not in log[-1]
+
+
+def test_an_older_state_goes_on(settings, config, encoder, bank_path, tmp_path):
+    """A state of before the discriminator and the newer fields of the network's config."""
+    from bunraku.nn.checkpoints import save_training_state
+
+    train_diffusion(settings(steps=1), config(), encoder)
+    state = weights(tmp_path / "run")
+    for name in ("architecture", "adaptation_mesh"):
+        state.config["network"].pop(name, None)
+    save_training_state(tmp_path / "run" / "state.safetensors", state)
+    train_diffusion(settings(steps=2, character_bank=bank_path, characters=2), config(), encoder)
+    assert weights(tmp_path / "run").step == 2 and "discriminator" in weights(tmp_path / "run").models
+
+
+def test_curves_for_tensorboard(settings, config, encoder, tmp_path):
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    train_diffusion(settings(steps=4, validate_every=2), config(), encoder)
+    found = events.EventAccumulator(str(tmp_path / "run" / "events")).Reload()
+    assert {"motion", "velocity", "rate", "validation", "steps_per_second"} <= set(found.Tags()["scalars"])
+    assert [event.step for event in found.Scalars("motion")] == [2, 4]
+
+
+def test_without_tensorboard_one_line_says_so(settings, config, encoder, tmp_path, monkeypatch, capsys):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    train_diffusion(settings(steps=1), config(), encoder)
+    assert capsys.readouterr().out.replace("\n", " ").count("no TensorBoard curves") == 1
+    assert not (tmp_path / "run" / "events").exists()
+
+
+def test_several_processes_without_accelerate_are_an_error(settings, config, encoder, monkeypatch):
+    import sys
+
+    from bunraku.errors import MissingExtraError
+
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setitem(sys.modules, "accelerate", None)
+    with pytest.raises(MissingExtraError, match=r"bunraku\[train\]"):
+        train_diffusion(settings(steps=1), config(), encoder)
+
+
+def test_the_checkpoint_says_that_creatures_were_trained(settings, config, encoder, swings):
+    import json
+
+    index = json.loads((swings / "index.json").read_text())
+    index["clips"]["waves_0"] |= {"species": "horse", "action": "walk", "character": "pack/Horse"}
+    (swings / "index.json").write_text(json.dumps(index))
+    assert load_denoiser(train_diffusion(settings(steps=1), config(), encoder)).notes["creatures"] is True
+
+
+def test_the_encoder_is_trained_in_the_same_way(settings, config, encoder):
+    from bunraku.diffusion.mdm_denoiser import EncoderDenoiser
+
+    model = load_denoiser(train_diffusion(settings(steps=1), config(architecture="encoder"), encoder))
+    assert isinstance(model, EncoderDenoiser) and model.config.architecture == "encoder"

@@ -1,0 +1,117 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.diffusion.examples.pack import KIND, read_pack
+from bunraku.diffusion.features import encode, mirror
+from bunraku.diffusion.matching import (
+    RADIUS,
+    RANKER,
+    Extractor,
+    ExtractorConfig,
+    embed_motions,
+    embed_sentences,
+    save_extractor,
+)
+from bunraku.nn.checkpoints import load_checkpoint
+from bunraku.retarget.body_motion import body_handle_motion
+from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING
+from bunraku_lab.synthetic.gestures.play import gesture_motion
+from bunraku_lab.training.example_pack import ExampleSettings, _hovers, _seen, build_examples
+
+
+@pytest.fixture
+def ranker(tmp_path):
+    torch.manual_seed(3)
+    sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "embedding": 8, "text_size": 8, "pooled_size": 8}
+    model = Extractor(ExtractorConfig(**sizes, text_encoder="words")).eval()
+    return save_extractor(tmp_path / "ranker.safetensors", model, kind=RANKER)
+
+
+def watched(folder):
+    """The folder's clips with a caption by time each; one stretch is faulty."""
+    path = folder / "index.json"
+    index = json.loads(path.read_text())
+    for name, entry in index["clips"].items():
+        verb = name.partition("_")[0]
+        entry["stretches"] = [{"start": 0, "stop": 50, "texts": [f"a person {verb} with the left hand", verb]}]
+        entry["licence"] = "CC0"
+    index["clips"]["bows_0"]["stretches"][0]["fault"] = "says something else"
+    path.write_text(json.dumps(index))
+
+
+def test_training_clips_alone_are_packed_with_the_vectors_of_both_sides(swings, ranker, encoder, tmp_path):
+    watched(swings)
+    settings = ExampleSettings(swings, tmp_path / "examples.safetensors", ranker=ranker)
+    pack = build_examples(settings, encoder)
+    stretches = [one for one in pack.examples if "#" not in one.name and not one.made]
+    assert [one.name for one in stretches] == ["kicks_0@0", "nods_0@0", "waves_0@0"]  # no fault, val or test
+    assert {one.frames for one in stretches} == {50}
+    assert stretches[2].texts == ("a person waves with the left hand", "waves")
+
+    from bunraku.diffusion.matching import load_extractor
+
+    model = load_extractor(ranker, kind=RANKER)
+    said = embed_sentences(model, encoder, ["a person waves with the left hand", "a person waves with the right hand"])
+    place = pack.examples.index(stretches[2])
+    row = int(np.flatnonzero(pack.owners == place)[0])
+    np.testing.assert_allclose(pack.texts[0, row], said["a person waves with the left hand"] / RADIUS, atol=1e-6)
+    np.testing.assert_allclose(pack.texts[1, row], said["a person waves with the right hand"] / RADIUS, atol=1e-6)
+    wave = pack.features(place)
+    both = embed_motions(model, [wave, mirror(wave)]) / RADIUS
+    np.testing.assert_allclose(pack.motions[:, place], both, atol=0.05)  # but for what a skeleton cannot do
+    np.testing.assert_allclose(read_pack(settings.out).motions, pack.motions, atol=1e-3)
+
+
+def test_of_each_action_only_the_clearest_are_kept(swings, ranker, encoder, tmp_path):
+    watched(swings)
+    path = swings / "index.json"
+    index = json.loads(path.read_text())
+    for entry in index["clips"].values():
+        entry["split"] = "train"
+    path.write_text(json.dumps(index))
+    pack = build_examples(ExampleSettings(swings, tmp_path / "some.safetensors", 2, 0, ranker=ranker), encoder)
+    names = [one.name for one in pack.examples]
+    assert len([name for name in names if name.startswith("waves")]) == 2
+    own = {
+        name: float(pack.texts[0, pack.owners == place].mean(axis=0) @ pack.motions[0, place])
+        for place, name in enumerate(names)
+    }
+    every = build_examples(ExampleSettings(swings, tmp_path / "all.safetensors", 9, 0, ranker=ranker), encoder)
+    left = [one.name for one in every.examples if one.name.startswith("waves") and one.name not in names]
+    place = [one.name for one in every.examples].index(left[0])
+    dropped = float(every.texts[0, every.owners == place].mean(axis=0) @ every.motions[0, place])
+    assert dropped <= min(value for name, value in own.items() if name.startswith("waves")) + 1e-6
+
+
+def test_gestures_made_by_code_are_packed_with_them(swings, ranker, encoder, tmp_path):
+    watched(swings)
+    path = tmp_path / "examples.safetensors"
+    pack = build_examples(ExampleSettings(swings, path, ranker=ranker), encoder)
+    made = [index for index, one in enumerate(pack.examples) if one.made]
+    assert [pack.examples[index].texts for index in made] == [*(one.texts for one in GESTURES), ()]
+    assert made[-1] in pack.standing
+    clap = made[0]
+    own = pack.texts[:, pack.owners == clap].mean(axis=1)
+    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    np.testing.assert_allclose(pack.motions[:, clap], own, atol=1e-6)  # no ranker has seen it
+    wanted = encode(body_handle_motion(gesture_motion(GESTURES[0])))
+    np.testing.assert_allclose(pack.features(clap)[:, 3:], wanted[:, 3:], atol=0.003)
+    _, config = load_checkpoint(path, KIND)
+    assert config["notes"]["licences"]["Apache-2.0"] == len(GESTURES) + 1
+
+
+def test_who_goes_somewhere_while_the_hands_are_busy_is_no_example_of_going():
+    assert _seen(["walks backwards"], ["a person walks backward slowly", "backs up"])
+    assert not _seen(["walks backwards"], ["someone backs up and makes a chest pass", "back up, chest pass"])
+    assert not _seen(["walks backwards"], ["a person walks forward", "walk"])
+    assert _seen(["raises the left arm"], ["a person raises the left arm high", "raise the left arm"])
+
+
+def test_events_whose_floor_was_found_too_low_are_left_out():
+    standing = encode(body_handle_motion(gesture_motion(STANDING)))
+    assert not _hovers(standing)
+    standing[:60, 3] += 0.08
+    assert _hovers(standing) and not _hovers(standing[40:])

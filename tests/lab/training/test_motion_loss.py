@@ -1,0 +1,28 @@
+import torch
+
+from bunraku_lab.training.losses.motion_loss import motion_losses, step_weights
+
+
+def test_losses_are_the_masked_means_written_out():
+    generator = torch.Generator().manual_seed(0)
+    predicted, clean = torch.randn(2, 9, 4, generator=generator), torch.randn(2, 9, 4, generator=generator)
+    weights = torch.tensor([2.0, 1.0, 0.5, 0.5])
+    position, change = motion_losses(predicted, clean, torch.tensor([9, 5]), weights)
+    for row, length in enumerate((9, 5)):
+        error = (predicted - clean)[row, :length]
+        torch.testing.assert_close(position[row], (error**2 * weights).mean())
+        torch.testing.assert_close(change[row], (error.diff(dim=0) ** 2 * weights).mean())
+
+
+def test_padding_does_not_count():
+    clean = torch.zeros(1, 8, 3)
+    predicted = clean.clone()
+    predicted[:, 5:] = 9
+    assert [float(part) for part in motion_losses(predicted, clean, torch.tensor([5]), torch.ones(3))] == [0, 0]
+
+
+def test_steps_count_by_their_clamped_signal_to_noise_ratio():
+    curve = torch.tensor([0.9, 0.5, 0.1], dtype=torch.float64)  # ratios 9, 1 and 1/9
+    total = 5 + 1 + 1 / 9
+    torch.testing.assert_close(step_weights(curve, 5.0), torch.tensor([15 / total, 3 / total, 1 / (3 * total)]))
+    assert step_weights(curve, 0.0).tolist() == [1, 1, 1]

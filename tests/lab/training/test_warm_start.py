@@ -1,0 +1,78 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
+from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.errors import OptionError
+from bunraku_lab.training.diffusion.warm_start import rescaled, start_from
+
+TINY = DenoiserConfig(
+    width=32, layers=2, heads=2, feedforward=48, frames=24, frames_per_token=4, text_size=8, pooled_size=8
+)
+
+
+def denoiser(config=TINY, seed=0):
+    torch.manual_seed(seed)
+    model = build_denoiser(config).eval()
+    with torch.no_grad():
+        for value in model.parameters():
+            value.add_(0.05 * torch.randn_like(value))
+        model.mean.copy_(torch.randn(config.features))
+        model.std.copy_(torch.rand(config.features) + 0.5)
+    return model
+
+
+def predict(model, values):
+    """Clean motion in plain units, in and out."""
+    yes = torch.ones(len(values), dtype=torch.bool)
+    condition = model.condition(None, None, None, None, ~yes, ~yes)
+    lengths = torch.full((len(values),), values.shape[1])
+    with torch.no_grad():
+        out, _ = model((values - model.mean) / model.std, torch.full((len(values),), 300), lengths, condition)
+    return out * model.std + model.mean
+
+
+def test_other_units_same_motion():
+    old, new = denoiser(), denoiser(seed=1)
+    values = torch.randn(2, 16, TINY.features)
+    expected = predict(old, values)
+    assert not torch.allclose(predict(new, values), expected, atol=0.1)
+    new.load_state_dict(rescaled(old, new.mean, new.std))
+    torch.testing.assert_close(predict(new, values), expected, atol=2e-4, rtol=1e-4)
+
+
+def test_start_from_a_checkpoint(tmp_path):
+    old, new = denoiser(), denoiser(replace(TINY, adaptation_mesh=True), seed=1)
+    path = save_denoiser(tmp_path / "old.safetensors", old, half=False)
+    head = new.adaptation_out.weight.clone()
+    mean = new.mean.clone()
+    start_from(path, new)
+    values = torch.randn(1, 16, TINY.features)
+    torch.testing.assert_close(predict(new, values), predict(old, values), atol=2e-4, rtol=1e-4)
+    assert torch.equal(new.adaptation_out.weight, head) and torch.equal(new.mean, mean)
+
+
+def test_cues_begin_without_effect(tmp_path):
+    """The same sentence gives the same motion, whatever its cues are, until training says otherwise."""
+    old = denoiser()
+    path = save_denoiser(tmp_path / "old.safetensors", old, half=False)
+    name = TINY.text_encoder + "+cues"
+    new = denoiser(replace(TINY, text_encoder=name, pooled_size=8 + 30), seed=1)
+    start_from(path, new)
+    yes = torch.ones(2, dtype=torch.bool)
+    text, pooled = torch.randn(2, 3, 8), torch.randn(2, 8)
+    mask = torch.ones(2, 3, dtype=torch.bool)
+    before = old.condition(text, mask, pooled, None, yes, ~yes)
+    after = new.condition(text, mask, torch.cat([pooled, torch.rand(2, 30)], 1), None, yes, ~yes)
+    for one, other in zip(before, after, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
+    with pytest.raises(OptionError, match="pooled_size differ"):
+        start_from(path, denoiser(replace(TINY, pooled_size=8 + 30)))
+
+
+def test_another_network_is_refused(tmp_path):
+    path = save_denoiser(tmp_path / "old.safetensors", denoiser())
+    with pytest.raises(OptionError, match="whose width differ"):
+        start_from(path, denoiser(replace(TINY, width=48)))
