@@ -22,7 +22,7 @@ LAYERS = (
 LABORATORY = ("description", "synthetic", "baselines", "datasets", "training", "evaluation", "cli", "bunraku_lab")
 """Rooms of the laboratory, which stands on all of the other house."""
 TANGLED = {
-    "bunraku.apparel", "bunraku.cli", "bunraku.diffusion", "bunraku.formats", "bunraku.formats.gltf",
+    "bunraku.apparel", "bunraku.diffusion", "bunraku.formats", "bunraku.formats.gltf",
     "bunraku.language", "bunraku.retarget", "bunraku.studio", "bunraku_lab.evaluation",
     "bunraku_lab.evaluation.motion", "bunraku_lab.synthetic.wardrobe",
 }  # fmt: skip

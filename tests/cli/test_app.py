@@ -10,8 +10,8 @@ import pytest
 import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import _explain, all_verbs
-from bunraku.cli.checks import slug
-from bunraku.cli.report import size_text
+from bunraku.cli.output.checks import slug
+from bunraku.cli.output.report import size_text
 from bunraku.cli.verbs.samples import Samples
 
 

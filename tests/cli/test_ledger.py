@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from bunraku.cli.ledger import LEDGER, begin, check_free, fingerprint, note, note_written, still_to_do
+from bunraku.cli.output.ledger import LEDGER, begin, check_free, fingerprint, note, note_written, still_to_do
 from bunraku.errors import FormatError
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from bunraku.cli import main
 from bunraku.cli.app import _joined
-from bunraku.cli.orientation import said_axes, settle_file
+from bunraku.cli.options.orientation import said_axes, settle_file
 from bunraku.cli.verbs.inspect import describe
 from bunraku.core.character import Character
 from bunraku.errors import WeightsError

@@ -14,7 +14,7 @@ from bunraku import transfer
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.cli import main
-from bunraku.cli.ledger import note, still_to_do
+from bunraku.cli.output.ledger import note, still_to_do
 from bunraku.cli.transfer.jobs import Settings, holds_character, marks_of, pairs_of
 from bunraku.cli.transfer.runs import run_pairs
 from bunraku.core.motion import SkeletalMotion, Skeleton

@@ -12,7 +12,7 @@ import pytest
 import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import all_verbs
-from bunraku.cli.checks import SECONDS
+from bunraku.cli.output.checks import SECONDS
 from bunraku.cli.verbs.inspect import describe
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.samples import sample_names

@@ -53,7 +53,7 @@ VERBS: Verbs = {
         "tell what this installation has, what is missing, and what that costs",
     ),
     ("study", "make"): (
-        "bunraku.cli.study",
+        "bunraku.cli.verbs.study",
         "StudyMake",
         "make a blind study of what methods made of the same sentences",
     ),

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from bunraku.cli.progress import stages
+from bunraku.cli.output.progress import stages
 
 __all__ = [
     "adaptation",

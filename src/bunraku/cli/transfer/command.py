@@ -10,12 +10,12 @@ from typing import Annotated, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_folder, check_input, check_mask, check_range
-from bunraku.cli.ledger import begin, note, still_to_do
-from bunraku.cli.orientation import AxisOption, UnitOption, check_axes
-from bunraku.cli.outputs import PreviewOption, WithoutOption, check_outputs, check_stages, save_all
-from bunraku.cli.progress import stages
-from bunraku.cli.report import wrote
+from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes
+from bunraku.cli.output.checks import check_folder, check_input, check_mask, check_range
+from bunraku.cli.output.ledger import begin, note, still_to_do
+from bunraku.cli.output.outputs import PreviewOption, WithoutOption, check_outputs, check_stages, save_all
+from bunraku.cli.output.progress import stages
+from bunraku.cli.output.report import wrote
 from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, holds_character, marks_of, pairs_of
 from bunraku.cli.transfer.runs import run_pairs
 from bunraku.errors import BunrakuError, FormatError, OptionError

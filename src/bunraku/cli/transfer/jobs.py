@@ -8,8 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bunraku.cli.checks import written_path
-from bunraku.cli.ledger import fingerprint
+from bunraku.cli.output.checks import written_path
+from bunraku.cli.output.ledger import fingerprint
 from bunraku.errors import BunrakuError, FormatError
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def transfer_pair(pair: Pair, settings: Settings) -> str:
 @lru_cache(maxsize=2)
 def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
     """A character standing upright, and its handles where its rig is not moved."""
-    from bunraku.cli.orientation import stand_up
+    from bunraku.cli.options.orientation import stand_up
     from bunraku.core.mmd_model import mmd_model
     from bunraku.io import load_character
     from bunraku.pipelines.animate import rig

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from bunraku.cli.checks import check_folder, check_input, check_mask, check_range, check_sequence, slug
-from bunraku.cli.directing import PathOption, PinOption, parse_path, parse_pin
-from bunraku.cli.ledger import fingerprint
-from bunraku.cli.options import GeneratingOptions
-from bunraku.cli.orientation import stand_up
-from bunraku.cli.outputs import check_outputs, fitting_stages, save_all
-from bunraku.cli.progress import Report, stages
+from bunraku.cli.options.directing import PathOption, PinOption, parse_path, parse_pin
+from bunraku.cli.options.generating import GeneratingOptions
+from bunraku.cli.options.orientation import stand_up
+from bunraku.cli.output.checks import check_folder, check_input, check_mask, check_range, check_sequence, slug
+from bunraku.cli.output.ledger import fingerprint
+from bunraku.cli.output.outputs import check_outputs, fitting_stages, save_all
+from bunraku.cli.output.progress import Report, stages
 from bunraku.cli.verbs.batch import Clip, characters_of, clips_of, clips_to_do, make_clips, read_lines
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.nn.spread import parse_jobs

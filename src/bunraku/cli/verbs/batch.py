@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bunraku.cli.checks import check_folder, check_input, check_sequence, slug
-from bunraku.cli.ledger import begin, note, still_to_do
-from bunraku.cli.progress import Report
-from bunraku.cli.report import wrote
+from bunraku.cli.output.checks import check_folder, check_input, check_sequence, slug
+from bunraku.cli.output.ledger import begin, note, still_to_do
+from bunraku.cli.output.progress import Report
+from bunraku.cli.output.report import wrote
 from bunraku.errors import FormatError, OptionError
 from bunraku.nn.spread import spread
 

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_output
-from bunraku.cli.report import wrote
+from bunraku.cli.output.checks import check_output
+from bunraku.cli.output.report import wrote
 from bunraku.formats.files import atomic_write
 
 __all__ = ["BlenderAddon"]
@@ -31,7 +31,7 @@ class BlenderAddon:
     """Replace a file that is there already and is another one."""
 
     def run(self) -> None:
-        from bunraku.cli.ledger import check_free
+        from bunraku.cli.output.ledger import check_free
 
         check_output(self.output, (".py",), [])
         data = (files("bunraku.studio") / "addon" / "bunraku_addon.py").read_bytes()

@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from bunraku.cli.report import size_text
+from bunraku.cli.output.report import size_text
 
 __all__ = ["Doctor", "Finding"]
 

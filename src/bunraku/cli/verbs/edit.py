@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_input, slug
-from bunraku.cli.directing import PinOption, parse_pin
-from bunraku.cli.options import GeneratingOptions
-from bunraku.cli.orientation import stand_up
-from bunraku.cli.outputs import check_outputs, fitting_stages, save_all
-from bunraku.cli.progress import Report, stages
+from bunraku.cli.options.directing import PinOption, parse_pin
+from bunraku.cli.options.generating import GeneratingOptions
+from bunraku.cli.options.orientation import stand_up
+from bunraku.cli.output.checks import check_input, slug
+from bunraku.cli.output.outputs import check_outputs, fitting_stages, save_all
+from bunraku.cli.output.progress import Report, stages
 from bunraku.errors import OptionError
 from bunraku.language.understood import check_understood
 

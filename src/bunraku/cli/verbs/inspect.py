@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from bunraku.cli.checks import check_input
-from bunraku.cli.orientation import UnitOption
-from bunraku.cli.report import size_text
+from bunraku.cli.options.orientation import UnitOption
+from bunraku.cli.output.checks import check_input
+from bunraku.cli.output.report import size_text
 from bunraku.errors import CharacterError, WeightsError
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ def _count_parts(character: Character) -> tuple[int, int]:
 
 def _orientation(character: Character) -> dict[str, Any]:
     """How the character seems to stand, and what animate and rig make of it."""
-    from bunraku.cli.orientation import settle_file
+    from bunraku.cli.options.orientation import settle_file
 
     try:
         settled, note = settle_file(character)

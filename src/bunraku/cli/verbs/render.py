@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_output, check_range
-from bunraku.cli.ledger import check_free, note_written
-from bunraku.cli.orientation import AxisOption, UnitOption, check_axes, stand_up
-from bunraku.cli.outputs import PREVIEWS
-from bunraku.cli.progress import Report, stages
-from bunraku.cli.report import wrote
+from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes, stand_up
+from bunraku.cli.output.checks import check_input, check_output, check_range
+from bunraku.cli.output.ledger import check_free, note_written
+from bunraku.cli.output.outputs import PREVIEWS
+from bunraku.cli.output.progress import Report, stages
+from bunraku.cli.output.report import wrote
 from bunraku.errors import FormatError, OptionError
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_output, make_folder
-from bunraku.cli.ledger import check_free, note_written
-from bunraku.cli.orientation import AxisOption, UnitOption, check_axes, stand_up
-from bunraku.cli.progress import stages
-from bunraku.cli.report import wrote
+from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes, stand_up
+from bunraku.cli.output.checks import check_input, check_output, make_folder
+from bunraku.cli.output.ledger import check_free, note_written
+from bunraku.cli.output.progress import stages
+from bunraku.cli.output.report import wrote
 
 __all__ = ["Rig"]
 
@@ -74,7 +74,7 @@ class Rig:
             save_character(character, output, handles=handles)
             report("write", 1.0)
             if self.preview is not None:
-                from bunraku.cli.orientation import stands_line
+                from bunraku.cli.options.orientation import stands_line
                 from bunraku.render import save_still
 
                 make_folder(self.preview)

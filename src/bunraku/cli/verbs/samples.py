@@ -9,10 +9,10 @@ from typing import Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_folder
-from bunraku.cli.ledger import check_free
-from bunraku.cli.progress import stages
-from bunraku.cli.report import wrote
+from bunraku.cli.output.checks import check_folder
+from bunraku.cli.output.ledger import check_free
+from bunraku.cli.output.progress import stages
+from bunraku.cli.output.report import wrote
 from bunraku.errors import OptionError
 
 __all__ = ["Samples"]

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_range
+from bunraku.cli.output.checks import check_range
 
 __all__ = ["Studio"]
 

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_output, check_range, check_source
-from bunraku.cli.progress import stages
+from bunraku.cli.output.checks import check_output, check_range, check_source
+from bunraku.cli.output.progress import stages
 
 __all__ = ["Examples"]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from bunraku.cli.checks import check_folder
-from bunraku.cli.progress import stages
+from bunraku.cli.output.checks import check_folder
+from bunraku.cli.output.progress import stages
 from bunraku.errors import OptionError
 from bunraku_lab.cli.data.apparel import process_count
 

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_folder, check_range, check_source
-from bunraku.cli.progress import stages
+from bunraku.cli.output.checks import check_folder, check_range, check_source
+from bunraku.cli.output.progress import stages
 from bunraku.errors import FormatError, OptionError
 
 __all__ = ["Characters", "MeshBank", "Motions"]

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_range, check_source
-from bunraku.cli.progress import stages
-from bunraku.cli.report import measured
+from bunraku.cli.output.checks import check_input, check_range, check_source
+from bunraku.cli.output.progress import stages
+from bunraku.cli.output.report import measured
 
 __all__ = ["Retrieval"]
 

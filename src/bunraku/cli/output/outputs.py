@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_different, check_output, make_folder, written_path
-from bunraku.cli.ledger import check_free, note_written
-from bunraku.cli.progress import Report
-from bunraku.cli.report import wrote
+from bunraku.cli.output.checks import check_different, check_output, make_folder, written_path
+from bunraku.cli.output.ledger import check_free, note_written
+from bunraku.cli.output.progress import Report
+from bunraku.cli.output.report import wrote
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.checks import check_input, check_range
-from bunraku.cli.progress import Report, stages
+from bunraku.cli.output.checks import check_input, check_range
+from bunraku.cli.output.progress import Report, stages
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class StudyMake:
         print(f"wrote {self.output}; show it with: bunraku studio --study {self.output}")
 
     def _make(self, folder: Path, lines: Sequence[Line], report: Report) -> None:
-        from bunraku.cli.orientation import stand_up
+        from bunraku.cli.options.orientation import stand_up
         from bunraku.formats.files import writing
         from bunraku.io import load_character
         from bunraku.pipelines.animate import animate

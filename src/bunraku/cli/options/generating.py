@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from bunraku.cli.checks import check_range
-from bunraku.cli.orientation import AxisOption, UnitOption, check_axes
-from bunraku.cli.outputs import OutputOption, PreviewOption, WithoutOption
+from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes
+from bunraku.cli.output.checks import check_range
+from bunraku.cli.output.outputs import OutputOption, PreviewOption, WithoutOption
 
 __all__ = ["GeneratingOptions"]
 
