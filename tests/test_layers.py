@@ -15,15 +15,15 @@ SOURCES = ROOT / "src"
 
 LAYERS = (
     "interrupt", "startup", "errors", "geometry", "core", "body", "skeletons", "formats", "nn", "language", "handles",
-    "samples", "render", "retarget", "apparel", "physics", "diffusion", "io", "pipelines", "bunraku", "studio", "cli",
-    "__main__",
+    "anatomy", "samples", "render", "retarget", "apparel", "physics", "diffusion", "io", "pipelines", "bunraku",
+    "studio", "cli", "__main__",
 )  # fmt: skip
 """Rooms of what a user runs, from the ground up. "bunraku" is the package's own face."""
 LABORATORY = ("description", "synthetic", "baselines", "datasets", "training", "evaluation", "cli", "bunraku_lab")
 """Rooms of the laboratory, which stands on all of the other house."""
 TANGLED = {
     "bunraku.apparel", "bunraku.diffusion", "bunraku.formats", "bunraku.formats.gltf",
-    "bunraku.language", "bunraku.retarget", "bunraku.studio", "bunraku_lab.evaluation",
+    "bunraku.language", "bunraku.studio", "bunraku_lab.evaluation",
     "bunraku_lab.evaluation.motion", "bunraku_lab.synthetic.wardrobe",
 }  # fmt: skip
 """Rooms whose folders and own files still import each other; the list only shrinks."""

@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from bunraku.errors import WeightsError
-from bunraku.handles.graph import EdgeConv, edge_conv_reference, mesh_graph
+from bunraku.handles.graph import mesh_graph
 from bunraku.handles.predictor import HandlePredictor, PredictorConfig, grow_predictor, load_predictor, save_predictor
+from bunraku.nn.edge_conv import EdgeConv, edge_conv_reference
 
 SMALL = PredictorConfig(levels=(8, 12, 16), hidden=(16, 16), anchors=10)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from bunraku.anatomy.plan import BodyPlan
 from bunraku.body.reference import reference_body
 from bunraku.pipelines.decisions import body_facts, suited, unable
-from bunraku.retarget.creatures.plan import BodyPlan
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.samples import sample_character
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from bunraku.body.residuals import LOOSE_ON_PEOPLE, capped_on_people
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin_reference
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.from_rig import rig_handles
-from bunraku.retarget.batched_fit import LONGEST, bone_positions, capped, fit_locals, move_points, posed_positions
+from bunraku.retarget.batched_fit import bone_positions, fit_locals, move_points, posed_positions
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.samples import sample_character
 
@@ -65,9 +66,11 @@ def test_rows_of_a_batch_do_not_mix(bank, motion):
 
 
 def test_residuals_are_cut():
-    cut = capped(torch.tensor([[0.3, 0.0, 0.4], [0.01, 0.0, 0.0]]))
+    cut = capped_on_people(torch.tensor([[0.3, 0.0, 0.4], [0.01, 0.0, 0.0]]))
     torch.testing.assert_close(cut, torch.tensor([[0.03, 0.0, 0.04], [0.01, 0.0, 0.0]]))
-    assert LONGEST == 0.05 and bool(torch.isfinite(torch.autograd.functional.jacobian(capped, torch.zeros(3))).all())
+    assert LOOSE_ON_PEOPLE == 0.05 and bool(
+        torch.isfinite(torch.autograd.functional.jacobian(capped_on_people, torch.zeros(3))).all()
+    )
 
 
 def test_points_move_as_eq_3_says(bank, motion):

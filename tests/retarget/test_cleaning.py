@@ -7,22 +7,23 @@ import pytest
 from gltf_files import CUBE_FACES
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.joints import find_joints, reference_joints
+from bunraku.anatomy.legs import find_arms, find_legs, foot_points
+from bunraku.anatomy.stance import rest_to_reference
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.geometry.areas import vertex_areas
-from bunraku.retarget.decimate import decimated
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.from_mesh import handle_motion_of_body
-from bunraku.retarget.legs import find_arms, find_legs, foot_points, move_feet
-from bunraku.retarget.stages.attach import find_joints, reference_joints
+from bunraku.retarget.stages.bending import move_feet
 from bunraku.retarget.stages.feet import find_contacts, lock_feet
 from bunraku.retarget.stages.floor import enough
 from bunraku.retarget.stages.ground import settle_hovering
 from bunraku.retarget.stages.smooth import smooth
-from bunraku.retarget.stance import rest_to_reference
 
 LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 
@@ -293,8 +294,8 @@ def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
     assert decimated(character, handles)[0] is character  # few enough
     motion = posed(20, left_hip=-30 + 20 * np.sin(np.linspace(0, 9, 20)), left_knee=40)
     full, joints = fit_motion(motion, character, handles), rest_to_reference(character, handles)[1]
-    monkeypatch.setattr("bunraku.retarget.decimate.MANY", 8000)
-    monkeypatch.setattr("bunraku.retarget.decimate.CELLS", 4000)
+    monkeypatch.setattr("bunraku.anatomy.decimate.MANY", 8000)
+    monkeypatch.setattr("bunraku.anatomy.decimate.CELLS", 4000)
     light, lighter_handles = decimated(character, handles)
     assert len(light.vertices) < 0.7 * len(character.vertices)
     fast, found = fit_motion(motion, character, handles), rest_to_reference(light, lighter_handles)[1]

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 import bunraku
+from bunraku.anatomy.joints import attach_joints
+from bunraku.anatomy.plan import BodyPlan, check_plans, plan_of
 from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
 from bunraku.errors import CharacterError
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y, rotation_between
 from bunraku.pipelines.to_reference import creature_motion
-from bunraku.retarget.creatures.plan import BodyPlan, check_plans, plan_of
 from bunraku.retarget.creatures.stance import find_limbs, find_stance
 from bunraku.retarget.creatures.ways import moved_so
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.attach import attach_joints
 from bunraku.samples import sample_character
 from bunraku.skeletons.bone_names import handle_of_joints
 from bunraku_lab.evaluation.transfer.quadrupeds import captured_animal

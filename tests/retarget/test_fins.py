@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bunraku.anatomy.joints import Joints
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.character import Handles
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.retarget.creatures.fins import ASIDE, drawn_arms, held_fins
-from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.stages.fins import ASIDE, drawn_arms, held_fins
 
 FPS, FRAMES = 20.0, 80
 CHEST, ARM, HAND = (HANDLE_NAMES.index(name) for name in ("spine3", "left_shoulder", "left_elbow"))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.joints import find_joints
 from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
@@ -14,7 +15,6 @@ from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku.retarget.reference import motion_to_reference
-from bunraku.retarget.stages.attach import find_joints
 
 
 def swing(frames=20):

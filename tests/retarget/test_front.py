@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bunraku.anatomy.joints import attach_joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.retarget.creatures.front import SINK, raised_front
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.attach import attach_joints
+from bunraku.retarget.stages.front import SINK, raised_front
 from bunraku.samples import sample_character
 
 FRAMES = 41

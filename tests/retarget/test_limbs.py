@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku.anatomy.limbs import by_limb, limb_views
+from bunraku.anatomy.stance import rest_to_reference
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
@@ -12,8 +14,6 @@ from bunraku.core.skinning import skin
 from bunraku.formats.gltf.handle_channels import handle_names
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.limbs import by_limb, limb_views
-from bunraku.retarget.stance import rest_to_reference
 from bunraku.skeletons.bone_names import handle_of_joints
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}

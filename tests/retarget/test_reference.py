@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.joints import reference_joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
@@ -13,7 +14,6 @@ from bunraku.core.motion import HandleMotion
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.reference import WayBack, motion_to_reference
-from bunraku.retarget.stages.attach import reference_joints
 from bunraku.samples import sample_character
 
 BARE = Stages(feet=False, smooth=False, floor=False)

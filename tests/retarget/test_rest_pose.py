@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.joints import find_joints, refined_joints
+from bunraku.anatomy.stance import rest_to_reference, stance_of
 from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
@@ -11,8 +13,6 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.motion import SkeletalMotion
 from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.stages.attach import find_joints, refined_joints
-from bunraku.retarget.stance import rest_to_reference, stance_of
 from bunraku_lab.evaluation.handles.rest_pose_transfer import code_made_motions
 
 POSES = {

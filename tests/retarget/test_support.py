@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bunraku.anatomy.joints import attach_joints
+from bunraku.anatomy.legs import find_legs, foot_points
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
-from bunraku.retarget.legs import find_legs, foot_points
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.attach import attach_joints
 from bunraku.retarget.stages.support import LONG, keep_support, unsupported
 from bunraku.samples import sample_character
 

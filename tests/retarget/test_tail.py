@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bunraku.anatomy.joints import Joints, attach_joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.animation import Animation
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.retarget.creatures.tail import HIGHEST, lowered_tail, raised_tail
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.attach import Joints, attach_joints
+from bunraku.retarget.stages.tail import HIGHEST, lowered_tail, raised_tail
 from bunraku.samples import sample_character
 
 FPS, FRAMES = 20.0, 60

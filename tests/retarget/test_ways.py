@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bunraku.anatomy.plan import plan_of
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
-from bunraku.retarget.creatures.plan import plan_of
 from bunraku.retarget.creatures.ways import BEATS, HELD, HOVER, TILT, in_air, moved_so, wing_swing
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts

@@ -18,10 +18,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bunraku.body.layout import HANDLE_PARENTS
+from bunraku.body.residuals import capped_on_people
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import ROOT_SIZE
 from bunraku.geometry.rotations import matrix_from_6d
-from bunraku.retarget.batched_fit import capped
 
 __all__ = ["Denoiser", "joint_offsets"]
 
@@ -232,7 +232,7 @@ class Denoiser(nn.Module):
             :, :frames
         ]
         if self.config.adaptation_frame == "joints":
-            said = capped(joint_offsets(said, motion.detach().float() * self.std + self.mean))
+            said = capped_on_people(joint_offsets(said, motion.detach().float() * self.std + self.mean))
         return motion, said
 
     def adaptation_input(self, hidden: Tensor, condition: tuple[Tensor, Tensor, Tensor]) -> Tensor:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.anatomy.limbs import reference_parts
 from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
@@ -18,7 +19,6 @@ from bunraku.core.animation import Animation
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import MotionError
 from bunraku.io.skeletal import write_motion_bvh, write_motion_vrma
-from bunraku.retarget.limbs import reference_parts
 from bunraku.retarget.reference import WayBack
 
 __all__ = ["humanoid_motion", "write_humanoid_bvh", "write_humanoid_vrma"]

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
+from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.joints import find_joints
+from bunraku.anatomy.plan import BodyPlan, plan_of
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.language.clauses import of_creature, subject_of, with_subject
 from bunraku.language.ways import in_air, way_of
 from bunraku.pipelines.decisions import suited
-from bunraku.retarget.creatures.plan import BodyPlan, plan_of
 from bunraku.retarget.creatures.ways import moved_so
-from bunraku.retarget.decimate import decimated
-from bunraku.retarget.stages.attach import find_joints
 
 __all__ = ["Ways", "as_bodies_do", "moved_ways"]
 

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.anatomy.joints import find_joints
+from bunraku.anatomy.limbs import further_limbs
+from bunraku.anatomy.plan import BodyPlan, plan_of
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 from bunraku.handles.limbs import FAMILIES, limb_handles
 from bunraku.language.clauses import split_clauses
 from bunraku.language.concurrent import moved_part
 from bunraku.language.ways import said_otherwise, way_of
-from bunraku.retarget.creatures.plan import BodyPlan, plan_of
-from bunraku.retarget.limbs import further_limbs
-from bunraku.retarget.stages.attach import find_joints
 
 __all__ = ["BodyFacts", "PartFact", "body_facts", "suited", "unable"]
 

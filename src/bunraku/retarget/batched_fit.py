@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from bunraku.body.residuals import capped_on_people
 from bunraku.core.skinning import handle_offsets
 from bunraku.retarget.character_bank import CharacterBank
 
-__all__ = ["LONGEST", "Fitted", "bone_positions", "capped", "fit_locals", "posed_positions", "move_points"]
-
-LONGEST = 0.05  # what is left of a residual in `fit_motion` [m of the reference body]
+__all__ = ["Fitted", "bone_positions", "fit_locals", "posed_positions", "move_points"]
 
 
 @dataclass(frozen=True)
@@ -38,19 +37,13 @@ class Fitted:
     residual: Tensor
 
 
-def capped(residual: Tensor) -> Tensor:
-    """Residuals cut to 5 cm, as `fit_motion` does, shape [..., 3]; differentiable."""
-    length = residual.square().sum(-1, keepdim=True).add(1e-18).sqrt()
-    return residual * (LONGEST / length).clamp(max=1)
-
-
 def _pick(values: Tensor, index: Tensor) -> Tensor:
     """values[b, :, index[b]] for values (B, N, K, ...), shape (B, N, ...)."""
     return values[torch.arange(len(index), device=values.device), :, index]
 
 
 def _attached(rotations: Tensor, bank: CharacterBank, row: Tensor) -> tuple[Tensor, Tensor]:
-    """`bunraku.retarget.stages.attach.attached` for a batch: rotations and translations in which every joint holds."""
+    """`bunraku.anatomy.joints.attached` for a batch: rotations and translations in which every joint holds."""
     rotations = rotations.clone()
     translations = rotations.new_zeros(*rotations.shape[:3], 3)
     h, joints, parents, order, present = (
@@ -103,7 +96,7 @@ def posed_positions(fitted: Fitted, bank: CharacterBank, delta: Tensor | None = 
     total = fitted.residual if delta is None else fitted.residual + delta
     moving = torch.ones(total.shape[2], device=total.device)
     moving[0] = 0
-    total = capped(total) * moving[:, None]
+    total = capped_on_people(total) * moving[:, None]
     extra = total.gather(2, bank.roles[row][:, None, :, None].expand_as(total))
     translations = fitted.stiff + extra * (bank.scale[row][:, None] * bank.present[row])[:, None, :, None]
     return translations, bank.handles[row][:, None] + translations

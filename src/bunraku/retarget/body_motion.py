@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from bunraku.anatomy.ground import lowest
+from bunraku.anatomy.joints import attach_joints, reference_joints
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import leg_length, reference_body
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
-from bunraku.retarget.stages.attach import attach_joints, reference_joints
-from bunraku.retarget.stages.ground import lowest
 
 __all__ = ["body_handle_motion", "stiff"]
 

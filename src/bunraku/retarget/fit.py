@@ -35,30 +35,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.ground import standing, stride_scale
+from bunraku.anatomy.joints import Joints, attach_joints, find_joints, reference_joints, refined_joints
+from bunraku.anatomy.legs import find_arms, find_legs
+from bunraku.anatomy.limbs import by_limb
+from bunraku.anatomy.rest_pose import upright
+from bunraku.anatomy.stance import rest_to_reference, stance_of
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
+from bunraku.body.residuals import capped
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
-from bunraku.retarget.creatures.fins import drawn_arms, held_fins
-from bunraku.retarget.creatures.front import raised_front
-from bunraku.retarget.creatures.gait import stepping
-from bunraku.retarget.creatures.tail import lowered_tail, raised_tail
-from bunraku.retarget.decimate import decimated
-from bunraku.retarget.legs import find_arms, find_legs
-from bunraku.retarget.limbs import by_limb
-from bunraku.retarget.stages.attach import Joints, attach_joints, capped, find_joints, reference_joints, refined_joints
 from bunraku.retarget.stages.feet import lock_feet
+from bunraku.retarget.stages.fins import drawn_arms, held_fins
 from bunraku.retarget.stages.floor import settle_on_floor
-from bunraku.retarget.stages.ground import set_on_ground, settle_hovering, standing, stride_scale
+from bunraku.retarget.stages.front import raised_front
+from bunraku.retarget.stages.gait import stepping
+from bunraku.retarget.stages.ground import set_on_ground, settle_hovering
 from bunraku.retarget.stages.hands import keep_hands
-from bunraku.retarget.stages.rest_pose import upright
 from bunraku.retarget.stages.shape import keep_edges
 from bunraku.retarget.stages.smooth import smooth
 from bunraku.retarget.stages.support import keep_support
-from bunraku.retarget.stance import rest_to_reference, stance_of
+from bunraku.retarget.stages.tail import lowered_tail, raised_tail
 
 __all__ = ["Stages", "fit_motion"]
 

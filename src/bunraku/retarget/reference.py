@@ -7,16 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.ground import standing, stride_scale
+from bunraku.anatomy.joints import Joints, attach_joints, downwards, reference_joints
+from bunraku.anatomy.limbs import reference_parts
+from bunraku.anatomy.stance import rest_to_reference, stance_of
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.body.reference import reference_body
+from bunraku.body.residuals import capped
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.retarget.decimate import decimated
-from bunraku.retarget.limbs import reference_parts
-from bunraku.retarget.stages.attach import Joints, attach_joints, capped, downwards, reference_joints
-from bunraku.retarget.stages.ground import standing, stride_scale
-from bunraku.retarget.stance import rest_to_reference, stance_of
 
 __all__ = ["WayBack", "motion_to_reference"]
 

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.anatomy.joints import PRESENT, Joints, reference_joints
+from bunraku.anatomy.rest_pose import rest_rotations, upright
+from bunraku.anatomy.stance import flat_feet
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
@@ -20,9 +23,6 @@ from bunraku.errors import CharacterError
 from bunraku.formats.gltf.read import Source
 from bunraku.geometry.rotations import rotation_between
 from bunraku.handles.from_rig import rig_handles, settle_joints
-from bunraku.retarget.stages.attach import PRESENT, Joints, reference_joints
-from bunraku.retarget.stages.rest_pose import rest_rotations, upright
-from bunraku.retarget.stance import flat_feet
 from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints, limb_parents
 from bunraku.skeletons.bone_words import part_of_name
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.ground import standing, stride_scale
+from bunraku.anatomy.stance import rest_to_reference, stance_of
 from bunraku.core.character import Character, Handles
-from bunraku.retarget.decimate import decimated
-from bunraku.retarget.stages.ground import standing, stride_scale
-from bunraku.retarget.stance import rest_to_reference, stance_of
 
 __all__ = ["stride_length"]
 

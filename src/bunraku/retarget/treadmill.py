@@ -8,11 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from bunraku.anatomy.joints import reference_joints
+from bunraku.anatomy.legs import Leg, find_legs
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.legs import Leg, find_legs
-from bunraku.retarget.stages.attach import reference_joints
 from bunraku.retarget.stages.feet import find_contacts
 
 __all__ = ["is_treadmill"]

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bunraku.anatomy.ground import lowest
 from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
@@ -29,7 +30,6 @@ from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
-from bunraku.retarget.stages.ground import lowest
 from bunraku_lab.description.describe import inside
 from bunraku_lab.description.wording import computed_sentence
 from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING

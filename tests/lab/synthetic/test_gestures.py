@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from bunraku.anatomy.ground import lowest
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.language.actions import actions_of
 from bunraku.language.understood import understood
 from bunraku.retarget.body_motion import body_handle_motion
-from bunraku.retarget.stages.ground import lowest
 from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING
 from bunraku_lab.synthetic.gestures.flow import foot_on, round_of, through
 from bunraku_lab.synthetic.gestures.play import gesture_motion

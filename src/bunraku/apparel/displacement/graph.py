@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from bunraku.handles.graph import EdgeConv
+from bunraku.nn.edge_conv import EdgeConv
 
 __all__ = ["EdgeBlock", "NodeGraph", "node_graph", "part_pool"]
 
@@ -95,7 +95,7 @@ class EdgeBlock(nn.Module):
     def forward(self, x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
         """Grouped edge convolution: max over neighbours of MLP(H_i, H_j - H_i) [MMDMC 13].
 
-        The linear map runs once a node (`handles.graph.EdgeConv`); neighbours are of the same part, so parts do not
+        The linear map runs once a node (`nn.edge_conv.EdgeConv`); neighbours are of the same part, so parts do not
         hear of one another.
         """
         pooled: torch.Tensor = self.pooled(_largest(x, graph))  # of the parts, which are fewer than the nodes

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from bunraku.anatomy.joints import find_joints
+from bunraku.anatomy.plan import check_plans, plan_of
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.retarget.creatures.motion import CreatureMotion
-from bunraku.retarget.creatures.plan import check_plans, plan_of
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.reference import motion_to_reference
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.attach import find_joints
 from bunraku.retarget.to_rig import fit_rig
 
 __all__ = ["fit_creature", "fit_creature_rig"]

@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bunraku.anatomy.ground import lowest
+from bunraku.anatomy.joints import Joints, attach_joints, downwards, find_joints, reference_joints
+from bunraku.anatomy.plan import BodyPlan, plan_of
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
@@ -14,14 +17,11 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.resample import resample, resample_motion
 from bunraku.errors import MotionError
 from bunraku.geometry.resampling import Resampling
-from bunraku.retarget.creatures.plan import BodyPlan, plan_of
 from bunraku.retarget.creatures.stance import find_limbs, find_stance
 from bunraku.retarget.creatures.sticks import stick_character
 from bunraku.retarget.creatures.ways import BEATS, in_air, wing_swing
 from bunraku.retarget.rig_motion import bones_to_handles
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.attach import Joints, attach_joints, downwards, find_joints, reference_joints
-from bunraku.retarget.stages.ground import lowest
 from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints
 
 __all__ = ["CreatureMotion", "motion_of_handles", "motion_of_rig", "motion_of_skeleton"]

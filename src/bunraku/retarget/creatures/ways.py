@@ -12,6 +12,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from bunraku.anatomy.ground import standing, stride_scale
+from bunraku.anatomy.joints import Joints, attach_joints, find_joints, reference_joints
+from bunraku.anatomy.stance import rest_to_reference, stance_of
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
@@ -20,11 +23,9 @@ from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.creatures.lying import laid
-from bunraku.retarget.creatures.tail import lowered_tail
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.stages.attach import Joints, attach_joints, find_joints, reference_joints
-from bunraku.retarget.stages.ground import FLIES, hovering, standing, stride_scale
-from bunraku.retarget.stance import rest_to_reference, stance_of
+from bunraku.retarget.stages.ground import FLIES, hovering
+from bunraku.retarget.stages.tail import lowered_tail
 
 __all__ = ["HOVER", "in_air", "moved_so", "wing_swing"]
 

@@ -18,11 +18,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
+from bunraku.anatomy.joints import Joints
+from bunraku.anatomy.legs import Leg, foot_points
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
-from bunraku.retarget.legs import Leg, foot_points, move_feet
-from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.stages.bending import move_feet
 
 __all__ = ["Contacts", "add_bending", "find_contacts", "foot_motion", "lock_feet"]
 

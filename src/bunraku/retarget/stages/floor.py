@@ -13,12 +13,13 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.ndimage import convolve1d, maximum_filter1d
 
+from bunraku.anatomy.ground import lowest
+from bunraku.anatomy.joints import Joints
+from bunraku.anatomy.legs import Leg, foot_points
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.legs import Leg, foot_points, move_feet
-from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.stages.bending import move_feet
 from bunraku.retarget.stages.feet import Contacts, add_bending
-from bunraku.retarget.stages.ground import lowest
 
 __all__ = ["enough", "settle_on_floor"]
 

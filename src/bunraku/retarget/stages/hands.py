@@ -14,14 +14,15 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
+from bunraku.anatomy.joints import Joints, attach_joints
+from bunraku.anatomy.legs import Leg
+from bunraku.anatomy.rest_pose import upright
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
-from bunraku.retarget.legs import Leg, move_feet
-from bunraku.retarget.stages.attach import Joints, attach_joints
-from bunraku.retarget.stages.rest_pose import upright
+from bunraku.retarget.stages.bending import move_feet
 
 __all__ = ["keep_hands"]
 

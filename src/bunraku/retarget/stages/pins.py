@@ -13,16 +13,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.joints import Joints
+from bunraku.anatomy.legs import Leg, find_arms, find_legs
+from bunraku.anatomy.stance import rest_to_reference
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import OptionError
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.retarget.decimate import decimated
-from bunraku.retarget.legs import Leg, carry, find_arms, find_legs, local_motion, move_feet
-from bunraku.retarget.stages.attach import Joints
-from bunraku.retarget.stance import rest_to_reference
+from bunraku.retarget.stages.bending import carry, local_motion, move_feet
 
 __all__ = ["PINNED", "LimbEnd", "Pin", "end_places", "limb_ends", "meet_pins"]
 

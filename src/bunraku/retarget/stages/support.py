@@ -10,13 +10,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from bunraku.anatomy.joints import Joints
+from bunraku.anatomy.legs import Leg, foot_points
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.retarget.legs import Leg, foot_points, move_feet
-from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.stages.bending import move_feet
 
 __all__ = ["keep_support", "unsupported"]
 

@@ -10,6 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.ground import standing, stride_scale
+from bunraku.anatomy.joints import Joints, downwards, reference_joints
+from bunraku.anatomy.rest_pose import upright
+from bunraku.anatomy.stance import rest_to_reference, stance_of
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
@@ -19,11 +24,6 @@ from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.graph import unique_edges
 from bunraku.handles.from_rig import settle_joints
 from bunraku.retarget.character_bank import save_character_bank
-from bunraku.retarget.decimate import decimated
-from bunraku.retarget.stages.attach import Joints, downwards, reference_joints
-from bunraku.retarget.stages.ground import standing, stride_scale
-from bunraku.retarget.stages.rest_pose import upright
-from bunraku.retarget.stance import rest_to_reference, stance_of
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
 from bunraku_lab.datasets.characters.build import HELD_OUT, rigged_files
 from bunraku_lab.datasets.characters.known_rigs import facing_turn, known_handles

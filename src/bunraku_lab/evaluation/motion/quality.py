@@ -12,13 +12,13 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from bunraku.anatomy.ground import standing
+from bunraku.anatomy.legs import find_legs
+from bunraku.anatomy.stance import rest_to_reference, stance_of
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points, skin
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.legs import find_legs
-from bunraku.retarget.stages.ground import standing
-from bunraku.retarget.stance import rest_to_reference, stance_of
 
 __all__ = [
     "Gauge",

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.anatomy.legs import find_legs
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
@@ -20,7 +21,6 @@ from bunraku.core.motion import SkeletalMotion, Skeleton, local_rotations
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError
 from bunraku.geometry.rotations import nearest_rotation, rotation_between
-from bunraku.retarget.legs import find_legs
 from bunraku.retarget.rig_parts import RigParts
 from bunraku_lab.datasets.motions.creatures import known_plan
 from bunraku_lab.evaluation.transfer.character import carried_heads, facing_character

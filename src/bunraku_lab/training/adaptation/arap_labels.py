@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from bunraku.body.residuals import LOOSE_ON_PEOPLE, capped_on_people
 from bunraku.core.skinning import handle_offsets
-from bunraku.retarget.batched_fit import LONGEST, Fitted, capped
+from bunraku.retarget.batched_fit import Fitted
 from bunraku.retarget.character_bank import CharacterBank
 
 __all__ = ["EdgeSystem", "arap_labels", "edge_system"]
@@ -40,7 +41,7 @@ class EdgeSystem:
 
     def lengths(self, delta: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Edge vectors (B, N, S, 3) and their lengths over the extent (B, N, S), with an adaptation (B, N, K, 3)."""
-        total = capped(self.residual if delta is None else self.residual + delta)
+        total = capped_on_people(self.residual if delta is None else self.residual + delta)
         edges = self.base + torch.einsum("bsk,bnki->bnsi", self.spread, total)
         return edges, edges.square().sum(-1).add(1e-16).sqrt()
 
@@ -92,7 +93,7 @@ def arap_labels(
     start: Tensor,
     strength: float | Tensor = 3.0,
     steps: int = 3,
-    longest: float = LONGEST,
+    longest: float = LOOSE_ON_PEOPLE,
     calm: float = 0.0,
 ) -> Tensor:
     """The adaptation that keeps edges at their lengths [TapMo 10], shape (B, N, K, 3).

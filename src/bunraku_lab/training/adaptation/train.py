@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from bunraku.body.residuals import capped_on_people
 from bunraku.diffusion.adaptation_head import AdaptationHead, label_distance, whitening
 from bunraku.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
 from bunraku.diffusion.denoiser import Denoiser, joint_offsets
@@ -29,7 +30,7 @@ from bunraku.errors import OptionError
 from bunraku.formats.files import sweep
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
-from bunraku.retarget.batched_fit import capped, fit_locals
+from bunraku.retarget.batched_fit import fit_locals
 from bunraku.retarget.character_bank import CharacterBank, load_character_bank
 from bunraku_lab.training.adaptation.arap_labels import EdgeSystem, arap_labels, edge_system
 from bunraku_lab.training.adaptation.pairs import AdaptationPairs, collect_pairs
@@ -161,7 +162,7 @@ class _Run:
 
         def adaptation() -> Tensor:
             said = self.head(seen)[each, torch.arange(tokens, device=self.device), phase]
-            return capped(joint_offsets(said, features) if self.config.frame == "joints" else said)
+            return capped_on_people(joint_offsets(said, features) if self.config.frame == "joints" else said)
 
         return system, adaptation
 

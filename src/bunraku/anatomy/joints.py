@@ -18,7 +18,6 @@ from bunraku.geometry.rotations import axis_angle_from_matrix
 __all__ = [
     "Joints",
     "attach_joints",
-    "capped",
     "downwards",
     "estimated_reference_joints",
     "find_joints",
@@ -27,7 +26,6 @@ __all__ = [
 ]
 
 PRESENT = 2e-3  # share of the surface under which a handle counts as absent and follows its parent
-LOOSE, LOOSE_ON_PEOPLE = 0.5, 0.05  # how far parts may leave their joints [m of the reference body]
 GROUP = 4000  # vertices of a part looked at to find where it meets another
 HIP_BY_THIGH = (
     0.75  # how far a bent hip follows the thigh instead of the overlap of weights; by archive humanoids made to sit
@@ -203,16 +201,6 @@ def attach_joints(rotations: np.ndarray, handles: Handles, joints: Joints) -> tu
         place = np.einsum("nij,j->ni", rotations[:, parent], joint - h[parent]) + h[parent] + translations[:, parent]
         translations[:, handle] = place - np.einsum("nij,j->ni", rotations[:, handle], joint - h[handle]) - h[handle]
     return rotations, translations
-
-
-def capped(residual: np.ndarray, native: bool) -> np.ndarray:
-    """What local translations hold beyond stiff joints, cut to what parts may leave them by, in the reference's metres
-    (..., 3).
-
-    On people, 5 cm and more are errors of the generator, not motion; soft bodies and loose parts (`native`) go farther.
-    """
-    length = np.linalg.norm(residual, axis=-1, keepdims=True)
-    return np.asarray(residual * np.minimum(1, (LOOSE if native else LOOSE_ON_PEOPLE) / np.maximum(length, 1e-9)))
 
 
 def downwards(parents: Sequence[int] | np.ndarray) -> list[int]:

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from bunraku.anatomy.joints import Joints, downwards
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.retarget.stages.attach import Joints, downwards
 
 __all__ = ["drawn_arms", "held_fins"]
 

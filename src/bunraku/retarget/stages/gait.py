@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku.anatomy.limbs import further_limbs
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
@@ -15,7 +16,6 @@ from bunraku.geometry.rotations import (
     quaternion_slerp,
 )
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.retarget.limbs import further_limbs
 
 __all__ = ["leg_phases", "step_cycle", "stepping"]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from bunraku.anatomy.joints import Joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
@@ -16,8 +17,7 @@ from bunraku.core.skinning import skin
 from bunraku.geometry.extremes import extreme_points
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
-from bunraku.retarget.legs import carry, local_motion
-from bunraku.retarget.stages.attach import Joints
+from bunraku.retarget.stages.bending import carry, local_motion
 from bunraku.retarget.stages.floor import enough
 
 __all__ = ["lowered_tail", "raised_tail"]

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.anatomy.joints import Joints
+from bunraku.anatomy.legs import NEAR, find_legs
+from bunraku.anatomy.limbs import further_limbs
+from bunraku.anatomy.rest_pose import upright
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.retarget.legs import NEAR, find_legs
-from bunraku.retarget.limbs import further_limbs
-from bunraku.retarget.stages.attach import Joints
-from bunraku.retarget.stages.rest_pose import upright
 
 __all__ = ["BodyPlan", "check_plans", "plan_of"]
 

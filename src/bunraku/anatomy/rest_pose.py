@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku.anatomy.joints import Joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
-from bunraku.retarget.stages.attach import Joints
 
 __all__ = ["rest_rotations", "upright"]
 

@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
+from bunraku.anatomy.ground import lowest
+from bunraku.anatomy.joints import Joints, attach_joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.extremes import extreme_points
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
-from bunraku.retarget.stages.attach import Joints, attach_joints
-from bunraku.retarget.stages.ground import lowest
 
 __all__ = ["raised_front"]
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.anatomy.joints import Joints
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.character import Handles
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
-from bunraku.retarget.stages.attach import Joints
 
 __all__ = ["LimbView", "by_limb", "further_limbs", "limb_views", "reference_parts"]
 

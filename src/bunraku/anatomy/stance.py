@@ -6,15 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.body.layout import HANDLE_NAMES
-from bunraku.body.reference import handle_positions, reference_body
-from bunraku.core.character import Character, Handles
-from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import skin
-from bunraku.geometry.areas import vertex_areas
-from bunraku.retarget.decimate import remembered
-from bunraku.retarget.limbs import by_limb
-from bunraku.retarget.stages.attach import (
+from bunraku.anatomy.decimate import remembered
+from bunraku.anatomy.joints import (
     Joints,
     attach_joints,
     estimated_reference_joints,
@@ -22,7 +15,14 @@ from bunraku.retarget.stages.attach import (
     reference_joints,
     refined_joints,
 )
-from bunraku.retarget.stages.rest_pose import rest_rotations
+from bunraku.anatomy.limbs import by_limb
+from bunraku.anatomy.rest_pose import rest_rotations
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
+from bunraku.geometry.areas import vertex_areas
 
 __all__ = ["flat_feet", "stance_of", "rest_to_reference"]
 
