@@ -20,77 +20,11 @@ from torch import Tensor, nn
 from bunraku.body.layout import HANDLE_PARENTS
 from bunraku.body.residuals import capped_on_people
 from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.diffusion.denoiser_layers import EXAMPLE_TOKENS, DecoderLayer, RetrievedExamples, drawn, rotary_positions
 from bunraku.diffusion.features import ROOT_SIZE
 from bunraku.geometry.rotations import matrix_from_6d
 
 __all__ = ["Denoiser", "joint_offsets"]
-
-
-def _rotary(length: int, size: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Cosines and sines of rotary positions (Su et al. 2021), each of shape (length, size / 2)."""
-    rates = 1000.0 ** (-torch.arange(0, size, 2, device=device) / size)
-    angle = torch.arange(length, device=device)[:, None] * rates
-    return angle.cos(), angle.sin()
-
-
-def _turn(value: Tensor, rotary: tuple[Tensor, Tensor]) -> Tensor:
-    first, second = value.chunk(2, dim=-1)
-    cos, sin = (part.to(value.dtype) for part in rotary)
-    return torch.cat([first * cos - second * sin, first * sin + second * cos], dim=-1)
-
-
-def _attend(query: Tensor, key: Tensor, value: Tensor, mask: Tensor | None) -> Tensor:
-    """Attention, shapes (B, H, T, d/H). On a CPU torch's fused backward takes most of a training step (1.7 s against
-    0.6 s for 64 clips with plain products), so training there writes the products out.
-    """
-    if not (torch.is_grad_enabled() and query.device.type == "cpu"):
-        return F.scaled_dot_product_attention(query, key, value, attn_mask=mask)
-    scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
-    if mask is not None:
-        scores = scores.masked_fill(~mask, -1e4)
-    return torch.softmax(scores, dim=-1, dtype=scores.dtype) @ value
-
-
-class _Layer(nn.Module):
-    """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate."""
-
-    def __init__(self, width: int, heads: int, feedforward: int):
-        super().__init__()
-        self.heads = heads
-        self.offset = nn.Parameter(torch.zeros(9, width))
-        self.self_in, self.self_out = nn.Linear(width, 3 * width), nn.Linear(width, width)
-        self.cross_query, self.cross_memory, self.cross_out = (
-            nn.Linear(width, width),
-            nn.Linear(width, 2 * width),
-            nn.Linear(width, width),
-        )
-        self.wide, self.narrow = nn.Linear(width, feedforward), nn.Linear(feedforward, width)
-
-    def _split(self, value: Tensor) -> Tensor:
-        return value.unflatten(-1, (self.heads, -1)).transpose(1, 2)
-
-    def forward(
-        self,
-        x: Tensor,
-        memory: Tensor,
-        steer: Tensor,
-        rotary: tuple[Tensor, Tensor],
-        mask: Tensor | None,
-        memory_mask: Tensor | None,
-    ) -> Tensor:
-        """x (B, T, d), memory (B, M, d), steer (B, 9, d), masks (B, 1, 1, T) and (B, 1, 1, M), True where real."""
-        parts = (steer + self.offset).to(x.dtype).unsqueeze(2).unbind(1)
-
-        def norm(index: int) -> Tensor:
-            return F.layer_norm(x, x.shape[-1:]) * (1 + parts[index]) + parts[index + 1]
-
-        query, key, value = (self._split(part) for part in self.self_in(norm(0)).chunk(3, dim=-1))
-        mixed = _attend(_turn(query, rotary), _turn(key, rotary), value, mask)
-        x = x + parts[2] * self.self_out(mixed.transpose(1, 2).flatten(2))
-        key, value = (self._split(part) for part in self.cross_memory(memory).chunk(2, dim=-1))
-        mixed = _attend(self._split(self.cross_query(norm(3))), key, value, memory_mask)
-        x = x + parts[5] * self.cross_out(mixed.transpose(1, 2).flatten(2))
-        return x + parts[8] * self.narrow(F.gelu(self.wide(norm(6))))
 
 
 def joint_offsets(moves: Tensor, features: Tensor) -> Tensor:
@@ -139,7 +73,10 @@ class Denoiser(nn.Module):
         self.null_mesh = nn.Parameter(drawn(torch.empty(width), 0.02))
         self.step_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.steer = nn.Linear(width, 9 * width)
-        self.layers = nn.ModuleList(_Layer(width, config.heads, config.feedforward) for _ in range(config.layers))
+        # of two neighbouring layers the second looks at retrieved examples
+        self.layers = nn.ModuleList(
+            DecoderLayer(config, examples=config.examples > 0 and index % 2 == 1) for index in range(config.layers)
+        )
         self.final = nn.Linear(width, 2 * width)
         self.motion_out = nn.Linear(width, config.features * patch)
         self.adaptation_out = nn.Linear(width * (2 if config.adaptation_mesh else 1), config.handles * 3 * patch)
@@ -150,12 +87,14 @@ class Denoiser(nn.Module):
                 linear = getattr(layer, name)
                 drawn(linear.weight, 0.02 / math.sqrt(2 * config.layers))
                 nn.init.zeros_(linear.bias)
-        with torch.no_grad():
-            self.steer.weight.mul_(0.1)
-            self.steer.bias.zero_()
-            self.steer.bias.view(9, width)[[2, 5, 8]] = (
-                1  # gates start open: the residual branches themselves start small
-            )
+        _open_gates(self.steer)
+        self.steer_more = nn.Linear(width, 3 * config.added_blocks * width) if config.added_blocks else None
+        if self.steer_more is not None:
+            _open_gates(self.steer_more)
+        if config.examples:
+            self.example_in = nn.Linear(config.features * patch * EXAMPLE_TOKENS, width)
+            self.example_sentence_in = nn.Linear(config.pooled_size, width)
+            self.null_example = nn.Parameter(drawn(torch.empty(width), 0.02))
         for linear in (self.final, self.adaptation_out):
             nn.init.zeros_(linear.weight)
             nn.init.zeros_(linear.bias)
@@ -175,7 +114,8 @@ class Denoiser(nn.Module):
         mesh: Tensor | None,
         keep_text: Tensor,
         keep_mesh: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+        examples: RetrievedExamples | None = None,
+    ) -> tuple[Tensor, ...]:
         """Memory tokens and the pooled vector, which do not depend on the step.
 
         Args:
@@ -185,10 +125,12 @@ class Denoiser(nn.Module):
             mesh: Mesh features f_phi, shape (B, 448); None where no bank of characters is at hand.
             keep_text: False where the sentence is dropped for classifier-free guidance, shape (B,).
             keep_mesh: False where the mesh feature is unknown, shape (B,).
+            examples: Captured examples of the sentences; they are dropped with them. None for none.
 
         Returns:
             Memory (B, 1 + 1 + L, d), its mask (B, 1, 1, 2 + L), pooled (B, d). Token 0 is the mesh, token 1 the learned
-            null sentence, which stands only where the sentence is dropped.
+            null sentence, which stands only where the sentence is dropped. A network that attends to examples adds
+            their keys and values, (B, 1 + M, d), and their mask (B, 1, 1, 1 + M).
         """
         batch, device = len(keep_text), keep_text.device
         null_mesh = self.null_mesh.expand(batch, -1)
@@ -205,15 +147,40 @@ class Denoiser(nn.Module):
             mask.append(text_mask & keep_text[:, None])
             scaled = self.pooled_in(pooled * math.sqrt(self.config.pooled_size))
             sentence = torch.where(keep_text[:, None], scaled.to(sentence.dtype), sentence)
-        return (
+        condition = (
             torch.cat([part.to(memory[-1].dtype) for part in memory], dim=1),
             torch.cat(mask, dim=1)[:, None, None],
             sentence,
         )
+        return condition if not self.config.examples else condition + self._example_tokens(examples, keep_text)
 
-    def forward(
-        self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, Tensor, Tensor]
-    ) -> tuple[Tensor, Tensor]:
+    def _example_tokens(self, examples: RetrievedExamples | None, keep: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Keys, values and mask of the examples' tokens; token 0 is the learned null example, which is always there."""
+        null = self.null_example.expand(len(keep), 1, -1)
+        always = torch.ones(len(keep), 1, dtype=torch.bool, device=keep.device)
+        if examples is None:
+            return null, null, always[:, None, None]
+        size = self.config.frames_per_token * EXAMPLE_TOKENS
+        tokens = -(-examples.values.shape[2] // size)
+        frames = F.pad(examples.values, (0, 0, 0, tokens * size - examples.values.shape[2]))
+        real = torch.arange(tokens * size, device=keep.device) < examples.lengths[..., None]
+        values = self.example_in((frames * real[..., None].to(frames.dtype)).unflatten(2, (tokens, size)).flatten(3))
+        sentence = self.example_sentence_in(examples.pooled * math.sqrt(self.config.pooled_size))
+        keys = values + sentence[:, :, None].to(values.dtype)
+        mask = real.unflatten(2, (tokens, size)).any(-1).flatten(1) & keep[:, None]
+        null = null.to(values.dtype)
+        return (
+            torch.cat([null, keys.flatten(1, 2)], dim=1),
+            torch.cat([null, values.flatten(1, 2)], dim=1),
+            torch.cat([always, mask], dim=1)[:, None, None],
+        )
+
+    def _example_rotary(self, tokens: int, size: int, device: torch.device) -> tuple[Tensor, Tensor]:
+        """Rotary positions of the examples' tokens, each example from its own start; the null example stands there."""
+        own = EXAMPLE_TOKENS * torch.arange((tokens - 1) // self.config.examples, device=device)
+        return rotary_positions(torch.cat([own.new_zeros(1), own.repeat(self.config.examples)])[:tokens], size)
+
+    def forward(self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
         """Clean motion and adaptation [TapMo 2].
 
         Args:
@@ -235,7 +202,7 @@ class Denoiser(nn.Module):
             said = capped_on_people(joint_offsets(said, motion.detach().float() * self.std + self.mean))
         return motion, said
 
-    def adaptation_input(self, hidden: Tensor, condition: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+    def adaptation_input(self, hidden: Tensor, condition: tuple[Tensor, ...]) -> Tensor:
         """What the adaptation's linear layer sees: last hidden states (B, T, d), with the mesh token where the config
         says so.
         """
@@ -243,7 +210,7 @@ class Denoiser(nn.Module):
             return hidden
         return torch.cat([hidden, condition[0][:, :1].to(hidden.dtype).expand(-1, hidden.shape[1], -1)], dim=-1)
 
-    def hidden(self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+    def hidden(self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, ...]) -> Tensor:
         """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as in `forward`."""
         batch, frames, _ = x.shape
         patch = self.config.frames_per_token
@@ -251,23 +218,29 @@ class Denoiser(nn.Module):
         real = torch.arange(tokens * patch, device=x.device) < lengths[:, None]
         x = F.pad(x, (0, 0, 0, tokens * patch - frames)) * real[..., None].to(x.dtype)
         mask = real.view(batch, tokens, patch).any(-1)[:, None, None] if bool((lengths < frames).any()) else None
-        memory, memory_mask, sentence = condition
+        memory, memory_mask, sentence, *found = condition
         half = self.config.width // 2
         rates = torch.exp(-math.log(10_000.0) * torch.arange(half, device=x.device) / half)
         angle = step[:, None].float() * rates
         vector = self.step_in(torch.cat([angle.cos(), angle.sin()], dim=-1)) + sentence
         vector = F.silu(vector)
         steer = self.steer(vector).unflatten(-1, (9, -1))
+        if self.steer_more is not None:
+            steer = torch.cat([steer, self.steer_more(vector).unflatten(-1, (-1, self.config.width))], dim=1)
         h = self.motion_in(x.reshape(batch, tokens, patch * self.config.features))
-        rotary = _rotary(tokens, self.config.width // self.config.heads, x.device)
+        size = self.config.width // self.config.heads
+        rotary = rotary_positions(torch.arange(tokens, device=x.device), size)
+        if found:
+            found += self._example_rotary(found[0].shape[1], size, x.device)
         for layer in self.layers:
-            h = layer(h, memory, steer, rotary, mask, memory_mask)
+            h = layer(h, memory, steer, rotary, mask, memory_mask, tuple(found))
         scale, shift = self.final(vector)[:, None].chunk(2, dim=-1)
         return F.layer_norm(h, h.shape[-1:]) * (1 + scale) + shift
 
 
-def drawn(value: Tensor, deviation: float) -> Tensor:
-    """The tensor, filled with normal noise; one on the meta device stays as it is, since torch takes two seconds to
-    load what would fill it.
-    """
-    return value if value.is_meta else nn.init.normal_(value, std=deviation)
+@torch.no_grad()
+def _open_gates(steer: nn.Linear) -> None:
+    """Scales and shifts start near zero and gates open: the residual branches themselves start small."""
+    steer.weight.mul_(0.1)
+    steer.bias.zero_()
+    steer.bias.view(-1, 3, steer.in_features)[:, 2] = 1

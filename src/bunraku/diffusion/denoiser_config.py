@@ -34,6 +34,8 @@ class DenoiserConfig:
         adaptation_mesh: Whether the adaptation's linear layer sees the mesh token beside the hidden state.
         adaptation_frame: What that layer says: "root", offsets in the root's frame as in the paper; or "joints", how
             far the joint between each handle and its parent should be moved, which gives `joint_offsets`.
+        convolution: Tokens that a convolution beside attention reaches over, odd; 0 for no convolution.
+        examples: Captured examples, retrieved for the sentence, that motion tokens attend to; 0 for none.
     """
 
     width: int = 256
@@ -52,6 +54,13 @@ class DenoiserConfig:
     architecture: str = "decoder"
     adaptation_mesh: bool = False
     adaptation_frame: str = "root"
+    convolution: int = 0
+    examples: int = 0
+
+    @property
+    def added_blocks(self) -> int:
+        """How many blocks with an adaptive norm a layer has beside those of the paper."""
+        return (self.convolution > 0) + (self.examples > 0)
 
 
 PRESETS: dict[str, DenoiserConfig] = {

@@ -17,8 +17,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from bunraku.diffusion.denoiser import Denoiser, drawn
+from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.diffusion.denoiser_layers import RetrievedExamples, drawn
 
 __all__ = ["EncoderDenoiser"]
 
@@ -61,7 +62,7 @@ class EncoderDenoiser(Denoiser):
     """Predicts x0 and the adaptation like `Denoiser`, and is trained and sampled in its place."""
 
     def __init__(self, config: DenoiserConfig):
-        super().__init__(replace(config, layers=0))
+        super().__init__(replace(config, layers=0, convolution=0, examples=0))
         self.config = config
         for unused in ("text_in", "null_text", "steer", "final"):
             delattr(self, unused)
@@ -83,7 +84,8 @@ class EncoderDenoiser(Denoiser):
         mesh: Tensor | None,
         keep_text: Tensor,
         keep_mesh: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+        examples: RetrievedExamples | None = None,
+    ) -> tuple[Tensor, ...]:
         """The one token, as a memory of one, but for the step that `forward` adds.
 
         Args:
@@ -93,6 +95,7 @@ class EncoderDenoiser(Denoiser):
             mesh: Mesh features f_phi, shape (B, 448), or None.
             keep_text: False where the sentence is dropped, shape (B,).
             keep_mesh: False where the mesh feature is unknown, shape (B,).
+            examples: Captured examples, which this network does not look at.
 
         Returns:
             The token (B, 1, d), its mask (B, 1, 1, 1), the sentence's share of it (B, d).
@@ -107,7 +110,7 @@ class EncoderDenoiser(Denoiser):
         mask = torch.ones(batch, 1, 1, 1, dtype=torch.bool, device=keep_text.device)
         return (sentence + shape)[:, None], mask, sentence
 
-    def hidden(self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+    def hidden(self, x: Tensor, step: Tensor, lengths: Tensor, condition: tuple[Tensor, ...]) -> Tensor:
         """The last hidden states, which both heads read, shape (B, T, d); arguments as in `Denoiser.forward`."""
         batch, frames, _ = x.shape
         patch, width = self.config.frames_per_token, self.config.width

@@ -327,11 +327,11 @@ class _Group:
     def _run(self, model: Denoiser, x: Tensor, step: int, lengths: Tensor) -> tuple[Tensor, Tensor]:
         count, twice = len(x), self.twice if step >= GUIDED_FROM else 1
         lengths = lengths.repeat(twice)
-        memory, mask, sentence = (part[: twice * count] for part in self.condition)
+        condition = tuple(part[: twice * count] for part in self.condition)
         seen, steps = x.repeat(twice, 1, 1), torch.full_like(lengths, step)
 
         def run(rows: slice) -> tuple[Tensor, Tensor]:
-            return model(seen[rows], steps[rows], lengths[rows], (memory[rows], mask[rows], sentence[rows]))
+            return model(seen[rows], steps[rows], lengths[rows], tuple(part[rows] for part in condition))
 
         if len(seen) == 1 or x.device.type != "cpu" or torch.is_autocast_enabled("cpu"):
             motion, adaptation = run(slice(None))

@@ -29,17 +29,22 @@ __all__ = ["ClipSet", "MotionBatch", "Row"]
 
 FEWEST_CLIPS, MOST_CLIPS = 20, 150
 """Bounds between which an action is drawn more often the more clips show it."""
+MOST_DRAWN = 20
+"""How many times as often as the mean one clip is drawn at the most, so that the only one of its action is not learned
+by heart.
+"""
 _BLEND = 8
 
 
 class Row(NamedTuple):
-    """A motion (N, D) in network units, its sentence, and the character in the mesh bank that it is of; None for any
-    humanoid.
+    """A motion (N, D) in network units, its sentence, the character in the mesh bank that it is of, None for any
+    humanoid, and the names of the clips that it was made of.
     """
 
     values: np.ndarray
     sentence: str
     mesh: str | None
+    clips: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -51,12 +56,14 @@ class MotionBatch:
         lengths: Real frames, shape (B,).
         sentences: One a row.
         meshes: One a row: the character's name in the mesh bank, None for any humanoid.
+        clips: One a row: the names of the clips that it was made of.
     """
 
     values: np.ndarray
     lengths: np.ndarray
     sentences: list[str]
     meshes: list[str | None]
+    clips: tuple[tuple[str, ...], ...] = ()
 
 
 class ClipSet:
@@ -74,15 +81,17 @@ class ClipSet:
             creature shows, so that a person's words move a creature too.
         events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and told by
             them.
+        balance: Power of the number of an action's clips by which it is drawn.
     """
 
     def __init__(
         self, clips: dict[str, dict[str, Any]], statistics: FeatureStatistics, split: str = "train", frames: int = 196,
         *, creatures: float = 0.25, computed: float = 0.3, borrowed: float = 0.1, events: float = 0.15,
+        balance: float = 0.5,
     ):  # fmt: skip
         self.frames = frames
         self.statistics = statistics
-        self.computed, self.borrowed, self.events = computed, borrowed, events
+        self.computed, self.borrowed, self.events, self.balance = computed, borrowed, events, balance
         self._share = feature_weights()
         self._still = (-statistics.mean[:3] / statistics.std[:3]).astype(np.float32)  # a root at rest, in network units
         self._bucket: tuple[tuple[Any, ...], list[Row], np.ndarray] | None = None
@@ -140,7 +149,7 @@ class ClipSet:
         return weights / weights.sum()
 
     def _by_action(self, seen: np.ndarray) -> np.ndarray:
-        """Weights of these clips: each action counts by the root of its clips, at least `FEWEST_CLIPS`, and shares that
+        """Weights of these clips: each action counts by a power of its clips, at least `FEWEST_CLIPS`, and shares that
         out among them.
         """
         groups: dict[str, float] = {}
@@ -148,11 +157,12 @@ class ClipSet:
             for action in self.clips[index].actions:
                 groups[action] = groups.get(action, 0.0) + self.clips[index].weight
         worth = {
-            action: float(np.sqrt(np.clip(count, FEWEST_CLIPS, MOST_CLIPS))) / max(count, 1.0)
+            action: float(np.clip(count, FEWEST_CLIPS, MOST_CLIPS)) ** self.balance / max(count, 1.0)
             for action, count in groups.items()
         }
         clips = [self.clips[index] for index in np.flatnonzero(seen)]
-        return np.array([clip.weight * np.mean([worth[action] for action in clip.actions]) for clip in clips])
+        weights = np.array([clip.weight * np.mean([worth[action] for action in clip.actions]) for clip in clips])
+        return np.minimum(weights, MOST_DRAWN * weights.mean())
 
     def draw(self, random: np.random.Generator, compose: float = 0.0) -> Row:
         """One motion of at most `frames` frames with its sentence and mesh.
@@ -171,7 +181,7 @@ class ClipSet:
         else:
             row = self._plain(clip, random)
         # the statistics are mirror-symmetric, so mirroring commutes with them
-        return Row(mirror(row.values), mirror_words(row.sentence), row.mesh) if mirrored else row
+        return row._replace(values=mirror(row.values), sentence=mirror_words(row.sentence)) if mirrored else row
 
     def _worded(
         self,
@@ -179,13 +189,14 @@ class ClipSet:
         values: np.ndarray,
         sentence: str,
         labels: list[tuple[str, ...]],
+        names: tuple[str, ...],
         random: np.random.Generator,
     ) -> Row:
         """A row of joined clips, sometimes with what can be computed of it for a sentence."""
         if random.random() < self.computed:
             found = self._true_in(clip, values, None)
             sentence = computed_sentence(found, labels, len(values), random, clip.species) or sentence
-        return Row(values, sentence, clip.character)
+        return Row(values, sentence, clip.character, names)
 
     def _plain(self, clip: TrainingClip, random: np.random.Generator) -> Row:
         """One clip, whole where it is done once, or cut where it goes on, made longer by what its sentence allows."""
@@ -203,6 +214,7 @@ class ClipSet:
                     values[start : start + self.frames],
                     joined_sentence(texts[int(random.integers(len(texts)))]),
                     clip.character,
+                    (clip.name, after.name),
                 )
         target = int(random.integers(40, self.frames + 1)) if random.random() < 0.6 else self.frames
         values, start = clip.values, 0
@@ -225,7 +237,7 @@ class ClipSet:
         if mesh == clip.character and random.random() < (0.4 if clip.watched else 1.0) * self.computed:
             found = self._true_in(clip, values, start if whole else None)
             sentence = computed_sentence(found, [clip.phrases], len(values), random, clip.species) or sentence
-        return Row(values, sentence, mesh)
+        return Row(values, sentence, mesh, (clip.name,))
 
     def _lengthened(self, clip: TrainingClip, target: int, random: np.random.Generator) -> np.ndarray:
         if clip.loop is None and clip.species is None and self.joins is not None:
@@ -252,7 +264,7 @@ class ClipSet:
         if self.joins is not None and random.random() < 0.8:
             target = int(random.integers(stop - start, self.frames + 1))
             values = self.joins.around(values, target, goes(clip), random)
-        return Row(values, sentence, clip.character)
+        return Row(values, sentence, clip.character, (clip.name,))
 
     def event_pool(self) -> EventPool:
         """What is plain to see in the clips' numbers, found once."""
@@ -291,12 +303,12 @@ class ClipSet:
 
     def _compose(
         self, clip: TrainingClip, random: np.random.Generator
-    ) -> tuple[np.ndarray, str, list[tuple[str, ...]]] | None:
+    ) -> tuple[np.ndarray, str, list[tuple[str, ...]], tuple[str, ...]] | None:
         """The clip, then one or two others that go well with its end: "a person walks forward and then waves".
 
         People follow people, and a creature's clips those of the same character.
         """
-        told = [clip.phrases]
+        told, names = [clip.phrases], [clip.name]
         if not told[0]:
             return None
         partners = self._of_character.get(clip.character if clip.species else None, np.zeros(0, int))
@@ -337,11 +349,12 @@ class ClipSet:
             values, last = splice(values, head, i, j, _BLEND), i
             labels.append(other.label)
             told.append(other.phrases)
+            names.append(other.name)
         if len(told) < 2:
             return None
         words = [phrases[int(random.integers(len(phrases)))] for phrases in told]
         sentence = link(words, random, *([creature_subjects(clip.species)] if clip.species else []))
-        return values[: self.frames], sentence, told
+        return values[: self.frames], sentence, told, tuple(names)
 
     def batch(self, seed: int, number: int, size: int, compose: float = 0.0, bucket: int = 4) -> MotionBatch:
         """Batch `number` of the endless series of a seed. `bucket` neighbours share their draws, sorted by length, to
@@ -363,7 +376,7 @@ class ClipSet:
         rows = []
         for index in random.permutation(len(self.clips))[:size]:
             clip = self.clips[index]
-            rows.append(Row(clip.values[: self.frames], clip.sentences()[0], clip.character))
+            rows.append(Row(clip.values[: self.frames], clip.sentences()[0], clip.character, (clip.name,)))
         return pad(rows)
 
     def sentences(self) -> list[str]:
@@ -381,4 +394,6 @@ def pad(rows: list[Row]) -> MotionBatch:
     values = np.zeros((len(rows), int(lengths.max()), rows[0].values.shape[1]), np.float32)
     for place, row in zip(values, rows, strict=True):
         place[: len(row.values)] = row.values
-    return MotionBatch(values, lengths, [row.sentence for row in rows], [row.mesh for row in rows])
+    return MotionBatch(
+        values, lengths, [row.sentence for row in rows], [row.mesh for row in rows], tuple(row.clips for row in rows)
+    )

@@ -30,6 +30,8 @@ class TrainingConfig:
             counts all alike.
         drop_text: Share of rows without their sentence, for classifier-free guidance.
         drop_mesh: Share of rows without their mesh feature.
+        drop_tokens: Share of the text tokens that rows lack; the sentence's vector stays.
+        drop_examples: Share of rows without the examples retrieved for them, where the network attends to examples.
         compose: Share of rows that join two clips, "a person walks and then waves".
         creatures: Share of rows that are creatures' clips, where the data have any.
         computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
@@ -37,6 +39,8 @@ class TrainingConfig:
             creature shows.
         events: Share of people's rows that are something plain to see in the numbers, such as a turn, cut out of a clip
             and told by them.
+        balance: Power of the number of its clips by which an action is drawn: 1 as often as it is captured, 0 all
+            actions alike.
         ema: Decay of the averaged weights.
         mesh_bank: NPZ with `features` (C, 448), f_phi of many characters; None takes those of the bundle, where the
             data are one, else trains with the null mesh only.
@@ -49,6 +53,9 @@ class TrainingConfig:
         adversarial_weight: nu_a of Eq. 9.
         sigma: Of the spring loss (Eq. 7).
         adaptation_mesh: Let the adaptation's linear layer see the mesh token beside the hidden state.
+        convolution: Tokens that a convolution beside attention reaches over, odd; 0 trains without.
+        examples: Captured examples that the network attends to, retrieved among `example_pack`; 0 trains without.
+        example_pack: What `bunraku data examples` wrote; None takes the shipped examples.
         text_folder: Folder with CLIP, in place of the built-in text encoder.
         device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
         threads: CPU threads of torch.
@@ -74,11 +81,14 @@ class TrainingConfig:
     min_snr: float = 0.0
     drop_text: float = 0.1
     drop_mesh: float = 0.2
+    drop_tokens: float = 0.0
+    drop_examples: float = 0.15
     compose: float = 0.12
     creatures: float = 0.25
     computed: float = 0.3
     borrowed: float = 0.1
     events: float = 0.15
+    balance: float = 0.5
     ema: float = 0.999
     mesh_bank: Path | None = None
     cross: float = 0.1
@@ -89,6 +99,9 @@ class TrainingConfig:
     adversarial_weight: float = 0.1
     sigma: float = 0.0
     adaptation_mesh: bool = False
+    convolution: int = 0
+    examples: int = 0
+    example_pack: Path | None = None
     text_folder: Path | None = None
     device: str | None = None
     threads: int = 1

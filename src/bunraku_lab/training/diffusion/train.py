@@ -122,6 +122,7 @@ def train_diffusion(
             "computed": config.computed,
             "borrowed": config.borrowed,
             "events": config.events,
+            "balance": config.balance,
         }
         train, val = (ClipSet(clips, statistics, split, frames, **mixture) for split in ("train", "val"))
         del clips, training
@@ -141,7 +142,13 @@ def train_diffusion(
             "text_size": encoder.token_size,
             "pooled_size": encoder.pooled_size,
         }
-        network = replace(PRESETS[config.preset], **sizes, adaptation_mesh=config.adaptation_mesh)
+        network = replace(
+            PRESETS[config.preset],
+            **sizes,
+            adaptation_mesh=config.adaptation_mesh,
+            convolution=config.convolution,
+            examples=config.examples,
+        )
     mesh_bank = config.mesh_bank
     if mesh_bank is None and config.data.is_file() and read_bundle(config.data).meshes is not None:
         mesh_bank = config.data

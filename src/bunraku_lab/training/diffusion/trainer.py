@@ -111,6 +111,10 @@ class Trainer:
         step = torch.randint(TRAINING_STEPS, (size,), generator=random)
         drop_text = torch.rand(size, generator=random) < (self.config.drop_text if train else -1)
         drop_mesh = torch.rand(size, generator=random) < (self.config.drop_mesh if train else 2)
+        if train and self.config.drop_tokens:
+            text = replace(
+                text, mask=text.mask & (torch.rand(text.mask.shape, generator=random) >= self.config.drop_tokens)
+            )
         mesh, draw, meshes = None, None, batch.meshes
         choice, cross = np.random.default_rng([*seed, 11]), self.config.cross if train else 0.0
         if self.mesh_bank is not None:

@@ -16,8 +16,10 @@ from bunraku.language.encoders import CuedEncoder
 __all__ = ["rescaled", "start_from"]
 
 _HEAD = "adaptation_out."
-_FREE = {"adaptation_mesh", "adaptation_frame"}
-"""What may differ: the adaptation's layer is small and is trained anew."""
+_FREE = {"adaptation_mesh", "adaptation_frame", "convolution", "examples"}
+"""What may differ: the adaptation's layer is small and is trained anew, and blocks that are added begin without
+effect.
+"""
 _TEXT = {"text_encoder", "pooled_size"}
 """What may differ where the new encoder is the old one with cues: they begin without effect."""
 
