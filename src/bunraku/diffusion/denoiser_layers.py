@@ -90,12 +90,12 @@ def _without_effect(linear: nn.Linear) -> nn.Linear:
 
 
 class _Convolution(nn.Module):
-    """A depthwise convolution over time, then a small feed-forward block over channels."""
+    """A depthwise convolution over time, then a linear layer over channels."""
 
     def __init__(self, width: int, reach: int):
         super().__init__()
         self.kernel = nn.Parameter(drawn(torch.empty(reach, width), reach**-0.5))
-        self.inside, self.outside = nn.Linear(width, width), _without_effect(nn.Linear(width, width))
+        self.outside = _without_effect(nn.Linear(width, width))
 
     def forward(self, x: Tensor, mask: Tensor | None) -> Tensor:
         """x (B, T, d), mask (B, 1, 1, T), True where real; what lies behind the end counts as zero, as what lies before
@@ -109,7 +109,7 @@ class _Convolution(nn.Module):
         mixed = padded[:, :tokens] * self.kernel[0].to(x.dtype)
         for shift in range(1, reach):
             mixed = mixed + padded[:, shift : shift + tokens] * self.kernel[shift].to(x.dtype)
-        out: Tensor = self.outside(F.gelu(self.inside(mixed)))
+        out: Tensor = self.outside(F.silu(mixed))
         return out
 
 

@@ -58,7 +58,7 @@ def test_batches_are_padded_with_zeros_and_finite(clips):
 def test_a_mirrored_motion_gets_the_mirrored_words(clips):
     found, random, sides = clips(), np.random.default_rng(0), set()
     for _ in range(60):
-        values, sentence, mesh = found.draw(random)
+        values, sentence, mesh, _clips = found.draw(random)
         assert mesh is None
         if "hand" in sentence:
             left, right = (activity(values, found.statistics, f"{side}_elbow") for side in ("left", "right"))
@@ -139,7 +139,7 @@ def test_rows_carry_the_mesh_and_the_words_of_their_creature(zoo):
     horses |= {f"a horse does {action}" for action in ("gallop", "walk", "eat")}
     meshes = set()
     for _ in range(150):
-        _values, sentence, mesh = found.draw(random)
+        _values, sentence, mesh, _clips = found.draw(random)
         meshes.add(mesh)
         if mesh is None:
             assert not any(word in sentence for word in ("horse", "pony", "crow", "creature"))
@@ -209,7 +209,7 @@ def test_computed_words_are_true_of_the_row_and_of_its_mirror_image():
     )
     told = {None: 0, "animals/Bull": 0}
     for _ in range(120):
-        values, sentence, mesh = clips.draw(random)
+        values, sentence, mesh, _clips = clips.draw(random)
         rate = statistics.restore(values)[:, 0]
         sides = {side for side, sign in (("left", 1), ("right", -1)) if (sign * rate).max() > 1}
         if "left" in sentence or "right" in sentence:
@@ -287,3 +287,29 @@ def test_sitting_down_is_not_done_again_whatever_the_longest_caption_says(featur
     texts = ["a person bends the knees and lowers onto a chair", "sit down"]
     assert TrainingClip.prepare("sit", {"features": wave, "texts": texts, "watched": True}, units, 196).loop is None
     assert TrainingClip.prepare("wave", {"features": wave, "texts": ["waves"], "watched": True}, units, 196).loop
+
+
+def test_rare_actions_are_drawn_as_often_as_common_ones():
+    """Forty clips of walking and four of kneeling: with a balance of 0 each action has half of the draws, and no clip
+    more of them than is allowed.
+    """
+    rest = np.random.default_rng(0).normal(size=(60, 271)).astype(np.float32)
+    entry = {"features": rest, "split": "train", "watched": True}
+    found = {f"walk_{index}": entry | {"texts": ["a person walks forward"]} for index in range(40)}
+    found |= {f"kneel_{index}": entry | {"texts": ["a person kneels"]} for index in range(4)}
+    statistics = FeatureStatistics.measure([rest])
+    shares = {}
+    for balance in (0.0, 0.5, 1.0):
+        clips = ClipSet(found, statistics, balance=balance)
+        shares[balance] = clips.probability[[clip.name.startswith("kneel") for clip in clips.clips]].sum()
+    assert shares[0.0] == pytest.approx(0.5) and shares[0.0] > shares[0.5] > shares[1.0]
+    many = found | {f"walk_{index}": found["walk_0"] for index in range(40, 400)}
+    many = {name: one for name, one in many.items() if name not in ("kneel_1", "kneel_2", "kneel_3")}
+    clips = ClipSet(many, statistics, balance=0.0, most_drawn=20)
+    assert clips.probability.max() == pytest.approx(20 / (400 + 20))
+
+
+def test_rows_name_their_clips(clips):
+    names = {clip.name for clip in clips().clips}
+    batch = clips().batch(0, 0, 16, compose=0.5)
+    assert len(batch.clips) == 16 and all(own and set(own) <= names for own in batch.clips)

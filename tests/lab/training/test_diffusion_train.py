@@ -58,6 +58,31 @@ def test_mesh_features_are_trained_when_a_bank_is_given(settings, config, encode
         train_diffusion(settings(mesh_bank=bank), config(), encoder)
 
 
+def test_text_tokens_are_dropped_in_training_alone(settings, config, encoder, swings):
+    """Of all tokens about as many as asked for; sentence vectors stay, and noise and steps are those without it."""
+    from bunraku.diffusion.features import FeatureStatistics
+    from bunraku_lab.training.diffusion.clip_data import load_clips
+    from bunraku_lab.training.diffusion.clip_rows import ClipSet
+
+    found = load_clips(swings)
+    statistics = FeatureStatistics.measure([entry["features"] for entry in found.values()])
+    batch = ClipSet(found, statistics, frames=60).batch(0, 0, 64)
+    text = encoder.encode(batch.sentences)
+    plain, dropping = (Trainer(settings(drop_tokens=share), config(), statistics) for share in (0.0, 0.3))
+    whole, less = (trainer.example(batch, text, [0, 1]) for trainer in (plain, dropping))
+    assert torch.equal(whole.text.mask, text.mask) and torch.equal(whole.text.pooled, less.text.pooled)
+    assert torch.equal(whole.noise, less.noise) and torch.equal(whole.keep_text, less.keep_text)
+    assert not (less.text.mask & ~text.mask).any()
+    assert 0.6 < float(less.text.mask.sum() / text.mask.sum()) < 0.8
+    assert torch.equal(dropping.example(batch, text, [0, 1], train=False).text.mask, text.mask)
+
+
+def test_a_run_with_a_convolution_keeps_it(settings, config, encoder):
+    path = train_diffusion(settings(steps=2, batch=2), config(convolution=3), encoder)
+    model = load_denoiser(path)
+    assert model.config.convolution == 3 and model.layers[0].convolution.outside.weight.abs().max() > 0
+
+
 def test_training_learns(settings, config, encoder):
     """The motion loss of the four motions falls well below that of the mean pose, which is about their variance."""
     import csv

@@ -76,3 +76,15 @@ def test_another_network_is_refused(tmp_path):
     path = save_denoiser(tmp_path / "old.safetensors", denoiser())
     with pytest.raises(OptionError, match="whose width differ"):
         start_from(path, denoiser(replace(TINY, width=48)))
+
+
+def test_added_blocks_start_without_effect(tmp_path):
+    """A network with a convolution and with examples begins as the one that it starts from."""
+    old, new = denoiser(), build_denoiser(replace(TINY, convolution=3, examples=2)).eval()
+    new.mean.copy_(old.mean)
+    new.std.copy_(old.std)
+    start_from(save_denoiser(tmp_path / "old.safetensors", old, half=False), new)
+    new.adaptation_out.load_state_dict(old.adaptation_out.state_dict())
+    values = torch.randn(2, 16, TINY.features)
+    torch.testing.assert_close(predict(new, values), predict(old, values), atol=1e-6, rtol=1e-5)
+    assert new.example_in.weight.shape == (32, 2 * 4 * TINY.features)

@@ -68,7 +68,7 @@ class Example:
         return self.name.startswith(MADE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExamplePack:
     """Examples with their vectors, each as it is and in the mirror.
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
+from bunraku.diffusion.denoiser_layers import RetrievedExamples
 from bunraku.diffusion.sampling.schedule import sampling_steps
 from bunraku.diffusion.sampling.solvers import ancestral, dpm_solver
 from bunraku.language.encoders import TextBatch
@@ -223,9 +224,14 @@ def sample_windows(
     text, noise = text.to(device), noise.to(device)
     order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
     led_whole = [guide is not None and bool((guide[1][window.frames.cpu()] >= 1).all()) for window in order]
+    examples = None
+    if config.examples:
+        from bunraku.diffusion.examples.attended import example_bank
+
+        examples = example_bank(model)(text).to(device)
     with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
         groups = [
-            _Group(model, text, some[start : start + GROUP], mesh_features, guidance, rescale, led)
+            _Group(model, text, some[start : start + GROUP], mesh_features, examples, guidance, rescale, led)
             for led in (False, True)
             for some in [[window for window, own in zip(order, led_whole, strict=True) if own == led]]
             for start in range(0, len(some), GROUP)
@@ -283,6 +289,7 @@ class _Group:
         text: TextBatch,
         windows: Sequence[Window],
         mesh_features: Tensor | None,
+        examples: RetrievedExamples | None,
         guidance: float,
         rescale: float,
         led: bool,
@@ -307,8 +314,9 @@ class _Group:
         mesh = None if mesh_features is None else mesh_features.to(device).float()[rows].repeat(self.twice, 1)
         keep_text = torch.arange(self.twice * count, device=device) < count
         self.condition = model.condition(
-            tokens, mask, pooled, mesh, keep_text, torch.full_like(keep_text, mesh is not None)
-        )
+            tokens, mask, pooled, mesh, keep_text, torch.full_like(keep_text, mesh is not None),
+            None if examples is None else examples.rows(rows.repeat(self.twice)),
+        )  # fmt: skip
 
     def predict(self, model: Denoiser, x: Tensor, step: int, final: bool) -> tuple[Tensor, Tensor]:
         """x0 (G, L, D) and adaptation (G, L, K, 3) of each window, from x_t on the time line (F, D)."""

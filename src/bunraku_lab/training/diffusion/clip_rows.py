@@ -29,10 +29,6 @@ __all__ = ["ClipSet", "MotionBatch", "Row"]
 
 FEWEST_CLIPS, MOST_CLIPS = 20, 150
 """Bounds between which an action is drawn more often the more clips show it."""
-MOST_DRAWN = 20
-"""How many times as often as the mean one clip is drawn at the most, so that the only one of its action is not learned
-by heart.
-"""
 _BLEND = 8
 
 
@@ -82,16 +78,18 @@ class ClipSet:
         events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and told by
             them.
         balance: Power of the number of an action's clips by which it is drawn.
+        most_drawn: How many times as often as the median clip one is drawn at the most.
     """
 
     def __init__(
         self, clips: dict[str, dict[str, Any]], statistics: FeatureStatistics, split: str = "train", frames: int = 196,
         *, creatures: float = 0.25, computed: float = 0.3, borrowed: float = 0.1, events: float = 0.15,
-        balance: float = 0.5,
+        balance: float = 0.5, most_drawn: float = np.inf,
     ):  # fmt: skip
         self.frames = frames
         self.statistics = statistics
-        self.computed, self.borrowed, self.events, self.balance = computed, borrowed, events, balance
+        self.computed, self.borrowed, self.events = computed, borrowed, events
+        self.balance, self.most_drawn = balance, most_drawn
         self._share = feature_weights()
         self._still = (-statistics.mean[:3] / statistics.std[:3]).astype(np.float32)  # a root at rest, in network units
         self._bucket: tuple[tuple[Any, ...], list[Row], np.ndarray] | None = None
@@ -162,7 +160,7 @@ class ClipSet:
         }
         clips = [self.clips[index] for index in np.flatnonzero(seen)]
         weights = np.array([clip.weight * np.mean([worth[action] for action in clip.actions]) for clip in clips])
-        return np.minimum(weights, MOST_DRAWN * weights.mean())
+        return np.minimum(weights, self.most_drawn * float(np.median(weights)))
 
     def draw(self, random: np.random.Generator, compose: float = 0.0) -> Row:
         """One motion of at most `frames` frames with its sentence and mesh.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,6 +42,8 @@ class TrainingConfig:
             and told by them.
         balance: Power of the number of its clips by which an action is drawn: 1 as often as it is captured, 0 all
             actions alike.
+        most_drawn: How many times as often as the median clip one is drawn at the most, so that the only one of its
+            action is not learned by heart.
         ema: Decay of the averaged weights.
         mesh_bank: NPZ with `features` (C, 448), f_phi of many characters; None takes those of the bundle, where the
             data are one, else trains with the null mesh only.
@@ -89,6 +92,7 @@ class TrainingConfig:
     borrowed: float = 0.1
     events: float = 0.15
     balance: float = 0.5
+    most_drawn: float = math.inf
     ema: float = 0.999
     mesh_bank: Path | None = None
     cross: float = 0.1

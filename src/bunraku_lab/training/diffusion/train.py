@@ -11,7 +11,7 @@ import math
 import queue
 import threading
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +19,18 @@ import numpy as np
 import torch
 
 from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
+from bunraku.diffusion.denoiser_layers import RetrievedExamples
+from bunraku.diffusion.examples.attended import ExampleBank, example_bank, take_of
+from bunraku.diffusion.examples.pack import read_pack
 from bunraku.diffusion.features import FeatureStatistics
 from bunraku.errors import OptionError
 from bunraku.formats.files import sweep
-from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
+from bunraku.language.encoders import MiniLMEncoder, TextBatch, TextEncoder, text_encoder
 from bunraku.nn.checkpoints import load_training_state
 from bunraku.retarget.character_bank import load_character_bank
 from bunraku_lab.datasets.motions.bundle import read_bundle
 from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.diffusion.clip_rows import ClipSet, MotionBatch
 from bunraku_lab.training.diffusion.mesh_bank import load_mesh_bank
 from bunraku_lab.training.diffusion.text_bank import TextBank
 from bunraku_lab.training.diffusion.trainer import Example, Trainer, TrainingConfig
@@ -47,8 +50,22 @@ def _statistics(path: Path) -> FeatureStatistics | None:
     return FeatureStatistics(model["mean"].numpy(), model["std"].numpy())
 
 
+@dataclass(frozen=True)
+class _Sources:
+    """What rows get beside their motions: sentences encoded, and examples where the network attends to them."""
+
+    text: TextBank
+    examples: ExampleBank | None = None
+
+    def __call__(self, batch: MotionBatch) -> tuple[TextBatch, RetrievedExamples | None]:
+        text = self.text(batch.sentences)
+        if self.examples is None:
+            return text, None
+        return text, self.examples(text, [{take_of(name) for name in own} for own in batch.clips])
+
+
 def _prefetch(
-    clips: ClipSet, bank: TextBank, config: TrainingConfig, processes: Processes, first: int, stop: threading.Event
+    clips: ClipSet, sources: _Sources, config: TrainingConfig, processes: Processes, first: int, stop: threading.Event
 ) -> queue.Queue[Any]:
     """Batches from step `first` on, made ahead by a thread. Of P processes, number i takes batch P * step + i."""
     ready: queue.Queue[Any] = queue.Queue(maxsize=3)
@@ -58,7 +75,7 @@ def _prefetch(
         try:
             while not stop.is_set():
                 batch = clips.batch(config.seed, number, config.batch, config.compose)
-                item = (number, batch, bank(batch.sentences))
+                item = (number, batch, *sources(batch))
                 while not stop.is_set():
                     try:
                         ready.put(item, timeout=0.2)
@@ -123,6 +140,7 @@ def train_diffusion(
             "borrowed": config.borrowed,
             "events": config.events,
             "balance": config.balance,
+            "most_drawn": config.most_drawn,
         }
         train, val = (ClipSet(clips, statistics, split, frames, **mixture) for split in ("train", "val"))
         del clips, training
@@ -166,7 +184,11 @@ def train_diffusion(
     elif config.start is not None:
         start_from(config.start, trainer.model)
         trainer.average.load_state_dict(trainer.model.state_dict())
-    examples = _validation(trainer, val, bank) if processes.main else []
+    sources = _Sources(bank)
+    if network.examples:
+        pack = None if config.example_pack is None else read_pack(config.example_pack)
+        sources = _Sources(bank, example_bank(trainer.model, pack, encoder))
+    examples = _validation(trainer, val, sources) if processes.main else []
     console.print(
         f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "
         f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, "
@@ -174,35 +196,41 @@ def train_diffusion(
     )
     torch.set_flush_denormal(True)  # tiny moments of the optimiser cost ten times their worth
     try:
-        _loop(trainer, network, train, bank, examples, console)
+        _loop(trainer, network, train, sources, examples, console)
     finally:
         torch.set_flush_denormal(False)
     processes.close()
     return config.out / "diffusion.safetensors"
 
 
-def _validation(trainer: Trainer, clips: ClipSet, bank: TextBank) -> list[Example]:
+def _validation(trainer: Trainer, clips: ClipSet, sources: _Sources) -> list[Example]:
     """Fixed crops with fixed noise at fixed steps."""
     if len(clips.clips) < 2:
         return []
     examples = []
     for part in range(2):
         batch = clips.fixed(64, seed=part)
-        example = trainer.example(batch, bank(batch.sentences), [1, part], train=False)
+        text, found = sources(batch)
+        example = trainer.example(batch, text, [1, part], train=False, examples=found)
         example.step = torch.linspace(100, 950, len(batch.lengths)).long().to(trainer.device)
         examples.append(example)
     return examples
 
 
 def _loop(
-    trainer: Trainer, network: DenoiserConfig, clips: ClipSet, bank: TextBank, examples: list[Example], console: Any
+    trainer: Trainer,
+    network: DenoiserConfig,
+    clips: ClipSet,
+    sources: _Sources,
+    examples: list[Example],
+    console: Any,
 ) -> None:
     config, main, stop, ended = trainer.config, trainer.processes.main, Stop(), threading.Event()
     log = config.out / "log.csv"
     if main and not log.is_file():
         log.write_text(",".join(_COLUMNS) + "\n", encoding="utf-8")
     events = EventLog(config.out / "events" if main else None, console.print)
-    ready = _prefetch(clips, bank, config, trainer.processes, trainer.step, ended)
+    ready = _prefetch(clips, sources, config, trainer.processes, trainer.step, ended)
     saved = last = time.monotonic()
     begun, first = last, trainer.step
     told: dict[str, list[float]] = {}
@@ -213,9 +241,11 @@ def _loop(
                 item = ready.get()
                 if isinstance(item, Exception):
                     raise item
-                number, batch, text = item
+                number, batch, text, found = item
                 trainer.asked = stop.asked
-                for name, value in trainer.update(trainer.example(batch, text, [config.seed, number])).items():
+                for name, value in trainer.update(
+                    trainer.example(batch, text, [config.seed, number], examples=found)
+                ).items():
                     told.setdefault(name, []).append(value)
                 now = time.monotonic()
                 trainer.seconds += now - last

@@ -13,6 +13,7 @@ from torch import Tensor
 from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.diffusion.denoiser_layers import RetrievedExamples
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
 from bunraku.diffusion.sampling.schedule import TRAINING_STEPS, add_noise, alphas_cumprod
 from bunraku.errors import OptionError
@@ -46,6 +47,7 @@ class Example:
     keep_mesh: Tensor
     of_body: Tensor
     draw: MeshDraw | None = None
+    examples: RetrievedExamples | None = None
 
 
 class Trainer:
@@ -102,7 +104,14 @@ class Trainer:
         self.asked = False  # this process was asked to stop
         self.stopped = False  # some process was, before the last step
 
-    def example(self, batch: MotionBatch, text: TextBatch, seed: list[int], train: bool = True) -> Example:
+    def example(
+        self,
+        batch: MotionBatch,
+        text: TextBatch,
+        seed: list[int],
+        train: bool = True,
+        examples: RetrievedExamples | None = None,
+    ) -> Example:
         """Noise, steps, characters and dropped conditions for a batch: a pure function of the seed."""
         random = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> 1))
         size = len(batch.lengths)
@@ -115,6 +124,9 @@ class Trainer:
             text = replace(
                 text, mask=text.mask & (torch.rand(text.mask.shape, generator=random) >= self.config.drop_tokens)
             )
+        if train and examples is not None:
+            shown = torch.rand(size, generator=random) >= self.config.drop_examples
+            examples = replace(examples, lengths=examples.lengths * shown[:, None])
         mesh, draw, meshes = None, None, batch.meshes
         choice, cross = np.random.default_rng([*seed, 11]), self.config.cross if train else 0.0
         if self.mesh_bank is not None:
@@ -134,6 +146,7 @@ class Trainer:
             text.to(self.device), None if mesh is None else mesh.to(self.device), ~drop_text.to(self.device),
             ~drop_mesh.to(self.device),
             torch.tensor([mesh is None for mesh in batch.meshes], device=self.device), draw,
+            None if examples is None else examples.to(self.device),
         )  # fmt: skip
 
     def predict(self, model: Denoiser, example: Example) -> tuple[Tensor, Tensor]:
@@ -142,8 +155,9 @@ class Trainer:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.bf16):
             text = example.text
             condition = model.condition(
-                text.tokens, text.mask, text.pooled, example.mesh, example.keep_text, example.keep_mesh
-            )
+                text.tokens, text.mask, text.pooled, example.mesh, example.keep_text, example.keep_mesh,
+                example.examples,
+            )  # fmt: skip
             predicted, adaptation = model(noisy, example.step, example.lengths, condition)
         return predicted, adaptation
 
@@ -232,7 +246,10 @@ class Trainer:
             right += float(self.losses(self.average, example)[0].sum())
             text = example.text
             turned = TextBatch(text.tokens.roll(1, 0), text.mask.roll(1, 0), text.pooled.roll(1, 0))
-            wrong += float(self.losses(self.average, replace(example, text=turned))[0].sum())
+            found = example.examples
+            if found is not None:  # they are retrieved by the sentence
+                found = found.rows(torch.arange(len(found.lengths), device=self.device).roll(1))
+            wrong += float(self.losses(self.average, replace(example, text=turned, examples=found))[0].sum())
             rows += len(example.lengths)
         return right / max(rows, 1), wrong / max(rows, 1)
 

@@ -10,6 +10,7 @@ import torch
 from bunraku.diffusion.checkpoint import load_denoiser
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
+from bunraku.diffusion.denoiser_layers import EXAMPLE_TOKENS
 from bunraku.errors import OptionError
 from bunraku.language.encoders import CuedEncoder
 
@@ -84,5 +85,8 @@ def start_from(path: str | Path, model: Denoiser) -> None:
     state = rescaled(old, model.mean.cpu(), model.std.cpu())
     if cued:
         state["pooled_in.weight"] = _widened(state["pooled_in.weight"], model.config.pooled_size)
+    if model.config.examples and not old.config.examples:  # examples are read as motions are
+        state["example_in.weight"] = state["motion_in.weight"].repeat(1, EXAMPLE_TOKENS) / EXAMPLE_TOKENS
+        state["example_in.bias"] = state["motion_in.bias"].clone()
     kept = {name: value for name, value in state.items() if not name.startswith(_HEAD)}
     model.load_state_dict(kept, strict=False)
