@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
@@ -82,7 +83,7 @@ def times(motion: HandleMotion, character: Character, handles: Handles) -> tuple
         runs = []
         for _ in range(3):
             start = time.perf_counter()
-            fit_motion(motion, character, handles, stages)
+            fit_motion(motion, Anatomy.of(character, handles), stages)
             runs.append(time.perf_counter() - start)
         found.append(min(runs))
     return len(character.vertices), *found

@@ -18,6 +18,7 @@ import urllib.request
 from dataclasses import dataclass
 from pathlib import Path
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.character import Character, Handles
 from bunraku.diffusion.drawing import GUIDANCE, STEPS
 from bunraku.io import load_character
@@ -87,7 +88,7 @@ def library_times(character: Character, handles: Handles, seed: int) -> Times:
     motion = generate(
         PROMPT, seconds=SECONDS, seed=seed, steps=DRAFT_STEPS, candidates=1, mesh_feature=handles.features
     )
-    apply_motion(motion, character, handles, stages=DRAFT_STAGES)
+    apply_motion(motion, Anatomy.of(character, handles), stages=DRAFT_STAGES)
     draft = time.perf_counter() - start, time.process_time() - work
     start, work = time.perf_counter(), time.process_time()
     animate(character, PROMPT, seconds=SECONDS, seed=seed, handles=handles)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.reference import reference_body
 from bunraku.pipelines.bodies import as_bodies_do
 from bunraku.retarget.rig_parts import RigParts
@@ -37,12 +38,12 @@ def bodies():
     ],
 )
 def test_a_clause_is_said_and_done_as_the_body_can(bodies, body, clause, said, way):
-    scripts, ways, as_people = as_bodies_do([[(clause, 2.0)]], *bodies[body])
+    scripts, ways, as_people = as_bodies_do([[(clause, 2.0)]], Anatomy.of(*bodies[body]))
     assert scripts == [[(said, 2.0)]]
     assert ways == [[(way, 1.0)]]
     assert as_people == (body == "person")
 
 
 def test_clauses_share_the_time_of_their_sentence(bodies):
-    _, ways, _ = as_bodies_do([[("flies", 3.0), ("stands", 1.0)]], *bodies["dragon"])
+    _, ways, _ = as_bodies_do([[("flies", 3.0), ("stands", 1.0)]], Anatomy.of(*bodies["dragon"]))
     assert ways == [[("fly", 0.75), ("stay", 0.25)]]

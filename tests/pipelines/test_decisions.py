@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.plan import BodyPlan
 from bunraku.body.reference import reference_body
 from bunraku.pipelines.decisions import body_facts, suited, unable
@@ -23,7 +24,7 @@ BIRD = BodyPlan(hind=2, front=0, upright=False, arms=False, wings=True, tail=Tru
 
 def test_a_dog_s_parts_are_named_with_how_clear_they_are():
     dog = sample_character("dog", rigged=True)
-    facts = body_facts(dog, RigParts.of(dog).handles)
+    facts = body_facts(Anatomy.of(dog, RigParts.of(dog).handles))
     names = {part.name for part in facts.parts}
     assert {"left foreleg", "right foreleg", "left leg", "right leg", "tail", "head", "trunk"} <= names
     assert sum(part.area for part in facts.parts) == pytest.approx(1, abs=0.02)
@@ -33,7 +34,7 @@ def test_a_dog_s_parts_are_named_with_how_clear_they_are():
 
 def test_a_person_s_arms_are_arms():
     body = reference_body()
-    facts = body_facts(body.character(), body.handles)
+    facts = body_facts(Anatomy.of(body.character(), body.handles))
     assert facts.plan.kind == "person" and {"left arm", "right arm"} <= {part.name for part in facts.parts}
     assert facts.cannot == ("no wings are found: told to fly it stays on the ground or jumps",)
 

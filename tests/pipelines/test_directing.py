@@ -5,6 +5,7 @@ import importlib.util
 import numpy as np
 import pytest
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.ground_path import GroundPath
 from bunraku.errors import OptionError
 from bunraku.pipelines.animate import animate, generate, rig
@@ -44,7 +45,7 @@ def test_several_sentences_one_path_and_gestures_on_the_way():
 
 
 def test_poses_stay_and_pins_are_met(walk):
-    ends = limb_ends(walk.character, walk.handles)
+    ends = limb_ends(Anatomy.of(walk.character, walk.handles))
     size = walk.character.height / 1.7
     goal = end_places(walk.motion, walk.handles, ends)[50, 0] + np.array([0, 0.15, 0.1]) * size
     made = edit(walk, "jumps", poses=[1.0, 4.0], pins=[Pin("left_hand", 2.5, tuple(goal))], steps=6)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.residuals import LOOSE_ON_PEOPLE, capped_on_people
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin_reference
@@ -30,7 +31,7 @@ def test_it_is_the_fit_of_animations(bank, motion, row):
     character = sample_character(bank.names[row].removeprefix("samples/"), 0.5, rigged=True)
     handles = rig_handles(character).top(4)
     off = {name: False for name in vars(Stages()) if name not in ("rest_pose", "attach")}
-    fitted = fit_motion(motion, replace(character, rig=None), handles, Stages(**off))
+    fitted = fit_motion(motion, Anatomy.of(replace(character, rig=None), handles), Stages(**off))
     parts = (torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations))
     found = fit_locals(*parts, bank, torch.tensor([row]))
     translations, places = posed_positions(found, bank)

@@ -7,10 +7,10 @@ import pytest
 from gltf_files import CUBE_FACES
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.decimate import decimated
 from bunraku.anatomy.joints import find_joints, reference_joints
 from bunraku.anatomy.legs import find_arms, find_legs, foot_points
-from bunraku.anatomy.stance import rest_to_reference
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
@@ -124,9 +124,9 @@ def test_who_has_no_legs_is_lifted_and_otherwise_left_alone():
     weights[:, 0] += weights[:, legs].sum(axis=1)
     weights[:, legs] = 0
     ghost, handles = body.character(), Handles(body.handles.positions, weights)
-    assert find_legs(ghost, handles, rest_to_reference(ghost, handles)[1]) == []
+    assert find_legs(ghost, handles, Anatomy.of(ghost, handles).joints) == []
     motion = replace(still(20), root_translation=np.linspace(0, 1, 20)[:, None] * [0.3, 0, 0])
-    with_stage, without = (fit_motion(motion, ghost, handles, Stages(feet=feet)) for feet in (True, False))
+    with_stage, without = (fit_motion(motion, Anatomy.of(ghost, handles), Stages(feet=feet)) for feet in (True, False))
     np.testing.assert_array_equal(with_stage.root_translation, without.root_translation)
 
 
@@ -217,7 +217,7 @@ def test_in_the_air_nothing_is_corrected(person):
 @pytest.mark.parametrize("frames", [1, 2, 3, 4])
 def test_the_shortest_clips_are_fitted_too(frames):
     body = reference_body()
-    assert len(fit_motion(still(frames), body.character(), body.handles)) == frames
+    assert len(fit_motion(still(frames), Anatomy.of(body.character(), body.handles))) == frames
 
 
 def test_a_lift_is_enough_and_smooth():
@@ -241,7 +241,7 @@ def test_what_sinks_is_lifted_and_only_with_the_stage():
 
     def deepest(stages):
         return (
-            -Animation(character, body.handles, fit_motion(motion, character, body.handles, stages))
+            -Animation(character, body.handles, fit_motion(motion, Anatomy.of(character, body.handles), stages))
             .vertices()[..., 1]
             .min()
             / character.height
@@ -293,12 +293,12 @@ def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
     handles = Handles(body.handles.positions, rows["weights"] / rows["weights"].sum(axis=1, keepdims=True))
     assert decimated(character, handles)[0] is character  # few enough
     motion = posed(20, left_hip=-30 + 20 * np.sin(np.linspace(0, 9, 20)), left_knee=40)
-    full, joints = fit_motion(motion, character, handles), rest_to_reference(character, handles)[1]
+    full, joints = fit_motion(motion, Anatomy.of(character, handles)), Anatomy.of(character, handles).joints
     monkeypatch.setattr("bunraku.anatomy.decimate.MANY", 8000)
     monkeypatch.setattr("bunraku.anatomy.decimate.CELLS", 4000)
     light, lighter_handles = decimated(character, handles)
     assert len(light.vertices) < 0.7 * len(character.vertices)
-    fast, found = fit_motion(motion, character, handles), rest_to_reference(light, lighter_handles)[1]
+    fast, found = fit_motion(motion, Anatomy.of(character, handles)), Anatomy.of(light, lighter_handles).joints
     assert (found.present == joints.present).all()
     assert np.linalg.norm(found.positions - joints.positions, axis=1)[joints.present].max() < 0.004 * character.height
     away = np.linalg.norm(
@@ -306,20 +306,6 @@ def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
     )
     assert away.mean() < 0.003 * character.height
     assert away.max() < 0.01 * character.height
-
-
-def test_answers_are_remembered_for_the_very_objects_alone():
-    body = reference_body()
-    character, handles = body.character(), body.handles
-    turns, joints = rest_to_reference(character, handles)
-    assert rest_to_reference(character, handles)[0] is turns
-    with pytest.raises(ValueError, match="read-only"):
-        joints.positions[0] = 1
-    copy = Character("copy", character.vertices, character.faces)
-    again = rest_to_reference(copy, handles)
-    assert again[0] is not turns and np.array_equal(again[0], turns)
-    wider = Character("wide", character.vertices * np.array([1.2, 1, 1], np.float32), character.faces)
-    assert not np.array_equal(rest_to_reference(wider, handles)[1].positions, joints.positions)
 
 
 def test_what_hovers_is_set_down_and_what_jumps_or_flies_is_not():

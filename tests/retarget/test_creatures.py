@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import bunraku
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import attach_joints
-from bunraku.anatomy.plan import BodyPlan, check_plans, plan_of
+from bunraku.anatomy.plan import BodyPlan, check_plans
 from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
@@ -153,9 +154,9 @@ def test_what_cannot_be_is_refused_with_what_is_missing(dog):
 
 def test_plans_of_samples(dog):
     parts = RigParts.of(dog)
-    assert plan_of(dog, parts.handles, parts.joints).words == "a body on four legs, with a tail"
+    assert parts.anatomy.plan.words == "a body on four legs, with a tail"
     body = RigParts.of(reference_body().character())
-    assert plan_of(body.character, body.handles, body.joints).kind == "person"
+    assert body.anatomy.plan.kind == "person"
 
 
 def test_a_clip_written_as_a_captured_skeleton_has_the_same_paws(dog):
@@ -178,9 +179,9 @@ def flapping(seconds: float = 2.0) -> bunraku.Animation:
     count = round(20 * seconds)
     turns = np.tile(np.eye(3), (count, 30, 1, 1))
     still = HandleMotion(np.zeros((count, 30, 3)), turns, np.zeros((count, 3)), turns[:, 0], 20.0, native=True)
-    flown = moved_so(still, "fly", slice(0, count), parts.character, parts.handles)
+    flown = moved_so(still, "fly", slice(0, count), Anatomy.of(parts.character, parts.handles))
     body = replace(parts.character, rig=None)
-    fitted = fit_motion(flown, body, parts.handles, Stages(smooth=False))
+    fitted = fit_motion(flown, Anatomy.of(body, parts.handles), Stages(smooth=False))
     return bunraku.Animation(body, parts.handles, replace(fitted, root_translation=np.zeros((count, 3))))
 
 
@@ -189,7 +190,7 @@ def test_what_flies_goes_onto_wings_in_the_air_and_onto_nothing_else(dog):
     found = creature_motion(source, fps=20.0)
     assert found is not None and found.flies
     parts = RigParts.of(code_made_character("bird", EVALUATION_SEED + 2))
-    assert plan_of(parts.character, parts.handles, parts.joints).wings
+    assert parts.anatomy.plan.wings
     result = bunraku.transfer(replace(parts.character, rig=None), source, handles=parts.handles, fps=20.0)
     vertices = result.vertices()
     assert vertices[..., 1].min() > parts.character.vertices[:, 1].min() + 0.15 * parts.character.height

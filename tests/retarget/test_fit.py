@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import find_joints
 from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
@@ -49,7 +50,9 @@ def rigid_pose(body, joint, rotation):
 def test_the_reference_body_keeps_its_own_motion():
     body, motion = reference_body(), swing()
     character = body.character()
-    fitted = fit_motion(motion, character, body.handles, Stages(feet=False))  # its left foot slides as it is raised
+    fitted = fit_motion(
+        motion, Anatomy.of(character, body.handles), Stages(feet=False)
+    )  # its left foot slides as it is raised
     before, after = (Animation(character, body.handles, m).vertices() for m in (motion, fitted))
     assert np.linalg.norm(after - before, axis=-1).max() < 0.005 * character.height
 
@@ -68,8 +71,10 @@ def test_size_changes_the_animation_by_its_own_factor(scale):
     body, motion = reference_body(), swing()
     small = Character("small", body.vertices * scale, body.faces)
     handles = Handles(body.handles.positions * scale, body.handle_weights)
-    want = Animation(body.character(), body.handles, fit_motion(motion, body.character(), body.handles)).vertices()
-    got = Animation(small, handles, fit_motion(motion, small, handles)).vertices() / scale
+    want = Animation(
+        body.character(), body.handles, fit_motion(motion, Anatomy.of(body.character(), body.handles))
+    ).vertices()
+    got = Animation(small, handles, fit_motion(motion, Anatomy.of(small, handles))).vertices() / scale
     np.testing.assert_allclose(got, want, atol=2e-4 * small.height / scale)
 
 
@@ -78,10 +83,10 @@ def test_an_a_pose_ends_in_the_same_pose_as_a_t_pose():
     down = Rotation.from_euler("z", -45, degrees=True).as_matrix()
     character, handles = rigid_pose(body, ("left_shoulder", "right_shoulder"), down)
     want = Animation(body.character(), body.handles, motion).vertices()[-1]
-    with_stage = Animation(character, handles, fit_motion(motion, character, handles)).vertices()[-1]
-    without = Animation(character, handles, fit_motion(motion, character, handles, Stages(rest_pose=False))).vertices()[
-        -1
-    ]
+    with_stage = Animation(character, handles, fit_motion(motion, Anatomy.of(character, handles))).vertices()[-1]
+    without = Animation(
+        character, handles, fit_motion(motion, Anatomy.of(character, handles), Stages(rest_pose=False))
+    ).vertices()[-1]
     hands = body.handle_weights[:, HANDLE_NAMES.index("left_wrist")] > 0.5
     near = np.linalg.norm(with_stage[hands] - want[hands], axis=1).mean() / character.height
     far = np.linalg.norm(without[hands] - want[hands], axis=1).mean() / character.height
@@ -100,7 +105,7 @@ def test_long_arms_stay_attached():
     edges = np.unique(np.sort(body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
 
     def stretch(stages):
-        posed = Animation(character, handles, fit_motion(motion, character, handles, stages)).vertices()
+        posed = Animation(character, handles, fit_motion(motion, Anatomy.of(character, handles), stages)).vertices()
         rest = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         return np.quantile(np.linalg.norm(posed[:, edges[:, 0]] - posed[:, edges[:, 1]], axis=-1) / rest, 0.99)
 
@@ -117,7 +122,9 @@ def test_ground_is_kept():
         Character("short", short, body.faces),
         Handles(body.handles.positions - [0, 0.45, 0], body.handle_weights),
     )
-    lowest = Animation(character, handles, fit_motion(motion, character, handles)).vertices()[..., 1].min(axis=1)
+    lowest = (
+        Animation(character, handles, fit_motion(motion, Anatomy.of(character, handles))).vertices()[..., 1].min(axis=1)
+    )
     assert np.abs(lowest).max() < 0.03 * character.height
 
 
@@ -128,7 +135,7 @@ def test_an_absent_handle_follows_its_parent():
         for side in ("left", "right"):
             weights[:, HANDLE_NAMES.index(f"{side}_elbow")] += weights[:, HANDLE_NAMES.index(f"{side}_{part}")]
             weights[:, HANDLE_NAMES.index(f"{side}_{part}")] = 0
-    fitted = fit_motion(motion, body.character(), Handles(body.handles.positions, weights))
+    fitted = fit_motion(motion, Anatomy.of(body.character(), Handles(body.handles.positions, weights)))
     wrist, elbow = HANDLE_NAMES.index("left_wrist"), HANDLE_NAMES.index("left_elbow")
     np.testing.assert_allclose(fitted.rotations[:, wrist], fitted.rotations[:, elbow], atol=1e-6)
 
@@ -151,7 +158,7 @@ def test_bent_legs_are_straightened_unless_they_are_built_so(degrees, arms, stra
         weights[:, limbs] = 0
     character = Character("bent", vertices, body.faces)
     handles = Handles(handle_positions(vertices, weights, vertex_areas(vertices, body.faces)), weights)
-    thigh = fit_motion(motion, character, handles).rotations[0, HANDLE_NAMES.index("right_hip")]
+    thigh = fit_motion(motion, Anatomy.of(character, handles)).rotations[0, HANDLE_NAMES.index("right_hip")]
     angle = np.degrees(np.linalg.norm(Rotation.from_matrix(thigh).as_rotvec()))
     assert angle == pytest.approx(degrees if straightened else 0, abs=6)
 
@@ -160,7 +167,7 @@ def test_the_way_to_a_character_and_back_is_the_same_motion():
     body, motion = reference_body(), swing()
     down = Rotation.from_euler("z", -45, degrees=True).as_matrix()
     character, handles = rigid_pose(body, ("left_shoulder", "right_shoulder"), down)
-    back = motion_to_reference(fit_motion(motion, character, handles), character, handles)
+    back = motion_to_reference(fit_motion(motion, Anatomy.of(character, handles)), Anatomy.of(character, handles))
     one, other = (Animation(body.character(), body.handles, m).vertices() for m in (motion, back))
     assert np.linalg.norm(one - other, axis=-1).mean() < 0.01 * body.character().height
 
@@ -172,7 +179,10 @@ def test_vertices_without_faces_do_not_matter():
     handles = Handles(
         body.handles.positions, np.concatenate([body.handle_weights, np.eye(2, body.handle_weights.shape[1])])
     )
-    want, got = fit_motion(motion, body.character(), body.handles), fit_motion(motion, character, handles)
+    want, got = (
+        fit_motion(motion, Anatomy.of(body.character(), body.handles)),
+        fit_motion(motion, Anatomy.of(character, handles)),
+    )
     assert character.height == pytest.approx(body.character().height)
     np.testing.assert_allclose(got.root_translation, want.root_translation, atol=1e-5)
     np.testing.assert_allclose(got.translations, want.translations, atol=1e-5)
@@ -189,7 +199,7 @@ def test_feet_stay_on_the_ground_when_a_hand_holds_something_that_hangs_lower():
     faces = np.concatenate([body.faces, [np.arange(3) + len(body.vertices)]])
     weights = np.concatenate([body.handle_weights, np.eye(len(body.handles.positions), dtype=np.float32)[[wrist] * 3]])
     character, handles = Character("armed", vertices, faces), Handles(body.handles.positions, weights)
-    posed = Animation(character, handles, fit_motion(motion, character, handles)).vertices()
+    posed = Animation(character, handles, fit_motion(motion, Anatomy.of(character, handles))).vertices()
     assert posed[-1, -3:, 1].min() < -0.1  # it does hang lower
     assert np.abs(posed[:, : len(body.vertices), 1].min(axis=1)).max() < 0.03 * character.height
 
@@ -197,7 +207,10 @@ def test_feet_stay_on_the_ground_when_a_hand_holds_something_that_hangs_lower():
 def test_handles_of_another_layout_are_refused():
     body, motion = reference_body(), swing(2)
     with pytest.raises(CharacterError, match="30 handles, not 5"):
-        fit_motion(motion, body.character(), Handles(np.zeros((5, 3)), np.eye(5)[np.zeros(len(body.vertices), int)]))
+        fit_motion(
+            motion,
+            Anatomy.of(body.character(), Handles(np.zeros((5, 3)), np.eye(5)[np.zeros(len(body.vertices), int)])),
+        )
 
 
 def test_a_body_that_lies_along_its_spine_takes_a_third_of_the_tilt():
@@ -215,5 +228,5 @@ def test_a_body_that_lies_along_its_spine_takes_a_third_of_the_tilt():
     def tilt(fitted):
         return np.degrees(np.linalg.norm(Rotation.from_matrix(fitted.root_rotation[5]).as_rotvec()))
 
-    assert tilt(fit_motion(motion, body.character(), body.handles)) == pytest.approx(60, abs=3)
-    assert tilt(fit_motion(motion, dog, handles)) == pytest.approx(20, abs=3)
+    assert tilt(fit_motion(motion, Anatomy.of(body.character(), body.handles))) == pytest.approx(60, abs=3)
+    assert tilt(fit_motion(motion, Anatomy.of(dog, handles))) == pytest.approx(20, abs=3)

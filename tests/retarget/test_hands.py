@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
@@ -53,14 +54,20 @@ def palm(motion, character, handles, side="left"):
 def test_the_reference_body_keeps_its_arms():
     motion = posed(1.45, 0.0)
     character, handles = wide(1.0)
-    plain, kept = fit_motion(motion, character, handles, PLAIN), fit_motion(motion, character, handles, HANDS)
+    plain, kept = (
+        fit_motion(motion, Anatomy.of(character, handles), PLAIN),
+        fit_motion(motion, Anatomy.of(character, handles), HANDS),
+    )
     assert np.abs(palm(plain, character, handles) - palm(kept, character, handles)).max() < 0.02
 
 
 def test_hands_at_the_thighs_give_way_to_wide_hips():
     motion = posed(1.5, 0.0)
     character, handles = wide(1.8)
-    plain, kept = fit_motion(motion, character, handles, PLAIN), fit_motion(motion, character, handles, HANDS)
+    plain, kept = (
+        fit_motion(motion, Anatomy.of(character, handles), PLAIN),
+        fit_motion(motion, Anatomy.of(character, handles), HANDS),
+    )
     outwards = palm(kept, character, handles)[:, 0] - palm(plain, character, handles)[:, 0]
     assert outwards.min() > 0.03
 
@@ -69,5 +76,8 @@ def test_hands_at_the_thighs_give_way_to_wide_hips():
 def test_hands_away_from_the_body_are_left_alone(factor):
     motion = posed(0.0, 0.0)
     character, handles = wide(factor)
-    plain, kept = fit_motion(motion, character, handles, PLAIN), fit_motion(motion, character, handles, HANDS)
+    plain, kept = (
+        fit_motion(motion, Anatomy.of(character, handles), PLAIN),
+        fit_motion(motion, Anatomy.of(character, handles), HANDS),
+    )
     assert np.abs(plain.rotations - kept.rotations).max() < 1e-5

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import JOINT_COUNT
 from bunraku.body.reference import handle_positions, leg_length, reference_body
 from bunraku.core.animation import Animation
@@ -55,7 +56,9 @@ def child(source):
     positions = handle_positions(vertices, body.handle_weights, vertex_areas(vertices, body.faces))
     handles = Handles(positions, body.handle_weights)
     fitted = fit_motion(
-        handle_motion_of_body(source), character, handles, Stages(smooth=False, feet=False, floor=False, ground=False)
+        handle_motion_of_body(source),
+        Anatomy.of(character, handles),
+        Stages(smooth=False, feet=False, floor=False, ground=False),
     )
     return Animation(character, handles, fitted)
 
@@ -92,7 +95,9 @@ def test_an_animation_is_saved_as_it(child, tmp_path, suffix):
 def test_a_creature_has_one_too(source):
     dog = sample_character("dog", 0.3, rigged=True)
     handles = rig_handles(dog)
-    found = humanoid_motion(Animation(dog, handles, fit_motion(handle_motion_of_body(source), dog, handles)))
+    found = humanoid_motion(
+        Animation(dog, handles, fit_motion(handle_motion_of_body(source), Anatomy.of(dog, handles)))
+    )
     assert np.isfinite(found.world()[1]).all() and np.ptp(found.skeleton.positions, axis=0).max() < 3 * dog.height
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import OptionError
@@ -22,7 +23,7 @@ HUMAN = 1.7
 def moving(request, swing):
     character = sample_character(request.param)
     handles = rig(character)
-    return character, handles, fit_motion(swing("spine2", frames=80), character, handles)
+    return character, handles, fit_motion(swing("spine2", frames=80), Anatomy.of(character, handles))
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +44,12 @@ def swing():
 
 def places(moving, motion):
     character, handles, _ = moving
-    ends = limb_ends(character, handles)
+    ends = limb_ends(Anatomy.of(character, handles))
     return {end.part: place for end, place in zip(ends, end_places(motion, handles, ends).swapaxes(0, 1), strict=True)}
 
 
 def test_people_and_beasts_have_four_ends(moving):
-    assert [end.part for end in limb_ends(*moving[:2])] == list(PINNED)
+    assert [end.part for end in limb_ends(Anatomy.of(*moving[:2]))] == list(PINNED)
 
 
 @pytest.mark.parametrize("part", PINNED)
@@ -57,7 +58,7 @@ def test_a_pin_is_met_while_it_holds(moving, part, off):
     character, handles, motion = moving
     size = character.height / HUMAN
     goal = places(moving, motion)[part][40] + np.array(off) * size
-    met = meet_pins(motion, character, handles, [Pin(part, 2.0, tuple(goal), hold=0.25)])
+    met = meet_pins(motion, Anatomy.of(character, handles), [Pin(part, 2.0, tuple(goal), hold=0.25)])
     away = np.linalg.norm(places(moving, met)[part][40:46] - goal, axis=1)
     assert away.max() / size < 0.01
     for name in HandleMotion.arrays:
@@ -67,10 +68,10 @@ def test_a_pin_is_met_while_it_holds(moving, part, off):
 
 def test_a_turn_is_met(moving):
     character, handles, motion = moving
-    ends = {end.part: end for end in limb_ends(character, handles)}
+    ends = {end.part: end for end in limb_ends(Anatomy.of(character, handles))}
     goal = places(moving, motion)["right_hand"][40]
     turn = matrix_from_axis_angle(np.array([[0.3, -0.8, 0.2]]))[0]
-    met = meet_pins(motion, character, handles, [Pin("right_hand", 2.0, tuple(goal), turn)])
+    met = meet_pins(motion, Anatomy.of(character, handles), [Pin("right_hand", 2.0, tuple(goal), turn)])
     now = met.transforms(handles.positions)[40, ends["right_hand"].handle, :, :3].astype(float)
     angle = np.rad2deg(np.arccos(np.clip((np.trace(now @ turn.T) - 1) / 2, -1, 1)))
     assert angle < 2
@@ -85,7 +86,7 @@ def test_several_pins_at_one_time_and_after_another(moving):
         Pin("right_foot", 1.0, tuple(here["right_foot"][20] + np.array([0, 0.1, 0.0]) * size)),
         Pin("left_hand", 1.3, tuple(here["left_hand"][26] + np.array([0, 0.0, 0.2]) * size)),
     ]
-    found = places(moving, meet_pins(motion, character, handles, pins))
+    found = places(moving, meet_pins(motion, Anatomy.of(character, handles), pins))
     for pin in pins:
         assert np.linalg.norm(found[pin.part][round(pin.time * 20)] - pin.position) / size < 0.01
 
@@ -94,7 +95,7 @@ def test_standing_feet_stay_where_the_root_goes_to_reach(moving):
     character, handles, motion = moving
     size, here = character.height / HUMAN, places(moving, motion)
     goal = here["left_hand"][40] + np.array([0, 0, 0.1]) * size
-    found = places(moving, meet_pins(motion, character, handles, [Pin("left_hand", 2.0, tuple(goal))]))
+    found = places(moving, meet_pins(motion, Anatomy.of(character, handles), [Pin("left_hand", 2.0, tuple(goal))]))
     for foot in ("left_foot", "right_foot"):
         assert np.linalg.norm(found[foot] - here[foot], axis=1).max() / size < 0.02
 
@@ -109,7 +110,7 @@ def test_standing_feet_stay_where_the_root_goes_to_reach(moving):
 def test_what_cannot_be_met_is_said(moving, pins, part):
     character, handles, motion = moving
     with pytest.raises(OptionError, match=part):
-        meet_pins(motion, character, handles, [Pin(*pin) for pin in pins])
+        meet_pins(motion, Anatomy.of(character, handles), [Pin(*pin) for pin in pins])
 
 
 @pytest.mark.parametrize(
@@ -134,9 +135,11 @@ def test_who_has_no_hands_cannot_pin_one():
         np.zeros((40, 30, 3)), np.broadcast_to(np.eye(3), (40, 30, 3, 3)), np.zeros((40, 3)),
         np.broadcast_to(np.eye(3), (40, 3, 3)),
     )  # fmt: skip
-    assert [end.part for end in limb_ends(character, handles)] == [part for part in PINNED if part != "left_hand"]
+    assert [end.part for end in limb_ends(Anatomy.of(character, handles))] == [
+        part for part in PINNED if part != "left_hand"
+    ]
     with pytest.raises(OptionError, match="has no"):
-        meet_pins(motion, character, handles, [Pin("left_hand", 1.0, (0, 0, 0))])
+        meet_pins(motion, Anatomy.of(character, handles), [Pin("left_hand", 1.0, (0, 0, 0))])
 
 
 def test_a_spread_goes_through_its_values_and_back_to_nothing():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import reference_joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
@@ -13,7 +14,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.reference import WayBack, motion_to_reference
+from bunraku.retarget.reference import motion_to_reference
 from bunraku.samples import sample_character
 
 BARE = Stages(feet=False, smooth=False, floor=False)
@@ -44,11 +45,11 @@ def test_there_and_back_is_the_same_clip(name):
     character, handles = beast(name)
     here = wild(character.height)
     # what hangs on joints: the wild translations on top of those that keep parts together
-    way = WayBack.of(character, handles)
-    there = way.motion(here)
-    again = way.motion(fit_motion(replace(there, native=True), character, handles, BARE))
+    anatomy = Anatomy.of(character, handles)
+    there = motion_to_reference(here, anatomy, native=True)
+    again = motion_to_reference(fit_motion(replace(there, native=True), anatomy, BARE), anatomy, native=True)
     first, second = (
-        Animation(character, handles, fit_motion(replace(m, native=True), character, handles, BARE)).vertices()
+        Animation(character, handles, fit_motion(replace(m, native=True), anatomy, BARE)).vertices()
         for m in (there, again)
     )
     assert np.linalg.norm(first - second, axis=-1).max() < 1e-3 * character.height
@@ -58,10 +59,14 @@ def test_there_and_back_is_the_same_clip(name):
 def test_a_clip_whose_parts_hold_together_comes_back(name):
     character, handles = beast(name)
     clip = fit_motion(
-        replace(WayBack.of(character, handles).motion(wild(character.height)), native=True), character, handles, BARE
+        replace(motion_to_reference(wild(character.height), Anatomy.of(character, handles), native=True), native=True),
+        Anatomy.of(character, handles),
+        BARE,
     )
     back = fit_motion(
-        replace(motion_to_reference(clip, character, handles, native=True), native=True), character, handles, BARE
+        replace(motion_to_reference(clip, Anatomy.of(character, handles), native=True), native=True),
+        Anatomy.of(character, handles),
+        BARE,
     )
     want, got = (Animation(character, handles, motion).vertices() for motion in (clip, back))
     assert np.linalg.norm(got - want, axis=-1).max() < 1e-3 * character.height
@@ -74,8 +79,8 @@ def test_tail_and_height_stay_the_creatures():
     still[:, tail] = Rotation.from_euler("y", 40, degrees=True).as_matrix()
     path = np.tile([0, 0.5 * character.height, 0], (5, 1))
     clip = HandleMotion(np.zeros((5, 30, 3)), still, path, np.broadcast_to(np.eye(3), (5, 3, 3)))
-    native = motion_to_reference(clip, character, handles, native=True)
-    person = motion_to_reference(clip, character, handles)
+    native = motion_to_reference(clip, Anatomy.of(character, handles), native=True)
+    person = motion_to_reference(clip, Anatomy.of(character, handles))
     assert Rotation.from_matrix(native.rotations[0, tail]).magnitude() == pytest.approx(np.radians(40), abs=1e-3)
     assert native.root_translation[:, 1].min() > 0.2
     np.testing.assert_allclose(person.rotations[:, tail], np.eye(3)[None].repeat(5, 0), atol=1e-6)
@@ -85,13 +90,13 @@ def test_tail_and_height_stay_the_creatures():
 
 def test_parts_that_a_creature_lacks_move_with_their_parents():
     character, handles = beast("mushroom")
-    way = WayBack.of(character, handles)
-    there = way.motion(wild(character.height))
-    absent = [k for k in range(1, 30) if not way.joints.present[k]]
+    anatomy = Anatomy.of(character, handles)
+    there = motion_to_reference(wild(character.height), anatomy, native=True)
+    absent = [k for k in range(1, 30) if not anatomy.joints.present[k]]
     assert absent
     for handle in absent:
         np.testing.assert_allclose(
-            there.rotations[:, handle], there.rotations[:, max(int(way.joints.parents[handle]), 0)], atol=1e-5
+            there.rotations[:, handle], there.rotations[:, max(int(anatomy.joints.parents[handle]), 0)], atol=1e-5
         )
     assert np.abs(there.translations).max() < 3 and np.isfinite(there.translations).all()
     assert reference_joints().present.sum() > 20

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bunraku.anatomy.plan import plan_of
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
@@ -48,12 +48,12 @@ def part(parts, motion: HandleMotion, name: str) -> np.ndarray:
 
 
 def test_what_flies_is_lifted_and_beats_its_wings_together(dragon):
-    assert plan_of(dragon.character, dragon.handles, dragon.joints).wings
-    flown = moved_so(still(), "fly", EVERY, dragon.character, dragon.handles)
+    assert dragon.anatomy.plan.wings
+    flown = moved_so(still(), "fly", EVERY, Anatomy.of(dragon.character, dragon.handles))
     root = float(reference_body().handles.positions[0, 1])
     assert flown.root_translation[:, 1].mean() == pytest.approx(HOVER * root, rel=0.1)
     assert wing_swing(still()) == 0 and wing_swing(flown) > BEATS
-    fitted = fit_motion(flown, dragon.character, dragon.handles, Stages(smooth=False))
+    fitted = fit_motion(flown, Anatomy.of(dragon.character, dragon.handles), Stages(smooth=False))
     heights = dragon.character.vertices[:, 1].min(), fitted.root_translation[:, 1].min()
     assert heights[1] > 0.2 * dragon.character.height
     left, right = (part(dragon, fitted, f"{side}_wing")[:, 1] for side in ("left", "right"))
@@ -63,36 +63,36 @@ def test_what_flies_is_lifted_and_beats_its_wings_together(dragon):
 
 
 def test_wings_that_beat_already_beat_as_they_do(dragon):
-    beating = moved_so(still(), "fly", EVERY, dragon.character, dragon.handles)
-    again = moved_so(beating, "fly", EVERY, dragon.character, dragon.handles)
+    beating = moved_so(still(), "fly", EVERY, Anatomy.of(dragon.character, dragon.handles))
+    again = moved_so(beating, "fly", EVERY, Anatomy.of(dragon.character, dragon.handles))
     np.testing.assert_array_equal(again.rotations, beating.rotations)
 
 
 def test_what_flies_does_not_fall_over(dragon):
     falls = np.linspace(0, 2.5, FRAMES)[:, None] * np.array([0, 0, 1.0])
     motion = replace(turned(matrix_from_axis_angle(falls), "left_wing"), root_rotation=matrix_from_axis_angle(falls))
-    flown = moved_so(motion, "fly", EVERY, dragon.character, dragon.handles)
+    flown = moved_so(motion, "fly", EVERY, Anatomy.of(dragon.character, dragon.handles))
     up = flown.root_rotation[:, 1, 1]  # of the body's own up
     assert np.degrees(np.arccos(up.min())) == pytest.approx(np.degrees(TILT), abs=1)
     assert wing_swing(motion, HELD) < BEATS < wing_swing(flown, HELD)  # a wing that is moved once does not beat
 
 
 def test_flight_ends_where_a_clause_ends(dragon):
-    part_of_it = moved_so(still(), "fly", slice(0, 30), dragon.character, dragon.handles)
+    part_of_it = moved_so(still(), "fly", slice(0, 30), Anatomy.of(dragon.character, dragon.handles))
     heights = part_of_it.root_translation[:, 1]
     assert heights[:20].min() > 0.3 and heights[-10:].max() < 1e-6
     np.testing.assert_allclose(part_of_it.rotations[-5:], still().rotations[-5:], atol=1e-6)
 
 
 def test_loops_stay_loops(dragon):
-    flown = moved_so(still(), "fly", EVERY, dragon.character, dragon.handles, loop=True)
+    flown = moved_so(still(), "fly", EVERY, Anatomy.of(dragon.character, dragon.handles), loop=True)
     np.testing.assert_allclose(flown.rotations[-1], flown.rotations[0], atol=1e-5)
 
 
 def test_a_wave_runs_along_what_slithers_and_it_gets_ahead(snake):
-    moved = moved_so(still(), "slither", EVERY, snake.character, snake.handles)
+    moved = moved_so(still(), "slither", EVERY, Anatomy.of(snake.character, snake.handles))
     assert moved.root_translation[-1, 2] > 0.5 and np.abs(moved.root_translation[:, :2]).max() < 1e-6
-    fitted = fit_motion(moved, snake.character, snake.handles, Stages(smooth=False))
+    fitted = fit_motion(moved, Anatomy.of(snake.character, snake.handles), Stages(smooth=False))
     tail = part(snake, fitted, "tail")
     length = np.ptp(snake.character.vertices[:, 2])
     assert np.ptp(tail[:, 0]) > 0.03 * length and np.ptp(tail[:, 1]) < 0.02 * length
@@ -101,7 +101,9 @@ def test_a_wave_runs_along_what_slithers_and_it_gets_ahead(snake):
 def test_what_travels_far_enough_keeps_its_way(snake):
     turned = replace(still(), root_rotation=np.tile(matrix_y(np.array(np.pi / 2)), (FRAMES, 1, 1)))
     path = np.linspace([0, 0, 0], [6.0, 0, 0], FRAMES)
-    moved = moved_so(replace(turned, root_translation=path), "slither", EVERY, snake.character, snake.handles)
+    moved = moved_so(
+        replace(turned, root_translation=path), "slither", EVERY, Anatomy.of(snake.character, snake.handles)
+    )
     np.testing.assert_allclose(moved.root_translation, path, atol=1e-6)
 
 
@@ -127,25 +129,25 @@ def turned(turn: np.ndarray, *names: str) -> HandleMotion:
 
 def test_who_stays_on_the_ground_does_not_hover(dragon):
     hovers = lifted(0.8, EVERY)
-    assert lows(dragon, fit_motion(hovers, dragon.character, dragon.handles)).min() > 0.2  # it could fly
-    grounded = moved_so(hovers, "stay", EVERY, dragon.character, dragon.handles)
-    assert np.abs(lows(dragon, fit_motion(grounded, dragon.character, dragon.handles))).max() < 0.01
+    assert lows(dragon, fit_motion(hovers, Anatomy.of(dragon.character, dragon.handles))).min() > 0.2  # it could fly
+    grounded = moved_so(hovers, "stay", EVERY, Anatomy.of(dragon.character, dragon.handles))
+    assert np.abs(lows(dragon, fit_motion(grounded, Anatomy.of(dragon.character, dragon.handles)))).max() < 0.01
 
 
 @pytest.mark.parametrize(("way", "kept"), [("stay", True), ("run", False), ("step", False)])
 def test_a_jump_stays_a_jump_and_a_walk_has_none(dragon, way, kept):
     jump = lifted(0.5, slice(20, 34))  # 0.7 s
-    moved = moved_so(jump, way, EVERY, dragon.character, dragon.handles)
-    high = lows(dragon, fit_motion(moved, dragon.character, dragon.handles, Stages(smooth=False))).max()
+    moved = moved_so(jump, way, EVERY, Anatomy.of(dragon.character, dragon.handles))
+    high = lows(dragon, fit_motion(moved, Anatomy.of(dragon.character, dragon.handles), Stages(smooth=False))).max()
     assert (high > 0.15) == kept
 
 
 def test_a_tail_that_a_tilted_trunk_holds_up_is_lowered(dragon):
     tilt = matrix_from_axis_angle(np.array([np.radians(50), 0, 0]))
     leans = replace(still(), root_rotation=np.tile(tilt, (FRAMES, 1, 1)))
-    moved = moved_so(leans, "step", EVERY, dragon.character, dragon.handles)
+    moved = moved_so(leans, "step", EVERY, Anatomy.of(dragon.character, dragon.handles))
     tips = [
-        part(dragon, fit_motion(one, dragon.character, dragon.handles), "tail_tip")[:, 1].mean()
+        part(dragon, fit_motion(one, Anatomy.of(dragon.character, dragon.handles)), "tail_tip")[:, 1].mean()
         for one in (leans, moved)
     ]
     assert tips[1] < tips[0] - 0.03 * dragon.character.height
@@ -155,9 +157,12 @@ def test_a_snake_lies_on_the_ground_whatever_was_drawn(snake):
     bow = matrix_from_axis_angle(np.sin(np.linspace(0, np.pi, FRAMES))[:, None] * np.array([1.0, 0, 0]))
     motion = turned(bow, "spine1", "spine2", "spine3", "neck", "head", "face", "head_top")
     motion = replace(motion, root_rotation=matrix_from_axis_angle(np.tile([0.4, 0, 0.2], (FRAMES, 1))))
-    fitted = fit_motion(motion, snake.character, snake.handles)
+    fitted = fit_motion(motion, Anatomy.of(snake.character, snake.handles))
     tail = part(snake, fitted, "tail")[:, 1]
-    moved = fit_motion(moved_so(motion, "lie", EVERY, snake.character, snake.handles), snake.character, snake.handles)
+    moved = fit_motion(
+        moved_so(motion, "lie", EVERY, Anatomy.of(snake.character, snake.handles)),
+        Anatomy.of(snake.character, snake.handles),
+    )
     lies = part(snake, moved, "tail")[:, 1]
     height = snake.character.height
     assert np.ptp(tail) > 0.2 * height and np.ptp(lies) < 0.2 * np.ptp(tail)
@@ -167,12 +172,12 @@ def test_a_snake_lies_on_the_ground_whatever_was_drawn(snake):
 def test_a_snake_raises_its_head(snake):
     up = matrix_from_axis_angle(np.array([-0.6, 0, 0]))
     motion = turned(up, "neck", "head", "face", "head_top")
-    moved = moved_so(motion, "lie", EVERY, snake.character, snake.handles)
+    moved = moved_so(motion, "lie", EVERY, Anatomy.of(snake.character, snake.handles))
     np.testing.assert_allclose(moved.rotations, motion.rotations, atol=1e-6)
 
 
 def test_other_ways_change_nothing(dragon):
     motion = still()
-    assert moved_so(motion, "walk", EVERY, dragon.character, dragon.handles) is motion
-    assert moved_so(motion, "", EVERY, dragon.character, dragon.handles) is motion
+    assert moved_so(motion, "walk", EVERY, Anatomy.of(dragon.character, dragon.handles)) is motion
+    assert moved_so(motion, "", EVERY, Anatomy.of(dragon.character, dragon.handles)) is motion
     assert in_air(motion).root_translation[:, 1].min() > 0

@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bunraku import load_character
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
 from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
@@ -59,7 +60,7 @@ def file(tmp_path_factory):
 def body(file):
     """A second of walking."""
     character, _ = opened_character(file, Settings())
-    return apply_motion(stock_motion("walk", 1.0, 20.0), character, rig(character))
+    return apply_motion(stock_motion("walk", 1.0, 20.0), Anatomy.of(character, rig(character)))
 
 
 @pytest.fixture(scope="module")

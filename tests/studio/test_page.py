@@ -14,6 +14,7 @@ from browser import CHROMIUM, SECONDS, Page, chromium
 from scipy.spatial import cKDTree
 
 from bunraku import load_character, save_character
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.diffusion.drawing import GUIDANCE
 from bunraku.io.clips import load_clip_animation
 from bunraku.render.camera import Camera
@@ -300,7 +301,7 @@ def test_a_pin_is_dragged_and_a_span_is_made_anew(page):
     pin = page.value("studio.doc.value.pins[0]")
     take, owner = page.value("[studio.take.value.id, studio.character.value.id]")
     animation = take_of(page.studio, owner, take)
-    ends = limb_ends(animation.character, animation.handles)
+    ends = limb_ends(Anatomy.of(animation.character, animation.handles))
     place = end_places(animation.motion, animation.handles, ends)[round(pin["time"] * 20)]
     number = [end.part for end in ends].index(pin["part"])
     assert pin["part"] == "left_hand" and np.linalg.norm(place[number] - pin["position"]) < 0.01

@@ -1,12 +1,8 @@
 """A character with few vertices that stands for one with many, where only joints, stances and lowest points are asked
-for; and answers about a character that are remembered.
+for.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from functools import wraps
-from typing import TypeVar
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -15,33 +11,11 @@ from bunraku.core.character import Character, Handles
 from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.extremes import part_extremes
 
-__all__ = ["decimated", "remembered"]
+__all__ = ["decimated"]
 
 CELLS = 8000  # about how many vertices the surface is left with
 MANY = 12000  # characters with fewer vertices are left as they are
 SPREAD = 1.5  # cells of a grid that a surface goes through, over its area in faces of them
-
-_Answer = TypeVar("_Answer")
-
-
-def remembered(
-    question: Callable[[Character, Handles], _Answer],
-) -> Callable[[Character, Handles], _Answer]:
-    """The function, which remembers its two last answers: for the very objects that were given, which nobody can write
-    to, so they need not be compared.
-    """
-    last: list[tuple[Character, Handles, _Answer]] = []
-
-    @wraps(question)
-    def ask(character: Character, handles: Handles) -> _Answer:
-        for known, own, answer in tuple(last):
-            if known is character and own is handles:
-                return answer
-        answer = question(character, handles)
-        last[:] = [(character, handles, answer), *last[:1]]
-        return answer
-
-    return ask
 
 
 def decimated(character: Character, handles: Handles) -> tuple[Character, Handles]:
@@ -50,11 +24,8 @@ def decimated(character: Character, handles: Handles) -> tuple[Character, Handle
     Vertices in one cell of a grid that one handle moves the most become one, at the mean of their places and weights.
     The extreme points of every part stay themselves, so feet stand where they stood. Handle positions and roles stay.
     """
-    return (character, handles) if len(character.vertices) <= MANY else _decimated(character, handles)
-
-
-@remembered
-def _decimated(character: Character, handles: Handles) -> tuple[Character, Handles]:
+    if len(character.vertices) <= MANY:
+        return character, handles
     vertices, used = character.vertices, np.flatnonzero(character.surface)
     low = vertices[used].min(axis=0)
     some = character.faces[:: max(1, len(character.faces) // MANY)]

@@ -215,8 +215,7 @@ def downwards(parents: Sequence[int] | np.ndarray) -> list[int]:
 @lru_cache(maxsize=1)
 def reference_joints() -> Joints:
     """The reference body's handles with its true joints, positions [m] of shape (30, 3)."""
-    body = reference_body()
-    estimated = find_joints(body.character(), body.handles)
+    body, estimated = reference_body(), estimated_reference_joints()
     return replace(estimated, positions=np.concatenate([body.joints, estimated.positions[len(body.joints) :]]))
 
 

@@ -60,14 +60,18 @@ def further_limbs(handles: Handles) -> list[list[int]]:
     return out
 
 
-def limb_views(handles: Handles) -> list[LimbView]:
+def limb_views(handles: Handles, further: list[list[int]] | None = None) -> list[LimbView]:
     """The character without its further limbs, and, for each of them, with that limb in place of the first of its
     kind.
+
+    Args:
+        handles: Its handles.
+        further: Its further limbs; None looks for them.
     """
     count = len(handles.positions)
     plain = np.where(handles.played == np.arange(count), np.arange(count), -1)
     views = [_view(handles, plain, np.flatnonzero(plain >= 0).tolist())]
-    for limb in further_limbs(handles):
+    for limb in further_limbs(handles) if further is None else further:
         members, roles = plain.copy(), handles.played[limb]
         members[_limb_of(int(roles[0]))] = -1
         members[roles] = limb
@@ -87,12 +91,16 @@ def _view(handles: Handles, members: np.ndarray, own: list[int]) -> LimbView:
     return LimbView(Handles(positions, weights, roles=np.arange(len(members))), members, own)
 
 
-def by_limb(handles: Handles, solve: Callable[[Handles], tuple[np.ndarray, Joints]]) -> tuple[np.ndarray, Joints]:
+def by_limb(
+    handles: Handles, solve: Callable[[Handles], tuple[np.ndarray, Joints]], views: list[LimbView] | None = None
+) -> tuple[np.ndarray, Joints]:
     """Turns and joints of a character, limb by limb.
 
     Args:
         handles: Its handles, K = 30.
-        solve: Gives turns (K, 3, 3) and joints for handles that play their own parts.
+        solve: Gives turns (K, 3, 3) and joints for handles that play their own parts; called once for each limb, in
+            the order of `limb_views`.
+        views: Those views, where they are known.
 
     Returns:
         Turns (K, 3, 3) and joints of all its handles; each hangs on one of its own limb, and the first of a limb on the
@@ -103,7 +111,7 @@ def by_limb(handles: Handles, solve: Callable[[Handles], tuple[np.ndarray, Joint
     count = len(handles.positions)
     turns, parents, present = np.tile(np.eye(3), (count, 1, 1)), np.full(count, -1), np.zeros(count, bool)
     positions = handles.positions.astype(np.float64)
-    for view in limb_views(handles):
+    for view in views or limb_views(handles):
         turned, joints = solve(view.handles)
         for role in view.own:
             handle, above = view.members[role], int(joints.parents[role])

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku.anatomy.joints import Joints
-from bunraku.anatomy.legs import NEAR, find_legs
-from bunraku.anatomy.limbs import further_limbs
+from bunraku.anatomy.legs import NEAR, Leg
 from bunraku.anatomy.rest_pose import upright
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
@@ -95,17 +94,22 @@ class BodyPlan:
         return known[self.kind] + (f", with {' and '.join(more)}" if more else "")
 
 
-def plan_of(character: Character, handles: Handles, joints: Joints) -> BodyPlan:
+def plan_of(
+    character: Character, handles: Handles, joints: Joints, legs: list[Leg], further: list[list[int]]
+) -> BodyPlan:
     """The plan of a body in the pose that it stands in.
 
     Args:
         character: In its rest pose, facing +Z.
         handles: Its handles, K = 30 with the reference body's meaning.
         joints: Where they meet.
+        legs: The limbs that it stands on.
+        further: The handles of each limb beyond those of a person.
     """
-    legs = find_legs(character, handles, joints)
     found = {leg.upper for leg in legs}
-    stiff = [limb for limb in _limbs(handles, joints) if not found & set(limb) and _stands(character, handles, limb)]
+    stiff = [
+        limb for limb in _limbs(handles, joints, further) if not found & set(limb) and _stands(character, handles, limb)
+    ]
     hind = sum(int(handles.played[leg.upper]) in _HIND for leg in legs)
     own = joints.present & (handles.played == np.arange(len(handles.positions)))
     there = {name: bool(own[parts].all()) for name, parts in (("arms", _ARMS), ("wings", _WINGS))}
@@ -118,9 +122,8 @@ def plan_of(character: Character, handles: Handles, joints: Joints) -> BodyPlan:
     )  # fmt: skip
 
 
-def _limbs(handles: Handles, joints: Joints) -> list[list[int]]:
+def _limbs(handles: Handles, joints: Joints, further: list[list[int]]) -> list[list[int]]:
     """The handles of each limb of a body that has more than people have; none of others."""
-    further = [] if handles.roles is None else further_limbs(handles)
     if not further:
         return []
     own = joints.present & (handles.played == np.arange(len(handles.positions)))

@@ -6,16 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.anatomy.decimate import remembered
 from bunraku.anatomy.joints import (
     Joints,
     attach_joints,
     estimated_reference_joints,
-    find_joints,
     reference_joints,
     refined_joints,
 )
-from bunraku.anatomy.limbs import by_limb
 from bunraku.anatomy.rest_pose import rest_rotations
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import handle_positions, reference_body
@@ -24,29 +21,26 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.areas import vertex_areas
 
-__all__ = ["flat_feet", "stance_of", "rest_to_reference"]
+__all__ = ["flat_feet", "stance_of", "rest_of_limbs"]
 
 PASSES = 2  # turns need joints and joints need turns; both settle at once
 SOLE = 0.08  # what is this near to the lowest point, as a share of the foot's length, stands on the ground
 FLATTER = 1.2  # how much more of a foot must stand before the foot is turned
 
 
-@remembered  # ways of moving ask before the motion is fitted
-def rest_to_reference(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
-    """How a rest pose differs from the reference body's; what is given must not be written to.
+def rest_of_limbs(character: Character, handles: Handles, found: Joints) -> tuple[np.ndarray, Joints]:
+    """How the rest pose of a body with one limb of each kind differs from the reference body's.
+
+    Args:
+        character: In its rest pose.
+        handles: Its handles, which all play their own parts.
+        found: Its joints as the weights imply them (`find_joints`).
 
     Returns:
         The turn of each handle that makes up for it (see `rest_rotations`), shape (K, 3, 3), and the joints in the rest
         pose.
     """
-    turns, joints = by_limb(handles, lambda plain: _rest_to_reference(character, plain))
-    for array in (turns, joints.positions, joints.parents, joints.present):
-        array.setflags(write=False)
-    return turns, joints
-
-
-def _rest_to_reference(character: Character, handles: Handles) -> tuple[np.ndarray, Joints]:
-    reference, found = reference_body().handles, find_joints(character, handles)
+    reference = reference_body().handles
     rotations = rest_rotations(handles, found, reference, estimated_reference_joints(), character.height)
     for _ in range(PASSES):
         joints = refined_joints(character, handles, found, rotations)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.limbs import reference_parts
 from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
@@ -19,7 +20,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import MotionError
 from bunraku.io.skeletal import write_motion_bvh, write_motion_vrma
-from bunraku.retarget.reference import WayBack
+from bunraku.retarget.reference import motion_to_reference
 
 __all__ = ["humanoid_motion", "write_humanoid_bvh", "write_humanoid_vrma"]
 
@@ -39,16 +40,16 @@ def humanoid_motion(animation: Animation) -> SkeletalMotion:
             f"{len(animation.handles.positions)};"
             " animate the character with `bunraku animate`"
         )
-    way = WayBack.of(animation.character, animation.handles)
-    plain = skeleton_from_handles(way.motion(animation.motion, native=False))
-    _, present = reference_parts(way.handles, way.joints)
-    pelvis = _pelvis(way, present)
+    anatomy = Anatomy.of(animation.character, animation.handles)
+    plain = skeleton_from_handles(motion_to_reference(animation.motion, anatomy))
+    _, present = reference_parts(anatomy.handles, anatomy.joints)
+    pelvis = _pelvis(anatomy, present)
     root = animation.motion.transforms(animation.handles.positions)[:, 0].astype(float)
-    skeleton = Skeleton(JOINT_NAMES, np.array(JOINT_PARENTS), _offsets(way, pelvis))
+    skeleton = Skeleton(JOINT_NAMES, np.array(JOINT_PARENTS), _offsets(anatomy, pelvis))
     return SkeletalMotion(skeleton, plain.rotations, root[..., :3] @ pelvis + root[..., 3], plain.fps)
 
 
-def _offsets(way: WayBack, pelvis: np.ndarray) -> np.ndarray:
+def _offsets(anatomy: Anatomy, pelvis: np.ndarray) -> np.ndarray:
     """Rest offsets in the T-pose [m], shape (22, 3): those between the character's joints, turned as its limbs are
     turned.
 
@@ -56,10 +57,10 @@ def _offsets(way: WayBack, pelvis: np.ndarray) -> np.ndarray:
     """
     body = reference_body()
     plain = body.skeleton.offsets.astype(float)
-    parents, present = reference_parts(way.handles, way.joints)
-    joints = way.joints.positions[:JOINT_COUNT].astype(float)
+    parents, present = reference_parts(anatomy.handles, anatomy.joints)
+    joints = anatomy.joints.positions[:JOINT_COUNT].astype(float)
     joints[0] = pelvis
-    out = plain * way.scale
+    out = plain * anatomy.scale
     for joint in range(1, JOINT_COUNT):
         if not present[joint]:
             continue
@@ -67,7 +68,7 @@ def _offsets(way: WayBack, pelvis: np.ndarray) -> np.ndarray:
         line = [joint]
         while JOINT_PARENTS[line[-1]] != above:
             line.append(JOINT_PARENTS[line[-1]])
-        way_there = way.rotations[above] @ (joints[joint] - joints[above])
+        way_there = anatomy.rotations[above] @ (joints[joint] - joints[above])
         todo = [some for some in line if some == joint or not _shared(some, joint, parents, present)]
         way_there = way_there - sum((out[some] for some in line if some not in todo), np.zeros(3))
         lengths = np.linalg.norm(plain[todo], axis=-1)
@@ -89,15 +90,15 @@ def _shared(joint: int, lower: int, parents: np.ndarray, present: np.ndarray) ->
     return False
 
 
-def _pelvis(way: WayBack, present: np.ndarray) -> np.ndarray:
+def _pelvis(anatomy: Anatomy, present: np.ndarray) -> np.ndarray:
     """Where the pelvis joint is in the rest pose [m], shape (3,): as the reference body's is to its hips, or to its
     root handle.
     """
-    body, joints = reference_body(), way.joints.positions
+    body, joints = reference_body(), anatomy.joints.positions
     if present[1] and present[2]:
         size = np.linalg.norm(joints[1] - joints[2]) / np.linalg.norm(body.joints[1] - body.joints[2])
         return np.asarray((joints[1] + joints[2]) / 2 - size * ((body.joints[1] + body.joints[2]) / 2 - body.joints[0]))
-    return np.asarray(way.handles.positions[0] + (body.joints[0] - body.handles.positions[0]) * way.scale)
+    return np.asarray(anatomy.handles.positions[0] + (body.joints[0] - body.handles.positions[0]) * anatomy.scale)
 
 
 def write_humanoid_bvh(

@@ -9,6 +9,7 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
@@ -98,7 +99,7 @@ def generate(
     after: HandleMotion | None = ...,
     path: GroundPath | None = ...,
     candidates: int = ...,
-    body: tuple[Character, Handles] | None = ...,
+    body: Anatomy | None = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> HandleMotion: ...
@@ -117,7 +118,7 @@ def generate(
     after: HandleMotion | None = ...,
     path: GroundPath | None = ...,
     candidates: int = ...,
-    body: tuple[Character, Handles] | None = ...,
+    body: Anatomy | None = ...,
     anyway: bool = ...,
     progress: Progress | None = ...,
 ) -> list[HandleMotion]: ...
@@ -135,7 +136,7 @@ def generate(
     after: HandleMotion | None = None,
     path: GroundPath | None = None,
     candidates: int = CANDIDATES,
-    body: tuple[Character, Handles] | None = None,
+    body: Anatomy | None = None,
     anyway: bool = False,
     progress: Progress | None = None,
 ) -> HandleMotion | list[HandleMotion]:
@@ -155,8 +156,8 @@ def generate(
         path: What the root follows on the ground, in metres of the reference body.
         candidates: How many motions are drawn for each that is given back, the one that the ranker likes best, 1 to
             16. A motion that follows another is drawn once.
-        body: The character, +Y up and facing +Z, and the handles that are to be moved: sentences are taken as such a
-            body can, so that a fish swims that is told to walk. `mesh_feature` is theirs where it is None.
+        body: The anatomy of the character that is to be moved: sentences are taken as such a body can, so that a fish
+            swims that is told to walk. `mesh_feature` is that of its handles where it is None.
         anyway: Generate even where no movement of a sentence is understood.
         progress: Called with a stage's name and the share done.
 
@@ -171,15 +172,15 @@ def generate(
     check_together("rigid", loop=loop, after=after is not None, path=path is not None)
     ways, as_people = None, True
     if body is not None:
-        scripts, ways, as_people = as_bodies_do(scripts, *body)
-        mesh_feature = body[1].features if mesh_feature is None else mesh_feature
+        scripts, ways, as_people = as_bodies_do(scripts, body)
+        mesh_feature = body.handles.features if mesh_feature is None else mesh_feature
     how: dict[str, Any] = {
         "steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "examples": as_people, "pull": as_people,
         "progress": progress,
     }  # fmt: skip
     motions = _generated(scripts, seed, loop, after, path, candidates, how)
     if body is not None and ways is not None:
-        motions = [moved_ways(motion, way, *body, loop) for motion, way in zip(motions, ways, strict=True)]
+        motions = [moved_ways(motion, way, body, loop) for motion, way in zip(motions, ways, strict=True)]
     return motions[0] if isinstance(prompt, str) else motions
 
 
@@ -313,7 +314,7 @@ def animate_each(
         in_place=in_place, pins=bool(pins),
     )  # fmt: skip
     check_apparel_option(apparel, stiffness)
-    as_people = True
+    as_people, anatomy = True, None
     ways: list[Ways] = [[] for _ in scripts]
     moved_by = apparel_way(character, apparel, handles)
     if moved_by != "handles" and (path is not None or pins):
@@ -325,10 +326,10 @@ def animate_each(
     else:
         if not isinstance(handles, Handles):
             handles = rig(character, handles=handles or "predict", progress=progress)
-        feature = handles.features
-        scripts, ways, as_people = as_bodies_do(scripts, character, handles)
+        anatomy, feature = Anatomy.of(character, handles), handles.features
+        scripts, ways, as_people = as_bodies_do(scripts, anatomy)
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
-    way = path if isinstance(handles, str) else reference_path(path, character, handles)
+    way = path if anatomy is None else reference_path(path, anatomy)
     how: dict[str, Any] = {
         "steps": steps, "guidance": guidance, "mesh_feature": feature, "examples": as_people, "pull": as_people,
         "progress": progress,
@@ -343,14 +344,14 @@ def animate_each(
             if moved_by == "simulate":
                 yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
                 continue
-            if moved_by == "rig" or not isinstance(handles, Handles):
+            if anatomy is None:
                 moved: Animation | RigAnimation = apply_rigged(
                     motion, character, in_place=in_place, stages=stages, progress=progress
                 )
             else:
-                motion = moved_ways(motion, ways[number], character, handles, loop)
+                motion = moved_ways(motion, ways[number], anatomy, loop)
                 moved = apply_motion(
-                    motion, character, handles, loop=loop, in_place=in_place, after=after, path=path, pins=pins,
+                    motion, anatomy, loop=loop, in_place=in_place, after=after, path=path, pins=pins,
                     stages=stages, progress=progress
                 )  # fmt: skip
             if moves_apparel(apparel):

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.animation import Animation
-from bunraku.core.character import Character, Handles
+from bunraku.core.character import Character
 from bunraku.core.ground_path import GroundPath, bent_to_path
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
@@ -26,8 +27,7 @@ GENERATED_STAGES = Stages(shape=True)
 
 def apply_motion(
     motion: HandleMotion,
-    character: Character,
-    handles: Handles,
+    anatomy: Anatomy,
     *,
     loop: bool = False,
     in_place: bool = False,
@@ -41,8 +41,7 @@ def apply_motion(
 
     Args:
         motion: N frames.
-        character: +Y up and facing +Z.
-        handles: Its handles.
+        anatomy: Of the character.
         loop: Whether the motion is a loop.
         in_place: Take the way over the ground out.
         after: Start in the last pose of this; a motion of the reference body is one that `motion` already follows.
@@ -58,7 +57,7 @@ def apply_motion(
         after is not None and not isinstance(after, HandleMotion) and after.reference is None
     ):  # what the stage did to that clip is in the way back from it already
         stages = replace(stages, shape=False)
-    fitted = fitted_motion(motion, character, handles, stages, loop)
+    fitted = fitted_motion(motion, anatomy, stages, loop)
     if after is not None and not isinstance(after, HandleMotion):
         from bunraku.core.travel import follow
 
@@ -68,11 +67,12 @@ def apply_motion(
 
         fitted = in_place_motion(fitted, loop)
     if path is not None:
-        fitted = bent_to_path(fitted, path, size=float(handles.positions[0, 1] - character.vertices[:, 1].min()))
-    fitted = meet_pins(fitted, character, handles, pins)
+        low = float(anatomy.character.vertices[:, 1].min())
+        fitted = bent_to_path(fitted, path, size=float(anatomy.handles.positions[0, 1]) - low)
+    fitted = meet_pins(fitted, anatomy, pins)
     if progress:
         progress("fit", 1.0)
-    return Animation(character, handles, fitted, motion)
+    return Animation(anatomy.character, anatomy.handles, fitted, motion)
 
 
 def apply_simulated(
@@ -132,34 +132,32 @@ def apply_rigged(
     return moved
 
 
-def reference_path(path: GroundPath | None, character: Character, handles: Handles) -> GroundPath | None:
+def reference_path(path: GroundPath | None, anatomy: Anatomy) -> GroundPath | None:
     """A path for a character as one for the reference body, whose strides have another length."""
-    if path is None:
-        return None
-    from bunraku.retarget.stride import stride_length
-
-    return path.moved(1 / stride_length(character, handles))
+    return None if path is None else path.moved(1 / anatomy.scale)
 
 
-def fitted_motion(
-    motion: HandleMotion, character: Character, handles: Handles, stages: Stages | None, loop: bool = False
-) -> HandleMotion:
+def fitted_motion(motion: HandleMotion, anatomy: Anatomy, stages: Stages | None, loop: bool = False) -> HandleMotion:
     """`fit_motion`, with the rounds before and after a loop in sight, so that no stage treats its ends as ends."""
     if not loop or len(motion) < 3:
-        return fit_motion(motion, character, handles, stages)
+        return fit_motion(motion, anatomy, stages)
     from bunraku.core.travel import closed_loop, repeated
 
     margin = round(2 * motion.fps)
-    fitted = fit_motion(repeated(motion, margin, margin), character, handles, stages)
+    fitted = fit_motion(repeated(motion, margin, margin), anatomy, stages)
     return closed_loop(fitted.take(slice(margin, margin + len(motion))), motion)
 
 
-def reference_of(animation: AnimatedCharacter) -> HandleMotion:
+def reference_of(animation: AnimatedCharacter, anatomy: Anatomy | None = None) -> HandleMotion:
     """The motion of the reference body that an animation plays: the one that it was fitted from, or the way back from
     its own.
+
+    Args:
+        animation: Of 30 handles.
+        anatomy: Of its character by its handles; None works it out where it is needed.
     """
     if animation.reference is not None:
         return animation.reference
     from bunraku.retarget.reference import motion_to_reference
 
-    return motion_to_reference(animation.motion, animation.character, animation.handles)
+    return motion_to_reference(animation.motion, anatomy or Anatomy.of(animation.character, animation.handles))

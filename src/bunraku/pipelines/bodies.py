@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from bunraku.anatomy.decimate import decimated
-from bunraku.anatomy.joints import find_joints
-from bunraku.anatomy.plan import BodyPlan, plan_of
-from bunraku.body.layout import HANDLE_COUNT
-from bunraku.core.character import Character, Handles
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.plan import BodyPlan
 from bunraku.core.motion import HandleMotion
 from bunraku.language.clauses import of_creature, subject_of, with_subject
 from bunraku.language.ways import in_air, way_of
@@ -23,9 +20,7 @@ Ways = list[tuple[str, float]]
 """The ways of moving of the clauses of a sentence, "" for none, with their shares of its time."""
 
 
-def as_bodies_do(
-    scripts: Sequence[Script], character: Character, handles: Handles
-) -> tuple[list[list[tuple[str, float]]], list[Ways], bool]:
+def as_bodies_do(scripts: Sequence[Script], anatomy: Anatomy) -> tuple[list[list[tuple[str, float]]], list[Ways], bool]:
     """The clauses of sentences in words for what this body does in their place, the way of moving of each, and whether
     the body moves as people do.
 
@@ -34,13 +29,9 @@ def as_bodies_do(
 
     Args:
         scripts: The clauses of each sentence with their seconds.
-        character: Facing +Z.
-        handles: Its handles.
+        anatomy: Of the body.
     """
-    if len(handles.positions) != HANDLE_COUNT:  # what `fit_motion` refuses
-        return [list(script) for script in scripts], [[] for _ in scripts], True
-    character, handles = decimated(character, handles)
-    plan = plan_of(character, handles, find_joints(character, handles))
+    plan = anatomy.plan
     as_people = plan.upright and not plan.swims
     out: list[list[tuple[str, float]]] = []
     ways: list[Ways] = []
@@ -75,26 +66,20 @@ def _of_bird(clause: str) -> str:
     return f"a bird {rest}" if subject else with_subject(clause, "a bird")
 
 
-def moved_ways(
-    motion: HandleMotion, ways: Ways, character: Character, handles: Handles, loop: bool = False
-) -> HandleMotion:
+def moved_ways(motion: HandleMotion, ways: Ways, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
     """A generated motion with what its ways of moving need: wings that beat in the air, a wave along the body, feet on
     the ground.
 
     Args:
         motion: Of the reference body.
         ways: Of the sentence.
-        character: Facing +Z.
-        handles: Its handles.
+        anatomy: Of the character.
         loop: Whether the motion is a loop.
     """
-    if not ways:
-        return motion
-    character, handles = decimated(character, handles)
     start = 0.0
     for way, shares in groupby(ways, key=lambda one: one[0]):
         share = sum(one[1] for one in shares)
         where = slice(round(start * len(motion)), round((start + share) * len(motion)))
-        motion = moved_so(motion, way, where, character, handles, loop)
+        motion = moved_so(motion, way, where, anatomy, loop)
         start += share
     return motion

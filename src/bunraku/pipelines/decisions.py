@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku.anatomy.joints import find_joints
-from bunraku.anatomy.limbs import further_limbs
-from bunraku.anatomy.plan import BodyPlan, plan_of
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.plan import BodyPlan
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.core.character import Character, Handles
 from bunraku.handles.limbs import FAMILIES, limb_handles
 from bunraku.language.clauses import split_clauses
 from bunraku.language.concurrent import moved_part
@@ -76,14 +74,13 @@ class BodyFacts:
         return [self.plan.words, *(part.words for part in self.parts), *self.cannot]
 
 
-def body_facts(character: Character, handles: Handles) -> BodyFacts:
+def body_facts(anatomy: Anatomy) -> BodyFacts:
     """What was decided about a character's body.
 
     Args:
-        character: Facing +Z.
-        handles: Its handles, K = 30 with the reference body's meaning.
+        anatomy: Of the character.
     """
-    plan = plan_of(character, handles, find_joints(character, handles))
+    plan, character, handles = anatomy.plan, anatomy.character, anatomy.handles
     areas = character.areas / max(float(character.areas.sum()), 1e-30)
     main, played = handles.weights.argmax(axis=1), handles.played
     parts = []
@@ -96,8 +93,7 @@ def body_facts(character: Character, handles: Handles) -> BodyFacts:
             shown = name.replace("arm", "foreleg") if plan.front and name.endswith("arm") else name
             parts.append(PartFact(shown, area, clear))
     parts.sort(key=lambda part: -part.area)
-    further = len(further_limbs(handles)) if handles.roles is not None else 0
-    return BodyFacts(plan, tuple(parts), further, tuple(_cannot(plan)))
+    return BodyFacts(plan, tuple(parts), len(anatomy.further), tuple(_cannot(plan)))
 
 
 def _cannot(plan: BodyPlan) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import MotionError, OptionError
@@ -87,7 +88,8 @@ def edit(
         from bunraku.handles.predict import mesh_feature
 
         handles = replace(handles, features=mesh_feature(clip.character))
-    reference = reference_of(clip)
+    anatomy = Anatomy.of(clip.character, handles)
+    reference = reference_of(clip, anatomy)
     if len(reference) != len(clip.motion):
         raise MotionError(
             f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it "
@@ -101,8 +103,8 @@ def edit(
         kept = kept_handles(keep)[handles.played]  # a spare handle that plays a kept part is kept with it
     first, after = (0, len(made)) if span is None else span_frames(span, len(made), made.fps)
     runs = generated_runs(first, after, pose_frames(poses, len(made), made.fps))
-    fitted = put_back_runs(fitted_motion(made, clip.character, handles, stages), clip.motion, kept, runs)
-    fitted = meet_pins(fitted, clip.character, handles, pins)
+    fitted = put_back_runs(fitted_motion(made, anatomy, stages), clip.motion, kept, runs)
+    fitted = meet_pins(fitted, anatomy, pins)
     if progress:
         progress("fit", 1.0)
     return cast(Clip, Animation(clip.character, clip.handles, fitted, made))

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
@@ -88,7 +89,7 @@ def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None
         character, rig = motion.character, motion.character.rig
         own = len(motion.handles.positions)
         if isinstance(motion, Animation) and own == HANDLE_COUNT and (rig is None or own != len(rig.names) + 1):
-            found = motion_of_handles(motion.motion, character, motion.handles)
+            found = motion_of_handles(motion.motion, Anatomy.of(character, motion.handles))
         elif rig is not None and (isinstance(motion, RigAnimation) or own == len(rig.names) + 1):
             world = motion.world() if isinstance(motion, RigAnimation) else bone_rotations(motion)
             try:
@@ -120,7 +121,7 @@ def _of_animation(animation: Animation) -> HandleMotion:
     character, rig = animation.character, animation.character.rig
     bones = 0 if rig is None else len(rig.names)
     if len(animation.handles.positions) == HANDLE_COUNT != bones + 1:
-        return motion_to_reference(animation.motion, character, animation.handles)
+        return motion_to_reference(animation.motion, Anatomy.of(character, animation.handles))
     if rig is not None and len(animation.handles.positions) == bones + 1:
         try:
             return _of_rig(character, *bone_rotations(animation), animation.motion.fps)
@@ -164,12 +165,12 @@ def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
     from bunraku.retarget.reference import motion_to_reference
 
     motion, handles = _registered(rest, vertices, fps)
-    return motion_to_reference(motion, rest, handles)
+    return motion_to_reference(motion, Anatomy.of(rest, handles))
 
 
 def _creature_of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> CreatureMotion | None:
     motion, handles = _registered(rest, vertices, fps)
-    return motion_of_handles(motion, rest, handles)
+    return motion_of_handles(motion, Anatomy.of(rest, handles))
 
 
 def _registered(rest: Character, vertices: np.ndarray, fps: float) -> tuple[HandleMotion, Handles]:

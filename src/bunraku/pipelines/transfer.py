@@ -13,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animated import AnimatedCharacter
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
@@ -191,9 +192,10 @@ def apply_transfer(
 
             handles = rig(character, handles=handles, progress=progress)
         if isinstance(reference, HandleMotion):
-            result = Animation(character, handles, fit_motion(reference, character, handles, stages), reference)
+            fitted = fit_motion(reference, Anatomy.of(character, handles), stages)
+            result = Animation(character, handles, fitted, reference)
         else:
-            result = fit_creature(reference, character, handles, stages)
+            result = fit_creature(reference, Anatomy.of(character, handles), stages)
     progress("fit", 1.0)
     return result
 

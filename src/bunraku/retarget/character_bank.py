@@ -33,7 +33,7 @@ class CharacterBank:
         features: Mesh deformation feature f_phi, shape (C, 448).
         handles: Handle positions h, shape (C, K, 3).
         roles: Part that each handle plays, shape (C, K).
-        rotations: Turn from the rest pose to the reference body's (`rest_to_reference`), shape (C, K, 3, 3).
+        rotations: Turn from the rest pose to the reference body's (`Anatomy.rotations`), shape (C, K, 3, 3).
         joints: Joint between each handle and its parent, shape (C, K, 3).
         parents: Shape (C, K), -1 for the root.
         order: Handles, every parent before its children, shape (C, K).

@@ -35,19 +35,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bunraku.anatomy.decimate import decimated
-from bunraku.anatomy.ground import standing, stride_scale
-from bunraku.anatomy.joints import Joints, attach_joints, find_joints, reference_joints, refined_joints
-from bunraku.anatomy.legs import find_arms, find_legs
-from bunraku.anatomy.limbs import by_limb
-from bunraku.anatomy.rest_pose import upright
-from bunraku.anatomy.stance import rest_to_reference, stance_of
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.joints import attach_joints, reference_joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.body.residuals import capped
-from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.errors import CharacterError
 from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.stages.feet import lock_feet
@@ -95,68 +88,40 @@ class Stages:
 
 
 def fit_motion(
-    motion: HandleMotion,
-    character: Character,
-    handles: Handles,
-    stages: Stages | None = None,
-    rest: tuple[np.ndarray, Joints] | None = None,
-    heights: np.ndarray | None = None,
+    motion: HandleMotion, anatomy: Anatomy, stages: Stages | None = None, heights: np.ndarray | None = None
 ) -> HandleMotion:
     """A handle motion of the reference body, fitted to a character.
 
     Args:
         motion: Motion of the reference body's handles, feet on y = 0. One that is `native` keeps its
             own height, but for hovering: a bird stays in the air.
-        character: The character, facing +Z.
-        handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose
-            parts they play, about their own joints.
+        anatomy: Of the character.
         stages: Which stages run; all but `hands` and `shape` when None.
-        rest: What a rig tells of the rest pose: its turns into the reference body's, shape (K, 3, 3), and its joints.
-            None measures them.
         heights: Of the lowest point of the body that moves, where that is not the reference body, in its scale [m],
             shape (N,).
 
     Returns:
         The motion for the character, its root path scaled by the height of the root handle above the floor.
-
-    Raises:
-        CharacterError: The handles are not as many as the reference body's.
     """
     stages = stages or Stages()
     body = reference_body()
-    if len(handles.positions) != len(body.handles.positions):
-        want = len(body.handles.positions)
-        raise CharacterError(
-            f"a motion is fitted to {want} handles, not {len(handles.positions)}; take those of `bunraku.rig`"
-        )
     if stages.smooth:
         motion = smooth(motion)
-    whole = character, handles
-    character, handles = decimated(character, handles)
+    if not stages.rest_pose:
+        anatomy = anatomy.unturned
+    character, handles, joints = anatomy.mesh, anatomy.mesh_handles, anatomy.joints
     rotations = stepping(motion, handles)
     if stages.rest_pose:
-        turns, joints = rest or rest_to_reference(character, handles)
-        rotations = rotations @ turns
-    else:
-        still = np.tile(np.eye(3), (len(handles.positions), 1, 1))
-        if rest is None:
-            turns, joints = by_limb(
-                handles, lambda some: (still, refined_joints(character, some, find_joints(character, some), still))
-            )
-        else:
-            turns, joints = still, rest[1]
-    legs = find_legs(character, handles, joints)
+        rotations = rotations @ anatomy.rotations
+    legs, level = anatomy.legs, not anatomy.upright
     if motion.native:
-        level = not upright(handles)
         drawn = not level or drawn_arms(motion.rotations)
         if stages.rest_pose and level and (not drawn or not legs or handles.roles is not None):
             rotations = held_fins(rotations, handles, joints, drawn, motion.fps)
         rotations = lowered_tail(rotations, handles, joints, motion.fps)
         if stages.ground and legs and level:
             motion, rotations = raised_front(motion, rotations, character, handles, joints)
-    stance = stance_of(character, handles, joints, turns)
-    stands = standing(*stance)
-    scale = stride_scale(*stance, stands)
+    scale, stands, floor = anatomy.scale, anatomy.stands, anatomy.floor
     if stages.attach:
         rotations, translations = attach_joints(rotations, handles, joints)
         stiff = attach_joints(motion.rotations.astype(np.float64), body.handles, reference_joints())[1]
@@ -165,34 +130,27 @@ def fit_motion(
     else:
         translations = motion.translations[:, handles.played] * scale
     if stages.shape:
-        translations = translations + keep_edges(rotations, translations, *whole, scale)
-    floors = [float(some.vertices[stands, 1].min()) for some in (character, stance[0])]
-    path = motion.root_translation * scale + np.array([0, floors[0] - floors[1], 0])  # who sits stands up
-    lever = (
-        handles.positions[0] - stance[1].positions[0]
-    )  # the root turns about its place in the stance, not in the rest pose
-    path += (motion.root_rotation - np.eye(3)) @ lever
-    fitted = replace(motion, rotations=rotations, translations=translations, root_translation=path)
-    if stages.rest_pose and not motion.native and not upright(handles):
+        translations = translations + keep_edges(rotations, translations, anatomy.character, anatomy.handles, scale)
+    fitted = replace(motion, rotations=rotations, translations=translations, root_translation=anatomy.path(motion))
+    if stages.rest_pose and not motion.native and level:
         fitted = replace(fitted, root_rotation=_levelled(motion.root_rotation, motion.fps))
     if stages.ground and motion.native and heights is None:  # it brings its own height: a bird stays in the air
-        flies = not legs or upright(handles) or bool(joints.present[_WINGS].all())  # who is upright may climb or hang
+        flies = not legs or not level or bool(joints.present[_WINGS].all())  # who is upright may climb or hang
         fitted = settle_hovering(fitted, character, handles, stands, flies)
     elif stages.ground:
         fitted = set_on_ground(motion, fitted, character, handles, scale, stands, heights)
     if stages.feet or stages.floor or stages.hands or stages.support:
         contacts = None
-        arms = find_arms(character, handles, joints, legs)
         if stages.support:
-            fitted = keep_support(fitted, character, handles, joints, legs, floors[0])
+            fitted = keep_support(fitted, character, handles, joints, legs, floor)
         if stages.feet:
-            fitted, contacts = lock_feet(fitted, character, handles, joints, legs, floors[0])
+            fitted, contacts = lock_feet(fitted, character, handles, joints, legs, floor)
         if stages.hands:
-            fitted = keep_hands(motion, fitted, character, handles, joints, turns, arms, scale)
+            fitted = keep_hands(motion, fitted, character, handles, joints, anatomy.rotations, anatomy.arms, scale)
         if stages.floor:
             if legs:
-                fitted = raised_tail(fitted, character, handles, joints, floors[0])
-            fitted = settle_on_floor(fitted, character, handles, joints, legs, arms, contacts, stands, floors[0])
+                fitted = raised_tail(fitted, character, handles, joints, floor)
+            fitted = settle_on_floor(fitted, character, handles, joints, legs, anatomy.arms, contacts, stands, floor)
     return fitted
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.retarget.reference import WayBack
+from bunraku.retarget.reference import motion_to_reference
 from bunraku.retarget.rig_parts import RigParts
 
 __all__ = ["bones_to_handles", "handle_animation", "rig_to_reference"]
@@ -65,5 +65,4 @@ def rig_to_reference(
         fps: Frames a second [1/s].
         native: See `motion_to_reference`.
     """
-    way = WayBack.of(parts.character, parts.handles, (parts.rotations, parts.joints))
-    return way.motion(bones_to_handles(parts, rotations, positions, fps), native)
+    return motion_to_reference(bones_to_handles(parts, rotations, positions, fps), parts.anatomy, native)

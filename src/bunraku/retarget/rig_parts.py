@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import PRESENT, Joints, reference_joints
 from bunraku.anatomy.rest_pose import rest_rotations, upright
 from bunraku.anatomy.stance import flat_feet
@@ -114,6 +116,11 @@ class RigParts:
             above = int(parents[bone])
             still[bone] = parts[bone] == NO_HANDLE and (above < 0 or still[above]) and mass[bone] <= 0
         return cls(character, handles, joints, _turns(character, handles, joints), parts, leads, parents, still)
+
+    @cached_property
+    def anatomy(self) -> Anatomy:
+        """The body that the rig moves, with the rest pose and the joints that the rig tells."""
+        return Anatomy.of(self.character, self.handles, (self.rotations, self.joints))
 
     @property
     def humanoid(self) -> bool:

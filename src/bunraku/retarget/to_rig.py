@@ -45,11 +45,9 @@ def fit_rig(
     parts = character if isinstance(character, RigParts) else RigParts.of(character)
     fitted = fit_motion(
         stiff(motion),
-        parts.character,
-        parts.handles,
+        parts.anatomy,
         replace(stages or Stages(), shape=False),
-        rest=(parts.rotations, parts.joints),
-        heights=heights,
+        heights,
     )
     rotations, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
     return _with_helpers(RigAnimation.of_world(parts.character, rotations, positions, motion.fps, motion), parts)

@@ -4,14 +4,9 @@ the time.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
-from bunraku.anatomy.joints import reference_joints
-from bunraku.anatomy.legs import Leg, find_legs
-from bunraku.body.reference import reference_body
-from bunraku.core.character import Character
+from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.feet import find_contacts
 
@@ -31,16 +26,9 @@ def is_treadmill(motion: HandleMotion) -> bool:
     """
     if len(motion) < 8:
         return False
-    character, legs = _standing()
-    missing = find_contacts(motion, character, reference_body().handles, legs, float(character.vertices[:, 1].min()))[1]
+    body = reference_anatomy()
+    missing = find_contacts(motion, body.mesh, body.handles, body.legs, float(body.mesh.vertices[:, 1].min()))[1]
     slide = float(np.linalg.norm(missing, axis=1).mean() * motion.fps)
     path = np.diff(motion.root_translation[:, [0, 2]], axis=0)
     speed = float(np.linalg.norm(path, axis=1).mean() * motion.fps)
     return slide > SLIDES and speed < TRAVELS * slide
-
-
-@lru_cache(maxsize=1)
-def _standing() -> tuple[Character, list[Leg]]:
-    body = reference_body()
-    character = Character("reference", body.vertices, body.faces)
-    return character, find_legs(character, body.handles, reference_joints())

@@ -117,6 +117,7 @@ def dressed_anew(
         CharacterError: There is no such apparel.
         OptionError: What moves its bones is not known as a motion of the body.
     """
+    from bunraku.anatomy.anatomy import Anatomy
     from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of
 
     body = body_of(take)
@@ -127,10 +128,11 @@ def dressed_anew(
         raise OptionError(
             "the bones of this take were moved by its file; drop that file again with other hair and clothes"
         )
+    anatomy = Anatomy.of(body.character, handles)
     motion: HandleMotion = reference_of(body)
     if apparel.way == "simulate":
         return apply_simulated(motion, body.character, in_place=in_place, stages=stages, progress=report)
-    return apply_motion(motion, body.character, handles, in_place=in_place, stages=stages, progress=report)
+    return apply_motion(motion, anatomy, in_place=in_place, stages=stages, progress=report)
 
 
 def is_worn(character: Character, handles: Handles) -> bool:

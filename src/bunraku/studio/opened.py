@@ -86,6 +86,7 @@ def _axes(found: FileStanding) -> dict[str, Any]:
 
 def told(character: Character, handles: Handles) -> dict[str, Any]:
     """What a page shows of a character."""
+    from bunraku.anatomy.anatomy import Anatomy
     from bunraku.core.mmd_model import mmd_model
     from bunraku.handles.from_rig import rig_handles
     from bunraku.physics.from_file import apparel_rig
@@ -122,6 +123,6 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
         "used": used.tolist(),
         "ends": [
             {"part": end.part, "handle": end.handle, "point": np.round(end.point, 5).tolist()}
-            for end in limb_ends(character, handles)
+            for end in limb_ends(Anatomy.of(character, handles))
         ],
     }

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.ground_path import GroundPath
@@ -101,6 +102,7 @@ def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> 
 
     owner, takes, seeds = params["character"], params["takes"], [int(seed) for seed in params["seeds"]]
     character, handles = shop.character(owner)
+    anatomy = Anatomy.of(character, handles)
     path, pins = _directed(params)
     apparel, loop, in_place = Apparel.of(params), bool(params["loop"]), bool(params["in_place"])
     before = body_of(shop.take(params["after"], owner)) if params.get("after") else None
@@ -118,8 +120,8 @@ def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> 
     how: dict[str, Any] = {
         "seconds": float(params["seconds"]), "mesh_feature": handles.features, "loop": loop,
         "after": None if before is None else reference_of(before), "guidance": params.get("guidance"),
-        "path": reference_path(path, character, handles), "anyway": bool(params.get("anyway")),
-        "body": None if on_bones else (character, handles),
+        "path": reference_path(path, anatomy), "anyway": bool(params.get("anyway")),
+        "body": None if on_bones else anatomy,
     }  # fmt: skip
 
     def fitted(motion: HandleMotion, draft: bool) -> Take:
@@ -127,7 +129,7 @@ def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> 
             move = apply_simulated if apparel.way == "simulate" else apply_rigged
             return apparel.put_on(move(motion, character, in_place=in_place, stages=stages), report)
         body = apply_motion(
-            motion, character, handles, loop=loop, in_place=in_place, after=before, path=path, pins=pins,
+            motion, anatomy, loop=loop, in_place=in_place, after=before, path=path, pins=pins,
             stages=DRAFT_STAGES if draft else stages,
         )  # fmt: skip
         return body if draft else apparel.put_on(body, report)
@@ -216,7 +218,7 @@ def _bend(shop: Workshop, params: Params, report: Report, partly: Partly) -> dic
     parent = _handles_take(shop, params)
     report("fit", 0.2)
     _, pins = _directed(params)
-    met = meet_pins(parent.motion, parent.character, parent.handles, pins)
+    met = meet_pins(parent.motion, Anatomy.of(parent.character, parent.handles), pins)
     made = Apparel.of(params).put_on(Animation(parent.character, parent.handles, met, parent.reference), report)
     (name,) = params["takes"]
     partly({"take": name, "state": "done", **shop.keep(made, name, params["character"])})

@@ -35,6 +35,7 @@ class Workshop:
 
     def warm_up(self) -> None:
         """Load the networks, so that the first user does not wait for them."""
+        from bunraku.anatomy.anatomy import Anatomy
         from bunraku.pipelines.animate import generate, rig
         from bunraku.pipelines.apply import apply_motion
         from bunraku.samples import sample_character
@@ -43,7 +44,7 @@ class Workshop:
             character = sample_character("person")
             handles = rig(character)
             motion = generate("walks", seconds=2, steps=2, candidates=2, mesh_feature=handles.features)
-            apply_motion(motion, character, handles)
+            apply_motion(motion, Anatomy.of(character, handles))
         except BunrakuError as error:  # it will be told where it matters
             logging.getLogger(__name__).warning("%s", error)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
@@ -160,7 +161,9 @@ def test_a_clip_goes_to_the_reference_body_and_back(archive):
     motion = reference_motion(body, vertices)
     bare = Stages(feet=False, smooth=False, floor=False)
     again = Animation(
-        body.character, body.handles, fit_motion(replace(motion, native=True), body.character, body.handles, bare)
+        body.character,
+        body.handles,
+        fit_motion(replace(motion, native=True), Anatomy.of(body.character, body.handles), bare),
     ).vertices()
     error = np.linalg.norm(again - vertices, axis=-1).mean() / body.character.height
     assert error < 0.02

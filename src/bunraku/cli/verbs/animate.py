@@ -245,10 +245,11 @@ def _say_limits(path: Path, character: Character, handles: Handles | str, prompt
     """Say on standard error what the prompts ask for that this body cannot do."""
     if isinstance(handles, str):  # its own rig moves it
         return
+    from bunraku.anatomy.anatomy import Anatomy
     from bunraku.language.understood import check_understood
-    from bunraku.pipelines.decisions import body_facts, unable
+    from bunraku.pipelines.decisions import unable
 
-    plan = body_facts(character, handles).plan
+    plan = Anatomy.of(character, handles).plan
     notes = dict.fromkeys(unable(plan, check_understood(prompt, True).english) for prompt in prompts)
     for note in notes:
         if note:

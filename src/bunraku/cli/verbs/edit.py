@@ -109,12 +109,13 @@ class Edit(GeneratingOptions):
                     file=sys.stderr,
                 )
             return Animation(body.character(), body.handles, motion, motion)
+        from bunraku.anatomy.anatomy import Anatomy
         from bunraku.pipelines.animate import rig
         from bunraku.pipelines.apply import apply_motion
 
         character = stand_up(load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit)
         handles = rig(character, handles=self.handles, progress=report)
-        return clip.on(character, handles) or apply_motion(clip.of_the_reference_body(), character, handles)
+        return clip.on(character, handles) or apply_motion(clip.of_the_reference_body(), Anatomy.of(character, handles))
 
 
 def parse_span(text: str) -> tuple[float, float]:

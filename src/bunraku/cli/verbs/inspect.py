@@ -81,13 +81,14 @@ def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
 
 def _body(character: Character, orientation: dict[str, Any]) -> dict[str, Any]:
     """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
+    from bunraku.anatomy.anatomy import Anatomy
     from bunraku.formats.turning import turned
     from bunraku.handles.predict import predict_handles
     from bunraku.pipelines.decisions import body_facts
 
     try:
         standing = turned(character, orientation["taken_up"], orientation["taken_front"])
-        found = body_facts(standing, predict_handles(standing))
+        found = body_facts(Anatomy.of(standing, predict_handles(standing)))
     except (WeightsError, CharacterError) as error:
         return {"body": None, "body_note": str(error)}
     parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]

@@ -65,11 +65,12 @@ class Rig:
             character = stand_up(given, self.character, self.up, self.front, self.unit)
             report("load", 1.0)
 
+            from bunraku.anatomy.anatomy import Anatomy
             from bunraku.pipelines.animate import rig
             from bunraku.pipelines.decisions import body_facts
 
             handles = rig(character, handles=self.handles, progress=report)
-            facts = body_facts(character, handles)
+            facts = body_facts(Anatomy.of(character, handles))
             report("write", 0.0)
             save_character(character, output, handles=handles)
             report("write", 1.0)

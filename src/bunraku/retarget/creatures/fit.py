@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.anatomy.joints import find_joints
-from bunraku.anatomy.plan import check_plans, plan_of
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.plan import check_plans
 from bunraku.core.animation import Animation
-from bunraku.core.character import Character, Handles
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.retarget.creatures.motion import CreatureMotion
 from bunraku.retarget.fit import Stages, fit_motion
@@ -32,25 +31,24 @@ def _heights(source: CreatureMotion) -> np.ndarray | None:
     return source.heights if source.plan.legs and not source.flies else None
 
 
-def fit_creature(source: CreatureMotion, character: Character, handles: Handles, stages: Stages) -> Animation:
+def fit_creature(source: CreatureMotion, anatomy: Anatomy, stages: Stages) -> Animation:
     """A creature's motion on the handles of a character.
 
     Args:
         source: The motion.
-        character: Facing +Z, standing.
-        handles: Its handles, K = 30 with the reference body's meaning.
+        anatomy: Of the character, which stands in its rest pose.
         stages: Which stages run.
 
     Raises:
         CharacterError: The character lacks what carries the source (see `check_plans`).
     """
-    plan = plan_of(character, handles, find_joints(character, handles))
-    if not source.suits(plan):
+    character, handles = anatomy.character, anatomy.handles
+    if not source.suits(anatomy.plan):
         assert source.person is not None
-        return Animation(character, handles, fit_motion(source.person, character, handles, stages), source.person)
-    check_plans(source.plan, plan, character.name, source.flies)
-    fitted = fit_motion(source.motion, character, handles, _own_stages(stages), heights=_heights(source))
-    return Animation(character, handles, fitted, motion_to_reference(fitted, character, handles, native=True))
+        return Animation(character, handles, fit_motion(source.person, anatomy, stages), source.person)
+    check_plans(source.plan, anatomy.plan, character.name, source.flies)
+    fitted = fit_motion(source.motion, anatomy, _own_stages(stages), _heights(source))
+    return Animation(character, handles, fitted, motion_to_reference(fitted, anatomy, native=True))
 
 
 def fit_creature_rig(source: CreatureMotion, parts: RigParts, stages: Stages) -> RigAnimation:
@@ -64,11 +62,10 @@ def fit_creature_rig(source: CreatureMotion, parts: RigParts, stages: Stages) ->
     Raises:
         CharacterError: The character lacks what carries the source (see `check_plans`).
     """
-    plan = plan_of(parts.character, parts.handles, parts.joints)
+    plan = parts.anatomy.plan
     if not source.suits(plan):
         assert source.person is not None
         return fit_rig(source.person, parts, stages)
     check_plans(source.plan, plan, parts.character.name, source.flies)
-    still = replace(parts, rotations=np.tile(np.eye(3), (len(parts.rotations), 1, 1)))
-    moved = fit_rig(source.motion, still, _own_stages(stages), heights=_heights(source))
+    moved = fit_rig(source.motion, parts, _own_stages(stages), heights=_heights(source))
     return replace(moved, reference=None)

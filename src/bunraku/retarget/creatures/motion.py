@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.ground import lowest
-from bunraku.anatomy.joints import Joints, attach_joints, downwards, find_joints, reference_joints
-from bunraku.anatomy.plan import BodyPlan, plan_of
-from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_NAMES
+from bunraku.anatomy.joints import attach_joints, downwards, reference_joints
+from bunraku.anatomy.plan import BodyPlan
+from bunraku.body.layout import HANDLE_PARENTS, JOINT_NAMES
 from bunraku.body.reference import reference_body
-from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.resample import resample, resample_motion
 from bunraku.errors import MotionError
@@ -116,26 +116,20 @@ def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: 
         positions: Where its head is [m], shape (N, J, 3).
         fps: Frames a second [1/s].
     """
-    plan = plan_of(rig.character, rig.handles, rig.joints)
+    plan = rig.anatomy.plan
     if _as_people(plan) and not plan.wings:
         return None
-    motion = bones_to_handles(rig, turns, positions, fps)
-    return _creature(motion, rig.character, rig.handles, rig.joints, plan)
+    return _creature(bones_to_handles(rig, turns, positions, fps), rig.anatomy)
 
 
-def motion_of_handles(motion: HandleMotion, character: Character, handles: Handles) -> CreatureMotion | None:
+def motion_of_handles(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
     """A motion of a character's handles; None of a person and of whoever else goes upright on two legs.
 
     Args:
-        motion: Of its handles, K = 30 with the reference body's meaning.
-        character: In the pose that the motion is relative to, facing +Z.
-        handles: Its handles.
+        motion: Of its handles.
+        anatomy: Of the character, in the pose that the motion is relative to.
     """
-    joints = find_joints(character, handles)
-    plan = plan_of(character, handles, joints)
-    if (_as_people(plan) and not plan.wings) or len(handles.positions) != HANDLE_COUNT:
-        return None
-    return _creature(motion, character, handles, joints, plan)
+    return None if _as_people(anatomy.plan) and not anatomy.plan.wings else _creature(motion, anatomy)
 
 
 def _as_people(plan: BodyPlan) -> bool:
@@ -143,12 +137,11 @@ def _as_people(plan: BodyPlan) -> bool:
     return plan.kind == "person" or (plan.kind == "two legs" and plan.upright)
 
 
-def _creature(
-    motion: HandleMotion, character: Character, handles: Handles, joints: Joints, plan: BodyPlan
-) -> CreatureMotion | None:
+def _creature(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
     """A motion of a character's handles in the words of `CreatureMotion`; None of one with wings that goes on its legs
     as people do.
     """
+    character, handles, joints, plan = anatomy.character, anatomy.handles, anatomy.joints, anatomy.plan
     flies = plan.wings and wing_swing(motion) > BEATS
     if _as_people(plan) and not flies:
         return None

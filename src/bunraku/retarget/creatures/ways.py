@@ -12,12 +12,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from bunraku.anatomy.ground import standing, stride_scale
-from bunraku.anatomy.joints import Joints, attach_joints, find_joints, reference_joints
-from bunraku.anatomy.stance import rest_to_reference, stance_of
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.joints import attach_joints, reference_joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
-from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.heading import heading
@@ -67,9 +65,7 @@ def wing_swing(motion: HandleMotion, held: float | None = None) -> float:
     return float(np.linalg.norm(high - low, axis=-1).max())
 
 
-def moved_so(
-    motion: HandleMotion, way: str, where: slice, character: Character, handles: Handles, loop: bool = False
-) -> HandleMotion:
+def moved_so(motion: HandleMotion, way: str, where: slice, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
     """The motion with what a way of moving needs in some of its frames; as it is for other ways than "fly", "swim" and
     those of `AIR`. "Stay" is to be in the air for no longer than a jump, and "lie" to be on the ground with all but the
     front.
@@ -78,8 +74,7 @@ def moved_so(
         motion: Of the reference body, generated for this character.
         way: Of moving.
         where: The frames.
-        character: Facing +Z.
-        handles: Its handles.
+        anatomy: Of the character.
         loop: Whether the last frame is the first again.
     """
     frames = np.arange(len(motion))[where]
@@ -89,10 +84,10 @@ def moved_so(
         turned, root = laid(motion, _amount(len(motion), frames, motion.fps))
         motion = replace(_attached(motion, turned, motion.root_translation.astype(np.float64)), root_rotation=root)
     if way == "fly":
-        return _flown(motion, frames, character, handles, loop)
+        return _flown(motion, frames, anatomy, loop)
     if way in WAVE:
-        motion = _waved(motion, way, frames, character, handles, loop)
-    return _grounded(motion, way, frames, character, handles) if way in AIR else motion
+        motion = _waved(motion, way, frames, anatomy, loop)
+    return _grounded(motion, way, frames, anatomy) if way in AIR else motion
 
 
 def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMotion:
@@ -103,31 +98,28 @@ def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMoti
     return replace(motion, root_translation=path, native=True)
 
 
-def _grounded(
-    motion: HandleMotion, way: str, frames: np.ndarray, character: Character, handles: Handles
-) -> HandleMotion:
+def _grounded(motion: HandleMotion, way: str, frames: np.ndarray, anatomy: Anatomy) -> HandleMotion:
     """The motion lower by as much as the character would hover in some frames, with a tail that a tilted trunk does not
     hold up.
     """
     if not motion.native:
         return motion
-    rest = rest_to_reference(character, handles)
     share = _amount(len(motion), frames, motion.fps)
-    motion = _tail_lowered(motion, share, handles, rest[1])
-    stance = stance_of(character, handles, rest[1], rest[0])
-    stands = standing(*stance)
-    fitted = fit_motion(motion, character, handles, BARE, rest)
+    motion = _tail_lowered(motion, share, anatomy)
+    fitted = fit_motion(motion, anatomy, BARE)
     hovers = share * gaussian_filter1d(
-        hovering(fitted, character, handles, stands, AIR[way]), AIR[way] / 3 * motion.fps, mode="nearest"
-    )
-    if hovers.max() < (FLIES[0] if way == "stay" else LEAST) * character.height:  # `fit_motion` sets it down
+        hovering(fitted, anatomy.mesh, anatomy.mesh_handles, anatomy.stands, AIR[way]),
+        AIR[way] / 3 * motion.fps, mode="nearest",
+    )  # fmt: skip
+    if hovers.max() < (FLIES[0] if way == "stay" else LEAST) * anatomy.mesh.height:  # `fit_motion` sets it down
         return motion
     path = motion.root_translation.astype(np.float64)
-    path[:, 1] -= hovers / stride_scale(*stance, stands)
+    path[:, 1] -= hovers / anatomy.scale
     return replace(motion, root_translation=path)
 
 
-def _tail_lowered(motion: HandleMotion, share: np.ndarray, handles: Handles, joints: Joints) -> HandleMotion:
+def _tail_lowered(motion: HandleMotion, share: np.ndarray, anatomy: Anatomy) -> HandleMotion:
+    handles, joints = anatomy.handles, anatomy.joints
     own = joints.present & (handles.played == np.arange(len(handles.positions)))
     before = motion.rotations.astype(np.float64)
     after = lowered_tail(before, handles, replace(joints, present=own), motion.fps, motion.root_rotation)
@@ -159,9 +151,7 @@ def _phase(count: int, frames: np.ndarray, rate: float, fps: float, loop: bool) 
     return np.asarray(2 * np.pi * turns * (np.arange(count) - frames[0]) / max(len(frames) - 1, 1))
 
 
-def _flown(
-    motion: HandleMotion, frames: np.ndarray, character: Character, handles: Handles, loop: bool
-) -> HandleMotion:
+def _flown(motion: HandleMotion, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
     motion = in_air(motion, frames)
     share = _amount(len(motion), frames, motion.fps)
     motion = _righted(motion, share)
@@ -170,7 +160,7 @@ def _flown(
     phase = _phase(len(motion), frames, BEAT, motion.fps, loop)
     rotations = motion.rotations.astype(np.float64).copy()
     for wing in _WINGS:
-        axis = _lifting_axis(character, handles, wing)
+        axis = _lifting_axis(anatomy, wing)
         held = axis_angle_from_matrix(rotations[:, wing]) * (1 - share[:, None])  # what was drawn is no flight
         beat = SPREAD * np.sin(phase) * share
         rotations[:, wing] = matrix_from_axis_angle(beat[:, None] * axis) @ matrix_from_axis_angle(held)
@@ -195,19 +185,17 @@ def _righted(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
     return replace(_attached(motion, rotations, motion.root_translation.astype(np.float64)), root_rotation=root)
 
 
-def _lifting_axis(character: Character, handles: Handles, wing: int) -> np.ndarray:
+def _lifting_axis(anatomy: Anatomy, wing: int) -> np.ndarray:
     """The axis about which a wing turns upwards, from where it is joined to its middle, shape (3,)."""
-    joints = find_joints(character, handles)
-    out = handles.positions[wing] - joints.positions[wing]
+    handles = anatomy.handles
+    out = handles.positions[wing] - anatomy.joints.positions[wing]
     axis = np.cross(out, [0.0, 1.0, 0.0])
     if np.linalg.norm(axis) < 0.3 * max(float(np.linalg.norm(out)), 1e-9):  # it points up: it beats sideways
         axis = np.array([0, 0, 1.0 if handles.positions[wing][0] > 0 else -1.0])
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def _waved(
-    motion: HandleMotion, way: str, frames: np.ndarray, character: Character, handles: Handles, loop: bool
-) -> HandleMotion:
+def _waved(motion: HandleMotion, way: str, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
     some = HandleMotion.take(motion, frames)
     share = _amount(len(motion), frames, motion.fps)
     path = motion.root_translation.astype(np.float64)
@@ -220,7 +208,7 @@ def _waved(
     turns = np.asarray(axis_angle_from_matrix(some.rotations[:, _TAIL].astype(np.float64)))
     if float(np.ptp(turns, axis=0).max()) < BENDS:
         phase = _phase(len(motion), frames, WAVE[way], motion.fps, loop)
-        axis = np.array([1.0, 0, 0]) if way == "swim" and _flat_tail(character, handles) else np.array([0, 1.0, 0])
+        axis = np.array([1.0, 0, 0]) if way == "swim" and _flat_tail(anatomy) else np.array([0, 1.0, 0])
         for name, behind in _LINE.items():
             angle = BENT[way] * abs(behind) / 1.7 * np.sin(phase - behind) * share
             turn = matrix_from_axis_angle(angle[:, None] * axis)
@@ -229,12 +217,12 @@ def _waved(
     return _attached(motion, rotations, path)
 
 
-def _flat_tail(character: Character, handles: Handles) -> bool:
+def _flat_tail(anatomy: Anatomy) -> bool:
     """Whether the end of a tail is wider than high, as a whale's: it beats up and down."""
-    held = character.surface & (handles.weights[:, _TAIL] > 0.5)
+    held = anatomy.mesh.surface & (anatomy.mesh_handles.weights[:, _TAIL] > 0.5)
     if held.sum() < 3:
         return False
-    size = np.ptp(character.vertices[held], axis=0)
+    size = np.ptp(anatomy.mesh.vertices[held], axis=0)
     return bool(size[0] > 1.5 * size[1])
 
 

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import Joints
-from bunraku.anatomy.legs import Leg, find_arms, find_legs
-from bunraku.anatomy.stance import rest_to_reference
+from bunraku.anatomy.legs import Leg
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.core.character import Character, Handles
+from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import OptionError
 from bunraku.geometry.easing import smooth_step
@@ -107,24 +106,15 @@ class LimbEnd:
     limb: Leg
 
 
-def limb_ends(character: Character, handles: Handles) -> list[LimbEnd]:
-    """The hands and feet of a character that can be pinned; none where it has no limbs or no handles of a body."""
-    if len(handles.positions) != len(HANDLE_NAMES):
-        return []
-    return _ends(character, handles)[0]
-
-
-def _ends(character: Character, handles: Handles) -> tuple[list[LimbEnd], Joints]:
-    light, own = decimated(character, handles)
-    _, joints = rest_to_reference(light, own)
-    legs = find_legs(light, own, joints)
+def limb_ends(anatomy: Anatomy) -> list[LimbEnd]:
+    """The hands and feet of a character that can be pinned; none where it has no limbs."""
     out: dict[str, LimbEnd] = {}
-    for limb in (*legs, *find_arms(light, own, joints, legs)):
-        side, _, name = HANDLE_NAMES[int(own.played[limb.end])].partition("_")
+    for limb in (*anatomy.legs, *anatomy.arms):
+        side, _, name = HANDLE_NAMES[int(anatomy.handles.played[limb.end])].partition("_")
         part = f"{side}_{_PART_OF.get(name, '')}"
         if part in PINNED and part not in out:
             out[part] = LimbEnd(part, limb.end, limb.joints[2], limb)
-    return [out[part] for part in PINNED if part in out], joints
+    return [out[part] for part in PINNED if part in out]
 
 
 def end_places(motion: HandleMotion, handles: Handles, ends: Sequence[LimbEnd]) -> np.ndarray:
@@ -134,13 +124,12 @@ def end_places(motion: HandleMotion, handles: Handles, ends: Sequence[LimbEnd]) 
     return np.stack(places, axis=1) if places else np.zeros((len(motion), 0, 3))
 
 
-def meet_pins(motion: HandleMotion, character: Character, handles: Handles, pins: Sequence[Pin]) -> HandleMotion:
+def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> HandleMotion:
     """The motion of a character with its pins met.
 
     Args:
         motion: Of the character, N frames.
-        character: In its rest pose.
-        handles: Its 30 handles.
+        anatomy: Of the character.
         pins: At most one of a part at a time.
 
     Raises:
@@ -148,7 +137,7 @@ def meet_pins(motion: HandleMotion, character: Character, handles: Handles, pins
     """
     if not pins:
         return motion
-    ends, joints = _ends(character, handles)
+    ends, character, handles, joints = limb_ends(anatomy), anatomy.mesh, anatomy.handles, anatomy.joints
     known = {end.part: number for number, end in enumerate(ends)}
     for pin in pins:
         if pin.part not in known:

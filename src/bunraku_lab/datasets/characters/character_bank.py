@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.anatomy.decimate import decimated
-from bunraku.anatomy.ground import standing, stride_scale
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import Joints, downwards, reference_joints
 from bunraku.anatomy.rest_pose import upright
-from bunraku.anatomy.stance import rest_to_reference, stance_of
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
@@ -140,10 +138,8 @@ def bank_row(character: Character, name: str, rig: Callable[[Character], Handles
         )
     plain = replace(character, rig=None)
     handles = rig(plain)
-    light, few = decimated(plain, handles)  # as `fit_motion` does
-    rotations, joints = rest_to_reference(light, few)
-    stance = stance_of(light, few, joints, rotations)
-    return _row(character, name, handles, rotations, joints, stride_scale(*stance, standing(*stance)), seed)
+    anatomy = Anatomy.of(plain, handles)
+    return _row(character, name, handles, *anatomy.rest, anatomy.scale, seed)
 
 
 def _varied(character: Character, name: str, random: np.random.Generator) -> Character:

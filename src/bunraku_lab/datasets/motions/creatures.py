@@ -20,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import BunrakuError, CharacterError
 from bunraku.retarget.from_mesh import handle_motion_of_mesh
-from bunraku.retarget.reference import WayBack
+from bunraku.retarget.reference import motion_to_reference
 from bunraku_lab.datasets.archive import present_files
 from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.datasets.characters.known_rigs import facing_turn
@@ -181,7 +182,7 @@ class CreatureBody:
         handles: Predicted, with four influences a vertex as `bunraku.rig` gives them.
         turn: What made it face +Z, shape (3, 3).
         areas: Surface of each vertex, shape (V,).
-        way: To the reference body.
+        anatomy: What is known of the body.
     """
 
     path: Path
@@ -189,7 +190,7 @@ class CreatureBody:
     handles: Handles
     turn: np.ndarray
     areas: np.ndarray
-    way: WayBack
+    anatomy: Anatomy
 
 
 def creature_body(path: Path, name: str) -> CreatureBody:
@@ -217,7 +218,7 @@ def creature_body(path: Path, name: str) -> CreatureBody:
         handles,
         turn,
         character.areas,
-        WayBack.of(character, handles),
+        Anatomy.of(character, handles),
     )
 
 
@@ -265,7 +266,7 @@ def reference_motion(
         motion = played_on(motion, LEAST_LOOP)
     if travels:
         motion = with_travel(motion, forward_speed(vertices, body.character.surface, height, FPS))
-    return body.way.motion(motion, native=not person)
+    return motion_to_reference(motion, body.anatomy, native=not person)
 
 
 def _entry(clip: CreatureClip, frames: int) -> dict[str, Any]:

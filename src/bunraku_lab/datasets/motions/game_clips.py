@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
@@ -41,7 +42,7 @@ def reference_clip(animation: Animation) -> HandleMotion:
     motion = handle_motion_of_mesh(
         character.vertices, animation.vertices(), handles.weights, handles.positions, areas, animation.motion.fps
     )
-    return motion_to_reference(motion, character, handles)
+    return motion_to_reference(motion, Anatomy.of(character, handles))
 
 
 def _side(motion: HandleMotion, part: str) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points
@@ -66,7 +67,7 @@ def body_handles(
     found = []
     for done, values in enumerate(features, 1):
         motion = decode(values)
-        fitted = fit_motion(motion, character, handles)
+        fitted = fit_motion(motion, Anatomy.of(character, handles))
         found.append(handle_samples(fitted, handles.positions, height))
         if progress is not None:
             progress(done, len(features))

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
@@ -110,7 +111,7 @@ def _animated(
     floor = float(vertices[legs if legs.any() else one.surface, 1].min())
     out = {}
     for name, motion in motions.items():
-        fitted = fit_motion(motion, character, handles, stages)
+        fitted = fit_motion(motion, Anatomy.of(character, handles), stages)
         frames = np.unique(np.linspace(0, len(motion) - 1, FRAMES).astype(int))
         moved = Animation(character, handles, fitted).vertices(frames)[:, one.surface]
         out[name] = moved - [moved[0, :, 0].mean(), floor, moved[0, :, 2].mean()]

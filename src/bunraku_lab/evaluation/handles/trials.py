@@ -202,9 +202,10 @@ def _generated() -> HandleMotion:
 
 
 def _fitted(one: Subject, handles: Handles) -> HandleMotion:
+    from bunraku.anatomy.anatomy import Anatomy
     from bunraku.retarget.fit import fit_motion
 
-    return fit_motion(_generated(), one.character, handles)
+    return fit_motion(_generated(), Anatomy.of(one.character, handles))
 
 
 def resolution_differences(one: Subject, predict: Predict) -> dict[str, float]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
@@ -167,14 +168,12 @@ def measure_adaptation(
                 guidance=GUIDANCE,
                 seed=seed,
             )
-        figures = []
+        figures, anatomy = [], Anatomy.of(character, handles)
         for values, offset in zip(found.values.cpu().numpy(), found.adaptation.cpu().numpy(), strict=True):
             plain = decode(statistics.restore(values), model.config.fps)
             bare, adapted = replace(stages, shape=False), adapt(plain, offset)
             kinds = ((adapted, stages), (adapted, bare), (plain, bare), (plain, replace(bare, attach=False)))
-            figures.append(
-                [_of(fit_motion(motion, character, handles, how), character, handles, stride) for motion, how in kinds]
-            )
+            figures.append([_of(fit_motion(motion, anatomy, how), character, handles, stride) for motion, how in kinds])
             figures[-1].append(float(np.linalg.norm(offset[:, 1:], axis=-1).mean()))
         rows.append(ArapRow(name, name.partition("~")[0] in HELD_OUT, *np.mean(figures, axis=0).tolist()))
     if progress is not None:

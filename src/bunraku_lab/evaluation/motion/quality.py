@@ -12,9 +12,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from bunraku.anatomy.ground import standing
-from bunraku.anatomy.legs import find_legs
-from bunraku.anatomy.stance import rest_to_reference, stance_of
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points, skin
@@ -95,9 +93,8 @@ class MotionQuality:
 
 def gauge(character: Character, handles: Handles) -> Gauge:
     """What to measure on a character; the same for all its motions."""
-    turns, joints = rest_to_reference(character, handles)
-    legs = find_legs(character, handles, joints)
-    stands = np.flatnonzero(standing(*stance_of(character, handles, joints, turns)))
+    anatomy = Anatomy(character, handles, character, handles)  # on all vertices
+    joints, legs, stands = anatomy.joints, anatomy.legs, np.flatnonzero(anatomy.stands)
     floor = float(character.vertices[stands, 1].min())
     feet = tuple(leg.foot_area[:: max(1, len(leg.foot_area) // POINTS)] for leg in legs)
     return Gauge(
@@ -210,11 +207,11 @@ def stage_effects(
     cases[none] = replace(everything, **dict.fromkeys(CLEANING, False))
     results: dict[str, list[tuple[str, MotionQuality, float]]] = {case: [] for case in cases}
     for name, (character, handles) in characters.items():
-        what = gauge(character, handles)
+        what, anatomy = gauge(character, handles), Anatomy.of(character, handles)
         for motion in motions:
-            plain = fit_motion(motion, character, handles, cases[none])
+            plain = fit_motion(motion, anatomy, cases[none])
             for case, stages in cases.items():
-                fitted = plain if case == none else fit_motion(motion, character, handles, stages)
+                fitted = plain if case == none else fit_motion(motion, anatomy, stages)
                 results[case].append((name, measure(what, fitted), _moved(what, plain, fitted)))
     rows: list[dict[str, float | str]] = []
     for name in [*characters, "all"]:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.anatomy.legs import find_legs
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
@@ -96,7 +95,7 @@ def _limbs(parts: RigParts, heads: np.ndarray, vertices: np.ndarray) -> np.ndarr
         heads: Where the joints of its 30 handles are [m], shape (N, 30, 3).
         vertices: Of its mesh [m], shape (N, V, 3).
     """
-    legs = {leg.upper: leg for leg in find_legs(parts.character, parts.handles, parts.joints)}
+    legs = {leg.upper: leg for leg in parts.anatomy.legs}
     return np.stack([vertices[:, legs[top].sole].mean(axis=1) - heads[:, top] for top in _LIMBS], axis=1)
 
 
@@ -133,8 +132,7 @@ def _four_legged(character: Character, name: str) -> RigParts | None:
         parts = RigParts.of(character)
     except BunrakuError:
         return None
-    legs = find_legs(character, parts.handles, parts.joints)
-    return parts if sorted(leg.upper for leg in legs) == sorted(_LIMBS) else None
+    return parts if sorted(leg.upper for leg in parts.anatomy.legs) == sorted(_LIMBS) else None
 
 
 def measure_quadrupeds(

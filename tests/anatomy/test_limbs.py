@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.limbs import by_limb, limb_views
-from bunraku.anatomy.stance import rest_to_reference
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
@@ -55,7 +55,7 @@ def test_limbs_are_found_from_the_body_outwards() -> None:
 
 def test_further_joints_hang_on_their_own_limb() -> None:
     character, handles = two_bodies()
-    _, joints = rest_to_reference(character, handles)
+    joints = Anatomy.of(character, handles).joints
     for side, spare in SPARE.items():
         hip, knee, ankle, foot = (H[name] for name in spare)
         assert [joints.parents[k] for k in (hip, knee, ankle, foot)] == [0, hip, knee, ankle]
@@ -70,7 +70,7 @@ def test_every_leg_does_what_the_first_does_about_its_own_hip() -> None:
     motion = HandleMotion(
         np.zeros((2, len(HANDLE_NAMES), 3)), rotations, np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
     )
-    fitted = fit_motion(motion, character, handles, Stages(ground=False))
+    fitted = fit_motion(motion, Anatomy.of(character, handles), Stages(ground=False))
     np.testing.assert_allclose(fitted.rotations[:, H["head_top"]], fitted.rotations[:, H["left_hip"]], atol=1e-5)
     posed = skin(character.vertices, handles.weights, fitted.transforms(handles.positions))
     half = len(character.vertices) // 2
@@ -85,7 +85,7 @@ def test_every_leg_does_what_the_first_does_about_its_own_hip() -> None:
 def test_plain_handles_are_solved_once() -> None:
     body = reference_body()
     seen = []
-    by_limb(body.handles, lambda plain: seen.append(plain) or rest_to_reference(body.character(), plain))
+    by_limb(body.handles, lambda plain: seen.append(plain) or Anatomy.of(body.character(), plain).rest)
     assert len(seen) == 1 and seen[0].roles is None
 
 

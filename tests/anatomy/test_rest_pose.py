@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import find_joints, refined_joints
-from bunraku.anatomy.stance import rest_to_reference, stance_of
 from bunraku.body.layout import HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
@@ -43,7 +43,7 @@ def posed(pose):
 @pytest.mark.parametrize("pose", POSES)
 def test_limbs_are_turned_back_as_far_as_they_were_turned(pose):
     character, handles, world, _ = posed(pose)
-    turns, _ = rest_to_reference(character, handles)
+    turns = Anatomy.of(character, handles).rotations
     for part in ("shoulder", "elbow", "wrist", "hip", "knee"):
         for side in ("left", "right"):
             left = turns[HANDLE_NAMES.index(f"{side}_{part}")] @ world[0, JOINT_NAMES.index(f"{side}_{part}")]
@@ -66,8 +66,7 @@ def test_bent_joints_are_found(pose):
 def test_who_sits_stands_up_on_the_same_floor():
     body = reference_body()
     character, handles, *_ = posed("sitting")
-    turns, joints = rest_to_reference(character, handles)
-    stance, _ = stance_of(character, handles, joints, turns)
+    stance, _ = Anatomy.of(character, handles).stance
     assert np.ptp(stance.vertices[:, 1]) == pytest.approx(np.ptp(body.vertices[:, 1]), rel=0.03)
     assert (
         np.linalg.norm(
@@ -77,15 +76,15 @@ def test_who_sits_stands_up_on_the_same_floor():
     )
     motion = code_made_motions(1.0)["walk"]
     for stages in (Stages(), Stages(ground=False)):
-        moved = Animation(character, handles, fit_motion(motion, character, handles, stages)).vertices()
+        moved = Animation(character, handles, fit_motion(motion, Anatomy.of(character, handles), stages)).vertices()
         assert np.abs(moved[..., 1].min(axis=1) - character.vertices[:, 1].min()).max() < 0.03 * body.character().height
 
 
 def test_feet_that_go_with_their_shins_end_flat():
     character, handles, world, _ = posed("kneeling")
     foot = HANDLE_NAMES.index("left_ankle")
-    turns, _ = rest_to_reference(character, handles)
+    turns = Anatomy.of(character, handles).rotations
     left = turns[foot] @ world[0, JOINT_NAMES.index("left_ankle")]
     assert np.degrees(np.linalg.norm(Rotation.from_matrix(left).as_rotvec())) < 8
-    flat, _ = rest_to_reference(reference_body().character(), reference_body().handles)
+    flat = Anatomy.of(reference_body().character(), reference_body().handles).rotations
     np.testing.assert_allclose(flat[foot], np.eye(3), atol=0.05)

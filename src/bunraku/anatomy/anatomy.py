@@ -1,0 +1,203 @@
+"""What a body is: its joints, legs and plan, and how it stands; worked out once from a character and its handles.
+
+An `Anatomy` is made where a run begins and passed on to whatever asks something of the body. What not every run needs
+is worked out when it is first asked for, and kept in the object itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.ground import standing, stride_scale
+from bunraku.anatomy.joints import Joints, find_joints, reference_joints, refined_joints
+from bunraku.anatomy.legs import Leg, find_arms, find_legs
+from bunraku.anatomy.limbs import LimbView, by_limb, further_limbs, limb_views
+from bunraku.anatomy.plan import BodyPlan, plan_of
+from bunraku.anatomy.rest_pose import upright
+from bunraku.anatomy.stance import rest_of_limbs, stance_of
+from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.errors import CharacterError
+from bunraku.geometry.extremes import extreme_points
+
+__all__ = ["Anatomy", "reference_anatomy"]
+
+_FRONT = ("neck", "head", "head_top", "face")
+_TAIL = ("tail", "tail_tip")
+
+
+@dataclass(frozen=True, eq=False)
+class Anatomy:
+    """What is known of a body, in its rest pose.
+
+    Args:
+        character: The character, +Y up and facing +Z [m].
+        handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose
+            parts they play, about their own joints.
+        mesh: The character on few vertices, V, on which all else is measured (`decimated`).
+        mesh_handles: The handles with the weights of those vertices.
+        known: What a rig tells of the rest pose: the turn of each handle into the reference body's, shape (K, 3, 3),
+            and the joints. None measures them.
+    """
+
+    character: Character
+    handles: Handles
+    mesh: Character
+    mesh_handles: Handles
+    known: tuple[np.ndarray, Joints] | None = None
+
+    @classmethod
+    def of(cls, character: Character, handles: Handles, known: tuple[np.ndarray, Joints] | None = None) -> Anatomy:
+        """The anatomy of a character by its handles.
+
+        Args:
+            character: +Y up and facing +Z, in the pose that its motions are relative to.
+            handles: Its handles.
+            known: What a rig tells of the rest pose.
+
+        Raises:
+            CharacterError: The handles are not as many as the reference body's.
+        """
+        count = len(HANDLE_NAMES)
+        if len(handles.positions) != count:
+            raise CharacterError(
+                f"a motion is fitted to {count} handles, not {len(handles.positions)}; take those of `bunraku.rig`"
+            )
+        return cls(character, handles, *decimated(character, handles), known)
+
+    @cached_property
+    def upright(self) -> bool:
+        """Whether the head is over the hips rather than before them."""
+        return upright(self.handles)
+
+    @cached_property
+    def further(self) -> list[list[int]]:
+        """The handles of each limb beyond those of a person, from the body outwards."""
+        return further_limbs(self.mesh_handles) if self.handles.roles is not None else []
+
+    @cached_property
+    def _views(self) -> list[LimbView]:
+        return [] if self.handles.roles is None else limb_views(self.mesh_handles, self.further)
+
+    @cached_property
+    def _estimates(self) -> list[Joints]:
+        """Joints as the weights imply them, of the body with each further limb in turn."""
+        return [find_joints(self.mesh, some) for some in [view.handles for view in self._views] or [self.mesh_handles]]
+
+    @cached_property
+    def rest(self) -> tuple[np.ndarray, Joints]:
+        """The turn of each handle from the rest pose into the reference body's (K, 3, 3), and the joints."""
+        if self.known is not None:
+            return self.known
+        found = iter(self._estimates)
+        turns, joints = by_limb(
+            self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(found)), self._views
+        )
+        for array in (turns, joints.positions, joints.parents, joints.present):
+            array.setflags(write=False)
+        return turns, joints
+
+    @property
+    def rotations(self) -> np.ndarray:
+        """The turn of each handle from the rest pose into the reference body's, shape (K, 3, 3)."""
+        return self.rest[0]
+
+    @property
+    def joints(self) -> Joints:
+        """Where handles meet in the rest pose."""
+        return self.rest[1]
+
+    @cached_property
+    def unturned(self) -> Anatomy:
+        """The same body with its rest pose taken as the reference body's: no limb is turned."""
+        still = np.tile(np.eye(3), (len(self.handles.positions), 1, 1))
+        if self.known is not None:
+            return replace(self, known=(still, self.known[1]))
+        found = iter(self._estimates)
+        rest = by_limb(
+            self.mesh_handles, lambda some: (still, refined_joints(self.mesh, some, next(found), still)), self._views
+        )
+        return replace(self, known=rest)
+
+    @cached_property
+    def legs(self) -> list[Leg]:
+        """The limbs that it stands on; none of who has no legs."""
+        return find_legs(self.mesh, self.mesh_handles, self.joints)
+
+    @cached_property
+    def arms(self) -> list[Leg]:
+        """The arms that are not among its legs."""
+        return find_arms(self.mesh, self.mesh_handles, self.joints, self.legs)
+
+    @cached_property
+    def plan(self) -> BodyPlan:
+        """What it stands and moves with."""
+        return plan_of(self.mesh, self.mesh_handles, self.joints, self.legs, self.further)
+
+    @cached_property
+    def stance(self) -> tuple[Character, Handles]:
+        """The body in the reference body's stance, and its handles there."""
+        return stance_of(self.mesh, self.mesh_handles, self.joints, self.rotations)
+
+    @cached_property
+    def stands(self) -> np.ndarray:
+        """Vertices of `mesh` that may stand on the ground, shape (V,), bool."""
+        return standing(*self.stance)
+
+    @cached_property
+    def scale(self) -> float:
+        """Length of its strides over the reference body's."""
+        return stride_scale(*self.stance, self.stands)
+
+    @cached_property
+    def floor(self) -> float:
+        """Height of the ground that the rest pose stands on [m]."""
+        return float(self.mesh.vertices[self.stands, 1].min())
+
+    @cached_property
+    def rise(self) -> float:
+        """How much higher the floor is in the rest pose than in the stance [m]: who sits in the rest pose stands up."""
+        return self.floor - float(self.stance[0].vertices[self.stands, 1].min())
+
+    @cached_property
+    def lever(self) -> np.ndarray:
+        """From the root's position in the stance to the one in the rest pose [m], shape (3,): the root turns about the
+        former.
+        """
+        return np.asarray(self.handles.positions[0] - self.stance[1].positions[0])
+
+    @cached_property
+    def front(self) -> np.ndarray:
+        """Extreme vertices of the neck and the head, shape (n,); none of who has hardly any."""
+        return self._extremes(_FRONT)
+
+    @cached_property
+    def tail(self) -> np.ndarray:
+        """Extreme vertices of the tail, shape (n,); none of who has hardly any."""
+        return self._extremes(_TAIL)
+
+    def _extremes(self, names: tuple[str, ...]) -> np.ndarray:
+        columns = [HANDLE_NAMES.index(name) for name in names]
+        held = np.flatnonzero(self.mesh.surface & (self.mesh_handles.weights[:, columns].sum(axis=1) > 0.5))
+        if len(held) < 4:
+            return held[:0]
+        return np.asarray(held[extreme_points(self.mesh.vertices[held].astype(np.float64))])
+
+    def path(self, motion: HandleMotion) -> np.ndarray:
+        """The root's path of a motion of the reference body on this body [m], shape (N, 3)."""
+        path = motion.root_translation * self.scale + np.array([0, self.rise, 0])
+        return np.asarray(path + (motion.root_rotation - np.eye(3)) @ self.lever)
+
+
+@lru_cache(maxsize=1)
+def reference_anatomy() -> Anatomy:
+    """The anatomy of the reference body, whose true joints are known and whose rest pose is its stance."""
+    body = reference_body()
+    still = np.tile(np.eye(3), (len(body.handles.positions), 1, 1))
+    return Anatomy.of(body.character(), body.handles, (still, reference_joints()))
