@@ -12,11 +12,11 @@ from pathlib import Path
 
 from bunraku.io import save_character
 from bunraku.samples import sample_character
-from bunraku.studio.desk import SAMPLE
 from bunraku.studio.projects import pack_project
+from bunraku.studio.state import SAMPLE
 from bunraku.studio.store import Store
 from bunraku.studio.tasks import run_task
-from bunraku.studio.workshop import Workshop
+from bunraku.studio.workspace import Workspace
 
 NAME = "dragon"
 SCRIPT = [{"text": "walks forward", "seconds": 4}]
@@ -27,7 +27,7 @@ def main() -> None:
     """Make and write it."""
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
-        shop = Workshop(folder)
+        workspace = Workspace(folder)
         settings = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"}
         file = f"source/{NAME}.glb"
         fresh = {"name": NAME, "file": file, "settings": settings, "state": "opening", "error": "", "version": 1}
@@ -40,7 +40,11 @@ def main() -> None:
             """Nobody waits for it."""
 
         told = run_task(
-            shop, "open", {"character": character["id"], "file": file, "settings": settings}, quiet, lambda said: None
+            workspace,
+            "open",
+            {"character": character["id"], "file": file, "settings": settings},
+            quiet,
+            lambda said: None,
         )
         store.change("characters", character["id"], **told, state="ready")
         take = store.new("takes", {
@@ -50,7 +54,7 @@ def main() -> None:
         })  # fmt: skip
         said: dict = {}
         run_task(
-            shop, "animate",
+            workspace, "animate",
             {
                 "character": character["id"], "takes": [take["id"]], "seeds": [SEED], "seconds": 4.0,
                 "script": f"{SCRIPT[0]['text']}:4", "draft": False, "loop": False, "in_place": False,

@@ -135,8 +135,8 @@ def client(tmp_path):
     pytest.importorskip("httpx2", reason="Starlette's test client needs httpx2")
     from starlette.testclient import TestClient
 
-    from bunraku.studio.app import studio_app
-    from bunraku.studio.safety import Keys
+    from bunraku.studio.server.app import studio_app
+    from bunraku.studio.server.safety import Keys
 
     app = studio_app(tmp_path / "folder", Keys(token="secret"), warm=False)
     with TestClient(app, base_url="http://localhost:8734", headers={"authorization": "Bearer secret"}) as found:
@@ -146,8 +146,8 @@ def client(tmp_path):
 @pytest.fixture
 def ready(client):
     """A character that is open, by its record alone."""
-    desk = client.app.state.desk
-    record = desk.store.new(
+    state = client.app.state.studio
+    record = state.store.new(
         "characters",
         {"name": "one", "file": "source/one.glb", "state": "ready", "error": "", "version": 1,
          "settings": {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"}},

@@ -37,7 +37,7 @@ from bunraku.studio.clips import (
 from bunraku.studio.dressing import Apparel, dressed_anew, is_worn
 from bunraku.studio.opened import Settings, opened_character
 from bunraku.studio.tasks import run_task
-from bunraku.studio.workshop import Workshop
+from bunraku.studio.workspace import Workspace
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
@@ -227,27 +227,27 @@ def test_the_worker_makes_and_dresses_and_writes(file, tmp_path):
     settings = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"}
     record = {"name": "dragon", "file": "source/dragon.glb", "settings": settings}
     (place / "record.json").write_text(json.dumps(record))
-    shop = Workshop(str(tmp_path))
+    workspace = Workspace(str(tmp_path))
     told = []
     params = {"character": "one", "takes": ["a"], "seeds": [0], "script": "walks:1", "seconds": 1.0, "steps": 2,
               "candidates": 1, "loop": False, "in_place": False, "apparel": "learn", "stiffness": 0.2}  # fmt: skip
-    run_task(shop, "open", {"character": "one", "file": record["file"], "settings": settings}, quiet, told.append)
-    run_task(shop, "animate", params, quiet, told.append)
+    run_task(workspace, "open", {"character": "one", "file": record["file"], "settings": settings}, quiet, told.append)
+    run_task(workspace, "animate", params, quiet, told.append)
     draft, done = told
     assert (draft["clip"], draft["fps"], draft["stiffness"]) == ("draft.bin", 20.0, None)
     assert (done["fps"], done["frames"], done["skin"]) == (30.0, 29, "handles") and done["stiffness"] == 0.2
-    first = shop.take("a", "one")
+    first = workspace.take("a", "one")
     assert not unpacked_apparel((tmp_path / "takes/a/draft.bin").read_bytes())
-    run_task(shop, "dress", {**params, "takes": ["b"], "parent": "a", "stiffness": 5.0}, quiet, told.append)
-    second = shop.take("b", "one")
+    run_task(workspace, "dress", {**params, "takes": ["b"], "parent": "a", "stiffness": 5.0}, quiet, told.append)
+    second = workspace.take("b", "one")
     np.testing.assert_array_equal(first.body.motion.rotations, second.body.motion.rotations)
     assert told[-1]["stiffness"] == 5.0 and np.abs(first.points.offsets - second.points.offsets).max() > 1e-4
     edit = {**params, "takes": ["c"], "parent": "b", "prompt": "waves", "keep": ["legs"], "stiffness": 5.0}
-    run_task(shop, "edit", edit, quiet, told.append)
-    assert isinstance(shop.take("c", "one"), Dressed)
+    run_task(workspace, "edit", edit, quiet, told.append)
+    assert isinstance(workspace.take("c", "one"), Dressed)
     for suffix in ("glb", "bvh"):
         export = {"export": "e", "file": f"take.{suffix}", "take": "b", "character": "one", "fps": 30}
-        run_task(shop, "export", export, quiet, told.append)
+        run_task(workspace, "export", export, quiet, told.append)
     assert (tmp_path / "exports/e/take.bvh").read_bytes().startswith(b"HIERARCHY")
     glb = tmp_path / "exports/e/take.glb"
     written = read_gltf(glb, glb.read_bytes()).source.document.tree["meshes"]

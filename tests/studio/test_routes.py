@@ -216,11 +216,11 @@ def test_projects_keep_how_the_page_stood(client):
 
 
 def test_changes_need_something_kept(client, ready):
-    desk = client.app.state.desk
-    one = desk.new_takes(ready, 1, how="animate", script=[{"text": "walks", "seconds": 2}], seeds=[0])[0]["id"]
+    state = client.app.state.studio
+    one = state.new_takes(ready, 1, how="animate", script=[{"text": "walks", "seconds": 2}], seeds=[0])[0]["id"]
     ask = lambda **body: client.post(f"/api/takes/{one}/change", json=body)  # noqa: E731
     assert "not finished" in ask(prompt="waves", keep=["legs"]).json()["error"]
-    desk.store.change("takes", one, state="done", skin="handles")
+    state.store.change("takes", one, state="done", skin="handles")
     assert "nothing is kept" in ask(prompt="waves").json()["error"]
     assert "type what is done instead" in ask().json()["error"]
     assert ask(prompt="waves", keep=["wheels"]).status_code == 400
@@ -231,22 +231,22 @@ def test_changes_need_something_kept(client, ready):
 
 
 def test_a_take_is_dressed_anew_and_what_comes_of_it_stays_dressed(client, ready):
-    desk = client.app.state.desk
+    state = client.app.state.studio
     asked = {"apparel": "rigid", "in_place": True}
-    one = desk.new_takes(ready, 1, how="animate", script=[{"text": "walks", "seconds": 2}], seeds=[7], asked=asked)
+    one = state.new_takes(ready, 1, how="animate", script=[{"text": "walks", "seconds": 2}], seeds=[7], asked=asked)
     name = one[0]["id"]
-    desk.store.change("takes", name, state="done", skin="handles", stiffness=None)
+    state.store.change("takes", name, state="done", skin="handles", stiffness=None)
     made = client.post(f"/api/takes/{name}/change", json={"apparel": "learn", "stiffness": 3}).json()
     record = client.get(f"/api/takes/{made['takes'][0]}").json()
     assert (record["how"], record["parent"], record["seed"]) == ("dress", name, 7)
     assert record["asked"] == {"apparel": "learn", "stiffness": 3, "in_place": True}
-    params = desk.jobs.get(made["job"])["params"]
+    params = state.jobs.get(made["job"])["params"]
     assert (params["parent"], params["apparel"], params["stiffness"], params["in_place"]) == (name, "learn", 3, True)
-    desk.store.change("takes", name, stiffness=3.0)  # as the worker tells it of a dressed one
+    state.store.change("takes", name, stiffness=3.0)  # as the worker tells it of a dressed one
     bent = client.post(
         f"/api/takes/{name}/change", json={"pins": [{"part": "left_hand", "time": 1, "position": [0, 1, 0]}]}
     ).json()
-    params = desk.jobs.get(bent["job"])["params"]
+    params = state.jobs.get(bent["job"])["params"]
     assert (params["apparel"], params["stiffness"]) == ("learn", 3.0)
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from bunraku.studio.safety import POLICY, Keys
+from bunraku.studio.server.safety import POLICY, Keys
 
 
 @pytest.mark.parametrize(

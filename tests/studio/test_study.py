@@ -169,8 +169,8 @@ def test_the_routes_show_it_and_tell_no_method(study, tmp_path):
     pytest.importorskip("httpx2", reason="Starlette's test client needs httpx2")
     from starlette.testclient import TestClient
 
-    from bunraku.studio.app import studio_app
-    from bunraku.studio.safety import Keys
+    from bunraku.studio.server.app import studio_app
+    from bunraku.studio.server.safety import Keys
 
     app = studio_app(tmp_path / "folder", Keys(token="secret"), study, warm=False)
     with TestClient(app, base_url="http://localhost:1", headers={"authorization": "Bearer secret"}) as client:

@@ -24,7 +24,7 @@ from bunraku.retarget.stages.pins import Pin
 from bunraku.studio.clips import Dressed, Take, body_of, save_handles
 from bunraku.studio.dressing import Apparel, dressed_anew
 from bunraku.studio.opened import Settings, opened_character, told
-from bunraku.studio.workshop import Workshop
+from bunraku.studio.workspace import Workspace
 
 __all__ = ["TASKS", "run_task"]
 
@@ -40,7 +40,7 @@ DRAFT_STAGES = Stages(smooth=False, feet=False, floor=False)
 """Of a draft, which is there to be seen at once."""
 
 
-def _open(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+def _open(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
     from bunraku.io import save_character
     from bunraku.pipelines.animate import rig
 
@@ -94,7 +94,7 @@ def _stages(without: Sequence[str]) -> Stages | None:
     return replace(GENERATED_STAGES, **dict.fromkeys(without, False)) if without else None
 
 
-def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+def _animate(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
     """Takes of one script: drafts first, all of them in one pass, then each in full."""
     from bunraku.pipelines.animate import generate
     from bunraku.pipelines.apply import apply_motion, apply_rigged, apply_simulated, reference_of, reference_path
@@ -150,7 +150,7 @@ def _animate(shop: Workshop, params: Params, report: Report, partly: Partly) -> 
     return {"takes": takes}
 
 
-def _handles_take(shop: Workshop, params: Params) -> Animation:
+def _handles_take(shop: Workspace, params: Params) -> Animation:
     return _of_handles(shop.take(params["parent"], params["character"]))
 
 
@@ -161,7 +161,7 @@ def _of_handles(take: Take) -> Animation:
     return body
 
 
-def _edit(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+def _edit(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
     """A take with parts of another kept, for each seed."""
     from bunraku.pipelines.apply import GENERATED_STAGES
     from bunraku.pipelines.edit import edit
@@ -211,7 +211,7 @@ def _with_pose(clip: Animation, source: Take, time: float, at: float) -> Animati
     )  # fmt: skip
 
 
-def _bend(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+def _bend(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
     """A take bent to its pins, with nothing generated."""
     from bunraku.retarget.stages.pins import meet_pins
 
@@ -225,7 +225,7 @@ def _bend(shop: Workshop, params: Params, report: Report, partly: Partly) -> dic
     return {"takes": [name]}
 
 
-def _dress(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+def _dress(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
     """A take of the same motion whose apparel moves otherwise."""
     owner, (name,) = params["character"], params["takes"]
     parent, (_, handles) = shop.take(params["parent"], owner), shop.character(owner)
@@ -237,7 +237,7 @@ def _dress(shop: Workshop, params: Params, report: Report, partly: Partly) -> di
     return {"takes": [name]}
 
 
-def _transfer(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+def _transfer(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
     """A take from a motion of a file."""
     from bunraku.pipelines.transfer import transfer
 
@@ -256,7 +256,7 @@ def _transfer(shop: Workshop, params: Params, report: Report, partly: Partly) ->
     return {"takes": [name]}
 
 
-def _export(shop: Workshop, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+def _export(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
     """A take as a file of another program."""
     from bunraku.io.registry import check_writer
 
@@ -272,7 +272,7 @@ def _export(shop: Workshop, params: Params, report: Report, partly: Partly) -> d
     return {"export": params["export"], "bytes": target.stat().st_size}
 
 
-TASKS: dict[str, Callable[[Workshop, Params, Report, Partly], dict[str, Any]]] = {
+TASKS: dict[str, Callable[[Workspace, Params, Report, Partly], dict[str, Any]]] = {
     "open": _open,
     "animate": _animate,
     "edit": _edit,
@@ -283,7 +283,7 @@ TASKS: dict[str, Callable[[Workshop, Params, Report, Partly], dict[str, Any]]] =
 }
 
 
-def run_task(shop: Workshop, task: str, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+def run_task(shop: Workspace, task: str, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
     """Run a task of `TASKS`.
 
     Args:

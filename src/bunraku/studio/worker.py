@@ -32,10 +32,10 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this one
     parent = os.getppid()
     from bunraku.studio.tasks import run_task
-    from bunraku.studio.workshop import Workshop
+    from bunraku.studio.workspace import Workspace
 
-    shop = Workshop(folder)
-    shop.warm_up()
+    workspace = Workspace(folder)
+    workspace.warm_up()
     pipe.send(("", "warm", {}))
     while True:
         while not pipe.poll(1.0):
@@ -62,7 +62,7 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
 
         try:
             report("start", 0.0)
-            said = run_task(shop, task, arguments, report, partly)
+            said = run_task(workspace, task, arguments, report, partly)
             message: tuple[str, str, dict[str, Any]] = (name, "done", said)
         except Cancelled:
             message = (name, "cancelled", {})
@@ -75,7 +75,7 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
 
 
 def _explained(error: Exception) -> dict[str, Any]:
-    from bunraku.studio.answers import sentence_of
+    from bunraku.studio.responses import sentence_of
 
     if os.environ.get("BUNRAKU_DEBUG", "") not in ("", "0"):
         import traceback

@@ -37,7 +37,7 @@ class Studio:
 
     def run(self) -> None:
         check_range("--port", self.port, 0, 65535)
-        from bunraku.studio.serve import serve
+        from bunraku.studio.server.serve import serve
         from bunraku.studio.store import default_folder
 
         serve(

@@ -10,19 +10,19 @@ from typing import Any
 from starlette.requests import Request
 
 from bunraku.errors import OptionError
-from bunraku.studio.desk import Desk
+from bunraku.studio.state import State
 
-__all__ = ["body_of", "choice", "desk_of", "number", "path_of", "sampling", "text", "things"]
+__all__ = ["body_of", "choice", "state_of", "number", "path_of", "sampling", "text", "things"]
 
 MOST_JSON = 4 << 20
 MOST_SEEDS = 8
 
 
-def desk_of(request: Request) -> Desk:
+def state_of(request: Request) -> State:
     """The state behind the routes."""
-    desk = request.app.state.desk if hasattr(request.app.state, "desk") else request.scope["app"].state.desk
-    assert isinstance(desk, Desk)
-    return desk
+    state = request.app.state.studio if hasattr(request.app.state, "studio") else request.scope["app"].state.studio
+    assert isinstance(state, State)
+    return state
 
 
 async def body_of(request: Request) -> dict[str, Any]:

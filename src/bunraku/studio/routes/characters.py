@@ -12,8 +12,8 @@ from starlette.responses import FileResponse, JSONResponse, Response
 
 from bunraku.errors import FormatError, OptionError
 from bunraku.io.units import CHOICES
-from bunraku.studio.desk import Desk
-from bunraku.studio.routes.asked import body_of, choice, desk_of, text
+from bunraku.studio.routes.asked import body_of, choice, state_of, text
+from bunraku.studio.state import State
 from bunraku.studio.uploads import CHARACTERS, plain_name, receive, unpack
 
 __all__ = ["ROUTES"]
@@ -24,19 +24,19 @@ UNTOUCHED = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"
 
 async def characters(request: Request) -> Any:
     """All characters; POST adds one, from the body or a sample."""
-    desk = desk_of(request)
+    state = state_of(request)
     if request.method == "GET":
-        return {"characters": desk.store.all("characters")}
+        return {"characters": state.store.all("characters")}
     sample = request.query_params.get("sample")
     if sample:
-        return JSONResponse(await run_in_threadpool(_sampled, desk, sample), 202)
+        return JSONResponse(await run_in_threadpool(_sampled, state, sample), 202)
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*CHARACTERS, ".zip"):
         raise FormatError(
             f"{title}{suffix}", f"this is no format of characters; they are {', '.join((*CHARACTERS, '.zip'))}"
         )
-    record = desk.store.new("characters", _fresh(title, ""))
-    place = desk.store.place("characters", record["id"])
+    record = state.store.new("characters", _fresh(title, ""))
+    place = state.store.place("characters", record["id"])
     try:
         source = place / "source"
         source.mkdir()
@@ -46,9 +46,9 @@ async def characters(request: Request) -> Any:
         if suffix == ".zip":
             name = f"source/{await run_in_threadpool(unpack, file, source)}"
             file.unlink()
-        return JSONResponse(_opened(desk, record["id"], name), 202)
+        return JSONResponse(_opened(state, record["id"], name), 202)
     except BaseException:
-        desk.store.drop("characters", record["id"])
+        state.store.drop("characters", record["id"])
         raise
 
 
@@ -56,28 +56,28 @@ def _fresh(title: str, file: str) -> dict[str, Any]:
     return {"name": title, "file": file, "settings": dict(UNTOUCHED), "state": "opening", "error": "", "version": 0}
 
 
-def _sampled(desk: Desk, sample: str) -> dict[str, Any]:
+def _sampled(state: State, sample: str) -> dict[str, Any]:
     from bunraku.io import save_character
     from bunraku.samples import sample_character, sample_names
 
     if sample not in sample_names():
         raise OptionError(f"there is no sample '{sample[:40]}'; there are {', '.join(sample_names())}")
-    record = desk.store.new("characters", _fresh(sample, ""))
+    record = state.store.new("characters", _fresh(sample, ""))
     try:
-        source = desk.store.place("characters", record["id"]) / "source"
+        source = state.store.place("characters", record["id"]) / "source"
         source.mkdir()
         save_character(sample_character(sample), source / f"{sample}.glb")
-        return _opened(desk, record["id"], f"source/{sample}.glb")
+        return _opened(state, record["id"], f"source/{sample}.glb")
     except BaseException:
-        desk.store.drop("characters", record["id"])
+        state.store.drop("characters", record["id"])
         raise
 
 
-def _opened(desk: Desk, name: str, file: str) -> dict[str, Any]:
+def _opened(state: State, name: str, file: str) -> dict[str, Any]:
     """Queue the opening of a character."""
-    record = desk.change("characters", name, file=file, state="opening", error="")
+    record = state.change("characters", name, file=file, state="opening", error="")
     params = {"character": name, "file": file, "settings": record["settings"]}
-    job = desk.jobs.submit("open", f"open {record['name']}", params, {"character": name, "opens": name})
+    job = state.jobs.submit("open", f"open {record['name']}", params, {"character": name, "opens": name})
     return {"character": record, "job": job["id"]}
 
 
@@ -85,18 +85,18 @@ async def character(request: Request) -> Any:
     """One character; PATCH renames it, turns it, changes its unit or where its handles come from; DELETE gives it up
     until the studio starts again, and PATCH with `deleted` false takes that back.
     """
-    desk, name = desk_of(request), request.path_params["name"]
-    record = desk.store.get("characters", name)
+    state, name = state_of(request), request.path_params["name"]
+    record = state.store.get("characters", name)
     if request.method == "DELETE":
-        return desk.change("characters", name, deleted=True)
+        return state.change("characters", name, deleted=True)
     if request.method == "GET":
         return record
     body = await body_of(request)
     if body.get("deleted") is False:
-        record = desk.change("characters", name, deleted=False)
+        record = state.change("characters", name, deleted=False)
     if "name" in body:
         title, _ = plain_name(text(body, "name", 80) + ".x")
-        record = desk.change("characters", name, name=title)
+        record = state.change("characters", name, name=title)
     old = record["settings"]
     settings = {
         "up": choice(body, "up", AXES, old["up"]),
@@ -108,30 +108,30 @@ async def character(request: Request) -> Any:
         return record
     if settings["up"] != "auto" and settings["front"] != "auto" and settings["up"][1] == settings["front"][1]:
         raise OptionError("up and front lie along the same axis; choose two at a right angle")
-    if desk.busy("characters", name):
+    if state.busy("characters", name):
         raise OptionError("something is being made of this character; wait for it, or cancel it")
-    desk.change("characters", name, settings=settings)
-    made = _opened(desk, name, record["file"])
+    state.change("characters", name, settings=settings)
+    made = _opened(state, name, record["file"])
     return JSONResponse(made, 202)
 
 
 async def mesh(request: Request) -> Response:
     """The mesh with its skin, and no clip; `?skin=bones` for takes that move the file's own bones."""
-    desk, name = desk_of(request), request.path_params["name"]
+    state, name = state_of(request), request.path_params["name"]
     file = "bones.glb" if request.query_params.get("skin") == "bones" else "mesh.glb"
-    return FileResponse(desk.store.file("characters", name, file), media_type="model/gltf-binary")
+    return FileResponse(state.store.file("characters", name, file), media_type="model/gltf-binary")
 
 
 async def copy(request: Request) -> Any:
     """The same file as another character, to try other handles or axes beside it."""
-    desk, name = desk_of(request), request.path_params["name"]
-    old = desk.store.get("characters", name)
-    record = desk.store.new("characters", {**_fresh(f"{old['name']} copy"[:80], ""), "settings": old["settings"]})
+    state, name = state_of(request), request.path_params["name"]
+    old = state.store.get("characters", name)
+    record = state.store.new("characters", {**_fresh(f"{old['name']} copy"[:80], ""), "settings": old["settings"]})
     await run_in_threadpool(
-        shutil.copytree, desk.store.place("characters", name) / "source",
-        Path(desk.store.place("characters", record["id"])) / "source",
+        shutil.copytree, state.store.place("characters", name) / "source",
+        Path(state.store.place("characters", record["id"])) / "source",
     )  # fmt: skip
-    return JSONResponse(_opened(desk, record["id"], old["file"]), 202)
+    return JSONResponse(_opened(state, record["id"], old["file"]), 202)
 
 
 ROUTES = [

@@ -14,7 +14,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from bunraku.errors import BunrakuError
 from bunraku.studio.jobs import public
-from bunraku.studio.routes.asked import body_of, desk_of, text
+from bunraku.studio.routes.asked import body_of, state_of, text
 from bunraku.studio.uploads import CHARACTERS, MOST_BYTES, MOTIONS, PROJECTS
 
 __all__ = ["ROUTES"]
@@ -25,21 +25,21 @@ async def about(request: Request) -> Any:
     from bunraku import __version__
     from bunraku.samples import sample_names
 
-    desk = desk_of(request)
+    state = state_of(request)
     return {
         "version": __version__,
         "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
         "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
         "writes": _writes(),
         "samples": list(sample_names()),
-        "study": desk.session is not None,
-        "folder": desk.store.folder.name,
-        "worker": {"warm": desk.jobs.warm, "process": desk.jobs.process_id},
-        "event": desk.jobs.last_event,
-        "characters": desk.store.all("characters"),
-        "takes": desk.store.all("takes"),
-        "projects": desk.store.all("projects"),
-        "jobs": [public(job) for job in desk.jobs.all() if job["state"] in ("waiting", "running", "interrupted")],
+        "study": state.session is not None,
+        "folder": state.store.folder.name,
+        "worker": {"warm": state.jobs.warm, "process": state.jobs.process_id},
+        "event": state.jobs.last_event,
+        "characters": state.store.all("characters"),
+        "takes": state.store.all("takes"),
+        "projects": state.store.all("projects"),
+        "jobs": [public(job) for job in state.jobs.all() if job["state"] in ("waiting", "running", "interrupted")],
     }
 
 
@@ -87,13 +87,13 @@ async def understand(request: Request) -> Any:
 
 async def events(request: Request) -> Response:
     """What happens, as server-sent events; `Last-Event-ID`, or `?after=`, says from where on."""
-    desk = desk_of(request)
+    state = state_of(request)
     given = request.headers.get("last-event-id") or request.query_params.get("after", "")
-    after = int(given) if given.isdecimal() else desk.jobs.last_event
+    after = int(given) if given.isdecimal() else state.jobs.last_event
 
     async def lines() -> AsyncIterator[bytes]:
         yield b": open\n\n"
-        async for event in desk.jobs.events(after):
+        async for event in state.jobs.events(after):
             if event is None:
                 yield b": still there\n\n"
             else:
@@ -105,23 +105,23 @@ async def events(request: Request) -> Response:
 
 async def jobs(request: Request) -> Any:
     """All jobs that are known."""
-    return {"jobs": [public(job) for job in desk_of(request).jobs.all()]}
+    return {"jobs": [public(job) for job in state_of(request).jobs.all()]}
 
 
 async def job(request: Request) -> Any:
     """One job; DELETE cancels it."""
-    desk, name = desk_of(request), request.path_params["name"]
+    state, name = state_of(request), request.path_params["name"]
     if request.method == "DELETE":
-        return public(await run_in_threadpool(desk.jobs.cancel, name))
-    return public(desk.jobs.get(name))
+        return public(await run_in_threadpool(state.jobs.cancel, name))
+    return public(state.jobs.get(name))
 
 
 async def again(request: Request) -> Any:
     """Make what was interrupted or failed again."""
-    desk = desk_of(request)
-    old = desk.jobs.get(request.path_params["name"])
-    made = await run_in_threadpool(desk.jobs.again, old["id"])
-    desk.revive(old["about"])
+    state = state_of(request)
+    old = state.jobs.get(request.path_params["name"])
+    made = await run_in_threadpool(state.jobs.again, old["id"])
+    state.revive(old["about"])
     return public(made)
 
 

@@ -8,7 +8,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
-from bunraku.studio.routes.asked import body_of, desk_of, number, text
+from bunraku.studio.routes.asked import body_of, number, state_of, text
 from bunraku.studio.store import NotThere
 from bunraku.studio.study.show import Session
 
@@ -16,7 +16,7 @@ __all__ = ["ROUTES"]
 
 
 def _session(request: Request) -> Session:
-    session = desk_of(request).session
+    session = state_of(request).session
     if session is None:
         raise NotThere("no study is shown; start the studio with --study")
     return session

@@ -9,8 +9,8 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
 from bunraku.errors import FormatError, OptionError
-from bunraku.studio.desk import Desk
-from bunraku.studio.routes.asked import body_of, choice, desk_of, number, path_of, sampling, text, things
+from bunraku.studio.routes.asked import body_of, choice, number, path_of, sampling, state_of, text, things
+from bunraku.studio.state import State
 from bunraku.studio.uploads import CHARACTERS, MOTIONS, plain_name, receive
 
 __all__ = ["ROUTES"]
@@ -41,8 +41,8 @@ def _script(body: dict[str, Any]) -> tuple[str, float]:
     return script, sum(seconds for _, seconds in timed)
 
 
-def _ready(desk: Desk, name: str) -> dict[str, Any]:
-    record = desk.store.get("characters", name)
+def _ready(state: State, name: str) -> dict[str, Any]:
+    record = state.store.get("characters", name)
     if record["state"] != "ready":
         raise OptionError(f"{record['name']} is not open yet ({record['error'] or record['state']}); wait for it")
     return record
@@ -50,19 +50,19 @@ def _ready(desk: Desk, name: str) -> dict[str, Any]:
 
 async def takes(request: Request) -> Any:
     """The takes of a character; POST makes some from a script."""
-    desk, owner = desk_of(request), request.path_params["name"]
+    state, owner = state_of(request), request.path_params["name"]
     if request.method == "GET":
-        desk.store.get("characters", owner)
-        return {"takes": [take for take in desk.store.all("takes") if take["character"] == owner]}
+        state.store.get("characters", owner)
+        return {"takes": [take for take in state.store.all("takes") if take["character"] == owner]}
     body = await body_of(request)
-    return JSONResponse(await run_in_threadpool(_make, desk, owner, body), 202)
+    return JSONResponse(await run_in_threadpool(_make, state, owner, body), 202)
 
 
-def _make(desk: Desk, owner: str, body: dict[str, Any]) -> Any:
+def _make(state: State, owner: str, body: dict[str, Any]) -> Any:
     from bunraku.language.sequence import parse_sequence
     from bunraku.language.understood import check_understood
 
-    character = _ready(desk, owner)
+    character = _ready(state, owner)
     script, seconds = _script(body)
     how = sampling(body)
     for sentence, _ in parse_sequence(script):
@@ -74,15 +74,15 @@ def _make(desk: Desk, owner: str, body: dict[str, Any]) -> Any:
         "after": body["after"] if body.get("after") else None, "handles": character["settings"]["handles"],
     }  # fmt: skip
     if params["after"] is not None:
-        before = desk.store.get("takes", params["after"])
+        before = state.store.get("takes", params["after"])
         if before["character"] != owner or before["state"] != "done" or before.get("skin") != "handles":
             raise OptionError("what is followed must be a finished take of handles of the same character")
     kept = ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "stiffness", "path", "pins")
     asked = {name: params[name] for name in kept}
-    made = desk.new_takes(
+    made = state.new_takes(
         owner, len(how["seeds"]), how="animate", script=body["script"], asked=asked, seeds=how["seeds"]
     )
-    return desk.make("animate", script, owner, made, params)
+    return state.make("animate", script, owner, made, params)
 
 
 def _apparel(body: dict[str, Any]) -> dict[str, Any]:
@@ -103,40 +103,40 @@ def _factor(word: str | None) -> float | None:
 
 async def take(request: Request) -> Any:
     """One take; PATCH stars or names it; DELETE gives it up, which PATCH with `deleted` false takes back."""
-    desk, name = desk_of(request), request.path_params["name"]
-    record = desk.store.get("takes", name)
+    state, name = state_of(request), request.path_params["name"]
+    record = state.store.get("takes", name)
     if request.method == "DELETE":
-        return desk.change("takes", name, deleted=True)
+        return state.change("takes", name, deleted=True)
     if request.method == "PATCH":
         body = await body_of(request)
         values: dict[str, Any] = {key: bool(body[key]) for key in ("star", "deleted") if key in body}
         if "title" in body:
             values["title"] = text(body, "title", 80)
-        return desk.change("takes", name, **values) if values else record
+        return state.change("takes", name, **values) if values else record
     return record
 
 
 async def clip(request: Request) -> Response:
     """What the joints of a take do (`clips.packed_clip`): of its draft while there is no more."""
-    desk, name = desk_of(request), request.path_params["name"]
-    file = "clip.bin" if desk.store.get("takes", name)["state"] == "done" else "draft.bin"
-    return FileResponse(desk.store.file("takes", name, file), media_type="application/octet-stream")
+    state, name = state_of(request), request.path_params["name"]
+    file = "clip.bin" if state.store.get("takes", name)["state"] == "done" else "draft.bin"
+    return FileResponse(state.store.file("takes", name, file), media_type="application/octet-stream")
 
 
 async def change(request: Request) -> Any:
     """New takes from one: parts or poses kept and the rest generated, or bent to pins with nothing generated."""
-    desk, name = desk_of(request), request.path_params["name"]
+    state, name = state_of(request), request.path_params["name"]
     body = await body_of(request)
-    return JSONResponse(await run_in_threadpool(_change, desk, name, body), 202)
+    return JSONResponse(await run_in_threadpool(_change, state, name, body), 202)
 
 
-def _change(desk: Desk, name: str, body: dict[str, Any]) -> Any:
+def _change(state: State, name: str, body: dict[str, Any]) -> Any:
     from bunraku.language.understood import check_understood
 
-    parent = desk.store.get("takes", name)
+    parent = state.store.get("takes", name)
     if parent["state"] != "done":
         raise OptionError("this take is not finished; wait for it")
-    _ready(desk, parent["character"])
+    _ready(state, parent["character"])
     how = sampling(body)
     prompt = text(body, "prompt", 1000).strip()
     worn = {"apparel": "learn" if parent.get("stiffness") else "rigid", "stiffness": parent.get("stiffness") or 1.0}
@@ -149,10 +149,10 @@ def _change(desk: Desk, name: str, body: dict[str, Any]) -> Any:
             asked = {**(parent.get("asked") or {}), **_apparel(body), "in_place": in_place}
         elif not how["pins"]:
             raise OptionError("type what is done instead, or pin a hand or a foot")
-        made = desk.new_takes(parent["character"], 1, how=kind, parent=name, script=parent["script"], asked=asked,
+        made = state.new_takes(parent["character"], 1, how=kind, parent=name, script=parent["script"], asked=asked,
                               seeds=[parent.get("seed", 0)])  # fmt: skip
         title = "bend to the pins" if kind == "bend" else "dress anew"
-        return desk.make(kind, title, parent["character"], made, {**params, **asked})
+        return state.make(kind, title, parent["character"], made, {**params, **asked})
     check_understood(prompt, how["anyway"])
     keep = [str(part) for part in things(body, "keep", 40)]
     if keep:
@@ -168,56 +168,56 @@ def _change(desk: Desk, name: str, body: dict[str, Any]) -> Any:
             raise OptionError("a pose has a time")
         time = number(pose, "time", 0, 120, 0)
         source = pose.get("take")
-        if source is not None and desk.store.get("takes", source)["character"] != parent["character"]:
+        if source is not None and state.store.get("takes", source)["character"] != parent["character"]:
             raise OptionError("a pose must be of a take of the same character")
         poses.append({"time": time, "take": source, "at": number(pose, "at", 0, 120, time)})
     if not keep and not span and not poses:
         raise OptionError("nothing is kept: select a span of time, keep parts of the body, or pin poses")
     params |= {"keep": keep, "span": span or None, "poses": poses}
     asked = {key: params[key] for key in ("seeds", "keep", "span", "poses", "pins", "prompt", "apparel", "stiffness")}
-    made = desk.new_takes(
+    made = state.new_takes(
         parent["character"], len(how["seeds"]), how="edit", parent=name, script=parent["script"], asked=asked,
         seeds=how["seeds"],
     )  # fmt: skip
-    return desk.make("edit", prompt, parent["character"], made, params)
+    return state.make("edit", prompt, parent["character"], made, params)
 
 
 async def transfer(request: Request) -> Any:
     """A take from a motion file of any kind, in the body."""
-    desk, owner = desk_of(request), request.path_params["name"]
-    _ready(desk, owner)
+    state, owner = state_of(request), request.path_params["name"]
+    _ready(state, owner)
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*MOTIONS, *CHARACTERS):
         raise FormatError(f"{title}{suffix}", f"this is no format of motions; they are {', '.join(MOTIONS)} and .fbx")
     worn = _apparel({**request.query_params, "stiffness": _factor(request.query_params.get("stiffness"))})
     onto = choice(dict(request.query_params), "onto", ("auto", "handles"), "handles")
-    (made,) = desk.new_takes(
+    (made,) = state.new_takes(
         owner, 1, how="transfer", script=[{"text": title, "seconds": 0}], asked={"file": title, **worn}
     )
     try:
-        file = desk.store.place("takes", made["id"]) / f"motion-source{suffix}"
+        file = state.store.place("takes", made["id"]) / f"motion-source{suffix}"
         await receive(request, file)
     except BaseException:
-        desk.drop("takes", made["id"])
+        state.drop("takes", made["id"])
         raise
     params = {"file": file.name, **worn, "onto": onto}
-    return JSONResponse(desk.make("transfer", f"transfer {title}", owner, [made], params), 202)
+    return JSONResponse(state.make("transfer", f"transfer {title}", owner, [made], params), 202)
 
 
 async def export(request: Request) -> Any:
     """Write a take as a file of another program; the job's event says when it is there."""
-    desk, name = desk_of(request), request.path_params["name"]
-    record = desk.store.get("takes", name)
+    state, name = state_of(request), request.path_params["name"]
+    record = state.store.get("takes", name)
     body = await body_of(request)
     suffix = choice(body, "format", SUFFIXES, "glb")
     fps = number(body, "fps", 1, 120, 30)
     if record["state"] != "done":
         raise OptionError("this take is not finished; wait for it")
-    title = desk.store.get("characters", record["character"])["name"]
+    title = state.store.get("characters", record["character"])["name"]
     words = "-".join("".join(c if c.isalnum() else " " for c in record["script"][0]["text"][:40]).split()) or "take"
-    made = desk.store.new("exports", {"file": f"take.{suffix}", "title": f"{title}-{words}.{suffix}"})
+    made = state.store.new("exports", {"file": f"take.{suffix}", "title": f"{title}-{words}.{suffix}"})
     try:
-        job = desk.jobs.submit(
+        job = state.jobs.submit(
             "export",
             f"write {made['title']}",
             {
@@ -226,17 +226,17 @@ async def export(request: Request) -> Any:
             {"export": made["id"], "take": name},
         )  # fmt: skip
     except BaseException:
-        desk.store.drop("exports", made["id"])
+        state.store.drop("exports", made["id"])
         raise
     return JSONResponse({"job": job["id"], "export": made["id"], "title": made["title"]}, 202)
 
 
 async def exported(request: Request) -> Response:
     """The file of an export."""
-    desk, name = desk_of(request), request.path_params["name"]
-    record = desk.store.get("exports", name)
+    state, name = state_of(request), request.path_params["name"]
+    record = state.store.get("exports", name)
     return FileResponse(
-        desk.store.file("exports", name, record["file"]), filename=record["title"],
+        state.store.file("exports", name, record["file"]), filename=record["title"],
         media_type="application/octet-stream",
     )  # fmt: skip
 

@@ -47,8 +47,8 @@ def serve(
     except ImportError:
         raise MissingExtraError("uvicorn", "studio", "the studio") from None
     try:
-        from bunraku.studio.app import STATIC, studio_app
-        from bunraku.studio.safety import LOCAL, Keys
+        from bunraku.studio.server.app import STATIC, studio_app
+        from bunraku.studio.server.safety import LOCAL, Keys
     except ImportError as error:
         if (error.name or "").partition(".")[0] == "starlette":
             raise MissingExtraError("starlette", "studio", "the studio") from None

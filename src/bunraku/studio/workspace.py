@@ -16,13 +16,13 @@ from bunraku.formats.files import atomic_write
 from bunraku.studio.clips import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
 from bunraku.studio.opened import Settings, opened_character
 
-__all__ = ["Workshop"]
+__all__ = ["Workspace"]
 
 KEPT = 4
 """Characters that stay in memory."""
 
 
-class Workshop:
+class Workspace:
     """The latest characters, and the files of all things.
 
     Args:

@@ -14,14 +14,14 @@ from bunraku.studio.projects import unpack_project
 from bunraku.studio.store import NotThere, Store
 from bunraku.studio.study.show import Session
 
-__all__ = ["SAMPLE", "Desk"]
+__all__ = ["SAMPLE", "State"]
 
 SAMPLE = Path(__file__).parent / "sample.bunraku"
 """A character in motion, for who opens the studio for the first time; `tools/make_studio_sample.py` writes it."""
 MOST_TAKES = 2000
 
 
-class Desk:
+class State:
     """The studio's state.
 
     Args:

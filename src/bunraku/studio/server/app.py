@@ -19,17 +19,17 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from bunraku.errors import BunrakuError
-from bunraku.studio.answers import sentence_of
-from bunraku.studio.desk import Desk
 from bunraku.studio.jobs import QueueFull
+from bunraku.studio.responses import sentence_of
 from bunraku.studio.routes import characters, files, general, studies, takes
-from bunraku.studio.safety import Guard, Keys
+from bunraku.studio.server.safety import Guard, Keys
+from bunraku.studio.state import State
 from bunraku.studio.store import NotThere, Store
 from bunraku.studio.uploads import TooLarge
 
 __all__ = ["STATIC", "studio_app"]
 
-STATIC = Path(__file__).parent / "static"
+STATIC = Path(__file__).parents[1] / "static"
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _FULL_WORDS = tuple(os.strerror(number).lower() for number in _FULL)
 
@@ -47,16 +47,16 @@ def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None
         FormatError: The folder cannot be used, or the study is broken.
     """
     keys = keys or Keys()
-    desk = Desk(Store(folder), study)
+    state = State(Store(folder), study)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         if warm:
-            desk.start()
+            state.start()
         try:
             yield
         finally:
-            desk.stop()
+            state.stop()
 
     api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *files.ROUTES, *studies.ROUTES]
     app = Starlette(
@@ -71,7 +71,7 @@ def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None
         lifespan=lifespan,
         exception_handlers={HTTPException: _no_such_page},
     )
-    app.state.desk, app.state.keys = desk, keys
+    app.state.studio, app.state.keys = state, keys
     return app
 
 

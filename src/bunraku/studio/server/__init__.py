@@ -1,0 +1,1 @@
+"""The web server: the application, its guard, and the command that serves it."""
