@@ -50,11 +50,26 @@ VALIDATION_SPECIES: tuple[str, ...] = ("llama", "tetra", "turbot", "parasaurolop
 
 FPS = 20.0
 LEAST_FRAMES = 8
-_TRAVELS = ("walk", "run", "gallop", "crawl", "carry", "run carry")
-_CYCLES = (*_TRAVELS, "swim", "swim fast", "swim impulse", "fly", "hover", "idle", "idle head low", "eat", "dance")
+_TRAVELS = ("walk", "run", "trot", "gallop", "sneak", "crawl", "carry", "run carry")
+_CYCLES = (
+    *_TRAVELS,
+    "swim",
+    "swim fast",
+    "swim impulse",
+    "fly",
+    "glide",
+    "hover",
+    "idle",
+    "idle head low",
+    "alert",
+    "eat",
+    "sleep",
+    "sit",
+    "dance",
+)
 LEAST_LOOP = 40  # frames to which shorter loops are played on
 _SEEN_ON_PEOPLE = ("walk", "run", "idle", "crawl")  # motion capture has these, and game clips of them are poorer
-_FLOATS = ("fish", "flyer", "bird", "snake", "blob")
+_FLOATS = ("fish", "flyer", "snake", "blob")
 
 
 @dataclass(frozen=True)
