@@ -45,8 +45,8 @@ class Motions:
     """
 
     report: bool = False
-    """Print what there is of each action when it is built: clips, minutes, turn, speed, height, contacts, and what was
-    dropped and why."""
+    """Print what there is of each action when it is built: clips, minutes, turn, speed, height, contacts, what was dropped
+    and why, and whom to credit."""
 
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
@@ -75,11 +75,14 @@ class Motions:
             print(f"left out {reason}", file=sys.stderr)
         print(f"wrote {index}")
         if self.report:
+            from bunraku_lab.datasets.motions.clips import load_index
             from bunraku_lab.datasets.motions.report import motion_report, report_text
+            from bunraku_lab.datasets.motions.sources import credit_lines
 
             with stages() as report:
                 rows = motion_report(self.output, report)
             print(report_text(rows))
+            print("\ncredits:", *credit_lines(load_index(self.output)), sep="\n")
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,15 @@ from bunraku_lab.datasets.motions.clips import load_clip, load_lowest, write_cli
 from bunraku_lab.datasets.motions.feet import level_feet, standing_foot_pitch, subject_pitches
 from bunraku_lab.datasets.motions.floors import floor_height, posture_fault
 from bunraku_lab.datasets.motions.hinges import unrolled
+from bunraku_lab.datasets.motions.sources import source_of
 from bunraku_lab.datasets.motions.watched import FEWEST, Stretch, load_watched
 
 __all__ = ["MotionArchive", "build_motions", "split_of"]
 
+HELD_TURN, HELD_WAY, HELD_MARGIN = np.radians(10), 0.05, 5
+"""A pose is held while no handle turns farther than this, the root moves no farther [m]; so many frames are left of
+it.
+"""
 QUATERNION_STEP = 8192.0  # the archive stores first differences of round(8192 q)
 
 
@@ -212,34 +217,67 @@ def build_motions(
         }
         if name in watched:
             motion, bottom = load_clip(out / f"{name}.npz"), load_lowest(out / f"{name}.npz")
-            entries[name]["stretches"] = [checked(stretch, motion, bottom) for stretch in watched[name]]
+            source = source_of(name)
+            moves = between_held_poses(motion) if source is not None and source.holds_ends else None
+            entries[name]["stretches"] = [checked(stretch, motion, bottom, moves) for stretch in watched[name]]
             report("checking captions", (i + 1) / len(archive.names))
     return write_index(out, entries)
 
 
 def clip_weight(name: str, flags: Sequence[str]) -> float:
-    """How often to draw a clip: less where its caption tells more than it shows, or where a toy's proportions make feet
-    slide and arms stand out.
-    """
-    toy = 0.4 if name.startswith(("kk_", "kkm_")) else 1.0
-    return toy * (0.5 if any("partial" in flag for flag in flags) else 1.0)
+    """How often to draw a clip: as its source says, and less where its caption tells more than it shows."""
+    source = source_of(name)
+    return (source.weight if source is not None else 1.0) * (0.5 if any("partial" in flag for flag in flags) else 1.0)
 
 
-def checked(stretch: Stretch, motion: HandleMotion, lowest: np.ndarray) -> dict[str, Any]:
-    """A stretch for the index: without the T-pose that it may start or end in, and with the fault that keeps it from
-    training, if it has one.
+def checked(
+    stretch: Stretch, motion: HandleMotion, lowest: np.ndarray, moves: tuple[int, int] | None = None
+) -> dict[str, Any]:
+    """A stretch for the index: without the T-pose, or the pose held at the ends of its take, that it may start or end
+    in, and with the fault that keeps it from training, if it has one.
+
+    Args:
+        stretch: As it was watched.
+        motion: The take.
+        lowest: The body's lowest point over the ground in each frame [m], shape (N,).
+        moves: First frame and frame after the last of what lies between the poses held at the ends of the take; None
+            where its source holds none.
     """
     start, stop = stretch.start, stretch.stop
-    if "T-pose" in stretch.note:
-        posed = t_pose(motion)
-        while start < stop and posed[start]:
-            start += 1
-        while stop > start and posed[stop - 1]:
-            stop -= 1
+    if moves is not None:
+        start, stop = max(start, moves[0]), min(stop, moves[1])
+    posed = t_pose(motion) if "T-pose" in stretch.note else np.zeros(len(motion), bool)
+    while start < stop and posed[start]:
+        start += 1
+    while stop > start and posed[stop - 1]:
+        stop -= 1
     part = slice(start, stop)
-    fault = stretch.fault or ("nothing but a T-pose" if stop - start < FEWEST else None)
+    fault = stretch.fault
+    if stop - start < FEWEST:
+        fault = fault or ("nothing but a pose that is held" if moves is not None else "nothing but a T-pose")
+        return {"start": stretch.start, "stop": stretch.stop, "texts": list(stretch.texts), "fault": fault}
+    fault = fault or ("a T-pose in the middle" if posed[part].any() else None)
     fault = fault or posture_fault(list(stretch.texts), motion.root_translation[part, 1], lowest[part])
     return {"start": start, "stop": stop, "texts": list(stretch.texts)} | ({"fault": fault} if fault else {})
+
+
+def between_held_poses(motion: HandleMotion) -> tuple[int, int]:
+    """First frame and frame after the last of a take without the poses that it holds at its ends, but for a quarter of
+    a second of each.
+    """
+    first, last = (_still(motion, end) for end in (0, len(motion) - 1))
+    start = int(np.argmin(first)) if not first.all() else len(motion)
+    stop = len(motion) - int(np.argmin(last[::-1])) if not last.all() else 0
+    return max(start - HELD_MARGIN, 0), min(stop + HELD_MARGIN, len(motion))
+
+
+def _still(motion: HandleMotion, frame: int) -> np.ndarray:
+    """Frames whose pose is that of one frame, but for breath and noise, shape (N,), bool."""
+    angle = np.einsum("nkij,kij->nk", motion.rotations, motion.rotations[frame])  # 3 where alike
+    moved = np.linalg.norm(motion.root_translation - motion.root_translation[frame], axis=1)
+    turned = np.einsum("nij,ij->n", motion.root_rotation, motion.root_rotation[frame])
+    near = 1 + 2 * np.cos(HELD_TURN)
+    return np.asarray((angle > near).all(axis=1) & (turned > near) & (moved < HELD_WAY))
 
 
 def t_pose(motion: HandleMotion) -> np.ndarray:

@@ -15,20 +15,12 @@ import numpy as np
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.core.motion import SkeletalMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku_lab.datasets.motions.sources import subject_of
 
-__all__ = ["level_feet", "standing_foot_pitch", "subject_of", "subject_pitches"]
+__all__ = ["level_feet", "standing_foot_pitch", "subject_pitches"]
 
 ANKLES = (JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle"))
 LEAST, MOST = np.radians(2.0), np.radians(35.0)
-
-
-def subject_of(name: str) -> str:
-    """The captured subject of a clip, as its name tells: `cmu_16_11` -> `cmu_16`, `snu_WalkSad05` -> `snu_WalkSad`."""
-    return (
-        "_".join(name.split("_")[:2]).rstrip("0123456789")
-        if not name.startswith("cmu_")
-        else "_".join(name.split("_")[:2])
-    )
 
 
 def standing_foot_pitch(motion: SkeletalMotion) -> float:
