@@ -45,8 +45,9 @@ class Motions:
     """
 
     report: bool = False
-    """Print what there is of each action when it is built: clips, minutes, turn, speed, height, contacts, what was dropped
-    and why, and whom to credit."""
+    """Print what there is of each action when it is built: clips, minutes, turn, speed, height, contacts, what was
+    dropped and why, and whom to credit.
+    """
 
     def run(self) -> None:
         _check(self.source, self.output, self.jobs)
