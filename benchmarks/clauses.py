@@ -35,7 +35,7 @@ def main() -> None:
     from bunraku.diffusion.features import encode
     from bunraku.diffusion.generate import generate_motions, load_generator
     from bunraku.diffusion.matching import embed_motions, embed_sentences, load_extractor
-    from bunraku.language.clauses import timed_clauses
+    from bunraku.language.parse import clauses_of, parse
     from bunraku.nn.checkpoints import shipped_checkpoint
 
     extractor = load_extractor(shipped_checkpoint("extractor"))
@@ -52,8 +52,8 @@ def main() -> None:
 
     print("| | first | second | both |\n| --- | --- | --- | --- |")
     ways = {
-        "the network alone": [[(prompt, args.seconds)] for prompt in prompts],
-        "by clauses": [timed_clauses(prompt, args.seconds) for prompt in prompts],
+        "the network alone": [clauses_of([(prompt, args.seconds)]) for prompt in prompts],
+        "by clauses": [parse(prompt, args.seconds).clauses for prompt in prompts],
     }
     for name, scripts in ways.items():
         features = []

@@ -10,6 +10,7 @@ from bunraku.diffusion.editing import continue_motion, edit_motion, span_frames
 from bunraku.diffusion.features import encode
 from bunraku.diffusion.generate import generate_motion, generate_motions
 from bunraku.errors import MotionError, OptionError
+from bunraku.language.parse import clause_of, clauses_of
 from bunraku_lab.evaluation.motion.seams import posed_positions
 
 ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")
@@ -38,7 +39,7 @@ def same(one, other, handles=slice(None), frames=slice(None)):
 
 @pytest.mark.parametrize("keep", ["legs", "left arm", "upper body", "head, left_wrist", "root"])
 def test_kept_handles_come_back_bit_for_bit(clip, checkpoint, keep):
-    found = edit_motion(clip, "waves", keep=keep, steps=3, checkpoint=checkpoint)
+    found = edit_motion(clip, clause_of("waves"), keep=keep, steps=3, checkpoint=checkpoint)
     handles = kept_handles(keep)
     assert same(found, clip, handles) and len(found) == len(clip)
     assert np.abs(found.rotations[:, ~handles] - clip.rotations[:, ~handles])[:, 1:].max() > 0.1
@@ -51,7 +52,7 @@ def test_kept_handles_come_back_bit_for_bit(clip, checkpoint, keep):
     [((2.0, 4.0), (40, 80)), ((0.0, 1.0), (0, 20)), ((5.0, 9.0), (100, 160)), ((3.0, 3.1), (60, 62))],
 )
 def test_frames_outside_a_span_come_back_bit_for_bit(clip, checkpoint, span, frames):
-    found = edit_motion(clip, "jumps", span=span, steps=3, checkpoint=checkpoint)
+    found = edit_motion(clip, clause_of("jumps"), span=span, steps=3, checkpoint=checkpoint)
     outside = np.ones(len(clip), bool)
     outside[slice(*frames)] = False
     assert same(found, clip, frames=outside) and not same(found, clip, frames=~outside)
@@ -62,7 +63,7 @@ def test_frames_outside_a_span_come_back_bit_for_bit(clip, checkpoint, span, fra
 
 
 def test_a_span_and_handles_together(clip, checkpoint):
-    found = edit_motion(clip, "jumps", span=(2, 4), keep="legs", steps=3, checkpoint=checkpoint)
+    found = edit_motion(clip, clause_of("jumps"), span=(2, 4), keep="legs", steps=3, checkpoint=checkpoint)
     assert (
         same(found, clip, kept_handles("legs"))
         and same(found, clip, frames=slice(0, 40))
@@ -74,24 +75,25 @@ def test_a_span_and_handles_together(clip, checkpoint):
 def test_a_span_joins_more_smoothly_than_what_would_be_there_without_the_rest(clip, checkpoint):
     free = generate_motion("jumps", 8, steps=3, checkpoint=checkpoint, seed=9)
     pasted = put_back(free, clip, np.zeros(30, bool), 40, 80, fade=0)
-    made = edit_motion(clip, "jumps", span=(2, 4), steps=3, checkpoint=checkpoint, seed=9)
+    made = edit_motion(clip, clause_of("jumps"), span=(2, 4), steps=3, checkpoint=checkpoint, seed=9)
     jump = [np.abs(np.diff(encode(motion)[[39, 40]][:, 10:], axis=0)).mean() for motion in (pasted, made)]
     assert jump[1] < 0.6 * jump[0]
 
 
 def test_the_same_seed_gives_the_same_edit(clip, checkpoint):
     one, again, other = (
-        edit_motion(clip, "waves", keep="legs", steps=2, seed=seed, checkpoint=checkpoint) for seed in (1, 1, 2)
+        edit_motion(clip, clause_of("waves"), keep="legs", steps=2, seed=seed, checkpoint=checkpoint)
+        for seed in (1, 1, 2)
     )
     assert same(one, again) and not same(one, other)
 
 
 def test_a_continuation_starts_in_the_last_pose(clip, checkpoint):
-    found = continue_motion(clip, [("jumps", 2.0), ("runs", 1.5)], steps=3, checkpoint=checkpoint)
+    found = continue_motion(clip, clauses_of([("jumps", 2.0), ("runs", 1.5)]), steps=3, checkpoint=checkpoint)
     assert len(found) == 70
     for name in ARRAYS:
         assert np.array_equal(getattr(found, name)[0], getattr(clip, name)[-1])
-    one = continue_motion(clip.take(slice(0, 1)), [("jumps", 1.0)], steps=2, checkpoint=checkpoint)
+    one = continue_motion(clip.take(slice(0, 1)), clauses_of([("jumps", 1.0)]), steps=2, checkpoint=checkpoint)
     assert len(one) == 20 and np.array_equal(one.rotations[0], clip.rotations[0])
 
 
@@ -127,7 +129,10 @@ def test_differences_at_the_edges_fade_out():
 
 def test_loops_close(checkpoint):
     one, long = generate_motions(
-        [[("walks", 2.0)], [("walks", 1.0), ("runs", 6.0)]], loop=True, steps=3, checkpoint=checkpoint
+        [clauses_of([("walks", 2.0)]), clauses_of([("walks", 1.0), ("runs", 6.0)])],
+        loop=True,
+        steps=3,
+        checkpoint=checkpoint,
     )
     assert len(one) == 41 and len(long) == 141
     for motion in (one, long):
@@ -138,7 +143,7 @@ def test_loops_close(checkpoint):
 
 
 def test_a_batch_has_the_motions_of_its_prompts_alone(checkpoint):
-    scripts = [[("walks", 1.0)], [("jumps", 4.0)], [("walks", 2.0), ("waves", 2.5)]]
+    scripts = [clauses_of(one) for one in ([("walks", 1.0)], [("jumps", 4.0)], [("walks", 2.0), ("waves", 2.5)])]
     found = generate_motions(scripts, seeds=[7, 8, 9], steps=3, checkpoint=checkpoint)
     assert [len(motion) for motion in found] == [20, 80, 90]
     for motion, script, seed in zip(found, scripts, (7, 8, 9), strict=True):
@@ -150,13 +155,15 @@ def test_a_batch_has_the_motions_of_its_prompts_alone(checkpoint):
 def test_bad_edits_are_refused(clip, checkpoint):
     how = {"steps": 1, "checkpoint": checkpoint}
     with pytest.raises(OptionError, match="nothing is kept"):
-        edit_motion(clip, "waves", **how)
+        edit_motion(clip, clause_of("waves"), **how)
     with pytest.raises(OptionError, match="nothing is kept"):
-        edit_motion(clip, "waves", span=(0, 8), **how)
+        edit_motion(clip, clause_of("waves"), span=(0, 8), **how)
     with pytest.raises(MotionError, match="20 frames a second"):
-        edit_motion(HandleMotion(*(getattr(clip, name) for name in ARRAYS), fps=30), "waves", keep="legs", **how)
+        edit_motion(
+            HandleMotion(*(getattr(clip, name) for name in ARRAYS), fps=30), clause_of("waves"), keep="legs", **how
+        )
     for span in ((3, 2), (-1, 2), (8, 9), (float("nan"), 2), (1.0, 1.001)):
         with pytest.raises(OptionError, match="span"):
             span_frames(span, 160, 20)
     with pytest.raises(OptionError, match="2 motions need as many seeds"):
-        generate_motions([[("a", 1)], [("b", 1)]], seeds=[1], **how)
+        generate_motions([clauses_of([("a", 1)]), clauses_of([("b", 1)])], seeds=[1], **how)

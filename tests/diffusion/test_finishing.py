@@ -5,6 +5,7 @@ import pytest
 
 from bunraku.diffusion.features import FEATURE_SIZE
 from bunraku.diffusion.finishing import STRENGTH, steadied, straightened, turned_as_asked
+from bunraku.language.parse import clause_of
 
 FPS = 20
 TIME = np.arange(200) / FPS
@@ -45,14 +46,14 @@ def test_forward_holds_its_course_and_keeps_its_sway():
     """A drift of 3 degrees a second goes, hips that turn to and fro with each stride stay."""
     sway = 0.5 * np.sin(2 * np.pi * 1.2 * TIME)
     drifting = features(0, np.radians(3.0) + sway)
-    after = straightened(drifting, [("a person walks forward", 200)], FPS)
+    after = straightened(drifting, [(clause_of("a person walks forward"), 200)], FPS)
     assert heading(drifting) > 25 and abs(heading(after)) < 6  # half a stride at each end
     assert np.corrcoef(after[20:-20, 0], sway[20:-20])[0, 1] > 0.99
 
 
 def test_only_the_sentence_that_says_forward_is_straightened():
     turning = features(0, np.full(200, np.radians(9.0)))
-    script = [("a person walks in a circle", 100), ("a person walks forward", 100)]
+    script = [(clause_of("a person walks in a circle"), 100), (clause_of("a person walks forward"), 100)]
     after = straightened(turning, script, FPS)
     assert heading(after[:100]) == pytest.approx(45, abs=0.5) and abs(heading(after[100:])) < 1
 
@@ -72,4 +73,4 @@ def test_only_the_sentence_that_says_forward_is_straightened():
 )
 def test_a_turn_that_nearly_goes_as_far_as_asked_does(sentence, before, after):
     turning = features(0, np.full(60, np.radians(before) / 3))
-    assert heading(turned_as_asked(turning, [(sentence, 60)], FPS)) == pytest.approx(after, abs=0.5)
+    assert heading(turned_as_asked(turning, [(clause_of(sentence), 60)], FPS)) == pytest.approx(after, abs=0.5)

@@ -10,6 +10,7 @@ from bunraku.diffusion.checkpoint import save_denoiser
 from bunraku.diffusion.drawing import STANDING
 from bunraku.diffusion.generate import adapt, generate_motion, generate_motions
 from bunraku.errors import OptionError, WeightsError
+from bunraku.language.parse import clauses_of
 from bunraku.nn.checkpoints import shipped_checkpoint
 
 
@@ -118,7 +119,9 @@ def test_loading_the_networks_does_not_load_torchs_compiler():
 
 def test_who_sits_down_stands_at_first(make):
     """The first frames have the legs and the height of the rest pose, whatever the network says; others do not."""
-    sits, walks = generate_motions([[("sits down", 2.0)], [("walks", 2.0)]], steps=3, checkpoint=make())
+    sits, walks = generate_motions(
+        [clauses_of([("sits down", 2.0)]), clauses_of([("walks", 2.0)])], steps=3, checkpoint=make()
+    )
     first = STANDING - 2  # the last ones are steadied with those after
     legs = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "knee", "ankle")]
     standing = np.broadcast_to(np.eye(3), (first, len(legs), 3, 3))

@@ -9,6 +9,7 @@ from bunraku.diffusion.generate import _APART, generate_motions
 from bunraku.diffusion.matching import RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences
 from bunraku.diffusion.ranking import ATTEMPTS, CAPTURED, Drawn, choose, load_ranker, script_scores
 from bunraku.language.encoders import text_encoder
+from bunraku.language.parse import clause_of, clauses_of
 
 
 @pytest.fixture
@@ -21,24 +22,24 @@ def ranker():
 def test_a_score_is_the_mean_cosine_over_the_parts_by_their_frames(ranker, encoder, features):
     wave, kick = features("left_elbow", frames=40), features("right_knee", frames=20)
     whole = np.concatenate([wave, kick])
-    script = [("waves", 40), ("kicks", 20)]
+    script = [(clause_of("waves"), 40), (clause_of("kicks"), 20)]
     text = embed_sentences(ranker, encoder, ["waves", "kicks"])
     vectors = embed_motions(ranker, [wave, kick])
     cosines = [float(vectors[0] @ text["waves"]) / RADIUS**2, float(vectors[1] @ text["kicks"]) / RADIUS**2]
     (score,) = script_scores(ranker, encoder, [whole], [script])
     assert score == pytest.approx((40 * cosines[0] + 20 * cosines[1]) / 60, abs=1e-6)
-    both = script_scores(ranker, encoder, [wave, whole], [[("waves", 40)], script])
+    both = script_scores(ranker, encoder, [wave, whole], [[(clause_of("waves"), 40)], script])
     assert both == pytest.approx([cosines[0], score], abs=1e-5)  # whatever stands beside it
 
 
 def test_long_parts_are_looked_at_in_pieces_and_what_is_too_short_counts_nothing(ranker, encoder, features):
     long = features("left_elbow", frames=400)
-    assert np.isfinite(script_scores(ranker, encoder, [long], [[("waves", 400)]])).all()
-    assert script_scores(ranker, encoder, [long[:4]], [[("waves", 4)]]) == pytest.approx([0.0])
+    assert np.isfinite(script_scores(ranker, encoder, [long], [[(clause_of("waves"), 400)]])).all()
+    assert script_scores(ranker, encoder, [long[:4]], [[(clause_of("waves"), 4)]]) == pytest.approx([0.0])
 
 
 def drawn(agreement, number):
-    return Drawn(np.full((1, 1), number, np.float32), np.zeros((1, 1, 3)), [("a", 1)], agreement)
+    return Drawn(np.full((1, 1), number, np.float32), np.zeros((1, 1, 3)), [(clause_of("a"), 1)], agreement)
 
 
 def chosen(told, candidates=2):
@@ -75,13 +76,13 @@ def test_after_the_last_attempt_the_least_wrong_is_taken():
 
 
 def test_what_is_chosen_is_the_candidate_with_the_best_score():
-    script = [[("a person bows", 2.0)]]
+    script = [clauses_of([("a person bows", 2.0)])]
     drawn = [generate_motions(script, seeds=[(5, place * _APART)], steps=4)[0] for place in range(3)]
     scores = script_scores(
         load_ranker(),
         text_encoder(load_ranker().config.text_encoder),
         [encode(motion) for motion in drawn],
-        [[(script[0][0][0], 40)]] * 3,
+        [[(script[0][0], 40)]] * 3,
     )
     (chosen,) = generate_motions(script, seeds=[5], steps=4, candidates=3, examples=False)
     apart = [float(np.abs(chosen.rotations - motion.rotations).max()) for motion in drawn]
@@ -98,7 +99,7 @@ def test_a_candidate_that_starts_from_an_example_is_worth_a_little_more():
 
 
 def test_candidates_but_the_first_start_from_examples():
-    script = [[("a person waves with the right hand", 3.0)]]
+    script = [clauses_of([("a person waves with the right hand", 3.0)])]
     plain, led = (generate_motions(script, seeds=[5], steps=4, candidates=3, examples=way)[0] for way in (False, True))
     assert np.abs(plain.rotations - led.rotations).max() > 0.1
     alone = [generate_motions(script, seeds=[5], steps=4, examples=way)[0] for way in (False, True)]

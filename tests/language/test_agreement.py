@@ -6,7 +6,12 @@ from moving_people import kick, person, ramp
 
 from bunraku.diffusion.features import decode, encode, mirror
 from bunraku.language.captions import mirror_words
-from bunraku.language.description.agreement import agreement, goes_straight, starts_standing
+from bunraku.language.description import agreement as described
+from bunraku.language.parse import clause_of
+
+
+def agreement(sentence, motion):
+    return described.agreement(clause_of(sentence), motion)
 
 
 def turning(degrees):
@@ -84,7 +89,7 @@ def test_nothing_is_said_of_what_is_not_plain(sentence):
     ],
 )
 def test_who_goes_down_starts_standing(sentence, stands):
-    assert starts_standing(sentence) is stands
+    assert ("goes down" in clause_of(sentence).traits) is stands
 
 
 @pytest.mark.parametrize(
@@ -93,4 +98,4 @@ def test_who_goes_down_starts_standing(sentence, stands):
      ("walks on the hands", False), ("walks on in a circle", False), ("turns left and walks on", False)],
 )  # fmt: skip
 def test_who_goes_on_goes_straight(sentence, straight):
-    assert goes_straight(sentence) is straight
+    assert clause_of(sentence).straight is straight

@@ -7,7 +7,7 @@ from bunraku.body.parts import PARTS
 from bunraku.body.reference import reference_body
 from bunraku.diffusion.composition import PartTrack
 from bunraku.diffusion.generate import generate_motions
-from bunraku.language.concurrent import body_part_prompts
+from bunraku.language.parse import clause_of, clauses_of
 from bunraku.nn.checkpoints import shipped_checkpoint
 
 ARMS = np.isin(np.arange(30), PARTS["arms"])
@@ -33,9 +33,9 @@ ARMS = np.isin(np.arange(30), PARTS["arms"])
     ],
 )
 def test_legs_and_gestures_are_told_apart(sentence, body, gesture, part):
-    found = body_part_prompts(sentence)
-    assert [voice.sentence for voice in found] == [body, gesture]
-    assert found[0].handles is None and np.flatnonzero(found[1].handles).tolist() == sorted(PARTS[part])
+    found = clause_of(sentence)
+    assert [voice.text for voice in found.voices] == [body, gesture]
+    assert np.flatnonzero(PartTrack.of(0, [found]).handles).tolist() == sorted(PARTS[part])
 
 
 @pytest.mark.parametrize(
@@ -47,9 +47,9 @@ def test_legs_and_gestures_are_told_apart(sentence, body, gesture, part):
     ],
 )
 def test_gestures_move_arms_and_head(sentence, body, gesture):
-    found = body_part_prompts(sentence)
-    assert [voice.sentence for voice in found] == [body, gesture]
-    assert np.flatnonzero(found[1].handles).tolist() == sorted({*PARTS["arms"], *PARTS["head"]})
+    found = clause_of(sentence)
+    assert [voice.text for voice in found.voices] == [body, gesture]
+    assert np.flatnonzero(PartTrack.of(0, [found]).handles).tolist() == sorted({*PARTS["arms"], *PARTS["head"]})
 
 
 @pytest.mark.parametrize(
@@ -62,18 +62,18 @@ def test_gestures_move_arms_and_head(sentence, body, gesture):
     ],
 )  # fmt: skip
 def test_other_sentences_have_one_voice(sentence):
-    (voice,) = body_part_prompts(sentence)
-    assert voice.sentence == sentence and voice.handles is None
+    found = clause_of(sentence)
+    assert found.voices == () and found.body.text == sentence and found.meanwhile is None
 
 
 def test_a_twin_owns_its_handles_and_nothing_else():
-    twin = PartTrack.of(2, [body_part_prompts("walks"), body_part_prompts("walks and waves")])
+    twin = PartTrack.of(2, [clause_of("walks"), clause_of("walks and waves")])
     assert (
         twin is not None
         and (twin.motion, twin.sentences) == (2, ("walks", "waves"))
         and np.array_equal(twin.handles, ARMS)
     )
-    assert PartTrack.of(0, [body_part_prompts("walks")]) is None
+    assert PartTrack.of(0, [clause_of("walks")]) is None
     features = twin.follow(torch.zeros(3, 271), torch.ones(3, 271))
     assert features.sum(1).tolist() == [9.0 * ARMS.sum()] * 3 and features[:, :10].sum() == 0
     assert twin.adapt(torch.zeros(3, 30, 3), torch.ones(3, 30, 3))[:, :, 0].bool().tolist() == [ARMS.tolist()] * 3
@@ -81,9 +81,13 @@ def test_a_twin_owns_its_handles_and_nothing_else():
 
 @pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
 def test_the_legs_walk_on_while_the_hand_waves():
-    walk = generate_motions([[("a person walks forward", 3.0)]], seeds=4)[0]
+    walk = generate_motions([clauses_of([("a person walks forward", 3.0)])], seeds=4)[0]
     other, both = generate_motions(
-        [[("a person jumps", 3.0)], [("a person walks forward while waving with the right hand", 3.0)]], seeds=[1, 4]
+        [
+            clauses_of([one])
+            for one in (("a person jumps", 3.0), ("a person walks forward while waving with the right hand", 3.0))
+        ],
+        seeds=[1, 4],
     )
     rest = [index for index in range(30) if not ARMS[index]]
     assert np.allclose(both.root_translation, walk.root_translation, atol=1e-3)
@@ -93,12 +97,14 @@ def test_the_legs_walk_on_while_the_hand_waves():
     joints = np.einsum("nkab,kb->nka", posed[..., :3], positions) + posed[..., 3]
     wrist, shoulder = (joints[:, HANDLE_NAMES.index(name), 1] for name in ("right_wrist", "right_shoulder"))
     assert (wrist > shoulder - 0.1).mean() > 0.8
-    assert np.allclose(other.rotations, generate_motions([[("a person jumps", 3.0)]], seeds=1)[0].rotations, atol=1e-2)
+    assert np.allclose(
+        other.rotations, generate_motions([clauses_of([("a person jumps", 3.0)])], seeds=1)[0].rotations, atol=1e-2
+    )
 
 
 @pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
 def test_a_loop_of_two_voices_closes():
-    (loop,) = generate_motions([[("walks while waving with the left hand", 2.0)]], seeds=3, loop=True)
+    (loop,) = generate_motions([clauses_of([("walks while waving with the left hand", 2.0)])], seeds=3, loop=True)
     assert np.array_equal(loop.rotations[0], loop.rotations[-1]) and np.array_equal(
         loop.translations[0], loop.translations[-1]
     )

@@ -1,6 +1,6 @@
 import pytest
 
-from bunraku.language.grammar import conjugate, fill, is_stative, sentence_forms
+from bunraku.language.captions.grammar import conjugate, fill, is_stative, sentence_forms
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import pytest
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.body.reference import reference_body
+from bunraku.language.parse import parse
 from bunraku.pipelines.bodies import as_bodies_do
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.samples import sample_character
@@ -38,12 +39,12 @@ def bodies():
     ],
 )
 def test_a_clause_is_said_and_done_as_the_body_can(bodies, body, clause, said, way):
-    scripts, ways, as_people = as_bodies_do([[(clause, 2.0)]], Anatomy.of(*bodies[body]))
-    assert scripts == [[(said, 2.0)]]
-    assert ways == [[(way, 1.0)]]
+    (sentence,), as_people = as_bodies_do([parse(clause, 2.0)], Anatomy.of(*bodies[body]))
+    assert [(one.text, one.seconds) for one in sentence.clauses] == [(said, 2.0)]
+    assert [one.moves for one in sentence.clauses] == [way]
     assert as_people == (body == "person")
 
 
 def test_clauses_share_the_time_of_their_sentence(bodies):
-    _, ways, _ = as_bodies_do([[("flies", 3.0), ("stands", 1.0)]], Anatomy.of(*bodies["dragon"]))
-    assert ways == [[("fly", 0.75), ("stay", 0.25)]]
+    (sentence,), _ = as_bodies_do([parse("flies:3; stands:1")], Anatomy.of(*bodies["dragon"]))
+    assert [(one.moves, one.seconds / sentence.seconds) for one in sentence.clauses] == [("fly", 0.75), ("stay", 0.25)]

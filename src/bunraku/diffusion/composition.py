@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from bunraku.body.parts import kept_handles
 from bunraku.diffusion.features import feature_mask
-from bunraku.language.concurrent import BodyPartPrompt
+from bunraku.language.sentence import Clause
 
 __all__ = ["PartTrack"]
 
@@ -33,10 +34,11 @@ class PartTrack:
     handles: np.ndarray
 
     @classmethod
-    def of(cls, motion: int, prompts: Sequence[tuple[BodyPartPrompt, ...]]) -> PartTrack | None:
-        """The second time line of a motion with these prompts for each sentence; None where all have one."""
-        own = [prompt.handles for some in prompts for prompt in some[1:] if prompt.handles is not None]
-        return cls(motion, tuple(some[-1].sentence for some in prompts), np.any(own, axis=0)) if own else None
+    def of(cls, motion: int, script: Sequence[Clause]) -> PartTrack | None:
+        """The second time line of a motion with these clauses; None where nothing is done meanwhile in any."""
+        own = [kept_handles(made.part.split(" and ")) for clause in script if (made := clause.meanwhile) is not None]
+        texts = tuple((clause.meanwhile or clause).text for clause in script)
+        return cls(motion, texts, np.any(own, axis=0)) if own else None
 
     def follow(self, first: Tensor, second: Tensor) -> Tensor:
         """The second time line's features, shape (N, 271), with all that is not its own as in the first."""

@@ -15,8 +15,8 @@ from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, root_vel
 from bunraku.diffusion.finishing import steadied, straightened, turned_as_asked
 from bunraku.errors import OptionError
 from bunraku.geometry.easing import smooth_step
-from bunraku.language.description.agreement import starts_standing
 from bunraku.language.encoders import TextEncoder
+from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -104,7 +104,7 @@ class Sampling:
 def draw_candidates(
     model: Denoiser,
     encoder: TextEncoder,
-    scripts: Sequence[Sequence[tuple[str, float]]],
+    scripts: Sequence[Sequence[Clause]],
     noise: list[tuple[int, int]],
     how: Sampling,
     loop: bool,
@@ -117,7 +117,7 @@ def draw_candidates(
     Args:
         model: The denoiser.
         encoder: Its text encoder.
-        scripts: Sentences with the seconds that each lasts.
+        scripts: The clauses of each.
         noise: Seed and row of each (see `drawn_noise`).
         how: How they are drawn.
         loop: Make loops.
@@ -130,14 +130,12 @@ def draw_candidates(
     from bunraku.diffusion.composition import PartTrack
     from bunraku.diffusion.ranking import Drawn, script_agreement
     from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
-    from bunraku.language.concurrent import body_part_prompts
     from bunraku.nn.threads import fitting_threads
 
-    lengths = [frames_of([seconds for _, seconds in script], model.config.fps) for script in scripts]
+    lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
-    prompts = [[body_part_prompts(prompt) for prompt, _ in script] for script in scripts]
-    tracks = [track for index, some in enumerate(prompts) if (track := PartTrack.of(index, some))]
-    sentences = [parts[0].sentence for some in prompts for parts in some]
+    tracks = [track for index, script in enumerate(scripts) if (track := PartTrack.of(index, script))]
+    sentences = [clause.body.text for script in scripts for clause in script]
     text = encoder.encode(sentences + [sentence for track in tracks for sentence in track.sentences])
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     plans += [plans[track.motion] for track in tracks]
@@ -148,7 +146,7 @@ def draw_candidates(
     ways: list[np.ndarray] = []
     if path is not None:
         ways = [way_of(path, sum(own), model.config.fps, script) for own, script in zip(lengths, scripts, strict=True)]
-    stands = [path is None and not loop and starts_standing(script[0][0]) for script in scripts]
+    stands = [path is None and not loop and "goes down" in script[0].traits for script in scripts]
     held = None
     if ways or any(stands):
         own_ways = [ways[row] for row in owners] if ways else None
@@ -158,7 +156,7 @@ def draw_candidates(
     guide = _led(starts, [lengths[row] for row in owners], sizes, statistics, loop)
     pull = None
     if critic is not None:
-        told = [[parts[0].sentence for parts in some] for some in prompts]
+        told = [[clause.body.text for clause in script] for script in scripts]
         pull = critic.pull(model, told, lengths, sizes[: len(scripts)], guide)
 
     def refine(values: Tensor) -> Tensor:
@@ -184,7 +182,7 @@ def draw_candidates(
     drawn = []
     for part, script, own_lengths, lead in zip(found, scripts, lengths, starts, strict=False):
         frames = np.arange(sum(own_lengths) + loop) % len(part.values)
-        timed = [(prompt, length) for (prompt, _), length in zip(script, own_lengths, strict=True)]
+        timed = list(zip(script, own_lengths, strict=True))
         features = steadied(statistics.restore(part.values.cpu().numpy()), loop)
         if not loop and path is None:
             features = straightened(features, timed, model.config.fps)
@@ -195,9 +193,9 @@ def draw_candidates(
     return drawn
 
 
-def way_of(path: GroundPath, frames: int, fps: float, script: Sequence[tuple[str, float]]) -> np.ndarray:
+def way_of(path: GroundPath, frames: int, fps: float, script: Sequence[Clause]) -> np.ndarray:
     """Place (x, z) [m] and heading [rad] of a root that follows a path in each frame, shape (N, 3)."""
-    back = "backward" in script[0][0].lower()
+    back = "backward" in script[0].traits
     return np.column_stack([path.places(frames, fps), path.headings(frames, fps, back)])
 
 

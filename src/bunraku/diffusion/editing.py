@@ -24,7 +24,7 @@ from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, 
 from bunraku.diffusion.generate import adapt, load_generator
 from bunraku.diffusion.root_path import arrive
 from bunraku.errors import MotionError, OptionError
-from bunraku.language.prompts import check_prompt
+from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -76,7 +76,7 @@ def generated_runs(first: int, after: int, kept: Sequence[int]) -> list[tuple[in
 
 def edit_motion(
     motion: HandleMotion,
-    prompt: str,
+    clause: Clause,
     *,
     keep: str | Sequence[str] = (),
     span: tuple[float, float] | None = None,
@@ -84,11 +84,11 @@ def edit_motion(
     seed: int = 0,
     **sampling: Any,
 ) -> HandleMotion:
-    """The motion with all but what is kept generated anew from a sentence.
+    """The motion with all but what is kept generated anew from a clause.
 
     Args:
         motion: Motion of the reference body at the model's 20 frames a second.
-        prompt: What it does instead, in English.
+        clause: What it does instead.
         keep: Parts or handles that stay as they are.
         span: Seconds from and to which is generated; all of the motion by default. The frames outside stay as they are.
         poses: Seconds of single frames in it that stay too: what is between them is generated.
@@ -100,11 +100,11 @@ def edit_motion(
         `motion` bit for bit.
 
     Raises:
-        OptionError: Nothing is kept, or everything; or the prompt or a setting is outside what can be done.
+        OptionError: Nothing is kept, or everything; or a setting is outside what can be done.
         MotionError: The motion has another number of handles or frames a second than the model.
         WeightsError: The weights are missing or broken.
     """
-    prompt, how = check_prompt(prompt), Sampling(**sampling)
+    how = Sampling(**sampling)
     handles = kept_handles(keep) if keep else np.zeros(HANDLE_COUNT, bool)
     first, after = (0, len(motion)) if span is None else span_frames(span, len(motion), motion.fps)
     runs = generated_runs(first, after, pose_frames(poses, len(motion), motion.fps))
@@ -118,7 +118,7 @@ def edit_motion(
     low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
     part = motion.take(slice(low, high))
     made = _generate(
-        part, [(start - low, stop - low) for start, stop in runs], handles, prompt, [high - low], seed, how
+        part, [(start - low, stop - low) for start, stop in runs], handles, [clause.text], [high - low], seed, how
     )
     kept = np.setdiff1d(np.arange(low, high), np.concatenate([np.arange(*run) for run in runs]))
     anchor = int(kept[0]) - low if len(kept) else 0  # a kept frame where there is one
@@ -129,14 +129,12 @@ def edit_motion(
     return replace(put_back_runs(whole, motion, handles, runs, fade=0), native=motion.native)
 
 
-def continue_motion(
-    motion: HandleMotion, script: Sequence[tuple[str, float]], *, seed: int = 0, **sampling: Any
-) -> HandleMotion:
+def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int = 0, **sampling: Any) -> HandleMotion:
     """A motion that starts in the last pose of another, at its place and speed.
 
     Args:
         motion: Motion of the reference body at the model's 20 frames a second.
-        script: Sentences with the seconds that each lasts.
+        script: What is done, clause by clause.
         seed: The same seed and version give the same motion.
         sampling: See `Sampling`.
 
@@ -144,21 +142,28 @@ def continue_motion(
         The new motion alone; its first frame is the last one of `motion`, bit for bit.
 
     Raises:
-        OptionError: A prompt or a setting is outside what can be done.
+        OptionError: A setting is outside what can be done.
         MotionError: The motion has another number of handles or frames a second than the model.
         WeightsError: The weights are missing or broken.
     """
     how = Sampling(**sampling)
-    prompts = [check_prompt(prompt) for prompt, _ in script]
     model, _ = load_generator(how.checkpoint)
     _check(motion, model)
-    lengths = frames_of([seconds for _, seconds in script], model.config.fps)
+    lengths = frames_of([clause.seconds for clause in script], model.config.fps)
     past = min(len(motion), HISTORY)
     history = motion.take(slice(len(motion) - past, len(motion)))
     frames = np.minimum(np.arange(past - 1 + sum(lengths)), past - 1)
     still = history.take(frames)
     lengths[0] += past - 1
-    made = _generate(still, [(past, len(frames))], np.zeros(HANDLE_COUNT, bool), prompts, lengths, seed, how)
+    made = _generate(
+        still,
+        [(past, len(frames))],
+        np.zeros(HANDLE_COUNT, bool),
+        [clause.text for clause in script],
+        lengths,
+        seed,
+        how,
+    )
     made = placed_at(made, past - 1, history, past - 1).take(slice(past - 1, len(made)))
     return put_back(made, still.take(slice(past - 1, len(still))), np.zeros(HANDLE_COUNT, bool), 1, len(made), fade=0)
 
@@ -177,7 +182,7 @@ def _generate(
     original: HandleMotion,
     runs: Sequence[tuple[int, int]],
     handles: np.ndarray,
-    prompts: str | list[str],
+    texts: list[str],
     lengths: list[int],
     seed: int,
     how: Sampling,
@@ -193,7 +198,7 @@ def _generate(
     if how.progress:
         how.progress("generate", 0.0)
     model, encoder = load_generator(how.checkpoint)
-    text = encoder.encode([prompts] if isinstance(prompts, str) else prompts)
+    text = encoder.encode(texts)
     plan = plan_windows(lengths, model.config.frames)
     frames = len(original)
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import convolve1d, gaussian_filter1d
 
-from bunraku.language.clauses import script_spans
-from bunraku.language.description.agreement import asked_turn, goes_straight
+from bunraku.language.sentence import Clause, clause_spans
 
 __all__ = ["steadied", "straightened", "turned_as_asked"]
 
@@ -40,42 +39,42 @@ def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
     return np.concatenate([features[:, :3], pose + STRENGTH * (smooth - pose)], axis=1).astype(np.float32)
 
 
-def turned_as_asked(features: np.ndarray, script: Sequence[tuple[str, int]], fps: float) -> np.ndarray:
-    """A motion whose turns go as far as its sentences say, where they nearly do: faster or slower by at most `MOST`.
+def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: float) -> np.ndarray:
+    """A motion whose turns go as far as its clauses say, where they nearly do: faster or slower by at most `MOST`.
 
     Args:
         features: Features of each frame, the root's yaw velocity [rad/s] first, shape (N, D).
-        script: Its sentences with the frames that each lasts.
+        script: Its clauses with the frames that each lasts.
         fps: Frames a second [1/s].
 
     Returns:
         Shape (N, D), float32.
     """
     out = features.copy()
-    for sentence, part in script_spans(script):
-        asked, angle = asked_turn(sentence), float(out[part, 0].sum()) / fps
-        if asked is None or not angle or asked[0] * angle < 0:
+    for clause, part in clause_spans(script):
+        asked, angle = clause.turn, float(out[part, 0].sum()) / fps
+        if asked is None or not angle or asked.side * angle < 0:
             continue
-        wanted = float(np.clip(abs(angle), asked[1] + INSIDE, max(asked[2] - INSIDE, asked[1] + INSIDE)))
+        wanted = float(np.clip(abs(angle), asked.least + INSIDE, max(asked.most - INSIDE, asked.least + INSIDE)))
         factor = wanted / abs(angle)
         if 1 / MOST <= factor <= MOST:
             out[part, 0] *= factor
     return out
 
 
-def straightened(features: np.ndarray, script: Sequence[tuple[str, int]], fps: float) -> np.ndarray:
-    """A motion that keeps its course wherever a sentence says "forward" and nothing of a turn.
+def straightened(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: float) -> np.ndarray:
+    """A motion that keeps its course wherever a clause says "forward" and nothing of a turn.
 
     Args:
         features: Features of each frame, the root's yaw velocity [rad/s] first, shape (N, D).
-        script: Its sentences with the frames that each lasts.
+        script: Its clauses with the frames that each lasts.
         fps: Frames a second [1/s].
 
     Returns:
         Shape (N, D), float32.
     """
     out = features.copy()
-    for sentence, part in script_spans(script):
-        if goes_straight(sentence) and len(out[part]):
+    for clause, part in clause_spans(script):
+        if clause.straight and len(out[part]):
             out[part, 0] -= gaussian_filter1d(out[part, 0], SWAY * fps, mode="nearest")
     return out

@@ -19,7 +19,8 @@ from bunraku.diffusion.drawing import GUIDANCE, STEPS, Sampling, draw_candidates
 from bunraku.diffusion.features import decode
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextEncoder, encoder_of, text_encoder
-from bunraku.language.prompts import check_prompt
+from bunraku.language.parse import clauses_of
+from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
     from bunraku.diffusion.denoiser import Denoiser
@@ -48,43 +49,41 @@ def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: A
         OptionError: The prompt or a setting is outside what can be done.
         WeightsError: The weights are missing or broken.
     """
-    return generate_motions([[(prompt, seconds)]], seeds=seed, **sampling)[0]
+    return generate_motions([clauses_of([(prompt, seconds)])], seeds=seed, **sampling)[0]
 
 
 def generate_motions(
-    scripts: Sequence[Sequence[tuple[str, float]]],
+    scripts: Sequence[Sequence[Clause]],
     *,
     seeds: int | Sequence[int] = 0,
     loop: bool = False,
     path: GroundPath | None = None,
     **sampling: Any,
 ) -> list[HandleMotion]:
-    """Handle motions of the reference body, all in one batch, each from one sentence or several in a row.
+    """Handle motions of the reference body, all in one batch, each from one clause or several in a row.
 
     Args:
-        scripts: For each motion its sentences with the seconds that each lasts.
+        scripts: For each motion its clauses.
         seeds: One for each motion; a single number gives each motion noise of its own, the first as when it is alone.
         loop: Make loops: each motion's last frame is its first again, at another place where it travels.
         path: What the root follows, in metres of the reference body; each motion then starts where the path does. Who
-            goes backwards in the first sentence looks back along it.
+            goes backwards in the first clause looks back along it.
         sampling: See `Sampling`.
 
     Raises:
-        OptionError: A prompt or a setting is outside what can be done.
+        OptionError: A length or a setting is outside what can be done.
         WeightsError: The weights are missing or broken.
     """
-    scripts = [[(check_prompt(prompt), seconds) for prompt, seconds in script] for script in scripts]
     how = Sampling(**sampling)
-    for _, seconds in (part for script in scripts for part in script):
-        if not (math.isfinite(seconds) and seconds > 0):
-            raise OptionError(f"a motion needs a length of more than 0 seconds, not {seconds:g}")
+    for clause in (clause for script in scripts for clause in script):
+        if not (math.isfinite(clause.seconds) and clause.seconds > 0):
+            raise OptionError(f"a motion needs a length of more than 0 seconds, not {clause.seconds:g}")
     if not isinstance(seeds, int) and len(seeds) != len(scripts):
         raise OptionError(f"{len(scripts)} motions need as many seeds, not {len(seeds)}")
     if not scripts:
         return []
 
     from bunraku.diffusion.sampling.windows import drawn_noise
-    from bunraku.language.concurrent import body_part_prompts
 
     if how.progress:
         how.progress("generate", 0.0)
@@ -99,11 +98,10 @@ def generate_motions(
         attempt, number = divmod(place, how.candidates)
         if led is None or (loop and len(scripts[row]) > 1):
             return None, None
-        lengths = frames_of([seconds for _, seconds in scripts[row]], model.config.fps)
-        prompts = [(sentence, body_part_prompts(sentence)) for sentence, _ in scripts[row]]
-        whole = [sentence if led.shows(sentence) else parts[0].sentence for sentence, parts in prompts]
-        second = [parts[-1].sentence for _, parts in prompts]
-        script, gestures = (list(zip(said, lengths, strict=True)) for said in (whole, second))
+        lengths = frames_of([clause.seconds for clause in scripts[row]], model.config.fps)
+        whole = [clause if led.shows(clause) else clause.body for clause in scripts[row]]
+        second = [clause.meanwhile or clause for clause in scripts[row]]
+        script, gestures = (list(zip(clauses, lengths, strict=True)) for clauses in (whole, second))
         if number < plain and not led.made(script) and not led.made(gestures):
             return None, None
         turn = attempt * (how.candidates - plain) + max(number - plain, 0)
@@ -149,49 +147,44 @@ def _ranked(model: Denoiser, encoder: TextEncoder) -> Callable[[Sequence[Drawn]]
     return score
 
 
-def _critic(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[tuple[str, float]]]) -> Critic | None:
-    """What pulls motions towards the sentences of these scripts; None where the file was taken away."""
+def _critic(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[Clause]]) -> Critic | None:
+    """What pulls motions towards the clauses of these scripts; None where the file was taken away."""
     import torch
 
     from bunraku.diffusion.ranking import load_critic
     from bunraku.diffusion.sampling.sentence_pull import Critic
-    from bunraku.language.concurrent import body_part_prompts
 
     network = load_critic()
     if network is None:
         return None
-    said = {body_part_prompts(sentence)[0].sentence for script in scripts for sentence, _ in script}
-    found = _as_person(network, model, encoder, said)
-    return Critic(network, {said: torch.from_numpy(vector).float() for said, (_, vector) in found.items()})
+    found = _as_person(network, model, encoder, [clause.body for script in scripts for clause in script])
+    return Critic(network, {text: torch.from_numpy(vector).float() for text, (_, vector) in found.items()})
 
 
-def _leads(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[tuple[str, float]]]) -> Leads | None:
-    """Examples for all sentences; None where the file was taken away."""
+def _leads(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[Clause]]) -> Leads | None:
+    """Examples for all clauses; None where the file was taken away."""
     from bunraku.diffusion.examples.leads import Leads
     from bunraku.diffusion.examples.pack import load_examples
     from bunraku.diffusion.ranking import load_ranker
-    from bunraku.language.concurrent import body_part_prompts
 
     pack = load_examples()
     if pack is None:
         return None
-    said = {sentence for script in scripts for sentence, _ in script}
-    said |= {part.sentence for sentence in said for part in body_part_prompts(sentence)}
-    return Leads(pack, _as_person(load_ranker(), model, encoder, said))
+    clauses = [one for script in scripts for clause in script for one in (clause, *clause.voices)]
+    return Leads(pack, _as_person(load_ranker(), model, encoder, clauses))
 
 
 def _as_person(
-    network: Extractor, model: Denoiser, encoder: TextEncoder, said: Collection[str]
-) -> dict[str, tuple[str, np.ndarray]]:
-    """Each sentence as one of a person, and its vector, of length 1, shape (E,)."""
+    network: Extractor, model: Denoiser, encoder: TextEncoder, clauses: Collection[Clause]
+) -> dict[str, tuple[Clause, np.ndarray]]:
+    """Each clause by its text, with its vector as said of a person, of length 1, shape (E,)."""
     from bunraku.diffusion.matching import RADIUS, embed_sentences
-    from bunraku.language.clauses import of_person
     from bunraku.nn.threads import fitting_threads
 
-    plain = {sentence: of_person(sentence) for sentence in sorted(said)}
+    said = sorted({clause.person for clause in clauses})
     with fitting_threads(model):
-        vectors = embed_sentences(network, encoder_of(network.config.text_encoder, encoder), list(plain.values()))
-    return {sentence: (said, vectors[said] / RADIUS) for sentence, said in plain.items()}
+        vectors = embed_sentences(network, encoder_of(network.config.text_encoder, encoder), said)
+    return {clause.text: (clause, vectors[clause.person] / RADIUS) for clause in clauses}
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:

@@ -16,9 +16,9 @@ import numpy as np
 from bunraku.diffusion.features import decode
 from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, embed_motions, embed_sentences, load_extractor
 from bunraku.formats.files import weights_folder
-from bunraku.language.clauses import script_spans
 from bunraku.language.description.agreement import agreement
 from bunraku.language.encoders import TextEncoder
+from bunraku.language.sentence import Clause, clause_spans
 from bunraku.nn.checkpoints import dated_checkpoint
 
 __all__ = ["Drawn", "choose", "load_critic", "load_ranker", "script_agreement", "script_scores"]
@@ -43,14 +43,14 @@ class Drawn:
     Args:
         motion: Features of each frame, shape (N, 271).
         adaptation: Offsets of local translations [m], shape (N, K, 3).
-        script: Its sentences with the frames that each lasts.
+        script: Its clauses with the frames that each lasts.
         agreement: How far it does what they plainly say; None where they say nothing of the kind.
         captured: It starts from a captured example.
     """
 
     motion: np.ndarray
     adaptation: np.ndarray
-    script: Sequence[tuple[str, int]]
+    script: Sequence[tuple[Clause, int]]
     agreement: float | None = None
     captured: bool = False
 
@@ -88,7 +88,7 @@ def script_scores(
     ranker: Extractor,
     encoder: TextEncoder,
     motions: Sequence[np.ndarray],
-    scripts: Sequence[Sequence[tuple[str, int]]],
+    scripts: Sequence[Sequence[tuple[Clause, int]]],
 ) -> np.ndarray:
     """How well each motion does what its script says, the mean cosine over its sentences, shape (M,).
 
@@ -96,16 +96,16 @@ def script_scores(
         ranker: From `load_ranker`.
         encoder: The text encoder that it was trained with.
         motions: Features of each motion (see `diffusion.features`), shape (N, 271).
-        scripts: For each motion its sentences with the frames that each lasts.
+        scripts: For each motion its clauses with the frames that each lasts.
     """
     pieces: list[np.ndarray] = []
     owners: list[tuple[int, str, int]] = []
     for index, (features, script) in enumerate(zip(motions, scripts, strict=True)):
-        for sentence, span in script_spans(script):
+        for clause, span in clause_spans(script):
             part = features[span]
             for cut in np.array_split(part, -(-len(part) // LONGEST)) if len(part) >= SHORTEST else ():
                 pieces.append(cut)
-                owners.append((index, sentence, len(cut)))
+                owners.append((index, clause.text, len(cut)))
     if not pieces:
         return np.zeros(len(motions))
     text = embed_sentences(ranker, encoder, [sentence for _, sentence, _ in owners])
@@ -117,17 +117,17 @@ def script_scores(
     return total / np.maximum(weight, 1)
 
 
-def script_agreement(motion: np.ndarray, script: Sequence[tuple[str, int]]) -> float | None:
+def script_agreement(motion: np.ndarray, script: Sequence[tuple[Clause, int]]) -> float | None:
     """How far a motion does what its sentences plainly say: the `agreement` of the one that holds least.
 
     Args:
         motion: Features, shape (N, 271).
-        script: Its sentences with the frames that each lasts.
+        script: Its clauses with the frames that each lasts.
     """
     found = []
-    for sentence, span in script_spans(script):
+    for clause, span in clause_spans(script):
         part = motion[span]
-        score = agreement(sentence, decode(part)) if len(part) >= SHORTEST else None
+        score = agreement(clause, decode(part)) if len(part) >= SHORTEST else None
         if score is not None:
             found.append(score)
     return min(found, default=None)

@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterable, Iterator
 
 from bunraku.language.actions import actions_of
 from bunraku.language.captions import known_clauses, known_verbs
-from bunraku.language.grammar import conjugate
+from bunraku.language.captions.grammar import conjugate
 
 __all__ = [
     "SHORTEST_CLAUSE",
     "clause_verbs",
     "of_creature",
     "of_person",
-    "script_spans",
     "split_clauses",
     "subject_of",
     "timed_clauses",
@@ -262,14 +260,6 @@ def _turned_first(piece: str) -> list[str]:
     turned = first and first <= _FIRST and second and not second & (_FIRST | _WHEELS)
     stopped = first and first <= _GOES and second and second <= _STOPS
     return [head, last] if turned or stopped else [piece]
-
-
-def script_spans(script: Iterable[tuple[str, int]]) -> Iterator[tuple[str, slice]]:
-    """The sentences of a script that have frames each, with those frames as slices."""
-    start = 0
-    for sentence, frames in script:
-        yield sentence, slice(start, start + frames)
-        start += frames
 
 
 def with_subject(clause: str, subject: str) -> str:

@@ -9,17 +9,13 @@ handles by the first, as an edit that keeps them is (section A.3 of TapMo).
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
-import numpy as np
-
-from bunraku.body.parts import kept_handles
 from bunraku.language.actions import actions_of
+from bunraku.language.captions.grammar import conjugate
 from bunraku.language.clauses import subject_of, with_subject
 from bunraku.language.gestures import GESTURE_WORDS
-from bunraku.language.grammar import conjugate
 
-__all__ = ["BodyPartPrompt", "body_part_prompts", "moved_part"]
+__all__ = ["moved_part", "split_voices"]
 
 _LEGS = (
     "walk", "run", "jog", "sprint", "march", "sneak", "tiptoe", "skip", "stroll", "stride", "hop", "jump", "trot",
@@ -35,7 +31,7 @@ _WHOLE = {
 _SIGNS = (GESTURE_WORDS.keys() - _WHOLE) | {
     "clap", "shrug", "point", "salute", "pray", "eat", "drink", "phone", "cook",
 }  # fmt: skip
-_PARTS = {"arms": ("arms",), "head": ("head",), "arms and head": ("arms", "head")}
+_GESTURING = ("arms", "head", "arms and head")
 _LIMB = re.compile(r"\b(?:hands?|arms?|fists?)\b", re.IGNORECASE)
 _JOINTS = tuple(
     re.compile(joint, re.IGNORECASE)
@@ -43,36 +39,23 @@ _JOINTS = tuple(
 )
 
 
-@dataclass(frozen=True, eq=False)
-class BodyPartPrompt:
-    """A sentence, and the handles that listen to it.
+def split_voices(clause: str) -> tuple[str, ...]:
+    """What a clause says of the legs and what of the arms or the head, said as clauses of their own; none where it does
+    not say both.
 
     Args:
-        sentence: In English.
-        handles: Shape (K,), bool; None for all that no other prompt of the sentence has.
+        clause: In English.
     """
-
-    sentence: str
-    handles: np.ndarray | None = None
-
-
-def body_part_prompts(sentence: str) -> tuple[BodyPartPrompt, ...]:
-    """The sentence alone, or what it says of the legs and what of the arms or the head, which listen to their own half.
-
-    Args:
-        sentence: A prompt in English, of one clause.
-    """
-    text = " ".join(sentence.split())
+    text = " ".join(clause.split())
     for joint in _JOINTS:
         halves = [half.strip(" ,.;!") for half in joint.split(text)]
         if len(halves) != 2 or not all(halves):
             continue
         first, second = halves[0], with_subject(halves[1], subject_of(halves[0])[0])
         parts = [moved_part(half) for half in (first, second)]
-        if "legs" in parts and (own := next((part for part in parts if part in _PARTS), None)) is not None:
-            body, gesture = (first, second) if parts[0] == "legs" else (second, first)
-            return BodyPartPrompt(body), BodyPartPrompt(gesture, kept_handles(_PARTS[own]))
-    return (BodyPartPrompt(sentence),)
+        if "legs" in parts and any(part in _GESTURING for part in parts):
+            return (first, second) if parts[0] == "legs" else (second, first)
+    return ()
 
 
 def moved_part(clause: str) -> str:

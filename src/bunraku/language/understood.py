@@ -18,30 +18,16 @@ from bunraku.language.known.spelling import corrected
 from bunraku.language.known.synonyms import in_known_words
 from bunraku.language.known.vocabulary import FUNCTION_WORDS, says_action, words_of
 from bunraku.language.prompts import check_prompt
+from bunraku.language.sentence import UnknownWord
 from bunraku.language.words import Translation, translate
 
-__all__ = ["UnknownWord", "Understanding", "check_understood", "english_of", "understood"]
+__all__ = ["Understanding", "check_understood", "english_of", "understood"]
 
 _log = logging.getLogger(__name__)
 _SHARE = 0.25
 """Of a sentence's words that must be known: "lorem ipsum dolor sit amet" is no way to sit."""
 _SURE = 0.6
 """Of the words that are not the grammar's, the share that must be known or nearly so for any to be a typing error."""
-
-
-@dataclass(frozen=True)
-class UnknownWord:
-    """A word that is not understood.
-
-    Args:
-        word: As it stands in the sentence.
-        start: Of its first letter.
-        stop: After its last letter.
-    """
-
-    word: str
-    start: int
-    stop: int
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import re
 
 from bunraku.language.clauses import subject_of
 
-__all__ = ["WAYS", "in_air", "leaves_ground", "said_otherwise", "way_of"]
+__all__ = ["WAYS", "said_otherwise", "way_of"]
 
 WAYS: dict[str, str] = {
     "fly": r"fl(?:y|ies|ying)|hover(?:s|ing)?|soar(?:s|ing)?|flap(?:s|ping)?",
@@ -18,29 +18,6 @@ WAYS: dict[str, str] = {
 }
 """Verbs of each way; the first that a clause says counts."""
 _WORDS = {way: re.compile(rf"\b(?:{words})\b", re.IGNORECASE) for way, words in WAYS.items()}
-_OFF_GROUND = re.compile(
-    r"\b(?:float|levitat|glid|climb|hang|swing|swung|dangl|ladder|stair|rope|pole|upstairs|uphill|downhill|pull-?up|chin-?up"
-    r"|handstand|headstand|cartwheel|upside|sit|sat|ride|riding|surf|skat|dive|diving|onto|bench|chair|ledge|(?:air|sky|skis?|skiing|box)\b)",
-    re.IGNORECASE,
-)  # the beginnings of words
-_LEAPS = re.compile(r"\b(?:jump|leap|hop|skip|vault|hurdl|flip|bounc|bound)", re.IGNORECASE)
-
-
-def leaves_ground(clause: str) -> bool:
-    """Whether a clause says of somebody to be off the ground for longer than a jump lasts: in the air or in water, on a
-    ladder, on the hands, on a seat.
-    """
-    return way_of(clause) in ("fly", "swim") or bool(_OFF_GROUND.search(clause))
-
-
-def in_air(clause: str) -> str:
-    """How a clause says to be in the air: "step" for never, as in a walk, "run" for shortly, "stay" for as long as a
-    jump lasts, and "" where it says of leaving the ground.
-    """
-    if leaves_ground(clause):
-        return ""
-    way = "stay" if _LEAPS.search(clause) else way_of(clause)
-    return {"walk": "step", "crawl": "step", "run": "run"}.get(way, "stay")
 
 
 def way_of(clause: str) -> str:

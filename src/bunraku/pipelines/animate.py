@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import compress
@@ -17,13 +18,17 @@ from bunraku.core.ground_path import GroundPath
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
+from bunraku.language.parse import parse
+from bunraku.language.sentence import Sentence
 from bunraku.pipelines.apply import apply_motion, apply_rigged, apply_simulated, reference_of, reference_path
-from bunraku.pipelines.bodies import Ways, as_bodies_do, moved_ways
+from bunraku.pipelines.bodies import as_bodies_do, moved_ways
 from bunraku.pipelines.together import check_apparel_option, check_together, moves_apparel
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
 
 __all__ = ["animate", "animate_each", "generate", "rig"]
+
+_log = logging.getLogger(__name__)
 
 Progress = Callable[[str, float], None]
 AT_ONCE = 8
@@ -64,26 +69,18 @@ def rig(
     return found
 
 
-Scripts = list[list[tuple[str, float]]]
 CANDIDATES = 3
 """Motions that are drawn for each that is given back."""
 
 
-def _scripts(prompts: Sequence[str], seconds: float, anyway: bool) -> Scripts:
-    """The clauses of each prompt in English with their seconds; what cannot be generated is refused before anything is
-    loaded, and what is not understood is told.
+def _read(prompts: Sequence[str], seconds: float, anyway: bool) -> list[Sentence]:
+    """Each prompt read; what cannot be generated is refused before anything is loaded, and what is not understood is
+    told.
     """
-    from bunraku.language.clauses import timed_clauses
-    from bunraku.language.sequence import parse_sequence, timed_sequence
-    from bunraku.language.understood import english_of
-
-    scripts = []
-    for prompt in prompts:
-        if not isinstance(prompt, str):
-            raise OptionError("the prompt must be a sentence")
-        timed = timed_sequence(parse_sequence(prompt), seconds)
-        scripts.append([clause for part, length in timed for clause in timed_clauses(english_of(part, anyway), length)])
-    return scripts
+    sentences = [parse(prompt, seconds, anyway) for prompt in prompts]
+    for note in (note for sentence in sentences for note in sentence.notes):
+        _log.warning("%s", note)
+    return sentences
 
 
 @overload
@@ -168,24 +165,24 @@ def generate(
         WeightsError: The shipped weights are missing or broken.
     """
     prompts = [prompt] if isinstance(prompt, str) else list(prompt)
-    scripts = _scripts(prompts, seconds, anyway)
+    sentences = _read(prompts, seconds, anyway)
     check_together("rigid", loop=loop, after=after is not None, path=path is not None)
-    ways, as_people = None, True
+    as_people = True
     if body is not None:
-        scripts, ways, as_people = as_bodies_do(scripts, body)
+        sentences, as_people = as_bodies_do(sentences, body)
         mesh_feature = body.handles.features if mesh_feature is None else mesh_feature
     how: dict[str, Any] = {
         "steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "examples": as_people, "pull": as_people,
         "progress": progress,
     }  # fmt: skip
-    motions = _generated(scripts, seed, loop, after, path, candidates, how)
-    if body is not None and ways is not None:
-        motions = [moved_ways(motion, way, body, loop) for motion, way in zip(motions, ways, strict=True)]
+    motions = _generated(sentences, seed, loop, after, path, candidates, how)
+    if body is not None:
+        motions = [moved_ways(motion, one, body, loop) for motion, one in zip(motions, sentences, strict=True)]
     return motions[0] if isinstance(prompt, str) else motions
 
 
 def _generated(
-    scripts: Scripts,
+    sentences: Sequence[Sentence],
     seed: int | Sequence[int],
     loop: bool,
     after: HandleMotion | None,
@@ -193,9 +190,10 @@ def _generated(
     candidates: int,
     how: dict[str, Any],
 ) -> list[HandleMotion]:
-    """A motion for each script; arguments as for `generate`."""
+    """A motion for each sentence; arguments as for `generate`."""
     from bunraku.diffusion.generate import generate_motions
 
+    scripts = [sentence.clauses for sentence in sentences]
     if after is None:
         return generate_motions(scripts, seeds=seed, loop=loop, path=path, candidates=candidates, **how)
     from bunraku.diffusion.editing import continue_motion
@@ -308,14 +306,13 @@ def animate_each(
         only: Indices of the prompts whose animations are wanted, all where None. Those beside them are generated along,
             so that each is bit for bit the one that all of them would give.
     """
-    scripts = _scripts(prompts, seconds, anyway)
+    sentences = _read(prompts, seconds, anyway)
     check_together(
         apparel, loop=loop, after=after is not None, handles=handles != "predict", path=path is not None,
         in_place=in_place, pins=bool(pins),
     )  # fmt: skip
     check_apparel_option(apparel, stiffness)
     as_people, anatomy = True, None
-    ways: list[Ways] = [[] for _ in scripts]
     moved_by = apparel_way(character, apparel, handles)
     if moved_by != "handles" and (path is not None or pins):
         moved_by = "handles"  # what goes along a path or meets pins
@@ -327,15 +324,15 @@ def animate_each(
         if not isinstance(handles, Handles):
             handles = rig(character, handles=handles or "predict", progress=progress)
         anatomy, feature = Anatomy.of(character, handles), handles.features
-        scripts, ways, as_people = as_bodies_do(scripts, anatomy)
+        sentences, as_people = as_bodies_do(sentences, anatomy)
     before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
     way = path if anatomy is None else reference_path(path, anatomy)
     how: dict[str, Any] = {
         "steps": steps, "guidance": guidance, "mesh_feature": feature, "examples": as_people, "pull": as_people,
         "progress": progress,
     }  # fmt: skip
-    for start in range(0, len(scripts), AT_ONCE):
-        some = scripts[start : start + AT_ONCE]
+    for start in range(0, len(sentences), AT_ONCE):
+        some = sentences[start : start + AT_ONCE]
         wanted = [only is None or number in only for number in range(start, start + len(some))]
         if not any(wanted):
             continue
@@ -349,7 +346,7 @@ def animate_each(
                     motion, character, in_place=in_place, stages=stages, progress=progress
                 )
             else:
-                motion = moved_ways(motion, ways[number], anatomy, loop)
+                motion = moved_ways(motion, sentences[number], anatomy, loop)
                 moved = apply_motion(
                     motion, anatomy, loop=loop, in_place=in_place, after=after, path=path, pins=pins,
                     stages=stages, progress=progress

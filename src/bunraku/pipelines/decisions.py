@@ -10,11 +10,10 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.plan import BodyPlan
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.handles.limbs import FAMILIES, limb_handles
-from bunraku.language.clauses import split_clauses
-from bunraku.language.concurrent import moved_part
-from bunraku.language.ways import said_otherwise, way_of
+from bunraku.language.bodies import INSTEAD, for_body
+from bunraku.language.sentence import Sentence
 
-__all__ = ["BodyFacts", "PartFact", "body_facts", "suited", "unable"]
+__all__ = ["BodyFacts", "PartFact", "body_facts", "kind_of", "moves_as_people", "suited"]
 
 LEAST = 0.004  # share of the surface from which a part counts as found
 SURE, LIKELY = 0.85, 0.7
@@ -99,7 +98,7 @@ def body_facts(anatomy: Anatomy) -> BodyFacts:
 def _cannot(plan: BodyPlan) -> list[str]:
     out = []
     if not plan.legs:
-        out.append(f"no legs are found: told to walk or run it {_instead(plan)} instead")
+        out.append(f"no legs are found: told to walk or run it {INSTEAD[kind_of(plan)]} instead")
     if plan.front:
         out.append("it stands on its forelegs: told to wave, clap or hold it lifts them shortly, if at all")
     elif not plan.arms and not plan.wings:
@@ -109,58 +108,19 @@ def _cannot(plan: BodyPlan) -> list[str]:
     return out
 
 
-def _instead(plan: BodyPlan) -> str:
-    """What a body without legs does that is told to walk."""
-    return "slithers" if plan.slithers else "swims" if plan.swims else "glides, bends and bobs"
-
-
-def suited(plan: BodyPlan, clause: str) -> tuple[str, str]:
-    """A clause in words for what this body does in its place, and the way in which it then moves (`moved_so`), "" for
-    none.
-
-    A snake that is told to run slithers fast, a spider walks fast, and a dog that is told to crawl walks slowly.
-
-    Args:
-        plan: Of the body.
-        clause: In English.
-    """
-    way, person = way_of(clause), plan.kind == "person"
-    if way == "fly":
-        return clause, "fly" if plan.wings else ""
-    if plan.kind == "many legs" and way in ("run", "crawl"):  # in a gallop of four legs it would throw its legs about
-        return said_otherwise(clause, "walks fast" if way == "run" else "walks"), ""
+def kind_of(plan: BodyPlan) -> str:
+    """The kind of a body, as `language.bodies` has them."""
     if plan.legs:
-        if way == "slither" or (way in ("crawl", "swim") and not person):
-            return said_otherwise(clause, "crawls" if person else "walks slowly" if way != "swim" else "walks"), ""
-        return clause, ""
-    if way in ("walk", "run", "crawl") and (plan.slithers or plan.swims):
-        verb = _instead(plan)
-        return said_otherwise(clause, f"{verb} fast" if way == "run" else verb), verb.removesuffix("s")
-    return clause, way if way in ("swim", "slither") else "slither" if way == "crawl" else ""
+        return plan.kind
+    return "snake" if plan.slithers else "fish" if plan.swims else "no legs"
 
 
-def unable(plan: BodyPlan, sentence: str) -> str:
-    """What a sentence asks for that a body cannot do, "" for nothing.
+def suited(sentence: Sentence, plan: BodyPlan) -> Sentence:
+    """A sentence as a body of this plan does it."""
+    there = {"arms": plan.arms, "forelegs": plan.front, "wings": plan.wings}
+    return for_body(sentence, kind_of(plan), [part for part, found in there.items() if found], moves_as_people(plan))
 
-    Args:
-        plan: Of the body.
-        sentence: In English.
-    """
-    for clause in split_clauses(sentence):
-        part, way = moved_part(clause), way_of(clause)
-        if (part == "legs" or way in ("walk", "run")) and not plan.legs:
-            return f"'{clause}' moves legs, and none are found on this body; it {_instead(plan)} instead"
-        if part == "arms" and plan.front:
-            return f"'{clause}' moves arms, and this body stands on them; it lifts a foreleg shortly, if at all"
-        if part == "arms" and not plan.arms and not plan.wings:
-            return f"'{clause}' moves arms, and none are found on this body; its trunk and head move instead"
-        if way == "fly" and not plan.wings:
-            return f"'{clause}' needs wings, and none are found on this body; it stays on the ground or jumps"
-        if way == "swim" and plan.legs and plan.kind != "person":
-            return f"'{clause}' needs a body without legs; this one paddles as it walks"
-        if way == "slither" and plan.legs:
-            instead = "crawls" if plan.kind == "person" else "walks slowly"
-            return f"'{clause}' needs a body without legs; this one {instead} instead"
-        if way == "crawl" and plan.kind == "two legs":
-            return f"'{clause}' needs forelegs or arms, and none are found on this body; it walks slowly instead"
-    return ""
+
+def moves_as_people(plan: BodyPlan) -> bool:
+    """Whether a body moves as people do."""
+    return plan.upright and not plan.swims

@@ -66,9 +66,10 @@ def edit(
     from bunraku.body.parts import kept_handles
     from bunraku.core.travel import put_back_runs
     from bunraku.diffusion.editing import edit_motion, generated_runs, pose_frames, span_frames
+    from bunraku.language.parse import clause_of
     from bunraku.language.understood import english_of
 
-    english = english_of(prompt, anyway)
+    clause = clause_of(english_of(prompt, anyway))
     how: dict[str, Any] = {
         "keep": keep,
         "span": span,
@@ -81,7 +82,7 @@ def edit(
     if isinstance(clip, HandleMotion):
         if pins:
             raise OptionError("pins are places of a character's hands and feet; edit an animation of it")
-        return cast(Clip, edit_motion(clip, english, **how))
+        return cast(Clip, edit_motion(clip, clause, **how))
     assert isinstance(clip, Animation)
     handles = clip.handles
     if handles.features is None:
@@ -95,7 +96,7 @@ def edit(
             f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it "
             "again"
         )
-    made = edit_motion(reference, english, mesh_feature=handles.features, **how)
+    made = edit_motion(reference, clause, mesh_feature=handles.features, **how)
     if progress:
         progress("fit", 0.0)
     kept = np.zeros(len(handles.positions), bool)

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bunraku.core.motion import HandleMotion
+from bunraku.language.captions.grammar import conjugate
 from bunraku.language.description.track import Phrase, Track
-from bunraku.language.grammar import conjugate
 from bunraku_lab.description.events import find_arms, find_bends, find_jumps, find_kicks, find_stillness
 from bunraku_lab.description.travel import find_gaits, find_turns
 

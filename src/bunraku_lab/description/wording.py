@@ -17,7 +17,7 @@ from bunraku.language.captions import (
     mirror_words,
     person_phrases,
 )
-from bunraku.language.grammar import conjugate, fill, is_stative, sentence_forms
+from bunraku.language.captions.grammar import conjugate, fill, is_stative, sentence_forms
 from bunraku_lab.description.describe import Phrase, joined
 
 __all__ = ["all_variants", "borrowed_sentence", "can_do", "clauses", "computed_sentence", "creature_subjects", "verbs"]

@@ -10,6 +10,7 @@ from bunraku.diffusion.examples.leads import Leads
 from bunraku.diffusion.examples.pack import ExamplePack, packed_stretch
 from bunraku.diffusion.examples.retrieve import Found
 from bunraku.diffusion.features import FeatureStatistics, decode, mirror
+from bunraku.language.parse import clause_of
 
 WAVE, KICK = Found(0, False, 0.9), Found(1, False, 0.9)
 
@@ -98,15 +99,15 @@ def test_other_seeds_and_candidates_take_others_and_the_same_ones_the_same(pack)
     leads = Leads(
         pack,
         {
-            "someone waves": ("someone waves", (axes[0] + axes[2]) / 2**0.5),
-            "jumps": ("jumps", 0.8 * axes[1] + 0.6 * axes[3]),
+            "someone waves": (clause_of("someone waves"), (axes[0] + axes[2]) / 2**0.5),
+            "jumps": (clause_of("jumps"), 0.8 * axes[1] + 0.6 * axes[3]),
         },
     )
-    script = [("someone waves", 60)]
+    script = [(clause_of("someone waves"), 60)]
     first, second, again = (leads.lead(script, (7, 0), number) for number in (0, 1, 0))
     assert first == again and {first.found[0].mirrored, second.found[0].mirrored} == {False, True}
     assert len({leads.lead(script, (seed, 0), 0).found[0].mirrored for seed in range(20)}) == 2
-    assert leads.lead([("jumps", 60)], (7, 0), 0) is None
+    assert leads.lead([(clause_of("jumps"), 60)], (7, 0), 0) is None
 
 
 def test_the_next_sentence_takes_what_begins_as_the_last_one_ends(pack, monkeypatch):
@@ -120,8 +121,10 @@ def test_the_next_sentence_takes_what_begins_as_the_last_one_ends(pack, monkeypa
         (*pack.examples, replace(pack.examples[1], name="low")), data, np.array([0, 0, 1, 2]),
         np.stack([axes[[0, 0, 1, 1]], axes[[2, 2, 3, 3]]]), np.stack([axes[[0, 1, 1]], axes[[2, 3, 3]]]), "none",
     )  # fmt: skip
-    leads = Leads(more, {verb: (verb, axes[number]) for number, verb in enumerate(("someone waves", "someone kicks"))})
-    script = [("someone waves", 40), ("someone kicks", 40)]
+    leads = Leads(
+        more, {verb: (clause_of(verb), axes[number]) for number, verb in enumerate(("someone waves", "someone kicks"))}
+    )
+    script = [(clause_of("someone waves"), 40), (clause_of("someone kicks"), 40)]
     assert {leads.lead(script, (seed, 0), 0).found[1].place for seed in range(20)} == {1}
 
 
@@ -209,8 +212,12 @@ def test_an_example_that_begins_bent_is_passed_over_where_there_is_another(pack)
         examples, pack.data, np.array([0, 1]), np.stack([axes[[0, 0]], axes[[2, 2]]]),
         np.stack([axes[[0, 0, 1]], axes[[2, 2, 3]]]), "none",
     )  # fmt: skip
-    leads = Leads(known, {"kicks": ("a person kicks with the right leg", axes[0])})
-    taken = {leads.lead([("kicks", 40)], (seed, 0), number).found[0].place for seed in range(8) for number in (0, 1)}
+    leads = Leads(known, {"kicks": (clause_of("a person kicks with the right leg"), axes[0])})
+    taken = {
+        leads.lead([(clause_of("kicks"), 40)], (seed, 0), number).found[0].place
+        for seed in range(8)
+        for number in (0, 1)
+    }
     assert taken == {1}
 
 
@@ -225,10 +232,12 @@ def test_a_gesture_made_by_code_is_told_apart_and_joined_to_standing_of_its_kind
     assert guide.made.all() and not laid(pack, KICK, 100, units, np.random.default_rng(0)).made.any()
     both = laid_script(made, [(None, 20), (KICK, 60)], 80, units, np.random.default_rng(0))
     assert not both.made[:20].any() and both.made[20:].all()
-    leads = Leads(made, {"kicks": ("a person kicks with the right leg", np.eye(4)[1])})
-    assert leads.shows("kicks") and leads.made([("kicks", 40)])
-    assert not Leads(pack, {"kicks": ("a person kicks with the right leg", np.eye(4)[1])}).made([("kicks", 40)])
-    assert not leads.shows("sings") and not leads.made([("sings", 40)])
+    leads = Leads(made, {"kicks": (clause_of("a person kicks with the right leg"), np.eye(4)[1])})
+    assert leads.shows(clause_of("kicks")) and leads.made([(clause_of("kicks"), 40)])
+    assert not Leads(pack, {"kicks": (clause_of("a person kicks with the right leg"), np.eye(4)[1])}).made(
+        [(clause_of("kicks"), 40)]
+    )
+    assert not leads.shows(clause_of("sings")) and not leads.made([(clause_of("sings"), 40)])
 
 
 def test_a_loop_has_whole_cycles_that_close_and_none_of_what_is_done_once(pack, units):

@@ -3,12 +3,13 @@ from dataclasses import replace
 import numpy as np
 
 from bunraku.diffusion.examples.retrieve import retrieve
+from bunraku.language.parse import clause_of
 
 AXES = np.eye(4)
 
 
 def names(pack, sentence, vector):
-    return [(pack.examples[one.place].name, one.mirrored) for one in retrieve(pack, sentence, vector)]
+    return [(pack.examples[one.place].name, one.mirrored) for one in retrieve(pack, clause_of(sentence), vector)]
 
 
 def test_the_nearest_that_does_the_same_is_found(pack):

@@ -246,14 +246,12 @@ def _say_limits(path: Path, character: Character, handles: Handles | str, prompt
     if isinstance(handles, str):  # its own rig moves it
         return
     from bunraku.anatomy.anatomy import Anatomy
-    from bunraku.language.understood import check_understood
-    from bunraku.pipelines.decisions import unable
+    from bunraku.language.parse import parse
+    from bunraku.pipelines.decisions import suited
 
     plan = Anatomy.of(character, handles).plan
-    notes = dict.fromkeys(unable(plan, check_understood(prompt, True).english) for prompt in prompts)
-    for note in notes:
-        if note:
-            print(f"{path}: {note}", file=sys.stderr)
+    for note in dict.fromkeys(note for prompt in prompts for note in suited(parse(prompt, 120, True), plan).cannot):
+        print(f"{path}: {note}", file=sys.stderr)
 
 
 def _numbered(

@@ -15,6 +15,7 @@ from bunraku.diffusion.examples.guide import CROUCH, Lead, fills, fits_into, pos
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found, retrieve
 from bunraku.diffusion.features import mirror
+from bunraku.language.sentence import Clause
 
 __all__ = ["Leads"]
 
@@ -28,42 +29,44 @@ ODD = 4.9
 
 
 class Leads:
-    """Examples for the sentences of a call, looked up once each.
+    """Examples for the clauses of a call, looked up once each.
 
     Args:
         pack: To choose from.
-        sentences: Each sentence in the words that examples are looked up by, with the ranker's unit vector of these.
+        clauses: Each clause by its text, with the ranker's unit vector of it as said of a person.
     """
 
-    def __init__(self, pack: ExamplePack, sentences: Mapping[str, tuple[str, np.ndarray]]):
+    def __init__(self, pack: ExamplePack, clauses: Mapping[str, tuple[Clause, np.ndarray]]):
         self.pack = pack
-        self._found = {sentence: retrieve(pack, *words) for sentence, words in sentences.items()}
+        self._found = {text: retrieve(pack, *one) for text, one in clauses.items()}
 
-    def shows(self, sentence: str) -> bool:
-        """Whether there is an example for a sentence."""
-        return bool(self._found.get(sentence))
+    def shows(self, clause: Clause) -> bool:
+        """Whether there is an example for a clause."""
+        return bool(self._found.get(clause.text))
 
-    def made(self, script: Sequence[tuple[str, int]]) -> bool:
-        """Whether a sentence asks for a gesture that is made by code since no clip has it: the network has not learned
+    def made(self, script: Sequence[tuple[Clause, int]]) -> bool:
+        """Whether a clause asks for a gesture that is made by code since no clip has it: the network has not learned
         it either.
         """
         return any(
-            self.pack.examples[found.place].made for text, _ in script for found in self._found.get(text, [])[:1]
+            self.pack.examples[found.place].made
+            for clause, _ in script
+            for found in self._found.get(clause.text, [])[:1]
         )
 
-    def lead(self, script: Sequence[tuple[str, int]], noise: tuple[int, int], number: int) -> Lead | None:
-        """What a candidate starts from; None where no sentence has an example.
+    def lead(self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int) -> Lead | None:
+        """What a candidate starts from; None where no clause has an example.
 
         Args:
-            script: Sentences with the frames that each lasts.
+            script: Clauses with the frames that each lasts.
             noise: Seed and row of the motion's own noise: it orders the examples.
             number: Of the candidate among those that start from examples.
         """
         seed = (noise[0] % 2**63, noise[1] % 2**63)
         random = np.random.default_rng(seed)
         chosen: list[Found | None] = []
-        for sentence, frames in script:
-            offered = self._found.get(sentence, [])
+        for clause, frames in script:
+            offered = self._found.get(clause.text, [])
             fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
             fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
             if chosen and chosen[-1] is not None:

@@ -6,7 +6,7 @@ the nearest are taken by the ranker's vectors of sentences and motions.
 
 from __future__ import annotations
 
-import re
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,8 @@ import numpy as np
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.language.actions import main_actions
 from bunraku.language.captions import mirror_words
-from bunraku.language.cues import said_cues
+from bunraku.language.reading import said_cues, said_traits
+from bunraku.language.sentence import Clause
 
 __all__ = ["Found", "retrieve"]
 
@@ -37,14 +38,6 @@ _PACE = {"slow", "fast"}
 _GOES = {"walk", "run", "jump", "long jump", "hop", "skip", "march", "sneak", "crawl"}
 _NOTHING = frozenset(main_actions([]))
 _TURNS = {"turn", "turn around", "spin", "circle"}
-_CHAIR = re.compile(r"\b(chair|stool|bench|seat|sofa|couch|armchair)\b")
-_BOTH = re.compile(r"\b(both|two|arms|hands)\b")
-_ONE_FOOT = re.compile(r"\b(one|left|right) (foot|leg)\b")
-_HALTS = re.compile(r"\b(halt\w*|stop\w*|pauses?|waits?|restart\w*)\b")
-_SETS_OFF = re.compile(r"\b(walk\w*|stands?|starts?|(takes?|sets?) off|speed\w* up|accelerat\w*|slow\w*)\b")
-_DOWN = re.compile(r"\b(down|descend\w*|drop\w*|hang\w*|lets? go)\b")
-_STAIRS = re.compile(r"\b(stairs?|staircase|stairway|upstairs|downstairs)\b")
-_FLOOR = re.compile(r"\b(floor|ground|knees|l(ies|ying))\b")
 _SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in ("arm", "leg", "turn", "go")) | {
     "forward",
     "backwards",
@@ -75,15 +68,15 @@ class Found(NamedTuple):
     score: float
 
 
-def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found]:
-    """Examples that show what a sentence says, the nearest first; none where there is none.
+def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> list[Found]:
+    """Examples that show what a clause says, the nearest first; none where there is none.
 
     Args:
         pack: To choose from.
-        sentence: In English, of one thing that is done.
+        clause: Of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    asked = _Asked(frozenset(main_actions([sentence])), said_cues(sentence), sentence.lower())
+    asked = _Asked(frozenset(clause.actions) or _NOTHING, clause.cues, clause.traits)
     sided = any(cue.startswith(("left", "right")) for cue in asked.cues)
     least = WALKING if asked.actions <= {"walk", "run"} else LEAST
     found = []
@@ -107,11 +100,11 @@ def retrieve(pack: ExamplePack, sentence: str, vector: np.ndarray) -> list[Found
 
 
 class _Asked(NamedTuple):
-    """What a sentence asks for: actions, cues (`language.cues`), and its words in small letters."""
+    """What a clause asks for: its actions, cues and traits."""
 
     actions: frozenset[str]
     cues: frozenset[str]
-    words: str
+    traits: frozenset[str]
 
     @property
     def shown(self) -> frozenset[str]:
@@ -123,21 +116,27 @@ class _Asked(NamedTuple):
 def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) -> bool:
     if near < SAME and frozenset(main_actions(texts)) != asked.actions:
         return False
-    words = "\n".join(texts).lower()
-    for here, there in ((_CHAIR, _FLOOR), (_FLOOR, _CHAIR)):
-        if here.search(asked.words) and there.search(words):
+    shown = _told(texts)
+    for here, there in (("chair", "floor"), ("floor", "chair")):
+        if here in asked.traits and there in shown:
             return False
-    if asked.actions == {"hop"} and _ONE_FOOT.search(asked.words) and not _ONE_FOOT.search(words):
+    if asked.actions == {"hop"} and "one foot" in asked.traits and "one foot" not in shown:
         return False
-    if asked.actions == {"run"} and _SETS_OFF.search(words) and not _SETS_OFF.search(asked.words):
+    if asked.actions == {"run"} and "sets off" in shown and "sets off" not in asked.traits:
         return False
-    if _STAIRS.search(asked.words) and not _STAIRS.search(words):
+    if "stairs" in asked.traits and "stairs" not in shown:
         return False
-    if "climb" in asked.actions and _DOWN.search(words) and not _DOWN.search(asked.words):
+    if "climb" in asked.actions and "down" in shown and "down" not in asked.traits:
         return False
-    if asked.actions == {"raise arm"} and bool(_BOTH.search(words)) != bool(_BOTH.search(asked.words)):
+    if asked.actions == {"raise arm"} and ("both" in shown) != ("both" in asked.traits):
         return False
-    if asked.actions <= {"walk", "run"} and _HALTS.search(words) and not _HALTS.search(asked.words):
+    if asked.actions <= {"walk", "run"} and "halts" in shown and "halts" not in asked.traits:
         return False
     told = frozenset[str]().union(*(said_cues(mirror_words(text) if mirrored else text) for text in texts))
     return asked.shown <= told and told & _PACE <= asked.cues
+
+
+@functools.lru_cache(maxsize=1024)
+def _told(texts: tuple[str, ...]) -> frozenset[str]:
+    """The traits that sentences of an example tell."""
+    return frozenset[str]().union(*map(said_traits, texts))

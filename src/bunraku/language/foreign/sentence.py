@@ -12,9 +12,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
+from bunraku.language.captions.grammar import conjugate
 from bunraku.language.foreign.grouping import OWN, Clause, clauses_of, head_of, with_article
 from bunraku.language.foreign.table import Concept, table
-from bunraku.language.grammar import conjugate
 
 __all__ = ["english_sentence"]
 

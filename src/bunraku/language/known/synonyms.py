@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import re
 
-from bunraku.language.grammar import conjugate
+from bunraku.language.captions.grammar import conjugate
 
 __all__ = ["in_known_words"]
 

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 from bunraku.language.actions import ACTIONS, says_any
 from bunraku.language.captions import creature_words, known_phrases
+from bunraku.language.captions.stretches import stretch_verbs
 from bunraku.language.clauses import clause_verbs
 from bunraku.language.foreign.table import table
 from bunraku.language.gestures import GESTURE_THINGS
-from bunraku.language.stretches import stretch_verbs
 
 __all__ = ["FUNCTION_WORDS", "Word", "action_stems", "is_known", "known_words", "says_action", "stem", "words_of"]
 

@@ -110,6 +110,7 @@ def speed_block(config: MotionEvalConfig) -> dict[str, float]:
     of two.
     """
     from bunraku.diffusion.generate import generate_motion, generate_motions
+    from bunraku.language.parse import clauses_of
 
     def best(count: int, work: Callable[[], object]) -> float:
         found = []
@@ -121,9 +122,11 @@ def speed_block(config: MotionEvalConfig) -> dict[str, float]:
 
     how: dict[str, Any] = {"steps": config.steps, "guidance": config.guidance, "checkpoint": config.checkpoint}
     prompts = [*SCRIPT, "a person kicks", "a person sits down", "a person turns left"]
-    generate_motions([[(prompt, 0.5)] for prompt in prompts], **{**how, "steps": 1})  # encodes the sentences
+    generate_motions(
+        [clauses_of([(prompt, 0.5)]) for prompt in prompts], **{**how, "steps": 1}
+    )  # encodes the sentences
     one = best(3, lambda: generate_motion(prompts[0], 9.8, **how))
-    eight = best(2, lambda: generate_motions([[(prompt, 9.8)] for prompt in prompts], **how))
+    eight = best(2, lambda: generate_motions([clauses_of([(prompt, 9.8)]) for prompt in prompts], **how))
     return {"seconds_196": one, "seconds_batch8": eight / len(prompts)}
 
 
@@ -132,11 +135,12 @@ def seam_block(config: MotionEvalConfig) -> dict[str, float]:
     of the clip; means of seeds.
     """
     from bunraku.diffusion.generate import generate_motions
+    from bunraku.language.parse import clauses_of
     from bunraku_lab.evaluation.motion.seams import measure_seams
 
     out: dict[str, float] = {}
     for suffix, script in (("_prompts", SCRIPT), ("_fast", FAST_SCRIPT)):
-        parts = [(prompt, 12.0) for prompt in script]
+        parts = clauses_of((prompt, 12.0) for prompt in script)
         seeds = [config.seed + number for number in range(SEAM_SEEDS)]
         motions = generate_motions(
             [parts] * SEAM_SEEDS,

@@ -166,6 +166,7 @@ def choose_motions(
         progress: Called with (motions done, total).
     """
     from bunraku.diffusion.generate import generate_motions
+    from bunraku.language.parse import clauses_of
 
     home = (
         None if folder is None else folder / _key(checkpoint_digest(checkpoint), requests, sampling, None, True, False)
@@ -173,7 +174,7 @@ def choose_motions(
 
     def drawn(rows: list[int], number: int) -> np.ndarray:
         motions = generate_motions(
-            [[(requests[row].sentence, requests[row].frames / 20)] for row in rows],
+            [clauses_of([(requests[row].sentence, requests[row].frames / 20)]) for row in rows],
             seeds=[sampling.seed + 104_729 * (number + 1) + place for place in range(len(rows))],
             steps=sampling.steps, guidance=sampling.guidance, checkpoint=checkpoint,
             candidates=sampling.candidates, examples=sampling.examples, pull=sampling.pull,

@@ -15,8 +15,8 @@ from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FeatureStatistics, decode, feature_weights, mirror
 from bunraku.diffusion.splicing import join_point, splice
 from bunraku.language.captions import caption_group, mirror_words
+from bunraku.language.captions.stretches import goes_on, joined_sentence
 from bunraku.language.description.track import Phrase
-from bunraku.language.stretches import goes_on, joined_sentence
 from bunraku_lab.description.describe import describe, inside
 from bunraku_lab.description.wording import borrowed_sentence, can_do, computed_sentence, creature_subjects, verbs
 from bunraku_lab.training.diffusion.clip_data import MIN_FRAMES

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bunraku.language.grammar import conjugate, is_stative
+from bunraku.language.captions.grammar import conjugate, is_stative
 
 __all__ = ["link"]
 

@@ -12,7 +12,7 @@ from bunraku.diffusion.features import FeatureStatistics, feature_weights, is_ro
 from bunraku.diffusion.splicing import END, held, join_point, played, rests
 from bunraku.language.actions import CYCLIC, main_actions
 from bunraku.language.captions import caption_group
-from bunraku.language.stretches import agreeing, stretch_phrases, stretch_variants
+from bunraku.language.captions.stretches import agreeing, stretch_phrases, stretch_variants
 from bunraku_lab.description.wording import all_variants, clauses
 
 __all__ = ["TrainingClip"]

@@ -166,6 +166,7 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
         WeightsError: The weights are missing or broken.
     """
     from bunraku.diffusion.generate import generate_motions
+    from bunraku.language.parse import clauses_of
 
     how: dict[str, Any] = {
         "steps": config.steps, "guidance": config.guidance, "checkpoint": config.checkpoint,
@@ -175,7 +176,7 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
     def make(wanted: Sequence[tuple[str, float]]) -> list[HandleMotion]:
         found: list[HandleMotion] = []
         for first in range(0, len(wanted), BATCH):
-            scripts = [[part] for part in wanted[first : first + BATCH]]
+            scripts = [clauses_of([part]) for part in wanted[first : first + BATCH]]
             seeds = [config.seed + first + number for number in range(len(scripts))]
             found += generate_motions(scripts, seeds=seeds, **how)
         return found

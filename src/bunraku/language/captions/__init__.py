@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from bunraku.language.grammar import conjugate, fill, is_stative, sentence_forms
+from bunraku.language.captions.grammar import conjugate, fill, is_stative, sentence_forms
 
 __all__ = [
     "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants",

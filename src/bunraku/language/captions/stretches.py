@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Sequence
 
 from bunraku.language.captions import caption_clauses, caption_variants, known_verbs, mirror_words
-from bunraku.language.grammar import sentence_forms
+from bunraku.language.captions.grammar import sentence_forms
 
 __all__ = ["agreeing", "stretch_phrases", "stretch_variants", "stretch_verbs"]
 

@@ -1,0 +1,75 @@
+"""A prompt read once: several sentences in a row, each in English, part by part in the order of time, each part in
+fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from bunraku.errors import OptionError
+from bunraku.language.clauses import of_person, subject_of, timed_clauses
+from bunraku.language.concurrent import moved_part, split_voices
+from bunraku.language.prompts import check_prompt
+from bunraku.language.reading import actions_of, goes_straight, locomotion_of, said_cues, said_traits, said_turn
+from bunraku.language.sentence import Clause, Sentence
+from bunraku.language.sequence import parse_sequence, timed_sequence
+from bunraku.language.understood import check_understood
+
+__all__ = ["clause_of", "clauses_of", "parse"]
+
+
+def parse(prompt: str, seconds: float = 6.0, anyway: bool = False) -> Sentence:
+    """A prompt as a sentence: what is done one after the other, each with its time.
+
+    Args:
+        prompt: In English or a language of `language.words`; several sentences in a row with their seconds
+            ("walks:4; jumps:2; waves:3").
+        seconds: What parts without seconds of their own share [s], 0.5 to 120.
+        anyway: Take it even where no movement in it is understood.
+
+    Raises:
+        OptionError: It is empty, too long or not understood, or a length is out of range.
+    """
+    if not isinstance(prompt, str):
+        raise OptionError("the prompt must be a sentence")
+    timed = timed_sequence(parse_sequence(prompt), seconds)
+    parts = [(check_understood(part, anyway), length) for part, length in timed]
+    clauses = [clause for found, length in parts for clause in timed_clauses(found.english, length)]
+    found = [part for part, _ in parts]
+    return Sentence(
+        prompt,
+        "; ".join(part.english for part in found),
+        found[0].language,
+        tuple(clause_of(text, length) for text, length in clauses),
+        tuple(word for part in found for word in part.unknown),
+        tuple(pair for part in found for pair in part.corrected),
+        tuple(note for part in found for note in part.notes),
+    )
+
+
+def clauses_of(script: Iterable[tuple[str, float]]) -> tuple[Clause, ...]:
+    """Sentences that are taken as they stand, each one clause, with the seconds that each lasts.
+
+    Raises:
+        OptionError: One is empty, has no letters or digits, or is too long.
+    """
+    return tuple(clause_of(check_prompt(text), seconds) for text, seconds in script)
+
+
+def clause_of(text: str, seconds: float = 0.0) -> Clause:
+    """One clause in its fields.
+
+    Args:
+        text: In English.
+        seconds: How long it lasts [s].
+    """
+    return _clause(text, seconds, tuple(_clause(voice, seconds) for voice in split_voices(text)))
+
+
+def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = ()) -> Clause:
+    person = of_person(text)
+    cues, traits = said_cues(person), said_traits(person)
+    return Clause(
+        text, seconds, subject_of(text)[0], person, actions_of(person), moved_part(text), locomotion_of(text), cues,
+        traits, said_turn(cues, traits), goes_straight(cues, traits), voices=voices,
+    )  # fmt: skip

@@ -1,0 +1,126 @@
+"""A sentence that has been read: what it says, clause by clause, in fields.
+
+`parse.parse` makes it once, where a prompt comes in. What draws, chooses, fits and notes reads these fields; the text
+is for the text encoder alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+__all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "clause_spans"]
+
+
+@dataclass(frozen=True)
+class UnknownWord:
+    """A word that is not understood.
+
+    Args:
+        word: As it stands in the sentence.
+        start: Of its first letter.
+        stop: After its last letter.
+    """
+
+    word: str
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True)
+class Turn:
+    """How far a clause says that somebody turns.
+
+    Args:
+        side: 1 to the left, -1 to the right, 0 for either.
+        least: The least angle [rad].
+        most: The most [rad].
+    """
+
+    side: int
+    least: float
+    most: float
+
+
+@dataclass(frozen=True)
+class Clause:
+    """One thing that is done.
+
+    Args:
+        text: In English, what the text encoder reads.
+        seconds: How long it lasts [s].
+        subject: Who does it; "" where nobody is named.
+        person: The text as said of a person, in which captured examples and the ranker's vectors are looked up.
+        actions: What is done, in the lexicon's words, in the order in which it is said; none where nothing is known.
+        part: What the verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all.
+        locomotion: The way of moving: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none of them.
+        cues: Sides, directions, turns, counts, speeds and postures (`cues.CUES`).
+        traits: What else is told of it, such as "sits down" or "chair" (the lexicon's table of that name).
+        turn: How far it turns; None where it says nothing of that.
+        straight: Whether somebody goes forward or on, with nothing of a turn, a curve or a side.
+        moves: What the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step",
+            "run", "stay", "lie"; "" for neither.
+        voices: Where a movement of the legs is joined with a gesture, the one and the other; none otherwise.
+    """
+
+    text: str
+    seconds: float = 0.0
+    subject: str = ""
+    person: str = ""
+    actions: tuple[str, ...] = ()
+    part: str = ""
+    locomotion: str = ""
+    cues: frozenset[str] = frozenset()
+    traits: frozenset[str] = frozenset()
+    turn: Turn | None = None
+    straight: bool = False
+    moves: str = ""
+    voices: tuple[Clause, ...] = field(default=())
+
+    @property
+    def body(self) -> Clause:
+        """What all of the body but a gesture does."""
+        return self.voices[0] if self.voices else self
+
+    @property
+    def meanwhile(self) -> Clause | None:
+        """The gesture that is made at the same time; None for none."""
+        return self.voices[1] if self.voices else None
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A prompt that has been read.
+
+    Args:
+        prompt: As it was given.
+        english: What is read of it, in English.
+        language: "en", "de", "fr", "es", "ja" or "zh"; "" for a script that is not read.
+        clauses: What is done one after the other.
+        unknown: Words that are not understood.
+        corrected: Words taken for typing errors, and what is read in their place.
+        notes: What somebody who gave the prompt should be told, one line each.
+        cannot: What a body cannot do of it, one line each (`for_body`).
+    """
+
+    prompt: str
+    english: str
+    language: str
+    clauses: tuple[Clause, ...]
+    unknown: tuple[UnknownWord, ...] = ()
+    corrected: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+    cannot: tuple[str, ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """How long all of it lasts [s]."""
+        return sum(clause.seconds for clause in self.clauses)
+
+
+def clause_spans(script: Iterable[tuple[Clause, int]]) -> Iterator[tuple[Clause, slice]]:
+    """The clauses of a script that have frames each, with those frames as slices."""
+    start = 0
+    for clause, frames in script:
+        yield clause, slice(start, start + frames)
+        start += frames
