@@ -51,6 +51,7 @@ GESTURE_WORDS: dict[str, str] = {
     "write": r"writ(es|ing)|scribbl(es|ing)|takes notes",
     "read": r"reads|reading|read a",
     "brush teeth": rf"brush(es|ing)? {_OWN}teeth",
+    "brush hair": rf"(brush|comb)(es|s|ing)? {_OWN}hair",
     "cast": r"spells?|magic|casts|casting|fireballs?",
     "flex": rf"flex(es|ing)|show(s|ing)? off {_OWN}muscles|bodybuilder",
     "rub hands": rf"rub(s|bing) {_OWN}hands|warm(s|ing) {_OWN}hands",
@@ -95,14 +96,14 @@ GESTURE_WORDS: dict[str, str] = {
 GESTURE_THINGS = (
     "goodbye searching everybody cups plate apple camera orchestra book page pot wrapped waking noise biceps club meal "
     "soldier boxer jabs cross hook overarm stone fastball baseball racket serve pitcher press fours puddle obstacle "
-    "log abs freestyle newspaper soup spoon undead"
+    "log abs freestyle newspaper soup spoon undead hair combs"
 )
 """Other words of sentences that tell these gestures."""
 _ALWAYS = frozenset({"idle", "raise arm", "talk", "twist", "put down", "reach", "stretch"})
 _MORE: dict[str, set[str]] = {
     "stop": {"signal"}, "beckon": {"wave"}, "dab": {"dance"}, "fist pump": {"cheer"},
     "text": {"phone", "write", "type"}, "conduct": {"signal"}, "brush teeth": {"wash"}, "wipe brow": {"wash"},
-    "cast": {"throw"}, "wave both": {"wave"}, "box": {"punch", "throw", "block"},
+    "brush hair": {"wash"}, "cast": {"throw"}, "wave both": {"wave"}, "box": {"punch", "throw", "block"},
     "pitch": {"throw", "baseball", "knee lift"}, "bat": {"baseball", "throw"}, "tennis": {"racket"},
     "serve": {"tennis", "racket", "throw"}, "march in place": {"march", "walk", "knee lift"},
     "run in place": {"run", "knee lift"}, "zombie": {"walk", "stagger", "march"}, "stumble": {"catch", "walk"},

@@ -21,14 +21,25 @@ from bunraku.body.from_handles import skeleton_from_handles
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
 from bunraku.diffusion.examples.joins import standing_stretches
-from bunraku.diffusion.examples.pack import FPS, MADE, Example, ExamplePack, fingerprint, packed_stretch, write_pack
+from bunraku.diffusion.examples.pack import (
+    FPS,
+    KIND,
+    MADE,
+    Example,
+    ExamplePack,
+    fingerprint,
+    packed_stretch,
+    read_pack,
+    write_pack,
+)  # fmt: skip
 from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
 from bunraku.diffusion.matching import RADIUS, Extractor, embed_motions, embed_sentences
 from bunraku.diffusion.ranking import load_ranker
+from bunraku.errors import OptionError
 from bunraku.language.actions import main_actions
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
-from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.description.describe import inside
 from bunraku_lab.description.wording import computed_sentence
@@ -64,6 +75,7 @@ class ExampleSettings:
         standing: Stretches of standing that others are joined to.
         ranker: Weights in place of the shipped ones; what is packed works with these alone.
         seed: Of the wordings.
+        add_to: A pack that is written again with the gestures that it lacks; no captured clips are needed.
     """
 
     data: Path = Path("runs/data/motions")
@@ -73,6 +85,7 @@ class ExampleSettings:
     standing: int = 12
     ranker: Path | None = None
     seed: int = 0
+    add_to: Path | None = None
 
 
 GESTURE = "gesture"
@@ -102,12 +115,15 @@ def build_examples(
 
     Raises:
         FormatError: The data are missing or damaged.
-        WeightsError: The ranker is.
+        OptionError: The pack to add to was made with another ranker.
+        WeightsError: The ranker or that pack is damaged.
     """
     progress = progress or (lambda stage, done: None)
     path = settings.ranker or shipped_checkpoint("ranker")
     ranker = load_ranker(path)
     encoder = encoder or text_encoder(ranker.config.text_encoder)
+    if settings.add_to is not None:
+        return _with_gestures(settings, ranker, encoder)
     clips = {
         name: entry
         for name, entry in load_clips(
@@ -144,6 +160,36 @@ def build_examples(
         "Apache-2.0" if one.made else str(clips[one.name.split("#")[0]].get("licence", "unknown")) for one in examples
     )
     write_pack(settings.out, pack, {"licences": dict(licences), "frames": sum(one.frames for one in examples)})
+    return pack
+
+
+def _with_gestures(settings: ExampleSettings, ranker: Extractor, encoder: TextEncoder) -> ExamplePack:
+    """The pack of `settings.add_to` with the gestures whose sentences it lacks.
+
+    Raises:
+        OptionError: The pack was made with another ranker.
+    """
+    assert settings.add_to is not None
+    base = read_pack(settings.add_to)
+    if base.ranker != fingerprint(settings.ranker or shipped_checkpoint("ranker")):
+        raise OptionError(f"{settings.add_to}: it was made with another ranker; name that one with --ranker")
+    known = {one.texts for one in base.examples}
+    found = [one for one in _gestures() if one.texts not in known]
+    texts, motions, owners = _vectors(found, ranker, encoder) if found else (base.texts[:, :0], base.motions[:, :0], [])
+    added = [one.skeleton for one in found if one.skeleton is not None]
+    pack = ExamplePack(
+        base.examples + tuple(Example(one.name, one.texts, len(one.features), one.loop) for one in found),
+        base.data + tuple(packed_stretch(one.root_translation, one.rotations) for one in added),
+        np.concatenate([base.owners, np.asarray(owners, np.int32) + len(base.examples)]),
+        np.concatenate([base.texts, texts], axis=1),
+        np.concatenate([base.motions, motions], axis=1),
+        base.ranker,
+    )
+    notes = load_checkpoint(settings.add_to, KIND)[1]["notes"]
+    licences = Counter(notes["licences"])
+    licences["Apache-2.0"] += len(found)
+    frames = sum(one.frames for one in pack.examples)
+    write_pack(settings.out, pack, notes | {"licences": dict(licences), "frames": frames})
     return pack
 
 

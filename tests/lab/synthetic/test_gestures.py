@@ -6,11 +6,12 @@ import pytest
 from bunraku.anatomy.ground import lowest
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
+from bunraku.errors import FormatError
 from bunraku.language.actions import actions_of
 from bunraku.language.understood import understood
 from bunraku.retarget.body_motion import body_handle_motion
-from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING
-from bunraku_lab.synthetic.gestures.flow import foot_on, round_of, through
+from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING, read_gestures
+from bunraku_lab.synthetic.gestures.flow import foot_on, through
 from bunraku_lab.synthetic.gestures.play import gesture_motion
 from bunraku_lab.synthetic.gestures.pose import HANGING, Gesture, Hand, Pose, again
 
@@ -203,8 +204,6 @@ def test_what_flows_passes_through_its_keys_and_stays_where_two_are_alike():
     lean = np.array([pose.lean[0] for _, pose in keys])
     np.testing.assert_allclose(lean[[0, 10, 20, 30]], [0, 20, 20, 0], atol=1e-9)
     np.testing.assert_allclose(lean[10:21], 20, atol=1e-9)
-    around = round_of([one, other])
-    assert around(0.0).lean[0] == pytest.approx(around(1.0).lean[0]) and around(2.5).lean[0] == pytest.approx(20)
 
 
 @pytest.mark.parametrize("pitch", [-20.0, 0.0, 30.0, 60.0])
@@ -243,3 +242,56 @@ def test_both_arms_keep_their_bones():
         for one, two in ((f"{side}_shoulder", f"{side}_elbow"), (f"{side}_elbow", f"{side}_wrist")):
             length = np.linalg.norm(places[:, AT[one]] - places[:, AT[two]], axis=1)
             np.testing.assert_allclose(length, np.linalg.norm(body.joints[AT[one]] - body.joints[AT[two]]), atol=1e-4)
+
+
+ROWS = """
+[hands]
+up = {palm = [0.2, 2.0, 0.1], fingers = [0, 1, 0]}
+[poses]
+rest = {}
+[frames.step]
+pose = {right = "up", feet = {ground = [0.1, 0.0]}}
+hips = [[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]]
+left_foot.pitch = [0, 10, 0]
+[[gesture]]
+name = "salute"
+texts = ["salutes"]
+keys = [[0, "rest"], [1.5, "there"]]
+feet.ahead = {ground = [0.1, 0.3], turn = 0}
+poses.there = {hands = "up", left_foot = "ahead", head = [5, 0, 0]}
+[[gesture]]
+name = "walk"
+texts = ["walks"]
+frames = {of = "step", loop = [0, 2], times = 2, drift = [0, 0, 0.2]}
+cycle = [0, 0.2]
+steps = true
+"""
+
+
+def test_a_row_of_the_file_is_a_gesture(tmp_path):
+    (tmp_path / "rows.toml").write_text(ROWS)
+    salute, walk = read_gestures(tmp_path / "rows.toml")
+    hand = Hand((0.2, 2.0, 0.1), (0, 1, 0))
+    there = Pose(hand, hand, head=(5, 0, 0), left_foot=foot_on(0.1, 0.3, turn=0))
+    assert salute == Gesture("salute", ("salutes",), ((0, Pose()), (1.5, there)))
+    assert [time for time, _ in walk.keys] == [0.0, 0.05, 0.1, 0.15, 0.2] and walk.steps and walk.cycle == (0, 0.2)
+    np.testing.assert_allclose([pose.hips[2] for _, pose in walk.keys], [0, 0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_allclose([pose.left_foot.ankle[2] for _, pose in walk.keys], [0, 0, 0.2, 0.2, 0.2])
+    assert [pose.left_foot.pitch for _, pose in walk.keys] == [0, 10, 0, 10, 0]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"), [('"there"]]', '"nowhere"]]'), ("hands = ", "hand = "), ('of = "step"', 'of = "stride"')]
+)
+def test_a_wrong_row_is_named(tmp_path, wrong, right):
+    (tmp_path / "rows.toml").write_text(ROWS.replace(wrong, right))
+    with pytest.raises(FormatError, match=r"rows.toml: gesture '(salute|walk)' is wrong at "):
+        read_gestures(tmp_path / "rows.toml")
+
+
+def test_who_brushes_the_hair_strokes_it_from_the_top_down_beside_the_head():
+    motion = gesture_motion(gesture("brush hair"))
+    _, places = motion.world()
+    hand = palms(motion)["right"][16:-12] - places[16:-12, AT["head"]]
+    assert np.ptp(hand[:, 1]) > 0.25 and np.linalg.norm(hand, axis=1).max() < 0.4
+    assert ((hand[1:-1, 1] < hand[:-2, 1]) & (hand[1:-1, 1] <= hand[2:, 1])).sum() == 3

@@ -1,10 +1,11 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from bunraku.diffusion.examples.pack import KIND, read_pack
+from bunraku.diffusion.examples.pack import KIND, read_pack, write_pack
 from bunraku.diffusion.features import encode, mirror
 from bunraku.diffusion.matching import (
     RADIUS,
@@ -15,6 +16,7 @@ from bunraku.diffusion.matching import (
     embed_sentences,
     save_extractor,
 )
+from bunraku.errors import OptionError
 from bunraku.nn.checkpoints import load_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING
@@ -101,6 +103,36 @@ def test_gestures_made_by_code_are_packed_with_them(swings, ranker, encoder, tmp
     np.testing.assert_allclose(pack.features(clap)[:, 3:], wanted[:, 3:], atol=0.003)
     _, config = load_checkpoint(path, KIND)
     assert config["notes"]["licences"]["Apache-2.0"] == len(GESTURES) + 1
+
+
+def test_a_pack_gets_the_gestures_that_it_lacks(swings, ranker, encoder, tmp_path):
+    watched(swings)
+    whole = build_examples(ExampleSettings(swings, tmp_path / "whole.safetensors", ranker=ranker), encoder)
+    lacks = [place for place, one in enumerate(whole.examples) if one.texts in {GESTURES[3].texts, GESTURES[40].texts}]
+    kept = [place for place in range(len(whole.examples)) if place not in lacks]
+    less = replace(
+        whole,
+        examples=tuple(whole.examples[place] for place in kept),
+        data=tuple(whole.data[place] for place in kept),
+        owners=np.array([kept.index(owner) for owner in whole.owners.tolist() if owner in kept], np.int32),
+        texts=whole.texts[:, np.isin(whole.owners, kept)],
+        motions=whole.motions[:, kept],
+    )
+    notes = load_checkpoint(tmp_path / "whole.safetensors", KIND)[1]["notes"]
+    licences = notes["licences"] | {"Apache-2.0": notes["licences"]["Apache-2.0"] - 2}
+    write_pack(tmp_path / "less.safetensors", less, {"licences": licences, "frames": 0})
+    more = ExampleSettings(out=tmp_path / "more.safetensors", ranker=ranker, add_to=tmp_path / "less.safetensors")
+    build_examples(more, encoder)
+    pack = read_pack(more.out)
+    assert len(lacks) == 2 and [whole.examples[place] for place in kept + lacks] == list(pack.examples)
+    assert [whole.data[place] for place in kept + lacks] == list(pack.data)
+    np.testing.assert_allclose(pack.motions, whole.motions[:, kept + lacks], atol=1e-3)
+    for other, place in enumerate(kept + lacks):
+        mine, its = pack.texts[:, pack.owners == other], whole.texts[:, whole.owners == place]
+        np.testing.assert_allclose(mine, its, atol=1e-3)
+    assert load_checkpoint(more.out, KIND)[1]["notes"] == notes
+    with pytest.raises(OptionError, match="another ranker"):
+        build_examples(replace(more, ranker=None), encoder)
 
 
 def test_who_goes_somewhere_while_the_hands_are_busy_is_no_example_of_going():

@@ -21,6 +21,8 @@ class Examples:
     The file takes the place of the shipped one where BUNRAKU_WEIGHTS names its folder. It works with the ranker that
     its vectors were made with.
 
+    A gesture that is new in `gestures.toml` comes into a pack by --add-to.
+
     Example: bunraku data examples --data data/motions -o weights/examples.safetensors
     """
 
@@ -35,16 +37,22 @@ class Examples:
     ranker: Path | None = None
     """Weights of the ranker in place of the shipped ones."""
 
+    add_to: Path | None = None
+    """A pack to write again with the gestures that it lacks, such as the shipped one; --data is not needed then."""
+
     def run(self) -> None:
         check_range("--stretches", self.stretches, 1, 1000)
         check_range("--events", self.events, 0, 1000)
-        check_source(self.data, "name the folder that 'bunraku data motions' wrote")
+        if self.add_to is None:
+            check_source(self.data, "name the folder that 'bunraku data motions' wrote")
         check_output(self.output, [".safetensors"])
         from bunraku_lab.training.example_pack import ExampleSettings, build_examples
 
         with stages() as report:
             pack = build_examples(
-                ExampleSettings(self.data, self.output, self.stretches, self.events, ranker=self.ranker),
+                ExampleSettings(
+                    self.data, self.output, self.stretches, self.events, ranker=self.ranker, add_to=self.add_to
+                ),
                 progress=report,
             )
         seconds = sum(example.frames for example in pack.examples) / 20

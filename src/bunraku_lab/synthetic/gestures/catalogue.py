@@ -1,25 +1,142 @@
-"""All gestures."""
+"""All gestures, read from `gestures.toml`, which says how they are written."""
 
 from __future__ import annotations
 
-from bunraku_lab.synthetic.gestures.balls import BALLS
-from bunraku_lab.synthetic.gestures.boxing import BOXING
-from bunraku_lab.synthetic.gestures.feelings import FEELINGS
-from bunraku_lab.synthetic.gestures.floor import FLOOR
-from bunraku_lab.synthetic.gestures.kneeling import KNEELING
-from bunraku_lab.synthetic.gestures.obstacles import OBSTACLES
-from bunraku_lab.synthetic.gestures.pose import Gesture, Pose
-from bunraku_lab.synthetic.gestures.raising import RAISING
-from bunraku_lab.synthetic.gestures.seats import SEATS
-from bunraku_lab.synthetic.gestures.signs import SIGNS
-from bunraku_lab.synthetic.gestures.sports import SPORTS
-from bunraku_lab.synthetic.gestures.steps import STEPS
-from bunraku_lab.synthetic.gestures.things import THINGS
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
-__all__ = ["GESTURES", "STANDING"]
+from bunraku.errors import FormatError
+from bunraku_lab.synthetic.gestures.flow import STEP, foot_on, through
+from bunraku_lab.synthetic.gestures.pose import Foot, Gesture, Hand, Key, Pose, again
 
-GESTURES: tuple[Gesture, ...] = (
-    *SIGNS, *THINGS, *FEELINGS, *KNEELING, *RAISING, *SEATS, *SPORTS, *BOXING, *BALLS, *STEPS, *OBSTACLES, *FLOOR,
-)  # fmt: skip
+__all__ = ["GESTURES", "STANDING", "read_gestures"]
+
+FILE = Path(__file__).with_name("gestures.toml")
+Table = Mapping[str, Any]
+
+
+def read_gestures(path: Path = FILE) -> tuple[Gesture, ...]:
+    """The gestures of a file, in its order.
+
+    Raises:
+        FormatError: A row is wrong.
+    """
+    rows = tomllib.loads(path.read_text(encoding="utf-8"))
+    shared = {kind: rows.get(kind, {}) for kind in ("hands", "feet", "poses")}
+    found = []
+    for row in rows["gesture"]:
+        try:
+            found.append(_gesture(row, {kind: shared[kind] | row.get(kind, {}) for kind in shared}, rows["frames"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise FormatError(path, f"gesture {row.get('name')!r} is wrong at {error}") from error
+    return tuple(found)
+
+
+def _gesture(row: Table, named: dict[str, Table], frames: Table) -> Gesture:
+    poses = {name: _pose(pose, named) for name, pose in named["poses"].items()}
+    cycle = tuple(row["cycle"]) if "cycle" in row else None
+    keys: Sequence[Key]
+    if "again" in row:
+        how = dict(row["again"])
+        rest = poses[how.pop("rest", "rest")]
+        keys, cycle = again([poses[name] for name in how.pop("poses")], **how, rest=rest)
+    elif "frames" in row:
+        how = dict(row["frames"])
+        keys = _laid(_frames(frames[how.pop("of")], named), **how)
+    else:
+        keys = [(moment, poses[name]) for moment, name in row["keys"]]
+    if row.get("through"):
+        keys = through(keys)
+    return Gesture(row["name"], tuple(row["texts"]), tuple(keys), cycle, row.get("steps", False))
+
+
+def _pose(row: Table, named: dict[str, Table]) -> Pose:
+    row = dict(row)
+    if "hands" in row:
+        row["right"] = row["left"] = row.pop("hands")
+    if "feet" in row:
+        row["right_foot"] = row["left_foot"] = row.pop("feet")
+    made: dict[str, Any] = {}
+    for name, value in row.items():
+        if name in ("right", "left"):
+            made[name] = _hand(named["hands"][value] if isinstance(value, str) else value)
+        elif name in ("right_foot", "left_foot"):
+            made[name] = _foot(named["feet"][value] if isinstance(value, str) else value)
+        else:
+            made[name] = _value(value)
+    return Pose(**made)
+
+
+def _hand(row: Table) -> Hand:
+    return Hand(**{name: _value(value) for name, value in row.items()})
+
+
+def _foot(row: Table) -> Foot:
+    if "ground" in row:
+        return foot_on(*row["ground"], **{name: value for name, value in row.items() if name != "ground"})
+    return Foot(**{name: _value(value) for name, value in row.items()})
+
+
+def _laid(
+    poses: Sequence[Pose],
+    loop: tuple[int, int],
+    times: int,
+    drift: Sequence[float] = (0, 0, 0),
+    start: float | None = None,
+    end: float = 0.0,
+) -> list[Key]:
+    """Keys of frames whose loop is played so often; `start` and `end` seconds from rest to them and back."""
+    rows = [(index, 0) for index in range(loop[0])]
+    rows += [(index, lap) for lap in range(times) for index in range(*loop)]
+    rows += [(index, times - 1) for index in range(loop[1], len(poses))]
+    moved = [_moved(poses[index], [lap * step for step in drift]) for index, lap in rows]
+    keys = [(round((start or 0.0) + STEP * number, 3), pose) for number, pose in enumerate(moved)]
+    return keys if start is None else [(0.0, Pose()), *keys, (keys[-1][0] + end, Pose())]
+
+
+def _frames(table: Table, named: dict[str, Table]) -> list[Pose]:
+    """The poses of a table, of which `pose` is what stays the same."""
+    tracks: dict[str, Any] = {name: value for name, value in table.items() if name != "pose"}
+    count = len(next(one if isinstance(one, list) else next(iter(one.values())) for one in tracks.values()))
+    still, found = _pose(table["pose"], named), []
+    for index in range(count):
+        parts = {}
+        for name, value in tracks.items():
+            if isinstance(value, Mapping):
+                part = {inner: _value(one[index]) for inner, one in value.items()}
+                parts[name] = replace(getattr(still, name), **part)
+            else:
+                parts[name] = _value(value[index])
+        found.append(replace(still, **parts))
+    return found
+
+
+def _value(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _moved(pose: Pose, by: Sequence[float]) -> Pose:
+    """A pose further on: hips, feet, and hands on the ground."""
+    if not any(by):
+        return pose
+
+    def on(place: Sequence[float]) -> tuple[float, float, float]:
+        x, y, z = (value + step for value, step in zip(place, by, strict=True))
+        return x, y, z
+
+    def hand(one: Hand) -> Hand:
+        return replace(one, palm=on(one.palm)) if one.on == "ground" else one
+
+    return replace(
+        pose, hips=on(pose.hips), right=hand(pose.right), left=hand(pose.left),
+        right_foot=replace(pose.right_foot, ankle=on(pose.right_foot.ankle)),
+        left_foot=replace(pose.left_foot, ankle=on(pose.left_foot.ankle)),
+    )  # fmt: skip
+
+
+GESTURES: tuple[Gesture, ...] = read_gestures()
 STANDING = Gesture("standing", (), ((0.0, Pose()), (9.5, Pose())))
 """What gestures that are done once begin and end in."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from bunraku_lab.synthetic.gestures.pose import Foot, Hand, Key, Pose
 
-__all__ = ["STEP", "cycled", "eased", "foot_on", "mixed", "round_of", "through", "whirled"]
+__all__ = ["STEP", "foot_on", "through"]
 
 STEP = 0.05
 """Seconds between two poses."""
@@ -36,37 +36,6 @@ def through(keys: Sequence[Key]) -> tuple[Key, ...]:
     return tuple((round(keys[0][0] + STEP * index, 3), at(keys[0][0] + STEP * index)) for index in range(count + 1))
 
 
-def round_of(poses: Sequence[Pose]) -> Callable[[float], Pose]:
-    """The poses of a cycle as a function of the share of it that is over; they are evenly in time."""
-    count = len(poses)
-    around = [poses[index % count] for index in range(-2, count + 3)]
-    at = _passing([index / count for index in range(-2, count + 3)], around)
-    return lambda phase: at(phase % 1.0)
-
-
-def cycled(at: Callable[[float], Pose], period: float, times: int) -> tuple[tuple[Key, ...], tuple[float, float]]:
-    """Keys of a cycle that is done again and again, and the part that can be played on from.
-
-    Args:
-        at: Pose after so many cycles.
-        period: Of one [s], in steps of 0.05.
-        times: How many.
-    """
-    each = round(period / STEP)
-    keys = tuple((round(STEP * index, 3), at(index / each)) for index in range(times * each + 1))
-    return keys, (0.0, period * times)
-
-
-def whirled(
-    at: Callable[[float], Pose], period: float, times: int, start: float = 0.8, end: float = 0.6
-) -> tuple[tuple[Key, ...], tuple[float, float]]:
-    """The same as `cycled`, between two rests as `pose.again` has them."""
-    keys, _ = cycled(at, period, times)
-    over = start + period * times
-    laid = tuple((round(start + time, 3), pose) for time, pose in keys)
-    return ((0.0, Pose()), *laid, (over + end, Pose())), (start, start + period * max(times - 1, 1))
-
-
 def foot_on(out: float, ahead: float, pitch: float = 0.0, turn: float = 8.0) -> Foot:
     """A foot that is on the ground with its ball where the heel is up, and with its heel where the toes are.
 
@@ -81,24 +50,6 @@ def foot_on(out: float, ahead: float, pitch: float = 0.0, turn: float = 8.0) -> 
     height = (_GROUND if pitch > 0 else 0.0) + up * cosine - along * sine
     place = ahead - along + up * sine + along * cosine
     return Foot((out, height, place), pitch, turn=turn)
-
-
-def eased(share: float) -> float:
-    """Minimum jerk from 0 to 1."""
-    return share**3 * (10 - 15 * share + 6 * share**2)
-
-
-def mixed(one: Hand, other: Hand, share: float) -> Hand:
-    """Between two hands that are on the same."""
-
-    def between(a: tuple[float, float, float], b: tuple[float, float, float]) -> tuple[float, float, float]:
-        x, y, z = ((1 - share) * p + share * q for p, q in zip(a, b, strict=True))
-        return x, y, z
-
-    return Hand(
-        between(one.palm, other.palm), between(one.fingers, other.fingers), between(one.faces, other.faces),
-        between(one.elbow, other.elbow), one.on,
-    )  # fmt: skip
 
 
 def _passing(times: Sequence[float], poses: Sequence[Pose]) -> Callable[[float], Pose]:

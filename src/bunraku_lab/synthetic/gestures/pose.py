@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-__all__ = ["AHEAD", "BACK", "DOWN", "HANGING", "IN", "UP", "Foot", "Gesture", "Hand", "Key", "Pose", "again"]
+__all__ = ["HANGING", "Foot", "Gesture", "Hand", "Key", "Pose", "again"]
 
 Vector = tuple[float, float, float]
-UP, DOWN, IN = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0)
-AHEAD, BACK = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+DOWN = (0.0, -1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ class Gesture:
 
 
 def again(
-    poses: Sequence[Pose], period: float, times: int, *, start: float = 0.6, end: float = 0.6
+    poses: Sequence[Pose], period: float, times: int, *, start: float = 0.6, end: float = 0.6, rest: Pose | None = None
 ) -> tuple[tuple[Key, ...], tuple[float, float]]:
     """Keys of something that is done again and again between two rests, and one of its cycles.
 
@@ -124,11 +123,13 @@ def again(
         times: How many.
         start: Seconds from standing with hanging arms to the first pose.
         end: Seconds from the last pose to that again.
+        rest: What it begins and ends with in place of hanging arms.
     """
-    keys: list[Key] = [(0.0, Pose())]
+    rest = rest or Pose()
+    keys: list[Key] = [(0.0, rest)]
     for cycle in range(times):
         keys += [(start + period * (cycle + share / len(poses)), pose) for share, pose in enumerate(poses)]
     over = start + period * times
-    keys += [(over, poses[0]), (over + end, Pose())]
+    keys += [(over, poses[0]), (over + end, rest)]
     whole = max(times - 1, 1)
     return tuple(keys), (start, start + period * whole)
