@@ -56,7 +56,7 @@ def settings(data, out, **changes):
         "batch": 10,
         "rate": 3e-3,
         "warmup": 5,
-        "ema": 0.9,
+        "decay": 0.9,
         "bf16": False,
         "validate_every": 20,
     }

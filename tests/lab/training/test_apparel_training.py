@@ -202,7 +202,7 @@ def test_the_body_is_learned(meshes, data, tmp_path):
 def test_the_body_learns_from_data_without_motions_to_validate_with(data, tmp_path):
     assert pose_bank(data, "val").shape == (0, 22, 3, 3)
     config = BodyTrainConfig(
-        data, tmp_path / "body", characters=2, minutes=0, steps=1, batch=1, poses=1, network=BodyConfig(8, 8)
+        data=data, out=tmp_path / "body", characters=2, minutes=0, steps=1, batch=1, poses=1, network=BodyConfig(8, 8)
     )
     assert train_body(config).is_file()
 

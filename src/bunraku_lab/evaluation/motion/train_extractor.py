@@ -39,7 +39,7 @@ from bunraku_lab.training.runs.half_precision import bf16_is_fast
 __all__ = ["ExtractorTrainConfig", "ExtractorTrainer", "people", "retrieval_of", "train_extractor"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExtractorTrainConfig(MatchingTrainConfig):
     """Settings of a training run: those of `MatchingTrainConfig`, and these.
 
@@ -90,8 +90,13 @@ class ExtractorTrainer(MatchingRun):
         bank: Their sentences, encoded.
     """
 
+    config: ExtractorTrainConfig
+    held: Mapping[str, dict[str, Any]]
+    candidates: int
+    encoder: TextEncoder
+
     def __init__(self, config: ExtractorTrainConfig, clips: Mapping[str, dict[str, Any]], bank: TextBank):
-        self.config, self.clips = config, clips
+        self.clips = clips
         statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
         super().__init__(config, config.extractor, statistics, bank, len(clips), KIND)
 
@@ -132,6 +137,11 @@ class ExtractorTrainer(MatchingRun):
         loss, won = self.loss(self.batch(self.step))
         return loss, {"won": won}
 
+    def validate(self) -> dict[str, float]:
+        """R-Precision of the windows that are held out."""
+        tops = retrieval_of(self.average, self.encoder, self.held, self.held_out, self.candidates)
+        return {"validation_candidates": self.candidates, "validation_top1": tops[0], "validation_top3": tops[2]}
+
 
 def _sentences(clips: Mapping[str, Mapping[str, Any]]) -> set[str]:
     texts = {text for entry in clips.values() for text in entry["texts"]}
@@ -156,11 +166,8 @@ def train_extractor(
         OptionError: A setting is out of range, or the run folder belongs to another network.
         FormatError: The data are missing or damaged.
     """
-    if config.batch < 2 or config.threads < 1 or config.minutes < 0 or config.steps < 1 or config.validate_every < 1:
-        raise OptionError("batch must be 2 or more, threads, steps and validate-every 1 or more, minutes 0 or more")
-    torch.set_num_threads(config.threads)
     report = report or (lambda stage, done: None)
-    config.out.mkdir(parents=True, exist_ok=True)
+    config.prepare()
     clips = load_clips(config.data, lambda done, total: report("clips", done / total), splits={"train", "val"})
     train, held = people(clips, "train"), people(clips, "val")
     if not train:
@@ -170,15 +177,8 @@ def train_extractor(
     encoder = encoder or text_encoder(config.extractor.text_encoder)
     config = replace(config, extractor=for_encoder(config.extractor, encoder))
     trainer = ExtractorTrainer(config, train, captions_of(config, encoder, _sentences(train), report))
-    windows, candidates = _validation(held)
-
-    def validate() -> dict[str, float]:
-        if not windows:
-            return {}
-        tops = retrieval_of(trainer.average, encoder, held, windows, candidates)
-        return {"validation_candidates": candidates, "validation_top1": tops[0], "validation_top3": tops[2]}
-
-    return trainer.run(validate, log, report)
+    trainer.held, (trainer.held_out, trainer.candidates), trainer.encoder = held, _validation(held), encoder
+    return trainer.learn(log, report)
 
 
 def _validation(clips: Mapping[str, dict[str, Any]]) -> tuple[list[Window], int]:

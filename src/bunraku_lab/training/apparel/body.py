@@ -16,33 +16,23 @@ from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.losses.apparel_losses import edge_loss, smoothness_loss, vertex_loss
-from bunraku_lab.training.runs.drawn_run import DrawnRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["BodyTrainConfig", "BodyTrainer", "pose_bank", "posed_joints", "train_body"]
 
 
-@dataclass(frozen=True)
-class BodyTrainConfig:
+@dataclass(frozen=True, kw_only=True)
+class BodyTrainConfig(StepSettings):
     """Settings of `bunraku train apparel-body`.
 
     Args:
         data: Folder that `bunraku data apparel` wrote, whose motions give the poses.
-        out: Folder of the run; the sampled meshes of the wardrobe are kept beside it, or where `meshes` says.
         meshes: Folder of sampled meshes, those of `bunraku train apparel-mask`.
         characters: How many characters of the wardrobe.
-        minutes: Processor time of this run [min]; 0 counts steps instead.
-        steps: Optimiser steps where `minutes` is 0.
-        batch: Characters in a step.
         poses: Poses of each.
         edges: Weight of Eq. 9; the paper's is 100, in its units.
         smooth: Weight of Eq. 10.
-        rate: Highest learning rate.
-        warmup: Steps until then.
-        decay: Of the running mean of the weights.
-        weight_decay: Of AdamW.
-        validate_every: Steps.
-        threads: Of torch; 0 leaves them as they are.
-        seed: Of what is drawn.
         network: Its shape.
     """
 
@@ -50,19 +40,10 @@ class BodyTrainConfig:
     out: Path = Path("runs/apparel-body")
     meshes: Path | None = None
     characters: int = 1500
-    minutes: float = 30.0
     steps: int = 4000
-    batch: int = 4
     poses: int = 3
     edges: float = 1.0
     smooth: float = 0.01
-    rate: float = 2e-3
-    warmup: int = 100
-    decay: float = 0.995
-    weight_decay: float = 0.01
-    validate_every: int = 250
-    threads: int = 1
-    seed: int = 1
     network: BodyConfig = field(default_factory=BodyConfig)
 
 
@@ -97,7 +78,7 @@ def posed_joints(turns: np.ndarray, joints: np.ndarray) -> np.ndarray:
     return np.concatenate([turns, moved[..., None]], axis=3).astype(np.float32)
 
 
-class BodyTrainer(DrawnRun[BodyNetwork]):
+class BodyTrainer(AveragedRun[BodyNetwork]):
     """One run in memory.
 
     Args:
@@ -118,11 +99,8 @@ class BodyTrainer(DrawnRun[BodyNetwork]):
             raise OptionError("there are no characters or no poses to train on; build the data first")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
         self.poses, self.held_poses = poses, poses if held_poses is None else held_poses
-        torch.manual_seed(config.seed)
         self.rng = np.random.default_rng(config.seed)
-        model, average = (BodyNetwork(config.network) for _ in range(2))
-        adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
-        super().__init__(config.out, model, average, adam)
+        self.set_up(lambda: BodyNetwork(config.network))
 
     @staticmethod
     def weights(model: BodyNetwork, meshes: Sequence[MeshSample]) -> tuple[torch.Tensor, NodeGraph]:
@@ -150,23 +128,18 @@ class BodyTrainer(DrawnRun[BodyNetwork]):
         rest_points = torch.from_numpy(np.concatenate([one.mesh.points for one in meshes]))
         return torch.cat(own, dim=1), torch.cat(true, dim=1), rest_points
 
-    def train_step(self) -> dict[str, float]:
-        """One step; its loss L_vb + lambda L_eb + lambda L_s, over the body's points and edges."""
+    def step_loss(self) -> tuple[torch.Tensor, dict[str, float]]:
+        """The loss L_vb + lambda L_eb + lambda L_s, over the body's points and edges."""
         config = self.config
-        with self.timed():
-            self.model.train()
-            rate = self.set_rate(config.rate, config.warmup, self.progress())
-            chosen = [self.characters[number] for number in self.rng.integers(len(self.characters), size=config.batch)]
-            poses = self.poses[self.rng.integers(len(self.poses), size=(config.batch, config.poses))]
-            weights, graph = self.weights(self.model, chosen)
-            own, true, rest = self._deformed(chosen, weights, poses)
-            body = torch.from_numpy(~np.concatenate([one.apparel for one in chosen]))
-            edges = graph.edges[body[graph.edges].all(dim=1)]
-            loss = vertex_loss(own[:, body], true[:, body]) + config.edges * edge_loss(own, rest, edges)
-            loss = loss + config.smooth * smoothness_loss(weights, edges)
-            loss.backward()  # type: ignore[no-untyped-call]
-            self.update(config.decay)
-        return {"loss": float(loss.detach()), "rate": rate}
+        chosen = [self.characters[number] for number in self.rng.integers(len(self.characters), size=config.batch)]
+        poses = self.poses[self.rng.integers(len(self.poses), size=(config.batch, config.poses))]
+        weights, graph = self.weights(self.model, chosen)
+        own, true, rest = self._deformed(chosen, weights, poses)
+        body = torch.from_numpy(~np.concatenate([one.apparel for one in chosen]))
+        edges = graph.edges[body[graph.edges].all(dim=1)]
+        loss = vertex_loss(own[:, body], true[:, body]) + config.edges * edge_loss(own, rest, edges)
+        loss = loss + config.smooth * smoothness_loss(weights, edges)
+        return loss, {}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -200,11 +173,8 @@ def train_body(config: BodyTrainConfig, report: Callable[[dict[str, float]], Non
     Raises:
         BunrakuError: No data, or the folder cannot be written.
     """
-    if config.threads > 0:
-        torch.set_num_threads(config.threads)
-    out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
-    meshes = build_meshes(config.meshes or out.with_name(f"{out.name}-meshes"), config.characters)
+    config.prepare()
+    meshes = build_meshes(config.meshes or config.out.with_name(f"{config.out.name}-meshes"), config.characters)
     poses, held_poses = pose_bank(config.data, "train"), pose_bank(config.data, "val", 500)
     trainer = BodyTrainer(config, meshes["train"], poses, meshes["val"] if len(held_poses) else [], held_poses)
     return trainer.learn(report)

@@ -24,34 +24,24 @@ from bunraku.apparel.displacement.recurrent import past_of_states
 from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.node_bank import HEADS, BankCharacter, build_bank
 from bunraku_lab.training.losses.apparel_losses import edge_loss, vertex_loss
-from bunraku_lab.training.runs.drawn_run import DrawnRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["DisplacementTrainConfig", "DisplacementTrainer", "train_displacement"]
 
 
-@dataclass(frozen=True)
-class DisplacementTrainConfig:
+@dataclass(frozen=True, kw_only=True)
+class DisplacementTrainConfig(StepSettings):
     """Settings of `bunraku train apparel`.
 
     Args:
         data: Folder that `bunraku data apparel` wrote.
-        out: Folder of the run.
         start: Checkpoint whose head a new run takes over, with `head` 0 to train the recurrent part about it.
-        minutes: Processor time of this run [min]; 0 counts steps instead.
-        steps: Optimiser steps where `minutes` is 0.
         head: Share of the run in which only the head learns.
-        batch: Characters in a step of the head.
         clips: Windows in a step of the recurrent part.
         shortest, longest: Frames of a window, at the beginning of its training and at the end.
         known: Share of the windows that go on from true states.
         edges: Weight of Eq. 15 against Eq. 14; the paper's is 100, with clips that begin at the truth.
-        rate: Highest learning rate.
-        warmup: Steps until then.
-        decay: Of the running mean of the weights.
-        weight_decay: Of AdamW.
-        validate_every: Steps.
-        threads: Of torch; 0 leaves them as they are.
-        seed: Of what is drawn.
         network: Its shape.
     """
 
@@ -70,10 +60,7 @@ class DisplacementTrainConfig:
     rate: float = 1.5e-3
     warmup: int = 200
     decay: float = 0.998
-    weight_decay: float = 0.01
     validate_every: int = 1000
-    threads: int = 1
-    seed: int = 1
     network: DisplacementConfig = field(default_factory=DisplacementConfig)
 
 
@@ -103,7 +90,7 @@ class _Block:
     graph: NodeGraph
 
 
-class DisplacementTrainer(DrawnRun[DisplacementNetwork]):
+class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
     """One run in memory.
 
     Args:
@@ -122,15 +109,14 @@ class DisplacementTrainer(DrawnRun[DisplacementNetwork]):
         held_out: Sequence[BankCharacter] = (),
     ):
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
-        torch.manual_seed(config.seed)
         self.rng = np.random.default_rng(config.seed)
-        model, average = (DisplacementNetwork(config.network) for _ in range(2))
+        self.set_up(lambda: DisplacementNetwork(config.network), self._units)
+
+    def _units(self, model: DisplacementNetwork) -> None:
         nodes = torch.cat([self._block(self._draw(16), 1).inputs[0].nodes() for _ in range(12)])
         normalize_inputs(model, nodes)
-        if config.start is not None:
-            take_head(model, config.start)
-        adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
-        super().__init__(config.out, model, average, adam)
+        if self.config.start is not None:
+            take_head(model, self.config.start)
 
     def _draw(self, count: int) -> list[BankCharacter]:
         return [self.characters[number] for number in self.rng.integers(len(self.characters), size=count)]
@@ -189,25 +175,20 @@ class DisplacementTrainer(DrawnRun[DisplacementNetwork]):
         edge = edge_loss(block.rest + moved, block.rest + truth, block.graph.edges)
         return vertex + self.config.edges * edge
 
-    def train_step(self) -> dict[str, float]:
-        """One step of the head or of the recurrent part; its loss."""
+    def step_loss(self) -> tuple[torch.Tensor, dict[str, float]]:
+        """The loss of the head or of the recurrent part."""
         config, done = self.config, self.progress()
         both = done >= config.head and self.model.recurrent is not None
-        with self.timed():
-            self.model.train()
-            rate = self.set_rate(config.rate, config.warmup, done)
-            if both:
-                share = (done - config.head) / max(1 - config.head, 1e-9)
-                frames = round(config.shortest + share * (config.longest - config.shortest))
-                block = self._block(self._draw(config.clips), frames)
-                known = bool(self.rng.random() < config.known)
-                loss = self.losses(self.rollout(self.model, block, known), block.truth[3:], block)
-            else:
-                block = self._block(self._draw(config.batch), 1)
-                loss = self.losses(self.model.anchor(block.inputs[0]), block.truth[0], block)
-            loss.backward()  # type: ignore[no-untyped-call]
-            self.update(config.decay)
-        return {"recurrent_loss" if both else "head_loss": float(loss.detach()), "rate": rate}
+        if both:
+            share = (done - config.head) / max(1 - config.head, 1e-9)
+            frames = round(config.shortest + share * (config.longest - config.shortest))
+            block = self._block(self._draw(config.clips), frames)
+            known = bool(self.rng.random() < config.known)
+            loss = self.losses(self.rollout(self.model, block, known), block.truth[3:], block)
+        else:
+            block = self._block(self._draw(config.batch), 1)
+            loss = self.losses(self.model.anchor(block.inputs[0]), block.truth[0], block)
+        return loss, {"recurrent_loss" if both else "head_loss": float(loss.detach())}
 
     def rollout(self, model: DisplacementNetwork, block: _Block, known: bool = False) -> torch.Tensor:
         """Displacements of all frames of a window but the first three, shape (F - 3, M, 3); gradients go to the
@@ -276,10 +257,7 @@ def train_displacement(
     """
     from bunraku_lab.datasets.apparel import ApparelData
 
-    if config.threads > 0:
-        torch.set_num_threads(config.threads)
-    out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
+    config.prepare()
     bank = Path(config.data).with_name(f"{Path(config.data).name}-nodes")
     characters, held_out = (
         build_bank(ApparelData(config.data, split), bank / split)

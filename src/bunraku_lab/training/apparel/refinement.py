@@ -22,7 +22,8 @@ from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.training.apparel.node_bank import truth_wearer
 from bunraku_lab.training.losses.apparel_losses import edge_loss, refinement_loss, vertex_loss
-from bunraku_lab.training.runs.drawn_run import DrawnRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["RefinementTrainConfig", "RefinementTrainer", "SeamSample", "seam_sample", "train_refinement"]
 
@@ -30,29 +31,18 @@ FRAMES = (8, 16, 28, 40)
 """Frames of a clip that are learned from."""
 
 
-@dataclass(frozen=True)
-class RefinementTrainConfig:
+@dataclass(frozen=True, kw_only=True)
+class RefinementTrainConfig(StepSettings):
     """Settings of `bunraku train apparel-refinement`.
 
     Args:
         data: Folder that `bunraku data apparel` wrote.
-        out: Folder of the run; what the other networks say of the characters is kept beside it.
         weights: Displacement network; the shipped one when not given.
         masks: Segmentation network; the shipped one when not given.
         body: Body network; the shipped one when not given.
         characters: How many characters of the data set.
-        minutes: Processor time of this run [min]; 0 counts steps instead.
-        steps: Optimiser steps where `minutes` is 0.
-        batch: Frames in a step, each of another character.
         edges: Weight of the edge loss against the vertex loss; the paper's is 100, in its units.
         small: Weight of the refinement's own size.
-        rate: Highest learning rate.
-        warmup: Steps until then.
-        decay: Of the running mean of the weights.
-        weight_decay: Of AdamW.
-        validate_every: Steps.
-        threads: Of torch; 0 leaves them as they are.
-        seed: Of what is drawn.
         network: Its shape.
     """
 
@@ -63,17 +53,12 @@ class RefinementTrainConfig:
     body: Path | None = None
     characters: int = 60
     minutes: float = 5.0
-    steps: int = 2000
     batch: int = 3
     edges: float = 2.0
     small: float = 0.01
-    rate: float = 2e-3
     warmup: int = 50
     decay: float = 0.99
-    weight_decay: float = 0.01
     validate_every: int = 200
-    threads: int = 1
-    seed: int = 1
     network: RefinementConfig = field(default_factory=RefinementConfig)
 
 
@@ -131,7 +116,7 @@ def seam_sample(
     )  # fmt: skip
 
 
-class RefinementTrainer(DrawnRun[RefinementNetwork]):
+class RefinementTrainer(AveragedRun[RefinementNetwork]):
     """One run in memory.
 
     Args:
@@ -148,11 +133,8 @@ class RefinementTrainer(DrawnRun[RefinementNetwork]):
         if not characters:
             raise OptionError("there are no characters to train on; build more of `bunraku data apparel`")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
-        torch.manual_seed(config.seed)
         self.rng = np.random.default_rng(config.seed)
-        model, average = (RefinementNetwork(config.network) for _ in range(2))
-        adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
-        super().__init__(config.out, model, average, adam)
+        self.set_up(lambda: RefinementNetwork(config.network))
 
     def losses(self, model: RefinementNetwork, sample: SeamSample, frame: int) -> torch.Tensor:
         """The vertex, the edge and the regularisation loss of a frame, shape (3,)."""
@@ -165,20 +147,15 @@ class RefinementTrainer(DrawnRun[RefinementNetwork]):
         edges = torch.from_numpy(sample.edges.astype(np.int64))
         return torch.stack([vertex_loss(moved, truth), edge_loss(moved, truth, edges), refinement_loss(change)])
 
-    def train_step(self) -> dict[str, float]:
-        """One step; its loss L_v + lambda L_e + lambda L_r."""
+    def step_loss(self) -> tuple[torch.Tensor, dict[str, float]]:
+        """The loss L_v + lambda L_e + lambda L_r."""
         config = self.config
-        with self.timed():
-            self.model.train()
-            rate = self.set_rate(config.rate, config.warmup, self.progress())
-            parts = torch.zeros(3)
-            for number in self.rng.integers(len(self.characters), size=config.batch):
-                one = self.characters[number]
-                parts = parts + self.losses(self.model, one, int(self.rng.integers(len(one.places)))) / config.batch
-            loss = parts[0] + config.edges * parts[1] + config.small * parts[2]
-            loss.backward()  # type: ignore[no-untyped-call]
-            self.update(config.decay)
-        return {"loss": float(loss.detach()), "rate": rate}
+        parts = torch.zeros(3)
+        for number in self.rng.integers(len(self.characters), size=config.batch):
+            one = self.characters[number]
+            parts = parts + self.losses(self.model, one, int(self.rng.integers(len(one.places)))) / config.batch
+        loss = parts[0] + config.edges * parts[1] + config.small * parts[2]
+        return loss, {}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -239,11 +216,8 @@ def train_refinement(config: RefinementTrainConfig, report: Callable[[dict[str, 
     Raises:
         BunrakuError: No data, a network is missing, or the folder cannot be written.
     """
-    if config.threads > 0:
-        torch.set_num_threads(config.threads)
-    out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
-    bank = out.with_name(f"{out.name}-seams")
+    config.prepare()
+    bank = config.out.with_name(f"{config.out.name}-seams")
     held_out = _samples(config, "val", max(config.characters // 8, 1), bank / "val")
     characters = _samples(config, "train", config.characters, bank / "train")
     return RefinementTrainer(config, characters, held_out).learn(report)

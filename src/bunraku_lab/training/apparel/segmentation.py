@@ -20,53 +20,36 @@ from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.apparel.mesh_variation import varied
 from bunraku_lab.training.losses.apparel_losses import mask_loss
-from bunraku_lab.training.runs.drawn_run import DrawnRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["SegmentationTrainConfig", "SegmentationTrainer", "mask_iou", "train_segmentation"]
 
 
-@dataclass(frozen=True)
-class SegmentationTrainConfig:
+@dataclass(frozen=True, kw_only=True)
+class SegmentationTrainConfig(StepSettings):
     """Settings of `bunraku train apparel-mask`.
 
     Args:
-        out: Folder of the run; the sampled meshes of the wardrobe are kept beside it.
         characters: How many characters of the wardrobe.
-        minutes: Processor time of this run [min]; 0 counts steps instead.
-        steps: Optimiser steps where `minutes` is 0.
-        batch: Characters in a step.
         overlap: Weight of 1 - (soft intersection over union) beside the cross entropy.
         stiffness: Weight of the error of stiffness and damping.
         varied: Share of the characters that are varied (`mesh_variation`).
-        rate: Highest learning rate.
-        warmup: Steps until then.
-        decay: Of the running mean of the weights.
-        weight_decay: Of AdamW.
-        validate_every: Steps.
-        threads: Of torch; 0 leaves them as they are.
-        seed: Of what is drawn.
         network: Its shape.
     """
 
     out: Path = Path("runs/apparel-mask")
     characters: int = 1500
-    minutes: float = 30.0
     steps: int = 6000
     batch: int = 6
     overlap: float = 0.5
     stiffness: float = 0.05
     varied: float = 0.7
-    rate: float = 2e-3
-    warmup: int = 100
-    decay: float = 0.995
     weight_decay: float = 0.02
-    validate_every: int = 250
-    threads: int = 1
-    seed: int = 1
     network: SegmentationConfig = field(default_factory=SegmentationConfig)
 
 
-class SegmentationTrainer(DrawnRun[SegmentationNetwork]):
+class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
     """One run in memory.
 
     Args:
@@ -83,41 +66,35 @@ class SegmentationTrainer(DrawnRun[SegmentationNetwork]):
         if not characters:
             raise OptionError("there are no characters to train on; ask for more with --characters")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
-        torch.manual_seed(config.seed)
         self.rng = np.random.default_rng(config.seed)
-        model, average = (SegmentationNetwork(config.network) for _ in range(2))
+        self.set_up(lambda: SegmentationNetwork(config.network), self._units)
+
+    def _units(self, model: SegmentationNetwork) -> None:
         features = torch.from_numpy(np.concatenate([one.mesh.features for one in self.characters[:64]]))
         model.mean[:], model.std[:] = features.mean(dim=0), features.std(dim=0).clamp(min=1e-3)
-        adam = torch.optim.AdamW(model.parameters(), lr=config.rate, weight_decay=config.weight_decay)
-        super().__init__(config.out, model, average, adam)
 
-    def train_step(self) -> dict[str, float]:
-        """One step; its loss."""
+    def step_loss(self) -> tuple[torch.Tensor, dict[str, float]]:
+        """Cross entropy, overlap, and the error of stiffness and damping."""
         config = self.config
-        with self.timed():
-            self.model.train()
-            rate = self.set_rate(config.rate, config.warmup, self.progress())
-            chosen = [self.characters[number] for number in self.rng.integers(len(self.characters), size=config.batch)]
-            chosen = [varied(one, self.rng) if self.rng.random() < config.varied else one for one in chosen]
-            features, graph = mesh_block([one.mesh for one in chosen])
-            noise = torch.from_numpy(self.rng.normal(0, 0.003, (len(features), 3)).astype(np.float32))
-            features[:, :3] += noise
-            if self.rng.random() < 0.5:  # the mirror image; distances to bones change sides but slightly
-                features[:, [0, 3, 6]] *= -1
-                features[:, 10:31] = features[:, 10:31][:, _MIRRORED_BONES]
-            truth = torch.from_numpy(np.concatenate([one.apparel for one in chosen])).float()
-            own = torch.from_numpy(np.concatenate([np.stack([one.stiffness, one.damping], 1) for one in chosen]))
-            scores = self.model.scores(features, graph)
-            loss = mask_loss(scores[:, 0], truth)
-            likely = torch.sigmoid(scores[:, 0])
-            both, any_ = (likely * truth).sum(), (likely + truth - likely * truth).sum()
-            loss = loss + config.overlap * (1 - both / any_.clamp(min=1))
-            if bool(truth.any()):
-                error = (scores[:, 1:] - own)[truth > 0].abs().mean()
-                loss = loss + config.stiffness * error
-            loss.backward()  # type: ignore[no-untyped-call]
-            self.update(config.decay)
-        return {"loss": float(loss.detach()), "rate": rate}
+        chosen = [self.characters[number] for number in self.rng.integers(len(self.characters), size=config.batch)]
+        chosen = [varied(one, self.rng) if self.rng.random() < config.varied else one for one in chosen]
+        features, graph = mesh_block([one.mesh for one in chosen])
+        noise = torch.from_numpy(self.rng.normal(0, 0.003, (len(features), 3)).astype(np.float32))
+        features[:, :3] += noise
+        if self.rng.random() < 0.5:  # the mirror image; distances to bones change sides but slightly
+            features[:, [0, 3, 6]] *= -1
+            features[:, 10:31] = features[:, 10:31][:, _MIRRORED_BONES]
+        truth = torch.from_numpy(np.concatenate([one.apparel for one in chosen])).float()
+        own = torch.from_numpy(np.concatenate([np.stack([one.stiffness, one.damping], 1) for one in chosen]))
+        scores = self.model.scores(features, graph)
+        loss = mask_loss(scores[:, 0], truth)
+        likely = torch.sigmoid(scores[:, 0])
+        both, any_ = (likely * truth).sum(), (likely + truth - likely * truth).sum()
+        loss = loss + config.overlap * (1 - both / any_.clamp(min=1))
+        if bool(truth.any()):
+            error = (scores[:, 1:] - own)[truth > 0].abs().mean()
+            loss = loss + config.stiffness * error
+        return loss, {}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -165,10 +142,7 @@ def train_segmentation(
     Raises:
         BunrakuError: The folder cannot be written.
     """
-    if config.threads > 0:
-        torch.set_num_threads(config.threads)
-    out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
-    meshes = build_meshes(out.with_name(f"{out.name}-meshes"), config.characters)
+    config.prepare()
+    meshes = build_meshes(config.out.with_name(f"{config.out.name}-meshes"), config.characters)
     trainer = SegmentationTrainer(config, meshes["train"], meshes["val"])
     return trainer.learn(report)

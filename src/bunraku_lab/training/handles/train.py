@@ -7,8 +7,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from bunraku.body.layout import HANDLE_MIRROR
 from bunraku.errors import OptionError
 from bunraku.handles.graph import MeshGraph, mesh_graph
 from bunraku.handles.predictor import HandlePredictor, PredictorConfig, grow_predictor, save_predictor
+from bunraku.nn.checkpoints import TrainingState
 from bunraku_lab.datasets.characters.training_character import (
     AugmentConfig,
     TrainingCharacter,
@@ -29,31 +31,23 @@ from bunraku_lab.training.handles.mesh_feature_bank import write_mesh_bank
 from bunraku_lab.training.losses import handle_losses as losses
 from bunraku_lab.training.losses.handle_losses import LossConfig
 from bunraku_lab.training.runs.averaged_run import AveragedRun
-from bunraku_lab.training.runs.runs import append_row, plain_settings
+from bunraku_lab.training.runs.settings import TrainingSettings
 
 __all__ = ["HandleTrainConfig", "HandleTrainer", "train_handles", "validate_handles"]
 
 
-@dataclass(frozen=True)
-class HandleTrainConfig:
+@dataclass(frozen=True, kw_only=True)
+class HandleTrainConfig(TrainingSettings):
     """Settings of a training run.
 
     Args:
         cache: Folder of cached characters (`bunraku_lab.datasets.characters.build.build_characters`).
-        out: Folder of the run: `state.safetensors` to go on from, `handles.safetensors` the result, `log.csv`.
-        minutes: Stop after this much training time, over all sittings; the learning rate falls to nothing by then. 0
-            for no limit.
         epochs: Stop after so many epochs; with no limit of minutes the learning rate follows these.
-        threads: CPU threads; 0 leaves torch's choice.
         device: Where to train.
         bf16: Matrix products in bfloat16, where the processor has it.
-        batch: Meshes a step.
         rate: Peak learning rate of Adam. A.2 has 1e-4 over 500 epochs; five times that suits a short run.
-        warmup: Steps until the peak.
-        decay: Decay of the running mean of the weights, which is what is validated and saved.
-        reference_share: Share of the examples that are the reference body.
         validate_every: Epochs between validations.
-        seed: Of everything random.
+        reference_share: Share of the examples that are the reference body.
         start: Checkpoint of kind "handles" to start a new run from, for example the shipped one, to go on with it on
             other characters; a deeper network begins as the one in the checkpoint.
     """
@@ -62,21 +56,24 @@ class HandleTrainConfig:
     out: Path = Path("runs/handles")
     minutes: float = 40.0
     epochs: int = 500
-    threads: int = 1
     device: str = "cpu"
     bf16: bool = False
-    batch: int = 4
     rate: float = 5e-4
-    warmup: int = 100
     decay: float = 0.998
     reference_share: float = 0.12
     validate_every: int = 3
-    seed: int = 1
     start: Path | None = None
     predictor: PredictorConfig = field(default_factory=PredictorConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     augment: AugmentConfig = field(default_factory=AugmentConfig)
     damage: DamageConfig = field(default_factory=DamageConfig)
+
+
+_COLUMNS = (
+    "epoch", "step", "seconds", "rate", "total", "semantic", "skinning", "pose", "root", "sparsity", "smoothness",
+    "mirror", "held_accuracy", "held_purity", "held_root", "held_pose", "varied_accuracy", "varied_purity",
+    "varied_root", "varied_pose",
+)  # fmt: skip
 
 
 def _graph(
@@ -95,6 +92,11 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         reference: The reference body's shapes, mixed in.
     """
 
+    kind = "handles"
+    columns = None
+    head = _COLUMNS
+    every_row = True
+
     def __init__(
         self,
         config: HandleTrainConfig,
@@ -104,7 +106,7 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
     ):
         if not characters:
             raise OptionError("there are no characters to train on; build the cache first")
-        self.config = config
+        self.config, self.epoch = config, 0
         self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
         torch.manual_seed(config.seed)
         model = HandlePredictor(config.predictor).to(config.device)
@@ -114,7 +116,6 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         super().__init__(config.out, model, average, torch.optim.Adam(model.parameters(), lr=config.rate))
         self.rng = np.random.default_rng(config.seed)
         self.generator = torch.Generator().manual_seed(config.seed)
-        self.epoch = 0
         self.swap = torch.tensor(HANDLE_MIRROR)
         folders = [c.name.rpartition("/")[0] for c in self.characters]
         share = np.array(
@@ -193,23 +194,45 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
         self.epoch += 1
         return {name: value / max(counts[name], 1) for name, value in sums.items()}
 
-    def save(self, results: dict[str, float]) -> Path:
-        """Write the checkpoint, then the training state: who is killed between comes to both again."""
-        settings = plain_settings(asdict(self.config))
-        note = {"training": settings, "seconds": self.seconds, "epochs": self.epoch, "results": results}
-        path = save_predictor(self.out / "handles.safetensors", self.average, note)
-        values = {"epoch": self.epoch, "rng": self.rng.bit_generator.state}
-        self.save_state(settings, values, {"pairs": self.generator.get_state()})
-        return path
+    @property
+    def ticks(self) -> int:
+        """Epochs."""
+        return self.epoch
 
-    def resume(self) -> bool:
-        """Go on from the run's folder, if it holds a state; whether it did."""
-        state = self.restore_state()
-        if state is not None:
-            self.rng.bit_generator.state = state.values["rng"]
-            self.generator.set_state(state.generators["pairs"])
-            self.epoch = int(state.values["epoch"])
-        return state is not None
+    def due(self) -> bool:
+        """Whether it is time to validate and save."""
+        return self.epoch == 1 or super().due()
+
+    def train_step(self) -> dict[str, float]:
+        """An epoch, which ends early where the run is asked to stop."""
+        return self.train_epoch(lambda: self.stop.asked)
+
+    def begun(self) -> dict[str, float]:
+        """The first columns of a row of the log."""
+        rate = self.optimizer.param_groups[0]["lr"]
+        return {"epoch": self.epoch, "step": self.step, "seconds": round(self.seconds, 1), "rate": rate}
+
+    def validate(self) -> dict[str, float]:
+        """`validate_handles` on what was held out, as it is and varied."""
+        plain = validate_handles(self.average, self.held_out)
+        varied = validate_handles(self.average, self.held_out, varied=True)
+        return {f"held_{name}": value for name, value in plain.items()} | {
+            f"varied_{name}": value for name, value in varied.items()
+        }
+
+    def write(self, note: dict[str, Any]) -> Path:
+        """Write the checkpoint."""
+        return save_predictor(self.checkpoint, self.average, note | {"epochs": self.epoch})
+
+    def extras(self) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+        """What the state has besides networks and time."""
+        return {"epoch": self.epoch, **super().extras()[0]}, {"pairs": self.generator.get_state()}
+
+    def take_extras(self, state: TrainingState) -> None:
+        """Go on with what `extras` said."""
+        super().take_extras(state)
+        self.generator.set_state(state.generators["pairs"])
+        self.epoch = int(state.values["epoch"])
 
 
 @torch.no_grad()
@@ -278,41 +301,11 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
         reference_characters,
     )  # the data is built on this package's types
 
-    if config.threads > 0:
-        torch.set_num_threads(config.threads)
+    config.prepare()
     characters, held_out = load_characters(config.cache)
     trainer = HandleTrainer(config, characters, held_out, reference_characters(config.predictor.mesh_vertices))
-    trainer.resume()
-    out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
-    result: dict[str, float] = {}
-    checkpoint = out / "handles.safetensors"
-    while trainer.progress() < 1:
-        row = trainer.train_epoch()
-        last = trainer.progress() >= 1
-        if last or trainer.epoch % config.validate_every == 0 or trainer.epoch == 1:
-            if held_out:
-                plain, varied = (
-                    validate_handles(trainer.average, held_out),
-                    validate_handles(trainer.average, held_out, varied=True),
-                )
-                result = {f"held_{n}": value for n, value in plain.items()} | {
-                    f"varied_{n}": value for n, value in varied.items()
-                }
-            row |= result
-            checkpoint = trainer.save(result)
-        rate = trainer.optimizer.param_groups[0]["lr"]
-        row = {"epoch": trainer.epoch, "step": trainer.step, "seconds": round(trainer.seconds, 1), "rate": rate, **row}
-        append_row(out / "log.csv", row, _COLUMNS)
-        if report:
-            report(row)
-    bank = out / "mesh_features.npz"
+    checkpoint = trainer.learn(report)
+    bank = config.out / "mesh_features.npz"
     if not bank.is_file() or bank.stat().st_mtime < checkpoint.stat().st_mtime:  # older where a run was killed here
         write_mesh_bank(trainer.average, [*trainer.characters, *trainer.reference], bank)
     return checkpoint
-
-
-_COLUMNS = ("epoch", "step", "seconds", "rate", "total", "semantic", "skinning", "pose", "root", "sparsity",
-"smoothness", "mirror",
-            "held_accuracy", "held_purity", "held_root", "held_pose", "varied_accuracy", "varied_purity", "varied_root",
-            "varied_pose")  # fmt: skip

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from bunraku.diffusion.features import FeatureStatistics, mirror
 from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, ExtractorConfig
-from bunraku.errors import OptionError
 from bunraku.language.actions import actions_of
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
@@ -35,7 +34,7 @@ _SHORT = 7
 """Words up to which sentences that say the same actions mean the same."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RankerTrainConfig(MatchingTrainConfig):
     """Settings of a training run: those of `MatchingTrainConfig`, and `network`."""
 
@@ -81,10 +80,14 @@ class RankerTrainer(MatchingRun):
         config: Settings.
         rows: Training rows; their statistics are the network's units.
         bank: Their sentences, encoded.
+        held: Rows of clips that no training sees.
     """
 
-    def __init__(self, config: RankerTrainConfig, rows: ClipSet, bank: TextBank):
-        self.config, self.rows = config, rows
+    config: RankerTrainConfig
+
+    def __init__(self, config: RankerTrainConfig, rows: ClipSet, bank: TextBank, held: ClipSet | None = None):
+        self.rows, self.held = rows, held
+        self.held_out = held.clips if held is not None and len(held.clips) > 1 else []
         super().__init__(config, config.network, rows.statistics, bank, len(rows.clips), RANKER)
 
     def losses(self, model: Extractor, batch: MotionBatch, random: np.random.Generator) -> tuple[Tensor, float, float]:
@@ -128,11 +131,12 @@ class RankerTrainer(MatchingRun):
         return loss, {"motion_to_text": found, "text_to_motion": told}
 
     @torch.no_grad()
-    def validate(self, rows: ClipSet) -> dict[str, float]:
-        """Losses on fixed rows of clips that no training sees."""
+    def validate(self) -> dict[str, float]:
+        """Losses on fixed rows of what was held out."""
+        assert self.held is not None
         found = []
         for number in range(4):
-            batch = rows.batch(991, number, min(self.config.batch, 64))
+            batch = self.held.batch(991, number, min(self.config.batch, 64))
             found.append(self.losses(self.average, batch, np.random.default_rng(number)))
         names = ("validation", "validation_motion_to_text", "validation_text_to_motion")
         return {name: float(np.mean([float(one[place]) for one in found])) for place, name in enumerate(names)}
@@ -168,11 +172,8 @@ def train_ranker(
         OptionError: A setting is out of range, or the run folder belongs to another network.
         FormatError: The data are missing or damaged.
     """
-    if config.batch < 2 or config.threads < 1 or config.minutes < 0 or config.steps < 1 or config.validate_every < 1:
-        raise OptionError("batch must be 2 or more, threads, steps and validate-every 1 or more, minutes 0 or more")
-    torch.set_num_threads(config.threads)
     progress = progress or (lambda stage, done: None)
-    config.out.mkdir(parents=True, exist_ok=True)
+    config.prepare()
     clips = load_clips(config.data, splits={"train", "val"})
     clips = {name: entry for name, entry in clips.items() if not entry.get("species")}
     training = [entry["features"] for entry in clips.values() if entry.get("split", "train") == "train"]
@@ -181,5 +182,4 @@ def train_ranker(
     encoder = encoder or text_encoder(config.network.text_encoder)
     config = replace(config, network=for_encoder(config.network, encoder))
     bank = captions_of(config, encoder, {*train.sentences(), *held.sentences()}, progress)
-    trainer = RankerTrainer(config, train, bank)
-    return trainer.run(lambda: trainer.validate(held) if len(held.clips) > 1 else {}, log, progress)
+    return RankerTrainer(config, train, bank, held).learn(log, progress)

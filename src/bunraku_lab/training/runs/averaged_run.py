@@ -1,22 +1,26 @@
-"""A run that trains one network on one processor, beside the running mean of its weights."""
+"""The loop of a run that trains one network on one processor, beside the running mean of its weights."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
+import numpy as np
 import torch
 
 from bunraku.errors import OptionError
-from bunraku.nn.checkpoints import TrainingState, save_training_state
-from bunraku_lab.training.runs.runs import careful_step, follow_weights, learning_rate, resumed
+from bunraku.formats.files import sweep
+from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
+from bunraku_lab.training.runs.runs import Stop, append_row, careful_step, follow_weights, learning_rate, plain_settings
 
 __all__ = ["AveragedRun", "share_done"]
 
 Network = TypeVar("Network", bound=torch.nn.Module)
+Report = Callable[[dict[str, float]], None]
 
 
 def share_done(seconds: float, minutes: float, step: int, steps: int) -> float:
@@ -27,6 +31,10 @@ def share_done(seconds: float, minutes: float, step: int, steps: int) -> float:
 class AveragedRun(Generic[Network]):
     """A network, the running mean of its weights, which is what is validated and saved, and its optimiser.
 
+    A subclass says what a step's loss is (`step_loss`), what is validated (`validate`, on `held_out`) and how the
+    checkpoint is written (`write`); `learn` does the rest. Its `config` is a dataclass of `TrainingSettings`. What it
+    draws by `rng` is part of its state.
+
     Args:
         out: Folder of the run.
         model: The network.
@@ -34,10 +42,72 @@ class AveragedRun(Generic[Network]):
         optimizer: Of the first.
     """
 
+    kind: str
+    """Of the checkpoint, and its name."""
+    columns: ClassVar[tuple[str, ...] | None] = ("loss", "rate")
+    """What the log has of the steps: means since the last row, 0 of what did not come up; None for all."""
+    head: ClassVar[tuple[str, ...] | None] = None
+    """The columns of the log where rows differ; None for those of the first row."""
+    every_row: ClassVar[bool] = False
+    """Whether the log has a row of each step, and not of validations alone."""
+    least: ClassVar[float] = 0.02
+    """What is left of the peak rate at the end."""
+    flush: ClassVar[bool] = False
+    """Whether numbers next to nothing are taken as 0, which is faster where moments of the optimiser become such."""
+    config: Any
+    rng: np.random.Generator | None = None
+    held_out: Sequence[Any] = ()
+
     def __init__(self, out: Path, model: Network, average: Network, optimizer: torch.optim.Optimizer):
         self.out, self.model, self.average, self.optimizer = Path(out), model, average.eval(), optimizer
         self.average.load_state_dict(self.model.state_dict())
-        self.step, self.seconds = 0, 0.0
+        self.step, self.seconds, self.stop = 0, 0.0, Stop()
+
+    def set_up(
+        self,
+        make: Callable[[], Network],
+        prepare: Callable[[Network], None] = lambda model: None,
+        betas: tuple[float, float] = (0.9, 0.999),
+    ) -> None:
+        """Begin as `__init__` does, with two networks from the seed of `config` and AdamW with its rates.
+
+        Args:
+            make: Makes a network.
+            prepare: What the network gets before its mean takes it over, such as its units.
+            betas: Of AdamW.
+        """
+        config = self.config
+        torch.manual_seed(config.seed)
+        model, average = make(), make()
+        prepare(model)
+        adam = torch.optim.AdamW(model.parameters(), lr=config.rate, betas=betas, weight_decay=config.weight_decay)
+        AveragedRun.__init__(self, config.out, model, average, adam)
+
+    @property
+    def checkpoint(self) -> Path:
+        """The averaged weights."""
+        return self.out / f"{self.kind}.safetensors"
+
+    @property
+    def ticks(self) -> int:
+        """What `validate_every` counts."""
+        return self.step
+
+    def progress(self) -> float:
+        """How far the run is through its limits, 0 to 1."""
+        return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
+
+    def step_loss(self) -> tuple[torch.Tensor, dict[str, float]]:
+        """The loss of this step, and further figures of it."""
+        raise NotImplementedError
+
+    def validate(self) -> dict[str, float]:
+        """Figures of the averaged network on what was held out."""
+        raise NotImplementedError
+
+    def write(self, note: dict[str, Any]) -> Path:
+        """Write the checkpoint."""
+        raise NotImplementedError
 
     @contextmanager
     def timed(self) -> Iterator[None]:
@@ -47,7 +117,7 @@ class AveragedRun(Generic[Network]):
         self.seconds += time.process_time() - start
 
     def set_rate(self, peak: float, warmup: int, done: float, least: float = 0.02) -> float:
-        """Set the learning rate of the next step (`nn.runs.learning_rate`) and give it back."""
+        """Set the learning rate of the next step (`runs.learning_rate`) and give it back."""
         rate = learning_rate(peak, self.step, warmup, done, least)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
@@ -60,6 +130,25 @@ class AveragedRun(Generic[Network]):
         self.step += 1
         follow_weights(self.average, self.model, min(decay, self.step / (self.step + 10)))
 
+    def train_step(self) -> dict[str, float]:
+        """One step; its figures."""
+        with self.timed():
+            self.model.train()
+            rate = self.set_rate(self.config.rate, self.config.warmup, self.progress(), self.least)
+            loss, figures = self.step_loss()
+            loss.backward()  # type: ignore[no-untyped-call]
+            self.update(self.config.decay)
+        return {"loss": float(loss.detach()), **figures, "rate": rate}
+
+    def extras(self) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+        """What the state has besides networks and time: values, and generators of torch."""
+        return ({} if self.rng is None else {"rng": self.rng.bit_generator.state}), {}
+
+    def take_extras(self, state: TrainingState) -> None:
+        """Go on with what `extras` said."""
+        if self.rng is not None:
+            self.rng.bit_generator.state = state.values["rng"]
+
     def save_state(
         self, settings: dict[str, Any], values: dict[str, Any], generators: dict[str, torch.Tensor] | None = None
     ) -> None:
@@ -70,17 +159,90 @@ class AveragedRun(Generic[Network]):
         save_training_state(self.out / "state.safetensors", state)
 
     def restore_state(self) -> TrainingState | None:
-        """Go on from the folder's state; None where there is none yet.
+        """Go on from the folder's state; None where there is none yet. What a killed run left half-written goes.
 
         Raises:
             OptionError: The run was started with another network.
             WeightsError: The state is damaged.
         """
+        sweep(self.out)
+        path = self.out / "state.safetensors"
+        if not path.is_file():
+            return None
+        state = load_training_state(path)
         try:
-            state = resumed(self.out, self.model, self.average, self.optimizer)
+            self.model.load_state_dict(state.models["model"])
+            self.average.load_state_dict(state.models["average"])
+            self.optimizer.load_state_dict(state.optimizers["adam"])
         except (RuntimeError, ValueError) as error:
             advice = "give the same settings, or another folder"
             raise OptionError(f"{self.out}: this run was started with another network; {advice}") from error
-        if state is not None:
-            self.step, self.seconds = state.step, float(state.values["seconds"])
+        self.step, self.seconds = state.step, float(state.values["seconds"])
         return state
+
+    def save(self, results: dict[str, float]) -> Path:
+        """Write the checkpoint, then the training state: who is killed between goes on from the state before, and comes
+        to the same checkpoint again.
+        """
+        settings = plain_settings(asdict(self.config))
+        path = self.write({"training": settings, "seconds": self.seconds, "steps": self.step, "results": results})
+        self.save_state(settings, *self.extras())
+        return path
+
+    def resume(self) -> bool:
+        """Go on from the run's folder, if it holds a state; whether it did."""
+        state = self.restore_state()
+        if state is not None:
+            self.take_extras(state)
+        return state is not None
+
+    def due(self) -> bool:
+        """Whether it is time to validate and save."""
+        return self.ticks % int(self.config.validate_every) == 0
+
+    def begun(self) -> dict[str, float]:
+        """The first columns of a row of the log."""
+        return {"step": self.step, "seconds": round(self.seconds, 1)}
+
+    def learn(self, report: Report | None = None, progress: Callable[[str, float], None] | None = None) -> Path:
+        """Go on from the folder's state to the end of the run, or until it is asked to stop; each validation writes the
+        checkpoint, the state and a row of `log.csv`.
+
+        Args:
+            report: Called with each row.
+            progress: Called with a stage's name and the share done.
+
+        Returns:
+            The checkpoint.
+
+        Raises:
+            OptionError: The run was started with another network.
+        """
+        self.resume()
+        rows: list[dict[str, float]] = []
+        torch.set_flush_denormal(self.flush)
+        try:
+            with self.stop.listening():
+                while self.progress() < 1 and not self.stop.asked:
+                    rows.append(self.train_step())
+                    if progress is not None:
+                        progress("training", self.progress())
+                    due = self.due() or self.progress() >= 1 or self.stop.asked
+                    if not due and not self.every_row:
+                        continue
+                    means = {
+                        name: float(np.mean([row[name] for row in rows if name in row] or [0.0]))
+                        for name in self.columns or rows[0]
+                    }
+                    results: dict[str, float] = {}
+                    if due:
+                        results = self.validate() if self.held_out else {}
+                        self.save(results)
+                    rows = []
+                    line = {**self.begun(), **means, **results}
+                    append_row(self.out / "log.csv", line, self.head)
+                    if report is not None:
+                        report(line)
+        finally:
+            torch.set_flush_denormal(False)
+        return self.checkpoint

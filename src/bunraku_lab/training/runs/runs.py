@@ -1,6 +1,4 @@
-"""What training runs have in common: a rate, a step, settings that JSON can say, a log, a state to go on from, and an
-end when asked.
-"""
+"""What training runs have in common: a rate, a step, settings that JSON can say, a log, and an end when asked."""
 
 from __future__ import annotations
 
@@ -16,9 +14,6 @@ from typing import Any
 
 import torch
 
-from bunraku.formats.files import sweep
-from bunraku.nn.checkpoints import TrainingState, load_training_state
-
 __all__ = [
     "Stop",
     "append_row",
@@ -27,7 +22,6 @@ __all__ = [
     "learning_rate",
     "logged_columns",
     "plain_settings",
-    "resumed",
 ]
 
 
@@ -110,23 +104,3 @@ def logged_columns(path: Path) -> list[str]:
     """The columns that a log already has, so that a run which goes on writes no others."""
     with path.open(newline="") as file:
         return next(csv.reader(file), [])
-
-
-def resumed(
-    folder: Path, model: torch.nn.Module, average: torch.nn.Module, optimizer: torch.optim.Optimizer
-) -> TrainingState | None:
-    """Load a run's state into its network, the running mean of that, and its optimiser; None where there is no state
-    yet. What a killed run left half-written in the folder goes.
-
-    Raises:
-        WeightsError: The state is damaged.
-    """
-    sweep(folder)
-    path = folder / "state.safetensors"
-    if not path.is_file():
-        return None
-    state = load_training_state(path)
-    model.load_state_dict(state.models["model"])
-    average.load_state_dict(state.models["average"])
-    optimizer.load_state_dict(state.optimizers["adam"])
-    return state

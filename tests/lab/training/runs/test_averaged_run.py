@@ -1,7 +1,12 @@
+import os
+import subprocess
+import sys
+
 import pytest
 import torch
 
 from bunraku.errors import OptionError
+from bunraku.formats.files import temporary_prefix
 from bunraku_lab.training.runs.averaged_run import AveragedRun, share_done
 
 
@@ -37,3 +42,29 @@ def test_it_goes_on_from_its_state_and_not_from_that_of_another_network(tmp_path
     assert torch.equal(again.model.weight, one.model.weight)
     with pytest.raises(OptionError, match="another network"):
         run(tmp_path, width=3).restore_state()
+
+
+def test_it_goes_on_with_the_optimisers_moments(tmp_path):
+    def parts():
+        model, average = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
+        return AveragedRun(tmp_path, model, average, torch.optim.Adam(model.parameters()))
+
+    first = parts()
+    first.model(torch.ones(1, 2)).sum().backward()
+    first.update(decay=0.9)
+    first.save_state({}, {})
+    second = parts()
+    assert second.restore_state().step == 1
+    assert torch.equal(second.model.weight, first.model.weight) and torch.equal(
+        second.average.weight, first.average.weight
+    )
+    moments = [one.optimizer.state_dict()["state"][0]["exp_avg"] for one in (first, second)]
+    assert torch.equal(*moments)
+
+
+def test_what_a_killed_run_left_is_swept_when_it_goes_on(tmp_path):
+    process = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+    prefix = temporary_prefix("state.safetensors").replace(f"-{os.getpid()}-", f"-{process.stdout.strip()}-")
+    (tmp_path / f"{prefix}abcdefgh.tmp").write_bytes(b"half")
+    assert run(tmp_path).restore_state() is None
+    assert not list(tmp_path.iterdir())
