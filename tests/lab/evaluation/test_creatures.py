@@ -10,6 +10,7 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError
 from bunraku_lab.datasets.motions.clips import write_clip
+from bunraku_lab.evaluation.motion.classifier import action_features
 from bunraku_lab.evaluation.motion.creatures import (
     CLASSES,
     creature_accuracy,
@@ -18,7 +19,6 @@ from bunraku_lab.evaluation.motion.creatures import (
     real_accuracy,
     train_classifier,
 )
-from bunraku_lab.evaluation.motion.viewer.classifier import action_features
 
 KINDS = {
     "walk": (0.4, 1.0, 1.0),

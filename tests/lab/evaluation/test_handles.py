@@ -18,7 +18,7 @@ from bunraku.samples import sample_character
 from bunraku_lab.evaluation.handles.orientation import measure_orientation
 from bunraku_lab.evaluation.handles.resampling import carried
 from bunraku_lab.evaluation.handles.subjects import find_files, subject
-from bunraku_lab.evaluation.handles.table import BARS, Bar, code_made_subjects, evaluate_handles, folder_subjects
+from bunraku_lab.evaluation.handles.table import BARS, code_made_subjects, evaluate_handles, folder_subjects
 from bunraku_lab.evaluation.handles.trials import Reference, measure_subject, prediction_seconds, resolution_differences
 from bunraku_lab.synthetic.families import EVALUATION_SEED
 
@@ -117,12 +117,6 @@ def test_a_character_that_faces_backwards_counts_as_wrong():
     row = measure_orientation(replace(one, character=backwards))
     assert row["orientation_creatures"] == row["orientation_front"] == 0 and row["orientation_up"] == 1
     assert row["orientation_warned"] is not None
-
-
-def test_bars_know_both_directions():
-    assert Bar("", 0.1).reached(0.1) and not Bar("", 0.1).reached(0.2)
-    assert Bar("", 0.9, high=True).reached(0.95) and not Bar("", 0.9, high=True).reached(0.8)
-    assert Bar("").reached(1.0) is None and Bar("", 0.1).reached(None) is None
 
 
 @pytest.fixture

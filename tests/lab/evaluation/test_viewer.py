@@ -11,7 +11,6 @@ from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import decode, encode, mirror
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
-from bunraku_lab.evaluation.motion.blocks import Bar
 from bunraku_lab.evaluation.motion.viewer.measures import (
     DOERS,
     floating,
@@ -228,13 +227,3 @@ def test_captured_clips_of_the_same_words(tmp_path):
     found = captured_clips(tmp_path, wanted)
     assert {name: len(clips) for name, clips in found.items()} == {"walk": 8, "slow walk": 1, "kick": 1, "run": 0}
     assert len(found["kick"][0]) == 30 and moving_speed(found["walk"][0]) == pytest.approx(1, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("least", "most", "limit", "good", "bad"),
-    [(0.7, None, ">= 0.7", 0.7, 0.69), (None, 3, "<= 3", 3, 3.1), (60, 130, "60..130", 100, 131)],
-)
-def test_bars(least, most, limit, good, bad):
-    bar = Bar("key", "title", least, most)
-    assert bar.limit == limit and bar.reached(good) and not bar.reached(bad)
-    assert not Bar("key", "title").limit

@@ -63,18 +63,13 @@ class EvaluateApparel:
 
 def _print(result: dict[str, Any]) -> None:
     from bunraku_lab.evaluation.apparel.table import APPAREL_BARS
+    from bunraku_lab.evaluation.bars import bar_lines, table_lines
 
-    width = max(len(bar.title) for bar in APPAREL_BARS.values())
-    print(f"{'measure':<{width}}  {'value':>9}  {'bar':>9}  reached")
-    for key, bar in APPAREL_BARS.items():
-        value, reached = result[key], result["reached"].get(key)
-        shown = "-" if value is None else f"{value:.3f}"
-        limit = "" if bar.bar is None else f"{'>=' if bar.high else '<='} {bar.bar:g}"
-        print(f"{bar.title:<{width}}  {shown:>9}  {limit:>9}  {'' if reached is None else 'yes' if reached else 'no'}")
+    print("\n".join(bar_lines(APPAREL_BARS, result)))
     for title, table in result["tables"].items():
         print(f"\n{title}")
         columns = list(dict.fromkeys(name for row in table.values() for name in row))
-        print(f"{'':<28}" + "".join(f"{name:>14}" for name in columns))
+        rows = [["", *columns]]
         for name, row in table.items():
-            cells = (f"{row[column]:>14.3f}" if row.get(column) is not None else f"{'-':>14}" for column in columns)
-            print(f"{name:<28}" + "".join(cells))
+            rows.append([name, *("-" if row.get(column) is None else f"{row[column]:.3f}" for column in columns)])
+        print("\n".join(table_lines(rows)))

@@ -78,6 +78,7 @@ class EvaluateHandles:
 
 
 def _print(result: dict[str, Any]) -> None:
+    from bunraku_lab.evaluation.bars import bar_lines
     from bunraku_lab.evaluation.handles.table import BARS
 
     counts = result["counts"]
@@ -85,23 +86,6 @@ def _print(result: dict[str, Any]) -> None:
         f"{counts['characters']} characters, {counts['humanoids']} humanoids; resolutions on {counts['resampled']}; "
         f"{counts['detailed']} detailed people"
     )
-    width = max(len(bar.title) for bar in BARS.values())
-    print(f"{'measure':<{width}}  {'value':>8}  {'bar':>9}  reached")
-    for key, bar in BARS.items():
-        value, reached = result[key], result["reached"].get(key)
-        sign = ">=" if bar.high else "<="
-        limit = "" if bar.bar is None else f"{sign} {_number(bar.bar, key)}"
-        verdict = "" if reached is None else "yes" if reached else "no"
-        print(f"{bar.title:<{width}}  {_number(value, key):>8}  {limit:>9}  {verdict}".rstrip())
+    print("\n".join(bar_lines(BARS, result, reached=result["reached"])))
     for name, reason in result["left_out"].items():
         print(f"left out {name}: {reason}")
-
-
-def _number(value: float | None, key: str) -> str:
-    if value is None:
-        return "-"
-    if key.startswith("seconds"):
-        return f"{value:.2f} s"
-    if key == "resolution_l1":
-        return f"{value:.3f}"
-    return f"{value:.2%}" if "error" in key or key == "stretched_edges" else f"{value:.1%}"

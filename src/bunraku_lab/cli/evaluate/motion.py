@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,9 +11,10 @@ import tyro
 from bunraku.cli.output.checks import check_input, check_range, check_source
 from bunraku.cli.output.progress import stages
 from bunraku.cli.output.report import measured
+from bunraku_lab.evaluation.bars import bar_lines, table_lines
 
 if TYPE_CHECKING:
-    from bunraku_lab.evaluation.motion.blocks import Bar
+    pass
 
 __all__ = ["EvaluateMotion"]
 
@@ -133,9 +133,9 @@ def _print(result: dict[str, Any]) -> None:
 
     if "rows" in result:
         _print_rows(result)
-        _print_bars("measure", BARS, result)
-    if any(bar.key in result for bar in VIEWER_BARS):
-        _print_bars("what a viewer sees", VIEWER_BARS, result)
+        print("\n" + "\n".join(bar_lines(BARS, result)))
+    if VIEWER_BARS.keys() & result:
+        print("\n" + "\n".join(bar_lines(VIEWER_BARS, result, "what a viewer sees")))
         _print_actions(result)
     for name, reason in result.get("left_out", {}).items():
         print(f"left out {name}: {reason}")
@@ -150,21 +150,13 @@ def _print_rows(result: dict[str, Any]) -> None:
         f"{counts['drawn']:,} a run, {counts['runs']} runs, {counts['candidates']} sentences each, {counts['steps']} "
         "steps"
     )
-    width = max(len(name) for name in _NAMES.values())
-    print(f"{'':<{width}}  " + "  ".join(f"{title:>14}" for _, title in _COLUMNS))
-    for key, name in _NAMES.items():
-        row = result["rows"].get(key)
-        if row is not None:
-            print(f"{name:<{width}}  " + "  ".join(f"{_cell(row.get(column)):>14}" for column, _ in _COLUMNS))
-
-
-def _print_bars(title: str, bars: Sequence[Bar], result: dict[str, Any]) -> None:
-    """Figures beside their bars."""
-    print(f"\n{title:<62}  {'value':>8}  {'bar':>8}  reached")
-    for bar in bars:
-        value = result.get(bar.key)
-        verdict = "" if value is None or not bar.limit else "yes" if bar.reached(value) else "no"
-        print(f"{bar.title:<62}  {_figure(value):>8}  {bar.limit:>8}  {verdict}".rstrip())
+    rows = [["", *(title for _, title in _COLUMNS)]]
+    rows += [
+        [name, *(_cell(result["rows"][key].get(column)) for column, _ in _COLUMNS)]
+        for key, name in _NAMES.items()
+        if key in result["rows"]
+    ]
+    print("\n".join(table_lines(rows)))
 
 
 def _print_actions(result: dict[str, Any]) -> None:
@@ -172,10 +164,12 @@ def _print_actions(result: dict[str, Any]) -> None:
     sides = ", ".join(f"{action} {share:.0%}" for action, share in result["side_accuracy_by_action"].items())
     print(f"the side asked for: {sides}")
     for title, key in (("speed [m/s]", "speed_by_action"), ("third difference [cm]", "jitter_by_action")):
-        print(f"\n{title:<22}  {'generated':>9}  {'captured':>9}  {'ratio':>6}  clips")
+        rows = [[title, "generated", "captured", "ratio", "clips"]]
         for action, row in result[key].items():
-            cells = f"{_figure(row['generated']):>9}  {_figure(row['captured']):>9}  {_figure(row['ratio']):>6}"
-            print(f"{action:<22}  {cells}  {row['clips']:>5}")
+            rows.append(
+                [action, *(_figure(row[name]) for name in ("generated", "captured", "ratio")), str(row["clips"])]
+            )
+        print("\n" + "\n".join(table_lines(rows)))
 
 
 def _figure(value: float | None) -> str:

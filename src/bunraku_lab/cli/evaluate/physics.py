@@ -82,30 +82,17 @@ class EvaluatePhysics:
 
 
 def _print(result: dict[str, Any]) -> None:
+    from bunraku_lab.evaluation.bars import bar_lines, table_lines
     from bunraku_lab.evaluation.physics.table import PHYSICS_BARS
 
     print(f"{len(result['characters'])} characters, {result['seconds']:g} s each: {', '.join(result['motions'])}")
-    width = max(len(bar.title) for bar in PHYSICS_BARS.values())
-    print(f"{'measure':<{width}}  {'value':>11}  {'bar':>12}  reached")
-    for key, bar in PHYSICS_BARS.items():
-        reached = result["reached"].get(key)
-        limit = "" if bar.bar is None else f"{'>=' if bar.high else '<='} {_number(bar.bar, bar.unit)}"
-        said = "" if reached is None else "yes" if reached else "no"
-        print(f"{bar.title:<{width}}  {_number(result[key], bar.unit):>11}  {limit:>12}  {said}".rstrip())
-    print(f"{'character':<24}  {'stretch':>8}  {'inside':>7}  {'rigid':>7}  {'rest':>10}  {'speed':>7}  flew away")
+    print("\n".join(bar_lines(PHYSICS_BARS, result)))
+    rows = [["character", "stretch", "inside", "rigid", "rest", "speed", "flew away"]]
+    shares = ("chain_stretch", "penetration", "penetration_nearest_joint")
     for row in result["characters"]:
-        inside, rigid, rest = (row.get(key) for key in ("penetration", "penetration_nearest_joint", "rest_speed"))
-        values = (
-            f"{row['chain_stretch']:8.2%}  {_number(inside, ''):>7}  {_number(rigid, ''):>7}  "
-            f"{_number(rest, ' m/s'):>10}"
-        )
-        away = ", ".join(row["fly_away_bodies"])
-        print(f"{row['name']:<24}  {values}  {row['realtime_factor']:5.1f} x  {away}".rstrip())
+        cells = ["-" if row.get(key) is None else f"{row[key]:.2%}" for key in shares]
+        cells.append("-" if row.get("rest_speed") is None else f"{row['rest_speed']:.4f} m/s")
+        rows.append([row["name"], *cells, f"{row['realtime_factor']:.1f} x", ", ".join(row["fly_away_bodies"])])
+    print("\n".join(table_lines(rows)))
     for name, reason in result["failed"].items():
         print(f"failed {name}: {reason}")
-
-
-def _number(value: float | None, unit: str) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.1f}{unit}" if unit == " x" else f"{value:.4f}{unit}" if unit else f"{value:.2%}"

@@ -57,6 +57,7 @@ class EvaluateTransfer:
 
 
 def _print(result: dict[str, Any]) -> None:
+    from bunraku_lab.evaluation.bars import bar_lines
     from bunraku_lab.evaluation.transfer.table import BARS
 
     counts = result["counts"]
@@ -65,19 +66,6 @@ def _print(result: dict[str, Any]) -> None:
         "with clips"
     )
     print("motions: " + ", ".join(f"{kind} {name}" for kind, name in result["motions"].items()))
-    width = max(len(bar.title) for bar in BARS.values())
-    print(f"{'measure':<{width}}  {'value':>10}  {'bar':>12}  reached")
-    for key, bar in BARS.items():
-        value, reached = result[key], result["reached"].get(key)
-        text = "-" if value is None else _number(value, bar.unit)
-        limit = "" if bar.bar is None else f"{'>=' if bar.high else '<='} {_number(bar.bar, bar.unit)}"
-        said = "" if reached is None else "yes" if reached else "no"
-        print(f"{bar.title:<{width}}  {text:>10}  {limit:>12}  {said}".rstrip())
+    print("\n".join(bar_lines(BARS, result)))
     for name, reason in result["failed"].items():
         print(f"failed {name}: {reason}")
-
-
-def _number(value: float, unit: str) -> str:
-    if unit == " m":
-        return f"{1000 * value:.4f} mm"
-    return f"{value:.2f}{unit}" if unit and value >= 0.1 else f"{value:.4f}{unit}" if unit else f"{value:.2%}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.evaluation.apparel.clips import TrueClip, data_clips, file_clips, long_clip
 from bunraku_lab.evaluation.apparel.modules import body_table, mask_scores, module_row
 from bunraku_lab.evaluation.apparel.rows import clip_row, drift_row, frame_milliseconds, ten_frames
-from bunraku_lab.evaluation.transfer.table import Bar
+from bunraku_lab.evaluation.bars import Bar, figure, measured_in, reached_bars
 
 __all__ = ["APPAREL_BARS", "evaluate_apparel"]
 
@@ -25,20 +26,21 @@ FILE_MOTIONS = ("walk", "dance")
 LONG = 3  # characters in clips of a minute
 ENOUGH = 2000  # apparel vertices that a frame is timed with
 
-APPAREL_BARS: dict[str, Bar] = {
-    "mask_iou": Bar("apparel found, intersection over union, wardrobe", 0.9, True),
-    "mask_iou_files": Bar("the same, files", 0.45, True),
-    "pmd_apparel_rest_6s_over_rigid": Bar("PMD_a from rest, 6 s, over parent-rigid skinning", 0.4),
-    "pmd_apparel_10_frames_over_rigid": Bar("PMD_a, 10 frames from the true state, over the same", 0.25),
-    "pmd_apparel_10_frames_over_frozen": Bar("the same over the true offset kept", 0.5),
-    "els_minus_truth": Bar("ELS of apparel, less the truth's", -0.02, True),
-    "drift_60s": Bar("60 s: error of the last second over that of the second one", 1.2),
-    "inside_over_truth": Bar("apparel deeper than 1 cm in the body, over the truth's", 1.2),
-    "inside_over_rigid": Bar("the same over rigid apparel's", 1 / 3),
-    "real_over_rigid": Bar("files: PMD_a over parent-rigid, the worst", 1.0),
-    "body_attention_first": Bar("body: geodesic attention before both variants", 1.0, True),
-    "frame_ms": Bar("a frame at 2,000 apparel vertices [ms]", 6.0),
+_BARS = {
+    "mask_iou": Bar("apparel found, intersection over union, wardrobe", least=0.9),
+    "mask_iou_files": Bar("the same, files", least=0.45),
+    "pmd_apparel_rest_6s_over_rigid": Bar("PMD_a from rest, 6 s, over parent-rigid skinning", most=0.4),
+    "pmd_apparel_10_frames_over_rigid": Bar("PMD_a, 10 frames from the true state, over the same", most=0.25),
+    "pmd_apparel_10_frames_over_frozen": Bar("the same over the true offset kept", most=0.5),
+    "els_minus_truth": Bar("ELS of apparel, less the truth's", least=-0.02),
+    "drift_60s": Bar("60 s: error of the last second over that of the second one", most=1.2),
+    "inside_over_truth": Bar("apparel deeper than 1 cm in the body, over the truth's", most=1.2),
+    "inside_over_rigid": Bar("the same over rigid apparel's", most=1 / 3),
+    "real_over_rigid": Bar("files: PMD_a over parent-rigid, the worst", most=1.0),
+    "body_attention_first": Bar("body: geodesic attention before both variants", least=1.0),
+    "frame_ms": Bar("a frame at 2,000 apparel vertices [ms]", most=6.0),
 }
+APPAREL_BARS = {key: replace(bar, show=measured_in("", 3), show_limit=figure) for key, bar in _BARS.items()}
 
 
 def evaluate_apparel(
@@ -109,11 +111,7 @@ def evaluate_apparel(
     out["frame_ms"] = frame_milliseconds(min(found, key=_far_from_enough), network)
     table4 = body_table(found[: 4 if quick else 12], bodies)
     out["body_attention_first"] = _attention_first(table4)
-    reached = {
-        key: None if out.get(key) is None or bar.bar is None
-        else bool(out[key] >= bar.bar if bar.high else out[key] <= bar.bar)
-        for key, bar in APPAREL_BARS.items()
-    }  # fmt: skip
+    reached = reached_bars(APPAREL_BARS, out)
     tables = {
         "From rest, 6 s: PMD_a [cm], ELS of apparel, deeper than 1 cm in the body": _rest_table(rows),
         "Ten frames from the true state: PMD_a [cm]": _ten_table(tens),

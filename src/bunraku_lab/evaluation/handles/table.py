@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.handles.predict import predict_handles
 from bunraku.nn.spread import spread
+from bunraku_lab.evaluation.bars import Bar, measured_in, percent, reached_bars
 from bunraku_lab.evaluation.handles.orientation import measure_orientation
 from bunraku_lab.evaluation.handles.subjects import Subject, find_files, load_subject, subject, subject_name
 from bunraku_lab.evaluation.handles.trials import (
@@ -24,7 +24,7 @@ from bunraku_lab.evaluation.handles.trials import (
     resolution_differences,
 )
 
-__all__ = ["BARS", "Bar", "code_made_subjects", "evaluate_handles", "folder_subjects"]
+__all__ = ["BARS", "code_made_subjects", "evaluate_handles", "folder_subjects"]
 
 RESAMPLED = 30
 """Characters on which resolutions are compared, evenly over the list."""
@@ -33,54 +33,39 @@ SPEEDS = {"seconds_5k": 5_000, "seconds_200k": 200_000}
 Load = Callable[[], Subject]
 
 
-@dataclass(frozen=True)
-class Bar:
-    """What a measure should reach.
-
-    Args:
-        title: The measure in words.
-        bar: The value to reach; None for rows that are only shown.
-        high: Whether more is better.
-        seconds: Whether it is a time and not a share.
-    """
-
-    title: str
-    bar: float | None = None
-    high: bool = False
-    seconds: bool = False
-
-    def reached(self, value: float | None) -> bool | None:
-        """Whether a value reaches the bar; None where there is no bar or no value."""
-        if self.bar is None or value is None:
-            return None
-        return value >= self.bar if self.high else value <= self.bar
-
-
 BARS: dict[str, Bar] = {
-    "root_error": Bar("root: first handle to the root joint, over the height", 0.03),
-    "part_purity": Bar("part purity: vertices of a part that share its main handle", 0.9, high=True),
-    "part_purity_detailed": Bar("part purity of detailed people", 0.9, high=True),
-    "same_meaning": Bar("same meaning: named parts whose main handle is the reference body's", 0.9, high=True),
-    "same_meaning_vertices": Bar("  the same, vertex by vertex"),
-    "pose_error": Bar("pose error: random poses, over the height", 0.015),
-    "pose_error_creatures": Bar("pose error of non-humanoids", 0.015),
-    "pose_error_clusters": Bar("  of 30 geodesic k-means clusters"),
-    "pose_error_bone_heat": Bar("  of bone heat on an embedded skeleton"),
-    "pose_error_together": Bar("  of the handles, their motions fitted to one another"),
-    "pose_error_bone_heat_together": Bar("  of bone heat, fitted so"),
-    "resolution_l1": Bar("resolution: L1 difference of weights at 1k, 5k and 50k vertices", 0.05),
-    "rest_pose_agreement": Bar("rest pose: main handle unchanged in A, arms down and sitting", 0.9, high=True),
-    "orientation_creatures": Bar("orientation: non-humanoids set up from all 24", 0.9, high=True),
-    "orientation_humanoids": Bar("  of humanoids"),
-    "orientation_up": Bar("  up alone, of all"),
-    "orientation_front": Bar("  front given up, of all"),
-    "orientation_upright": Bar("orientation: left alone as a glTF that stands", 0.98, high=True),
-    "orientation_warned": Bar("orientation: wrong ones that are called a guess", 1.0, high=True),
-    "top4_error": Bar("top 4: error of four weights a vertex in motion, over the height", 0.001),
-    "stretched_edges": Bar("stretch: edges longer than twice their length in a walk", 0.001),
-    "whole_in_walks": Bar("stretch: characters with no edge over four times its length", 0.95, high=True),
-    "seconds_5k": Bar("speed: 5,000 vertices [s]", 0.3, seconds=True),
-    "seconds_200k": Bar("speed: 200,000 vertices [s]", 4.0, seconds=True),
+    "root_error": Bar("root: first handle to the root joint, over the height", most=0.03, show=percent(2)),
+    "part_purity": Bar("part purity: vertices of a part that share its main handle", least=0.9, show=percent(1)),
+    "part_purity_detailed": Bar("part purity of detailed people", least=0.9, show=percent(1)),
+    "same_meaning": Bar(
+        "same meaning: named parts whose main handle is the reference body's", least=0.9, show=percent(1)
+    ),
+    "same_meaning_vertices": Bar("  the same, vertex by vertex", show=percent(1)),
+    "pose_error": Bar("pose error: random poses, over the height", most=0.015, show=percent(2)),
+    "pose_error_creatures": Bar("pose error of non-humanoids", most=0.015, show=percent(2)),
+    "pose_error_clusters": Bar("  of 30 geodesic k-means clusters", show=percent(2)),
+    "pose_error_bone_heat": Bar("  of bone heat on an embedded skeleton", show=percent(2)),
+    "pose_error_together": Bar("  of the handles, their motions fitted to one another", show=percent(2)),
+    "pose_error_bone_heat_together": Bar("  of bone heat, fitted so", show=percent(2)),
+    "resolution_l1": Bar(
+        "resolution: L1 difference of weights at 1k, 5k and 50k vertices",
+        most=0.05,
+        show=measured_in("", 3),
+    ),
+    "rest_pose_agreement": Bar(
+        "rest pose: main handle unchanged in A, arms down and sitting", least=0.9, show=percent(1)
+    ),
+    "orientation_creatures": Bar("orientation: non-humanoids set up from all 24", least=0.9, show=percent(1)),
+    "orientation_humanoids": Bar("  of humanoids", show=percent(1)),
+    "orientation_up": Bar("  up alone, of all", show=percent(1)),
+    "orientation_front": Bar("  front given up, of all", show=percent(1)),
+    "orientation_upright": Bar("orientation: left alone as a glTF that stands", least=0.98, show=percent(1)),
+    "orientation_warned": Bar("orientation: wrong ones that are called a guess", least=1.0, show=percent(1)),
+    "top4_error": Bar("top 4: error of four weights a vertex in motion, over the height", most=0.001, show=percent(2)),
+    "stretched_edges": Bar("stretch: edges longer than twice their length in a walk", most=0.001, show=percent(2)),
+    "whole_in_walks": Bar("stretch: characters with no edge over four times its length", least=0.95, show=percent(1)),
+    "seconds_5k": Bar("speed: 5,000 vertices [s]", most=0.3, show=measured_in(" s", 2)),
+    "seconds_200k": Bar("speed: 200,000 vertices [s]", most=4.0, show=measured_in(" s", 2)),
 }
 """The measures in the order of the table."""
 
@@ -193,7 +178,7 @@ def evaluate_handles(
         row["resolution_l1"] = float(np.mean(list(row["resolutions"].values())))
         report("resolutions", (number + 1) / len(chosen))
     fine = _detailed(detailed or {}, {row["name"]: row["part_purity"] for row in rows}, predict, left_out, report)
-    result: dict[str, Any] = {key: _mean(rows, key) for key in BARS if not BARS[key].seconds}
+    result: dict[str, Any] = {key: _mean(rows, key) for key in BARS if key not in SPEEDS}
     result["part_purity_detailed"] = float(np.mean(list(fine.values()))) if fine else None
     result["pose_error_creatures"] = _mean((row for row in rows if not row["humanoid"]), "pose_error")
     for number, (key, count) in enumerate(SPEEDS.items()):
@@ -202,7 +187,7 @@ def evaluate_handles(
     parts = [right for row in rows for right in row.get("parts", {}).values()]
     result["same_meaning"] = float(np.mean(parts)) if parts else None
     result["bars"] = {key: bar.bar for key, bar in BARS.items() if bar.bar is not None}
-    result["reached"] = {key: BARS[key].reached(result[key]) for key in result["bars"]}
+    result["reached"] = reached_bars(BARS, result)
     rivals = [result[key] for key in ("pose_error_clusters", "pose_error_bone_heat") if result[key] is not None]
     if rivals and result["reached"]["pose_error"]:
         result["reached"]["pose_error"] = bool(result["pose_error"] < min(rivals))

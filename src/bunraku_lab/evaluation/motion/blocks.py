@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import BunrakuError, OptionError
+from bunraku_lab.evaluation.bars import Bar
 from bunraku_lab.evaluation.motion.samples import Request, checkpoint_digest, make_motions
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
 from bunraku_lab.evaluation.motion.train_extractor import people
@@ -23,7 +23,6 @@ from bunraku_lab.training.diffusion.clip_data import load_clips
 
 __all__ = [
     "BARS",
-    "Bar",
     "add_blocks",
     "arap_block",
     "creature_block",
@@ -51,58 +50,30 @@ FAST_SCRIPT = (
 SEAM_SEEDS = 3
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A figure and the values that it should lie between; without either it is only told.
-
-    Args:
-        key: Its key in the result.
-        title: What it is.
-        least: The lowest value, None for none.
-        most: The highest value, None for none.
-    """
-
-    key: str
-    title: str
-    least: float | None = None
-    most: float | None = None
-
-    @property
-    def limit(self) -> str:
-        """The bar in signs: ">= 0.7", "<= 3", "60..130"; empty without one."""
-        if self.least is None or self.most is None:
-            return f">= {self.least:g}" if self.least is not None else "" if self.most is None else f"<= {self.most:g}"
-        return f"{self.least:g}..{self.most:g}"
-
-    def reached(self, value: float) -> bool:
-        """Whether a figure meets the bar."""
-        return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
-
-
-BARS = (
-    Bar("r_precision_1_over_real", "R-Precision top-1 over that of the real data, one sample of the network", 0.92),
-    Bar("r_precision_1_over_real_pulled", "- one sample that is pulled towards its sentence", 0.92),
-    Bar("r_precision_1_over_real_led", "- one sample that is pulled and starts from an example", 0.92),
-    Bar("r_precision_1_over_real_chosen", "- as `animate` chooses (--best-of 3)", 0.97),
-    Bar("fid_over_tapmo_mdm", "FID over that of TapMo (MDM)", most=0.45),
-    Bar("fid_steps_ratio", "FID of the default sampler over that of the many steps", most=1.1),
-    Bar("fid_real", "FID of the real data (what a perfect generator reaches)"),
-    Bar("fid_real_halves", "FID between two halves of the real clips"),
-    Bar("arap_ratio_seen", "ARAP-Loss with the adaptation over without, seen", most=0.87),
-    Bar("arap_ratio_unseen", "ARAP-Loss with the adaptation over without, unseen", most=0.92),
-    Bar("arap_ratio_learned_seen", "the network's share of that alone, seen"),
-    Bar("arap_ratio_learned_unseen", "the network's share of that alone, unseen"),
-    Bar("handle_fid", "Handle-FID on two bodies"),
-    Bar("foot_sliding_cm", "sliding of a foot that is down [cm a frame]", most=1.0),
-    Bar("foot_sliding_without_cm", "the same without the stage [cm a frame]"),
-    Bar("seam_jump_prompts", "60 s of five prompts: largest frame-to-frame jump over median", most=3.0),
-    Bar("seam_jump_prompts_elsewhere", "the same away from the seams"),
-    Bar("seam_jump_fast", "the same with running and jumping"),
-    Bar("seam_jump_fast_elsewhere", "the same away from the seams"),
-    Bar("creature_accuracy", "actions of creatures told apart", 0.7),
-    Bar("seconds_196", "196 frames from cached text [s]", most=3.0),
-    Bar("seconds_batch8", "the same in a batch of 8, each [s]", most=1.5),
-)
+BARS = {
+    "r_precision_1_over_real": Bar("R-Precision top-1 over that of the real data, one sample of the network", 0.92),
+    "r_precision_1_over_real_pulled": Bar("- one sample that is pulled towards its sentence", 0.92),
+    "r_precision_1_over_real_led": Bar("- one sample that is pulled and starts from an example", 0.92),
+    "r_precision_1_over_real_chosen": Bar("- as `animate` chooses (--best-of 3)", 0.97),
+    "fid_over_tapmo_mdm": Bar("FID over that of TapMo (MDM)", most=0.45),
+    "fid_steps_ratio": Bar("FID of the default sampler over that of the many steps", most=1.1),
+    "fid_real": Bar("FID of the real data (what a perfect generator reaches)"),
+    "fid_real_halves": Bar("FID between two halves of the real clips"),
+    "arap_ratio_seen": Bar("ARAP-Loss with the adaptation over without, seen", most=0.87),
+    "arap_ratio_unseen": Bar("ARAP-Loss with the adaptation over without, unseen", most=0.92),
+    "arap_ratio_learned_seen": Bar("the network's share of that alone, seen"),
+    "arap_ratio_learned_unseen": Bar("the network's share of that alone, unseen"),
+    "handle_fid": Bar("Handle-FID on two bodies"),
+    "foot_sliding_cm": Bar("sliding of a foot that is down [cm a frame]", most=1.0),
+    "foot_sliding_without_cm": Bar("the same without the stage [cm a frame]"),
+    "seam_jump_prompts": Bar("60 s of five prompts: largest frame-to-frame jump over median", most=3.0),
+    "seam_jump_prompts_elsewhere": Bar("the same away from the seams"),
+    "seam_jump_fast": Bar("the same with running and jumping"),
+    "seam_jump_fast_elsewhere": Bar("the same away from the seams"),
+    "creature_accuracy": Bar("actions of creatures told apart", 0.7),
+    "seconds_196": Bar("196 frames from cached text [s]", most=3.0),
+    "seconds_batch8": Bar("the same in a batch of 8, each [s]", most=1.5),
+}
 
 
 def speed_block(config: MotionEvalConfig) -> dict[str, float]:
@@ -164,7 +135,7 @@ def handle_fid_block(config: MotionEvalConfig, count: int, progress: Progress) -
     """Handle-FID of our model's motions, made for each body, and that of the real motions of other windows."""
     from bunraku.body.reference import reference_body
     from bunraku.handles.predict import mesh_feature
-    from bunraku_lab.evaluation.handles.fid import BODIES, body_handles, handle_fid
+    from bunraku_lab.evaluation.motion.handle_fid import BODIES, body_handles, handle_fid
 
     clips, windows = _windows(config, count, 21)
     others = _windows(config, count, 22, clips)[1]
@@ -293,8 +264,8 @@ def add_blocks(result: dict[str, Any], config: MotionEvalConfig, quick: bool, re
         "distortion": lambda: arap_block(config, quick, lambda done: report("distortion", done)),
         "creatures": lambda: creature_block(config, quick, lambda done: report("creatures", done)),
     }
-    for bar in BARS:
-        result.setdefault(bar.key, None)
+    for key in BARS:
+        result.setdefault(key, None)
     for name, block in blocks.items():
         report(name, 0.0)
         try:

@@ -14,7 +14,7 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
-from bunraku_lab.evaluation.motion.viewer.classifier import ActionClassifier, fit_classifier
+from bunraku_lab.evaluation.motion.classifier import ActionClassifier, fit_classifier
 
 __all__ = [
     "CLASSES", "CreatureCase", "creature_accuracy", "load_cases", "main_action", "real_accuracy", "train_classifier",

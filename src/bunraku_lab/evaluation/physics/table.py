@@ -25,10 +25,10 @@ from bunraku.physics.apparel_rig import ApparelRig
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.simulate import simulate
 from bunraku_lab.datasets.apparel.build import body_animation
+from bunraku_lab.evaluation.bars import Bar, measured_in, percent, reached_bars
 from bunraku_lab.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
 from bunraku_lab.evaluation.physics.penetration import deep_share, nearest_joint_vertices, sample_apparel
 from bunraku_lab.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
-from bunraku_lab.evaluation.transfer.table import Bar
 
 __all__ = ["PHYSICS_BARS", "evaluate_physics", "joined", "measure_physics"]
 
@@ -40,12 +40,17 @@ Progress = Callable[[str, float], None]
 _Source = tuple[str, Callable[[], Character]]
 
 PHYSICS_BARS: dict[str, Bar] = {
-    "chain_stretch": Bar("largest stretch of a chain over its rest length", 0.05),
-    "penetration_ratio": Bar("apparel deeper than 1 cm in the body, against rigid motion", 1 / 3),
-    "rest_speed": Bar("mean speed of dynamic bodies after 3 s of rest", 0.01, unit=" m/s"),
-    "fly_away_free": Bar("clips of a minute without a fly-away", 0.99, True),
-    "realtime_factor": Bar("simulated over needed time, one core", 1.0, True, " x"),
-    "deterministic": Bar("the same twice", 1.0, True),
+    "chain_stretch": Bar("largest stretch of a chain over its rest length", most=0.05, show=percent(2)),
+    "penetration_ratio": Bar("apparel deeper than 1 cm in the body, against rigid motion", most=1 / 3, show=percent(2)),
+    "rest_speed": Bar(
+        "mean speed of dynamic bodies after 3 s of rest",
+        most=0.01,
+        show=measured_in(" m/s", 4),
+        show_limit=measured_in(" m/s", 4),
+    ),
+    "fly_away_free": Bar("clips of a minute without a fly-away", least=0.99, show=percent(2)),
+    "realtime_factor": Bar("simulated over needed time, one core", least=1.0, show=measured_in(" x", 1)),
+    "deterministic": Bar("the same twice", least=1.0, show=percent(2)),
 }
 
 
@@ -112,11 +117,7 @@ def evaluate_physics(
         "realtime_factor": min(row["realtime_factor"] for row in rows),
         "deterministic": None if quick else all(row["deterministic"] for row in rows),
     }
-    reached = {
-        key: None if out[key] is None else bool(out[key] >= bar.bar if bar.high else out[key] <= bar.bar)
-        for key, bar in PHYSICS_BARS.items()
-        if bar.bar
-    }
+    reached = reached_bars(PHYSICS_BARS, out)
     return out | {
         "reached": reached,
         "seconds": seconds,

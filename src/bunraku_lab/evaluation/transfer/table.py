@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,54 +13,45 @@ import numpy as np
 
 from bunraku.errors import FormatError
 from bunraku.nn.spread import spread
+from bunraku_lab.evaluation.bars import Bar, reached_bars
 from bunraku_lab.evaluation.transfer.character import Source, facing_character, measure_character
 from bunraku_lab.evaluation.transfer.mmd import measure_soles
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
 from bunraku_lab.evaluation.transfer.speed import MANY, bvh_again, times
 
-__all__ = ["BARS", "KINDS", "Bar", "evaluate_transfer", "pick_motions"]
+__all__ = ["BARS", "KINDS", "evaluate_transfer", "pick_motions"]
 
 KINDS = ("walk", "dance", "kick", "sit", "roll")
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A row of the table.
+def _bar(title: str, unit: str, **limits: float) -> Bar:
+    def show(value: float) -> str:
+        if unit == " m":
+            return f"{1000 * value:.4f} mm"
+        return f"{value:.2f}{unit}" if unit and value >= 0.1 else f"{value:.4f}{unit}" if unit else f"{value:.2%}"
 
-    Args:
-        title: What it measures.
-        bar: What must be reached.
-        high: Whether more is better.
-        unit: After the number.
-    """
-
-    title: str
-    bar: float | None
-    high: bool = False
-    unit: str = ""
+    return Bar(title, **limits, show=show)
 
 
 BARS: dict[str, Bar] = {
-    "finished": Bar("pairs of character and motion that finished", 1.0, True),
-    "angle_rig": Bar("limb directions on rigs, mean", 5.0, unit=" deg"),
-    "angle_handles": Bar("limb directions on handles, mean", 8.0, unit=" deg"),
-    "quadruped_limbs_degrees": Bar("captured animals on four-legged handles: limbs, mean", 15.0, unit=" deg"),
-    "quadruped_ground": Bar("the same: lowest point off the ground, over the height, mean", None),
-    "quadruped_hind_above_back": Bar("the same: frames with a hind foot above the back", 0.0),
-    "back": Bar("a character's clip to the reference body and back, over the height, mean", 0.005),
-    "back_median": Bar("the same, median", None),
-    "back_copied": Bar("a character's clip copied to the same skeleton, over the height", 0.005),
-    "bvh_degrees": Bar("BVH written and read again", 0.01, unit=" deg"),
-    "soles": Bar("VMD with leg IK: soles from where the IK target puts them, where the leg reaches", 0.01, unit=" m"),
-    "soles_reached": Bar("frames in which the leg reaches", None),
-    "soles_beyond": Bar(
-        "other frames: ankles from the place nearest to the target that the leg can reach", None, unit=" m"
-    ),
-    "soles_target": Bar("other frames: ankles from the target itself, largest", None, unit=" m"),
-    "seconds_bvh": Bar("reading a BVH of 2 minutes at 120 Hz", 0.5, unit=" s"),
-    "seconds_rig": Bar("10 s of motion onto the rig of 20k vertices", 1.5, unit=" s"),
-    "seconds_handles": Bar("10 s of motion onto the handles of 20k vertices, handles known", 1.5, unit=" s"),
+    "finished": _bar("pairs of character and motion that finished", "", least=1.0),
+    "angle_rig": _bar("limb directions on rigs, mean", " deg", most=5.0),
+    "angle_handles": _bar("limb directions on handles, mean", " deg", most=8.0),
+    "quadruped_limbs_degrees": _bar("captured animals on four-legged handles: limbs, mean", " deg", most=15.0),
+    "quadruped_ground": _bar("the same: lowest point off the ground, over the height, mean", ""),
+    "quadruped_hind_above_back": _bar("the same: frames with a hind foot above the back", "", most=0.0),
+    "back": _bar("a character's clip to the reference body and back, over the height, mean", "", most=0.005),
+    "back_median": _bar("the same, median", ""),
+    "back_copied": _bar("a character's clip copied to the same skeleton, over the height", "", most=0.005),
+    "bvh_degrees": _bar("BVH written and read again", " deg", most=0.01),
+    "soles": _bar("VMD with leg IK: soles from where the IK target puts them, where the leg reaches", " m", most=0.01),
+    "soles_reached": _bar("frames in which the leg reaches", ""),
+    "soles_beyond": _bar("other frames: ankles from the place nearest to the target that the leg can reach", " m"),
+    "soles_target": _bar("other frames: ankles from the target itself, largest", " m"),
+    "seconds_bvh": _bar("reading a BVH of 2 minutes at 120 Hz", " s", most=0.5),
+    "seconds_rig": _bar("10 s of motion onto the rig of 20k vertices", " s", most=1.5),
+    "seconds_handles": _bar("10 s of motion onto the handles of 20k vertices, handles known", " s", most=1.5),
 }
 
 
@@ -182,10 +172,7 @@ def evaluate_transfer(
         result |= times(None if nearest is None else facing_character(nearest, names[nearest]), sources["walk"].motion)
     else:
         result |= dict.fromkeys(("seconds_bvh", "seconds_rig", "seconds_handles"))
-    known = {key: bar for key, bar in BARS.items() if bar.bar is not None and result[key] is not None}
-    result["reached"] = {
-        key: bool(result[key] >= bar.bar if bar.high else result[key] <= bar.bar) for key, bar in known.items()
-    }
+    result["reached"] = {key: met for key, met in reached_bars(BARS, result).items() if met is not None}
     counts = {
         "characters": len(rows),
         "humanoids": sum(bool(row.get("humanoid")) for row in rows),

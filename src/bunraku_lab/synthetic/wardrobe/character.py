@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku_lab.synthetic.wardrobe.clothes import Outfit, add_clothed_body
 from bunraku_lab.synthetic.wardrobe.colors import random_colors
 from bunraku_lab.synthetic.wardrobe.face import add_face
-from bunraku_lab.synthetic.wardrobe.figure import Figure
+from bunraku_lab.synthetic.wardrobe.kit.clothes import Outfit, add_clothed_body
+from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
+from bunraku_lab.synthetic.wardrobe.kit.model import Costume
+from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID, add_skeleton
 from bunraku_lab.synthetic.wardrobe.makehuman import Closet, makehuman_figure
 from bunraku_lab.synthetic.wardrobe.makehuman import closet as open_closet
-from bunraku_lab.synthetic.wardrobe.model import Costume
 from bunraku_lab.synthetic.wardrobe.people import random_figure
 from bunraku_lab.synthetic.wardrobe.pieces.hair import Scalp, add_hair
 from bunraku_lab.synthetic.wardrobe.pieces.little_pieces import add_little_pieces
 from bunraku_lab.synthetic.wardrobe.pieces.mantles import add_cape, add_coat, add_sleeves
 from bunraku_lab.synthetic.wardrobe.pieces.skirts import add_skirt
 from bunraku_lab.synthetic.wardrobe.pieces.trimmings import add_bow, add_ears, add_scarf, add_tail
-from bunraku_lab.synthetic.wardrobe.skeleton import SOLID, add_skeleton
 
 __all__ = ["wardrobe_character", "wardrobe_costume"]
 

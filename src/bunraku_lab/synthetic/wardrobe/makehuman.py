@@ -13,10 +13,10 @@ from bunraku.errors import FormatError
 from bunraku_lab.synthetic.dressed.shapes import random_body, rest_linear
 from bunraku_lab.synthetic.dressed.wardrobe import Garment, Piece, Wardrobe, Worn
 from bunraku_lab.synthetic.makehuman import MakeHumanBody, pose_points
-from bunraku_lab.synthetic.wardrobe.figure import DRAWN, Figure, J
-from bunraku_lab.synthetic.wardrobe.model import Costume
+from bunraku_lab.synthetic.wardrobe.kit.figure import DRAWN, Figure, J
+from bunraku_lab.synthetic.wardrobe.kit.model import Costume
+from bunraku_lab.synthetic.wardrobe.kit.skeleton import body_weights
 from bunraku_lab.synthetic.wardrobe.people import figure_of, random_kind, random_proportions
-from bunraku_lab.synthetic.wardrobe.skeleton import body_weights
 
 __all__ = ["Closet", "closet", "makehuman_figure"]
 

@@ -14,7 +14,7 @@ from bunraku.body.reference import reference_body
 from bunraku.geometry.normals import vertex_normals
 from bunraku_lab.synthetic.dressed.shapes import rest_linear
 from bunraku_lab.synthetic.makehuman import limb_rotations, pose_points
-from bunraku_lab.synthetic.wardrobe.figure import DRAWN, Figure, J, Skin
+from bunraku_lab.synthetic.wardrobe.kit.figure import DRAWN, Figure, J, Skin
 
 __all__ = ["figure_of", "random_figure", "random_kind", "random_proportions"]
 

@@ -18,7 +18,7 @@ from bunraku.errors import FormatError
 from bunraku.language.actions import actions_of, main_actions
 from bunraku.language.description.track import SIDES, Track
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
-from bunraku_lab.evaluation.motion.viewer.classifier import ActionClassifier, action_features, fit_classifier
+from bunraku_lab.evaluation.motion.classifier import ActionClassifier, action_features, fit_classifier
 
 __all__ = ["SENTENCES", "ActionClip", "action_clips", "by_turns", "captured_classifier", "named", "person_features"]
 

@@ -19,7 +19,7 @@ from bunraku.errors import FormatError
 from bunraku.language.actions import main_actions
 from bunraku.language.description.track import SIDES
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
-from bunraku_lab.evaluation.motion.blocks import Bar
+from bunraku_lab.evaluation.bars import Bar
 from bunraku_lab.evaluation.motion.seams import measure_seams
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
 from bunraku_lab.evaluation.motion.viewer import measures as viewer
@@ -41,24 +41,24 @@ SHORTEST = 20  # frames of a captured clip that is compared with
 
 Make = Callable[[Sequence[tuple[str, float]]], list[HandleMotion]]
 
-VIEWER_BARS = (
-    Bar(
-        "action_accuracy_over_real", "40 actions named by a classifier of captured clips, over the same on those", 0.85
+VIEWER_BARS = {
+    "action_accuracy_over_real": Bar(
+        "40 actions named by a classifier of captured clips, over the same on those", 0.85
     ),
-    Bar("turn_side_degrees", "turns left or right: degrees to that side, median", 60, 130),
-    Bar("turn_side_share", "- share of 45 to 150 degrees to that side", 0.7),
-    Bar("turn_around_degrees", "turns around: degrees, median", 150, 210),
-    Bar("turn_around_share", "- share of 130 to 230 degrees", 0.7),
-    Bar("wave_range_cm", "waves: way of the hand to and fro, median [cm]", 15),
-    Bar("wave_above_5hz", "- share of its velocity's energy above 5 Hz, median", most=0.3),
-    Bar("side_accuracy", "kicks, punches, raises, waves, steps with the side asked for", 0.9),
-    Bar("speed_over_captured", "speed of walks and runs over captured, the farthest from 1", 0.8, 1.2),
-    Bar("jitter_over_real", "third difference over captured, the largest of 8 actions", most=1.5),
-    Bar("float_share", "frames in which nothing carries the body", most=0.05),
-    Bar("sitting_ok", "sits: feet down and pelvis 20 cm lower", 1.0),
-    Bar("heading_drift_60s", "60 s of walking forward: largest change of heading [degrees]", most=30),
-    Bar("seam_jump", "- largest frame-to-frame jump at a seam over median", most=3),
-)
+    "turn_side_degrees": Bar("turns left or right: degrees to that side, median", 60, 130),
+    "turn_side_share": Bar("- share of 45 to 150 degrees to that side", 0.7),
+    "turn_around_degrees": Bar("turns around: degrees, median", 150, 210),
+    "turn_around_share": Bar("- share of 130 to 230 degrees", 0.7),
+    "wave_range_cm": Bar("waves: way of the hand to and fro, median [cm]", 15),
+    "wave_above_5hz": Bar("- share of its velocity's energy above 5 Hz, median", most=0.3),
+    "side_accuracy": Bar("kicks, punches, raises, waves, steps with the side asked for", 0.9),
+    "speed_over_captured": Bar("speed of walks and runs over captured, the farthest from 1", 0.8, 1.2),
+    "jitter_over_real": Bar("third difference over captured, the largest of 8 actions", most=1.5),
+    "float_share": Bar("frames in which nothing carries the body", most=0.05),
+    "sitting_ok": Bar("sits: feet down and pelvis 20 cm lower", 1.0),
+    "heading_drift_60s": Bar("60 s of walking forward: largest change of heading [degrees]", most=30),
+    "seam_jump": Bar("- largest frame-to-frame jump at a seam over median", most=3),
+}
 SIDE_PROMPTS = {
     "kick": ("a person kicks with the {} leg", "someone kicks with their {} foot"),
     "punch": ("a person punches with the {} hand", "someone throws a punch with the {} hand"),

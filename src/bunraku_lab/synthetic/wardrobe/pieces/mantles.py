@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku_lab.synthetic.wardrobe.chains import Hang, add_chains, band_start
-from bunraku_lab.synthetic.wardrobe.clothes import collar_field
-from bunraku_lab.synthetic.wardrobe.figure import Figure
-from bunraku_lab.synthetic.wardrobe.model import Costume
+from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains, band_start
+from bunraku_lab.synthetic.wardrobe.kit.clothes import collar_field
+from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
+from bunraku_lab.synthetic.wardrobe.kit.model import Costume
+from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID, body_weights
+from bunraku_lab.synthetic.wardrobe.kit.surfaces import sheet_faces, unit
 from bunraku_lab.synthetic.wardrobe.pieces.skirts import Drape, hanging_rings
-from bunraku_lab.synthetic.wardrobe.skeleton import SOLID, body_weights
-from bunraku_lab.synthetic.wardrobe.surfaces import sheet_faces, unit
 
 __all__ = ["add_cape", "add_coat", "add_sleeves"]
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.core.mmd_model import MmdBody, MmdBone, MmdIk, MmdIkLink
-from bunraku_lab.synthetic.wardrobe.figure import Figure, J
-from bunraku_lab.synthetic.wardrobe.model import Costume, bone_frame
+from bunraku_lab.synthetic.wardrobe.kit.figure import Figure, J
+from bunraku_lab.synthetic.wardrobe.kit.model import Costume, bone_frame
 
 __all__ = ["ARMS", "HEAD", "LEGS", "SOLID", "TRUNK", "add_skeleton", "body_weights", "capsule_of"]
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bunraku_lab.synthetic.wardrobe.figure import Figure, Skin
-from bunraku_lab.synthetic.wardrobe.model import Costume
-from bunraku_lab.synthetic.wardrobe.skeleton import body_weights
+from bunraku_lab.synthetic.wardrobe.kit.figure import Figure, Skin
+from bunraku_lab.synthetic.wardrobe.kit.model import Costume
+from bunraku_lab.synthetic.wardrobe.kit.skeleton import body_weights
 
 __all__ = ["Outfit", "add_clothed_body", "collar_field"]
 
