@@ -217,8 +217,8 @@ def build_motions(
         }
         if name in watched:
             motion, bottom = load_clip(out / f"{name}.npz"), load_lowest(out / f"{name}.npz")
-            source = source_of(name)
-            moves = between_held_poses(motion) if source is not None and source.holds_ends else None
+            origin = source_of(name)
+            moves = between_held_poses(motion) if origin is not None and origin.holds_ends else None
             entries[name]["stretches"] = [checked(stretch, motion, bottom, moves) for stretch in watched[name]]
             report("checking captions", (i + 1) / len(archive.names))
     return write_index(out, entries)

@@ -25,13 +25,13 @@ KINDS = ("walk", "dance", "kick", "sit", "roll")
 Progress = Callable[[str, float], None]
 
 
-def _bar(title: str, unit: str, **limits: float) -> Bar:
+def _bar(title: str, unit: str, least: float | None = None, most: float | None = None) -> Bar:
     def show(value: float) -> str:
         if unit == " m":
             return f"{1000 * value:.4f} mm"
         return f"{value:.2f}{unit}" if unit and value >= 0.1 else f"{value:.4f}{unit}" if unit else f"{value:.2%}"
 
-    return Bar(title, **limits, show=show)
+    return Bar(title, least, most, show)
 
 
 BARS: dict[str, Bar] = {

@@ -99,7 +99,6 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
             raise OptionError("there are no characters or no poses to train on; build the data first")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
         self.poses, self.held_poses = poses, poses if held_poses is None else held_poses
-        self.rng = np.random.default_rng(config.seed)
         self.set_up(lambda: BodyNetwork(config.network))
 
     @staticmethod

@@ -109,7 +109,6 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
         held_out: Sequence[BankCharacter] = (),
     ):
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
-        self.rng = np.random.default_rng(config.seed)
         self.set_up(lambda: DisplacementNetwork(config.network), self._units)
 
     def _units(self, model: DisplacementNetwork) -> None:

@@ -133,7 +133,6 @@ class RefinementTrainer(AveragedRun[RefinementNetwork]):
         if not characters:
             raise OptionError("there are no characters to train on; build more of `bunraku data apparel`")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
-        self.rng = np.random.default_rng(config.seed)
         self.set_up(lambda: RefinementNetwork(config.network))
 
     def losses(self, model: RefinementNetwork, sample: SeamSample, frame: int) -> torch.Tensor:

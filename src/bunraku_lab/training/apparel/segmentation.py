@@ -66,7 +66,6 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
         if not characters:
             raise OptionError("there are no characters to train on; ask for more with --characters")
         self.config, self.characters, self.held_out = config, list(characters), list(held_out)
-        self.rng = np.random.default_rng(config.seed)
         self.set_up(lambda: SegmentationNetwork(config.network), self._units)
 
     def _units(self, model: SegmentationNetwork) -> None:

@@ -82,7 +82,6 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
             raise OptionError("there are no characters to train on; build the cache first")
         self.config = config
         self.characters, self.held_out, self.reference = list(characters), list(held_out), list(reference)
-        self.rng = np.random.default_rng(config.seed)
         self.temperature = 1.0
         self.set_up(lambda: OrientationPredictor(config.predictor).to(config.device))
         folders = [c.name.rpartition("/")[0] for c in self.characters]

@@ -55,7 +55,7 @@ class AveragedRun(Generic[Network]):
     flush: ClassVar[bool] = False
     """Whether numbers next to nothing are taken as 0, which is faster where moments of the optimiser become such."""
     config: Any
-    rng: np.random.Generator | None = None
+    rng: np.random.Generator
     held_out: Sequence[Any] = ()
 
     def __init__(self, out: Path, model: Network, average: Network, optimizer: torch.optim.Optimizer):
@@ -78,6 +78,7 @@ class AveragedRun(Generic[Network]):
         """
         config = self.config
         torch.manual_seed(config.seed)
+        self.rng = np.random.default_rng(config.seed)
         model, average = make(), make()
         prepare(model)
         adam = torch.optim.AdamW(model.parameters(), lr=config.rate, betas=betas, weight_decay=config.weight_decay)
@@ -142,11 +143,11 @@ class AveragedRun(Generic[Network]):
 
     def extras(self) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
         """What the state has besides networks and time: values, and generators of torch."""
-        return ({} if self.rng is None else {"rng": self.rng.bit_generator.state}), {}
+        return {"rng": self.rng.bit_generator.state}, {}
 
     def take_extras(self, state: TrainingState) -> None:
         """Go on with what `extras` said."""
-        if self.rng is not None:
+        if "rng" in state.values:
             self.rng.bit_generator.state = state.values["rng"]
 
     def save_state(
