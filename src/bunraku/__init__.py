@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from bunraku.pipelines.animate import animate, generate, rig
     from bunraku.pipelines.edit import edit
     from bunraku.pipelines.transfer import transfer
-    from bunraku.retarget.fit import Stages
+    from bunraku.retarget.stages.switches import Stages
     from bunraku.samples import sample_character
 
 __version__ = "0.1.0"
@@ -90,7 +90,7 @@ _HOME = {
     "RigAnimation": "bunraku.core.rig_animation",
     "SkeletalMotion": "bunraku.core.motion",
     "Skeleton": "bunraku.core.motion",
-    "Stages": "bunraku.retarget.fit",
+    "Stages": "bunraku.retarget.stages.switches",
     "animate": "bunraku.pipelines.animate",
     "edit": "bunraku.pipelines.edit",
     "generate": "bunraku.pipelines.animate",

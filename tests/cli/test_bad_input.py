@@ -81,7 +81,7 @@ def test_missing_file_and_folder(fails, tmp_path):
         (["-o", "out.dae"], "'.dae' cannot be written here; end the name in .glb"),
         (["-o", "out"], "a file without a suffix"),
         (["--preview", "out.avi"], ".mp4"),
-        (["--without", "magic"], "there are rest-pose, attach, ground"),
+        (["--without", "magic"], "there are smooth, gait, rest-pose"),
     ],
 )
 def test_bad_option_of_animate(fails, good, monkeypatch, tmp_path, options, reason):

@@ -7,7 +7,8 @@ import pytest
 from gltf_files import CUBE_FACES
 from scipy.spatial.transform import Rotation
 
-from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.anatomy.bending import move_feet
 from bunraku.anatomy.decimate import decimated
 from bunraku.anatomy.joints import find_joints, reference_joints
 from bunraku.anatomy.legs import find_arms, find_legs, foot_points
@@ -19,11 +20,10 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.geometry.areas import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.from_mesh import handle_motion_of_body
-from bunraku.retarget.stages.bending import move_feet
-from bunraku.retarget.stages.feet import find_contacts, lock_feet
+from bunraku.retarget.stages.feet import Feet
 from bunraku.retarget.stages.floor import enough
-from bunraku.retarget.stages.ground import settle_hovering
-from bunraku.retarget.stages.smooth import smooth
+from bunraku.retarget.stages.ground import Ground
+from bunraku.retarget.stages.smooth import Smooth
 
 LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 
@@ -175,42 +175,35 @@ def test_no_shift_changes_nothing_and_a_straight_leg_is_not_stretched(person):
 
 
 def test_a_path_that_disagrees_with_standing_feet_is_corrected(person):
-    character, handles, joints, legs = person
     motion = still(40)
     path = np.linspace(0, 1, 40)[:, None] * [0.5, 0, 0.8]  # slides at half a metre a second
-    slid, contacts = lock_feet(replace(motion, root_translation=path), character, handles, joints, legs, 0.0)
+    slid, contacts = Feet().locked(replace(motion, root_translation=path), reference_anatomy())
     assert contacts.stands.min() > 0.9
     way = np.linalg.norm(np.diff(soles(slid, person)[0][:, :, [0, 2]], axis=0), axis=-1)
     assert way.mean() < 0.002 < 0.02 < np.linalg.norm(np.diff(path, axis=0), axis=1).mean()
 
 
 def test_one_foot_that_stands_keeps_the_body_while_the_other_swings(person):
-    character, handles, joints, legs = person
     motion = posed(30, left_hip=-40 + 40 * np.cos(np.linspace(0, 4 * np.pi, 30)), left_knee=60)
-    after, contacts = lock_feet(motion, character, handles, joints, legs, 0.0)
+    after, contacts = Feet().locked(motion, reference_anatomy())
     assert contacts.stands[:, 0].mean() < 0.2 < 0.9 < contacts.stands[:, 1].mean()
     assert np.abs(after.root_translation - motion.root_translation).max() < 0.01
     np.testing.assert_allclose(soles(after, person)[0], soles(motion, person)[0], atol=0.04)
 
 
-def test_nobody_stands_on_the_feet_when_kneeling(person):
-    character, handles, _, legs = person
+def test_nobody_stands_on_the_feet_when_kneeling():
     motion = posed(20, left_knee=100, right_knee=100)
-    contacts, missing = find_contacts(
+    contacts, missing = Feet().contacts(
         replace(motion, root_translation=motion.root_translation + np.arange(20)[:, None] * [0, 0, 0.01]),
-        character,
-        handles,
-        legs,
-        0.0,
+        reference_anatomy(),
     )
     assert contacts.stands.max() == 0
     assert np.abs(missing).max() < 1e-9
 
 
-def test_in_the_air_nothing_is_corrected(person):
-    character, handles, joints, legs = person
+def test_in_the_air_nothing_is_corrected():
     flying = replace(still(20), root_translation=np.linspace(0, 1, 20)[:, None] * [0, 0, 2] + [0, 0.5, 0])
-    after, _ = lock_feet(flying, character, handles, joints, legs, 0.0)
+    after, _ = Feet().locked(flying, reference_anatomy())
     np.testing.assert_allclose(after.root_translation, flying.root_translation, atol=1e-6)
 
 
@@ -272,14 +265,14 @@ def test_jitter_goes_and_hits_stay():
 
     elbow = HANDLE_NAMES.index("right_elbow")
     dirty = noisy(clean, 0.001)
-    assert shake(smooth(dirty), LEFT) < 0.5 * shake(dirty, LEFT)
+    assert shake(Smooth().smoothed(dirty), LEFT) < 0.5 * shake(dirty, LEFT)
 
     def speed(motion):
         return np.abs(np.diff(motion.rotations[:, elbow].astype(float), axis=0)).max()
 
-    assert speed(smooth(dirty)) > 0.95 * speed(clean)
+    assert speed(Smooth().smoothed(dirty)) > 0.95 * speed(clean)
     np.testing.assert_allclose(
-        smooth(clean).rotations, clean.rotations, atol=1e-5
+        Smooth().smoothed(clean).rotations, clean.rotations, atol=1e-5
     )  # without noise there is none to take out
 
 
@@ -309,9 +302,6 @@ def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
 
 
 def test_what_hovers_is_set_down_and_what_jumps_or_flies_is_not():
-    body = reference_body()
-    character, handles = body.character(), body.handles
-    stands = character.surface
     frames = 100
     height = np.full(frames, 0.06)
     height[40:50] += 0.3 * np.sin(np.linspace(0, np.pi, 10))
@@ -319,12 +309,12 @@ def test_what_hovers_is_set_down_and_what_jumps_or_flies_is_not():
     path[:, 1] = height
     still = np.tile(np.eye(3), (frames, 30, 1, 1))
     motion = HandleMotion(np.zeros((frames, 30, 3)), still, path, np.tile(np.eye(3), (frames, 1, 1)), 20.0)
-    settled = settle_hovering(motion, character, handles, stands).root_translation[:, 1]
+    settled = Ground().settled(motion, reference_anatomy()).root_translation[:, 1]
     assert np.abs(np.delete(settled, np.arange(40, 50))).max() < 0.01
     assert settled[40:50].max() == pytest.approx(0.3, abs=0.03)
     flying = replace(motion, root_translation=path + [0, 0.5, 0])
     np.testing.assert_allclose(
-        settle_hovering(flying, character, handles, stands).root_translation[:, 1], height + 0.5, atol=1e-6
+        Ground().settled(flying, reference_anatomy()).root_translation[:, 1], height + 0.5, atol=1e-6
     )
-    grounded = settle_hovering(flying, character, handles, stands, flies=False).root_translation[:, 1]
+    grounded = Ground().settled(flying, reference_anatomy(), flies=False).root_translation[:, 1]
     assert np.abs(np.delete(grounded, np.arange(40, 50))).max() < 0.01

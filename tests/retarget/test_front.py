@@ -11,7 +11,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.front import SINK, raised_front
+from bunraku.retarget.stages.front import Front
 from bunraku.samples import sample_character
 
 FRAMES = 41
@@ -45,14 +45,14 @@ def head_heights(dog, motion: HandleMotion, rotations: np.ndarray) -> np.ndarray
 def test_a_head_that_would_sink_is_kept_above_the_ground(dog):
     motion = bowed(np.radians(150))
     before = head_heights(dog, motion, motion.rotations)
-    moved, rotations = raised_front(motion, motion.rotations, dog.character, dog.handles, dog.joints)
+    moved, rotations = Front().raised(motion, motion.rotations, dog.anatomy)
     after = head_heights(dog, moved, rotations)
-    assert before.min() < -0.1 and after.min() > -SINK - 0.01
+    assert before.min() < -0.1 and after.min() > -Front().sink - 0.01
     assert after.min() < 0.6 * after.max()  # it still bows
     np.testing.assert_allclose(rotations[[0, -1]], motion.rotations[[0, -1]], atol=1e-3)
 
 
 def test_a_head_above_the_ground_is_left_alone(dog):
     motion = bowed(np.radians(20))
-    moved, rotations = raised_front(motion, motion.rotations, dog.character, dog.handles, dog.joints)
+    moved, rotations = Front().raised(motion, motion.rotations, dog.anatomy)
     assert moved is motion and rotations is motion.rotations

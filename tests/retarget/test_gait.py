@@ -10,7 +10,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.retarget.stages.gait import leg_phases, step_cycle, stepping
+from bunraku.retarget.stages.gait import Gait
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 FPS = 20.0
@@ -46,20 +46,20 @@ def walk(cycle: float, frames: int = 120, both: float = 0.0) -> HandleMotion:
 
 @pytest.mark.parametrize("cycle", [0.6, 1.0, 2.0])
 def test_the_cycle_is_that_of_left_against_right(cycle):
-    assert step_cycle(walk(cycle)) == pytest.approx(cycle, abs=0.5 / FPS)
-    assert step_cycle(walk(cycle, both=1.0)) == 0  # a hop is no step
-    assert step_cycle(walk(1.0, frames=4)) == 0
+    assert Gait().cycle(walk(cycle)) == pytest.approx(cycle, abs=0.5 / FPS)
+    assert Gait().cycle(walk(cycle, both=1.0)) == 0  # a hop is no step
+    assert Gait().cycle(walk(1.0, frames=4)) == 0
 
 
 def test_six_legs_stand_on_tripods_and_slow_ones_lift_one_after_the_other():
-    fast, slow = leg_phases(legs(3), 0.8), leg_phases(legs(3), 2.0)
+    fast, slow = Gait().phases(legs(3), 0.8), Gait().phases(legs(3), 2.0)
     assert [fast[H[name]] for name in SPARE["left"]] == [0.5, 0.0]
     assert [slow[H[name]] for name in SPARE["right"]] == pytest.approx([1 / 3, 2 / 3])
 
 
 def test_a_further_leg_is_half_a_cycle_behind():
     handles, motion = legs(2), walk(1.0)
-    turned = axis_angle_from_matrix(stepping(motion, handles))[..., 0]
+    turned = axis_angle_from_matrix(Gait().stepping(motion, handles))[..., 0]
     first, second = turned[:, H["left_hip"]], turned[:, H["left_wing"]]
     assert second == pytest.approx(-first, abs=0.02)  # of a sine, half a cycle later
     assert turned[:, H["right_wing"]] == pytest.approx(first, abs=0.02)
@@ -67,7 +67,7 @@ def test_a_further_leg_is_half_a_cycle_behind():
 
 def test_what_is_done_together_stays_so():
     handles, motion = legs(2), walk(1.0, both=1.0)
-    turned = stepping(motion, handles)
+    turned = Gait().stepping(motion, handles)
     assert np.array_equal(turned[:, H["left_wing"]], turned[:, H["left_hip"]])
     plain = Handles(handles.positions, handles.weights)
-    assert np.array_equal(stepping(walk(1.0), plain), walk(1.0).rotations.astype(np.float64))
+    assert np.array_equal(Gait().stepping(walk(1.0), plain), walk(1.0).rotations.astype(np.float64))

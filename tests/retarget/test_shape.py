@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.optimize import minimize
 
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin_reference
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.retarget.stages import shape as edge_lengths
-from bunraku.retarget.stages.shape import keep_edges
+from bunraku.retarget.stages.shape import Shape
 
 
 def _bar(smooth: bool = True) -> tuple[Character, Handles]:
@@ -58,22 +56,19 @@ def _stretch(character: Character, handles: Handles, rotations: np.ndarray, tran
 def test_the_mesh_is_stretched_less_and_the_root_stays() -> None:
     character, handles = _bar()
     rotations, translations = _pose()
-    moved = keep_edges(rotations, translations, character, handles, 1.0)
+    moved = Shape().moves(rotations, translations, character, handles, 1.0)
     before, after = (_stretch(character, handles, rotations, some) for some in (translations, translations + moved))
     assert (after[1:] < 0.8 * before[1:]).all()
     assert not moved[:, 0].any()
-    assert np.linalg.norm(moved, axis=-1).max() <= edge_lengths.LONGEST * (1 + 1e-6)
+    assert np.linalg.norm(moved, axis=-1).max() <= Shape().longest * (1 + 1e-6)
 
 
-def test_it_is_the_least_squares_solution(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(edge_lengths, "STEPS", 30)
-    monkeypatch.setattr(edge_lengths, "LONGEST", 1.0)
-    monkeypatch.setattr(edge_lengths, "STRIDE", 1)
+def test_it_is_the_least_squares_solution() -> None:
     character, handles = _bar()
     rotations, translations = (values[3:4] for values in _pose())
-    moved = keep_edges(rotations, translations, character, handles, 1.0)
+    moved = Shape(steps=30, longest=1.0, stride=1).moves(rotations, translations, character, handles, 1.0)
     loss = float(_stretch(character, handles, rotations, translations)[0])
-    weight = edge_lengths.STRENGTH / (loss + edge_lengths.CALM)
+    weight = Shape().strength / (loss + Shape().calm)
 
     def objective(unknown: np.ndarray) -> float:
         delta = np.concatenate([np.zeros(3), unknown]).reshape(1, 3, 3)
@@ -90,17 +85,17 @@ def test_what_moves_as_one_is_left_alone() -> None:
     turn = np.tile(matrix_from_axis_angle(np.array([0.3, 0.2, 0.9])), (4, 3, 1, 1))
     pivots = handles.positions - np.einsum("kij,kj->ki", turn[0], handles.positions)
     translations = np.tile(-pivots, (4, 1, 1))  # one rigid turn about the origin
-    assert np.abs(keep_edges(turn, translations, character, handles, 1.0)).max() < 1e-5
+    assert np.abs(Shape().moves(turn, translations, character, handles, 1.0)).max() < 1e-5
 
 
 def test_handles_with_hard_borders_and_one_frame() -> None:
     character, handles = _bar(smooth=False)
     rotations, translations = (values[-1:] for values in _pose())
-    moved = keep_edges(rotations, translations, character, handles, 1.0)
+    moved = Shape().moves(rotations, translations, character, handles, 1.0)
     assert moved.shape == (1, 3, 3) and np.isfinite(moved).all() and moved[0, 1:].any()
 
 
 def test_one_handle_for_all_has_nothing_to_keep() -> None:
     character, handles = _bar()
     alone = Handles(handles.positions, np.tile([0.0, 1, 0], (len(character.vertices), 1)))
-    assert not keep_edges(*_pose(), character, alone, 1.0).any()
+    assert not Shape().moves(*_pose(), character, alone, 1.0).any()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import attach_joints
 from bunraku.anatomy.legs import find_legs, foot_points
 from bunraku.body.layout import HANDLE_NAMES
@@ -12,7 +13,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.support import LONG, keep_support, unsupported
+from bunraku.retarget.stages.support import Support
 from bunraku.samples import sample_character
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
@@ -56,11 +57,8 @@ def low(dog, motion, front: bool):
 
 def kept(dog, motion):
     character, handles, joints = dog
-    legs = find_legs(character, handles, joints)
-    floor = float(character.vertices[:, 1].min())
-    return keep_support(motion, character, handles, joints, legs, floor), unsupported(
-        motion, character, handles, legs, floor
-    )
+    anatomy = Anatomy.of(character, handles, (np.tile(np.eye(3), (len(HANDLE_NAMES), 1, 1)), joints))
+    return Support().kept(motion, anatomy), Support().unsupported(motion, anatomy)
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.5])
@@ -78,7 +76,7 @@ def test_folded_legs_are_put_down(dog, heading, part):
 
 
 def test_a_leap_a_blow_and_rearing_up_are_meant(dog):
-    for motion in (folded(dog, LONG - 0.1), folded(dog, 2.0, pitch=0.6)):
+    for motion in (folded(dog, Support().long - 0.1), folded(dog, 2.0, pitch=0.6)):
         done, wanting = kept(dog, motion)
         assert not wanting.any() and done is motion
 

@@ -14,7 +14,7 @@ from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.tail import HIGHEST, lowered_tail, raised_tail
+from bunraku.retarget.stages.tail import Tail, TailClear
 from bunraku.samples import sample_character
 
 FPS, FRAMES = 20.0, 60
@@ -46,7 +46,7 @@ def lifted(angles: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("rest", "raised", "expected"),
     [
-        (0.0, 80, np.degrees(HIGHEST)),  # a rat's, as a horse's is raised in a gallop
+        (0.0, 80, np.degrees(Tail().highest)),  # a rat's, as a horse's is raised in a gallop
         (-np.radians(70), 80, 10),  # the horse's own
         (np.radians(60), 80, 60),  # curled up at rest
         (0.0, 15, 15),
@@ -55,22 +55,22 @@ def lifted(angles: np.ndarray) -> np.ndarray:
 )
 def test_a_tail_is_held_no_higher_than_it_rests_or_streams(rest, raised, expected):
     handles, joints = body(rest)
-    found = lowered_tail(lifted(np.full(FRAMES, np.radians(raised))), handles, joints, FPS)
+    found = Tail().lowered(lifted(np.full(FRAMES, np.radians(raised))), handles, joints, FPS)
     np.testing.assert_allclose(np.degrees(pitch(found, rest)), expected, atol=1e-6)
 
 
 def test_a_tail_still_wags():
     handles, joints = body(0.0)
     swing = 0.3 * np.sin(2 * np.pi * 2 * np.arange(FRAMES) / FPS)
-    found = pitch(lowered_tail(lifted(np.radians(80) + swing), handles, joints, FPS), 0.0)
-    assert found[10:50].mean() == pytest.approx(HIGHEST, abs=0.03)
+    found = pitch(Tail().lowered(lifted(np.radians(80) + swing), handles, joints, FPS), 0.0)
+    assert found[10:50].mean() == pytest.approx(Tail().highest, abs=0.03)
     assert np.ptp(found[10:50]) == pytest.approx(np.ptp(swing), rel=0.05)
 
 
 def test_what_is_not_held_up_stays_bit_for_bit():
     handles, joints = body(0.0)
     rotations = lifted(np.zeros(FRAMES))
-    assert lowered_tail(rotations, handles, joints, FPS) is rotations
+    assert Tail().lowered(rotations, handles, joints, FPS) is rotations
 
 
 def test_a_tail_is_turned_up_where_it_would_sink():
@@ -80,13 +80,13 @@ def test_a_tail_is_turned_up_where_it_would_sink():
         np.tile(np.eye(3), (FRAMES, 1, 1)), FPS,
     )  # fmt: skip
     floor = float(dog.character.vertices[:, 1].min())
-    assert raised_tail(motion, dog.character, dog.handles, dog.joints, floor) is motion
+    assert TailClear().raised(motion, dog.anatomy) is motion
     hangs = matrix_from_axis_angle(-1.4 * np.sin(np.linspace(0, np.pi, FRAMES))[:, None] * np.array([1.0, 0, 0]))
     path, rotations = np.zeros((FRAMES, 3)), motion.rotations.copy()
     path[:, 1], rotations[:, [TAIL, TIP]] = -0.55 * dog.character.height, hangs[:, None]
     motion = replace(motion, rotations=rotations, root_translation=path)
     motion = attached(motion, dog)
-    raised = raised_tail(motion, dog.character, dog.handles, dog.joints, floor)
+    raised = TailClear().raised(motion, dog.anatomy)
     held = dog.handles.weights[:, [TAIL, TIP]].sum(axis=1) > 0.9
     low = [
         Animation(dog.character, dog.handles, one).vertices()[:, held, 1].min(axis=1) - floor

@@ -8,7 +8,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.feet import find_contacts
+from bunraku.retarget.stages.feet import Feet
 
 __all__ = ["is_treadmill"]
 
@@ -26,8 +26,7 @@ def is_treadmill(motion: HandleMotion) -> bool:
     """
     if len(motion) < 8:
         return False
-    body = reference_anatomy()
-    missing = find_contacts(motion, body.mesh, body.handles, body.legs, float(body.mesh.vertices[:, 1].min()))[1]
+    missing = Feet().contacts(motion, reference_anatomy())[1]
     slide = float(np.linalg.norm(missing, axis=1).mean() * motion.fps)
     path = np.diff(motion.root_translation[:, [0, 2]], axis=0)
     speed = float(np.linalg.norm(path, axis=1).mean() * motion.fps)

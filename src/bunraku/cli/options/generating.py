@@ -51,9 +51,6 @@ class GeneratingOptions:
     has none.
     """
     without: WithoutOption = ()
-    """Leave out a stage that fits the motion to the character: rest-pose, attach, shape, ground, feet, smooth or floor.
-    May be repeated.
-    """
 
     anyway: bool = False
     """Go on where no movement of the sentence is understood; the network then makes some motion."""

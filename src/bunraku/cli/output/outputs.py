@@ -16,10 +16,10 @@ from bunraku.cli.output.ledger import check_free, note_written
 from bunraku.cli.output.progress import Report
 from bunraku.cli.output.report import wrote
 from bunraku.errors import OptionError
+from bunraku.retarget.stages.switches import Stages
 
 if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
-    from bunraku.retarget.fit import Stages
 
 __all__ = [
     "PREVIEWS",
@@ -51,7 +51,15 @@ OUTPUTS = (
 
 OutputOption = Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction]
 PreviewOption = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction]
-WithoutOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE"), tyro.conf.UseAppendAction]
+_STAGES = tuple(field.name.replace("_", "-") for field in fields(Stages))
+WithoutOption = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(
+        metavar="STAGE",
+        help=f"Leave out a stage that fits the motion to the character: {', '.join(_STAGES)}. May be repeated.",
+    ),
+    tyro.conf.UseAppendAction,
+]
 
 
 def check_outputs(
@@ -125,14 +133,9 @@ def save_all(
 
 def check_stages(without: tuple[str, ...]) -> None:
     """Raise OptionError unless all these are names of stages."""
-    if not without:
-        return
-    from bunraku.retarget.fit import Stages
-
-    known = [field.name.replace("_", "-") for field in fields(Stages)]
     for name in without:
-        if name not in known:
-            raise OptionError(f"--without names no stage '{name}'; there are {', '.join(known)}")
+        if name not in _STAGES:
+            raise OptionError(f"--without names no stage '{name}'; there are {', '.join(_STAGES)}")
 
 
 def fitting_stages(without: tuple[str, ...], shape: bool = False) -> Stages | None:
@@ -140,6 +143,4 @@ def fitting_stages(without: tuple[str, ...], shape: bool = False) -> Stages | No
     check_stages(without)
     if not without:
         return None
-    from bunraku.retarget.fit import Stages
-
     return replace(Stages(shape=shape), **{name.replace("-", "_"): False for name in without})

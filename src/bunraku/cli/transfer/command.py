@@ -69,8 +69,6 @@ class Transfer:
     fps: float = 30.0
     """Frames a second of the result, 1 to 120."""
     without: WithoutOption = ()
-    """Leave out a stage: rest-pose, attach, shape, ground, feet, smooth, floor or hands. May be given more than once.
-    """
     up: AxisOption = "auto"
     """The axis that is up in the characters' files."""
     front: AxisOption = "auto"

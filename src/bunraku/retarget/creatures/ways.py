@@ -22,8 +22,8 @@ from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.creatures.lying import laid
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.stages.ground import FLIES, hovering
-from bunraku.retarget.stages.tail import lowered_tail
+from bunraku.retarget.stages.ground import Ground
+from bunraku.retarget.stages.tail import Tail
 
 __all__ = ["HOVER", "in_air", "moved_so", "wing_swing"]
 
@@ -108,10 +108,11 @@ def _grounded(motion: HandleMotion, way: str, frames: np.ndarray, anatomy: Anato
     motion = _tail_lowered(motion, share, anatomy)
     fitted = fit_motion(motion, anatomy, BARE)
     hovers = share * gaussian_filter1d(
-        hovering(fitted, anatomy.mesh, anatomy.mesh_handles, anatomy.stands, AIR[way]),
+        Ground().hovering(fitted, anatomy, AIR[way]),
         AIR[way] / 3 * motion.fps, mode="nearest",
     )  # fmt: skip
-    if hovers.max() < (FLIES[0] if way == "stay" else LEAST) * anatomy.mesh.height:  # `fit_motion` sets it down
+    least = Ground().flies[0] if way == "stay" else LEAST  # what `fit_motion` sets down
+    if hovers.max() < least * anatomy.mesh.height:
         return motion
     path = motion.root_translation.astype(np.float64)
     path[:, 1] -= hovers / anatomy.scale
@@ -122,7 +123,7 @@ def _tail_lowered(motion: HandleMotion, share: np.ndarray, anatomy: Anatomy) -> 
     handles, joints = anatomy.handles, anatomy.joints
     own = joints.present & (handles.played == np.arange(len(handles.positions)))
     before = motion.rotations.astype(np.float64)
-    after = lowered_tail(before, handles, replace(joints, present=own), motion.fps, motion.root_rotation)
+    after = Tail().lowered(before, handles, replace(joints, present=own), motion.fps, motion.root_rotation)
     if after is before:
         return motion
     turn = axis_angle_from_matrix(after @ before.transpose(0, 1, 3, 2))

@@ -14,51 +14,19 @@ cancelled, and the correction's own acceleration and size are small.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from bunraku.anatomy.joints import Joints
-from bunraku.anatomy.legs import Leg, foot_points
-from bunraku.core.character import Character, Handles
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.bending import move_feet
+from bunraku.anatomy.legs import foot_points
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
-from bunraku.retarget.stages.bending import move_feet
+from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
 
-__all__ = ["Contacts", "add_bending", "find_contacts", "foot_motion", "lock_feet"]
-
-LOW, HIGH = 0.05, 0.08  # height of a foot that comes to stand, and of one that no longer does, over the leg's length
-SLOW, FAST = 0.5, 1.0  # likewise its speed along the ground, in leg lengths a second
-ROLL = 0.012  # points of a sole so much higher than its lowest, over the leg's length, count half for where it is
-SHORT = 3  # pairs of frames: shorter contacts are none, and shorter gaps between them are closed
-# a foot that is so much faster than the slowest that stands, in leg lengths a second, counts half for the path
-APART = 0.25
-HURRY = 2.0  # likewise one that is so fast itself
-ROUNDS = (
-    6  # the path's correction and the contacts, which need one another, are found in turns; contacts from the middle on
-)
-SITS, KNEELS = (
-    0.25,
-    0.35,
-)  # who has a hip, or a knee, lower than this share of the leg from there on does not stand on it
-MOST = 0.15  # how far a foot is moved at the most, over the leg's length; what slides farther means to
-FREE, ROOT_SMOOTH = 0.05, 2.0  # the path's correction: its size and its change from step to step, over a foot's slide
-HOLD, PULL = 100.0, 0.05  # a foot's offset: its slide, and its size while it does not stand, over its acceleration
-
-
-@dataclass(frozen=True, eq=False)
-class Contacts:
-    """How feet move along the ground, from each frame to the next.
-
-    Args:
-        steps: How far the lowest part of each sole moves along x and z [m], shape (N - 1, L, 2).
-        heights: Its height over the ground, mean of the two frames [m], shape (N - 1, L).
-        stands: How much the foot stands, 0 to 1, shape (N - 1, L).
-    """
-
-    steps: np.ndarray
-    heights: np.ndarray
-    stands: np.ndarray
+__all__ = ["Feet", "add_bending", "foot_motion"]
 
 
 def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarray, np.ndarray]:
@@ -78,87 +46,185 @@ def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarr
     return steps, lowest - floor
 
 
-def find_contacts(
-    motion: HandleMotion, character: Character, handles: Handles, legs: list[Leg], floor: float
-) -> tuple[Contacts, np.ndarray]:
-    """The contacts of a motion, and the root's steps that are missing for standing feet to stay where they are in the
-    mean.
+@dataclass(frozen=True)
+class Feet(Stage):
+    """Standing feet do not slide.
 
-    A foot on which nobody can stand, because its knee or hip is near the ground as in crawling, kneeling and sitting,
-    has no contacts.
+
+    The root's path and then the legs make up for what they would slide.
 
     Args:
-        motion: Of the character.
-        character: In its rest pose.
-        handles: Its handles.
-        legs: Its legs, L.
-        floor: Height of the ground [m].
-
-    Returns:
-        Contacts with steps that are still without the correction, and the correction along x and z of each step [m],
-        shape (N - 1, 2).
+        low: Height of a foot that comes to stand, over the leg's length.
+        high: Height of one that no longer does.
+        slow: Speed along the ground of a foot that comes to stand, in leg lengths a second.
+        fast: Speed of one that no longer does.
+        roll: Points of a sole so much higher than its lowest, over the leg's length, count half for where it is.
+        short: Shorter contacts are none, and shorter gaps between them are closed [pairs of frames].
+        apart: A foot that is so much faster than the slowest that stands counts half for the path.
+        hurry: Likewise one that is so fast itself, in leg lengths a second.
+        rounds: The path's correction and the contacts, which need one another, are found in turns; contacts from the
+            middle on.
+        sits: Who has a hip lower than this share of the leg from there on does not stand on it.
+        kneels: Likewise a knee.
+        most: How far a foot is moved at the most, over the leg's length; what slides farther means to.
+        free: Weight of the size of the path's correction, over a foot's slide.
+        root_smooth: Weight of its change from step to step.
+        hold: Weight of a standing foot's slide, over the acceleration of its offset.
+        pull: Weight of the offset's size while the foot does not stand.
     """
-    world = motion.transforms(handles.positions)
-    steps, heights, raised = [], [], []
-    for leg in legs:
-        step, height = foot_motion(foot_points(leg, character, handles, world), floor, ROLL * leg.length)
-        steps.append(step)
-        heights.append(height)
-        up = np.ones(len(step), bool)
-        for handle, joint, least in zip((leg.upper, leg.lower), leg.joints[:2], (SITS, KNEELS), strict=True):
-            height = world[:, handle, 1, :3] @ joint + world[:, handle, 1, 3] - floor
-            up &= 0.5 * (height[1:] + height[:-1]) > least * leg.reach(joint)
-        raised.append(up)
-    step, height, standing = np.stack(steps, axis=1), np.stack(heights, axis=1), np.stack(raised, axis=1)
-    lengths = np.array([leg.length for leg in legs])
-    unit = motion.fps / lengths
-    share = height / lengths
-    trust = np.exp(-((np.maximum(share, 0) / LOW) ** 2)) * standing
-    missing = np.zeros((len(step), 2))
-    for number in range(ROUNDS):
-        speed = np.linalg.norm(step + missing[:, None], axis=-1) * unit
-        if number >= ROUNDS // 2:
-            enters, stays = (share < LOW) & (speed < SLOW) & standing, (share < HIGH) & (speed < FAST) & standing
-            trust = (
-                np.stack([_held(enters[:, leg], stays[:, leg]) for leg in range(len(legs))], axis=1)
-                * smooth_step(speed, FAST, SLOW)
-                * smooth_step(share, HIGH, LOW)
+
+    name: ClassVar[str] = "feet"
+
+    low: float = 0.05
+    high: float = 0.08
+    slow: float = 0.5
+    fast: float = 1.0
+    roll: float = 0.012
+    short: int = 3
+    apart: float = 0.25
+    hurry: float = 2.0
+    rounds: int = 6
+    sits: float = 0.25
+    kneels: float = 0.35
+    most: float = 0.15
+    free: float = 0.05
+    root_smooth: float = 2.0
+    hold: float = 100.0
+    pull: float = 0.05
+
+    def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
+        return bool(anatomy.legs) and len(fitting.source) > 2
+
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        motion, contacts = self.locked(fitting.motion, anatomy)
+        return replace(fitting.moved(motion), contacts=contacts)
+
+    def contacts(self, motion: HandleMotion, anatomy: Anatomy) -> tuple[Contacts, np.ndarray]:
+        """The contacts of a motion, and the root's steps that are missing for standing feet to stay where they are in
+        the mean.
+
+        A foot on which nobody can stand, because its knee or hip is near the ground as in crawling, kneeling and
+        sitting, has no contacts.
+
+        Args:
+            motion: Of the character.
+            anatomy: Of the character, with L legs.
+
+        Returns:
+            Contacts with steps that are still without the correction, and the correction along x and z of each step
+            [m], shape (N - 1, 2).
+        """
+        character, handles, legs, floor = anatomy.mesh, anatomy.mesh_handles, anatomy.legs, anatomy.floor
+        world = motion.transforms(handles.positions)
+        steps, heights, raised = [], [], []
+        for leg in legs:
+            step, height = foot_motion(foot_points(leg, character, handles, world), floor, self.roll * leg.length)
+            steps.append(step)
+            heights.append(height)
+            up = np.ones(len(step), bool)
+            for handle, joint, least in zip(
+                (leg.upper, leg.lower), leg.joints[:2], (self.sits, self.kneels), strict=True
+            ):
+                height = world[:, handle, 1, :3] @ joint + world[:, handle, 1, 3] - floor
+                up &= 0.5 * (height[1:] + height[:-1]) > least * leg.reach(joint)
+            raised.append(up)
+        step, height, standing = np.stack(steps, axis=1), np.stack(heights, axis=1), np.stack(raised, axis=1)
+        lengths = np.array([leg.length for leg in legs])
+        unit = motion.fps / lengths
+        share = height / lengths
+        trust = np.exp(-((np.maximum(share, 0) / self.low) ** 2)) * standing
+        missing = np.zeros((len(step), 2))
+        for number in range(self.rounds):
+            speed = np.linalg.norm(step + missing[:, None], axis=-1) * unit
+            if number >= self.rounds // 2:
+                enters, stays = (
+                    (share < self.low) & (speed < self.slow) & standing,
+                    (share < self.high) & (speed < self.fast) & standing,
+                )
+                trust = (
+                    np.stack([self._held(enters[:, leg], stays[:, leg]) for leg in range(len(legs))], axis=1)
+                    * smooth_step(speed, self.fast, self.slow)
+                    * smooth_step(share, self.high, self.low)
+                )
+            slowest = np.take_along_axis(step, (speed + self.hurry * (1 - trust)).argmin(axis=1)[:, None, None], axis=1)
+            beside = np.linalg.norm(step - slowest, axis=-1) * unit
+            missing = self._root_steps(step, trust / (1 + (beside / self.apart) ** 4) / (1 + (speed / self.hurry) ** 2))
+        return Contacts(step, height, trust), missing
+
+    def _held(self, enters: np.ndarray, stays: np.ndarray) -> np.ndarray:
+        """Where a foot stands, shape (n,), bool: from where it enters until it no longer stays, forwards and backwards
+        in time.
+        """
+        label = np.cumsum(np.diff(stays.astype(int), prepend=0) == 1) * stays
+        held = np.isin(label, np.unique(label[enters & stays])) & stays
+        for value in (False, True):
+            self._drop_short(held, value)
+        return held
+
+    def _drop_short(self, held: np.ndarray, value: bool) -> None:
+        """Flip runs of a value that are short, in place; not those at the clip's ends."""
+        edges = np.flatnonzero(np.diff(held.astype(int))) + 1
+        for start, end in zip(edges[:-1], edges[1:], strict=True):
+            if held[start] == value and end - start < self.short:
+                held[start:end] = not value
+
+    def _root_steps(self, steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
+        """Steps of the root that cancel those of standing feet, smooth in time, shape (N - 1, 2)."""
+        total = trust.sum(axis=1)
+        count = len(steps)
+        band = np.zeros((2, count))
+        band[1] = total + self.free
+        band[1, :-1] += self.root_smooth
+        band[1, 1:] += self.root_smooth
+        band[0, 1:] = -self.root_smooth
+        return np.asarray(solveh_banded(band, -np.einsum("nl,nli->ni", trust, steps)))
+
+    def _offsets(self, steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
+        """Offsets of one foot that cancel its steps where it stands, smooth and small elsewhere, shape (N, 2).
+
+        Args:
+            steps: Shape (N - 1, 2).
+            trust: How much it stands, shape (N - 1,).
+        """
+        count = len(steps) + 1
+        band = np.zeros((3, count))
+        free = np.ones(count)
+        free[:-1] -= 0.5 * trust
+        free[1:] -= 0.5 * trust
+        band[2] = self.pull * free + 1e-4
+        held = self.hold * trust
+        band[2, :-1] += held
+        band[2, 1:] += held
+        band[1, 1:] -= held
+        add_bending(band)
+        right = np.zeros((count, 2))
+        right[:-1] += held[:, None] * steps
+        right[1:] -= held[:, None] * steps
+        return np.asarray(solveh_banded(band, right))
+
+    def locked(self, motion: HandleMotion, anatomy: Anatomy) -> tuple[HandleMotion, Contacts | None]:
+        """The motion with standing feet held in place, and its contacts; None of who has no legs.
+
+        Args:
+            motion: Of the character, on the ground.
+            anatomy: Of the character, with L legs.
+        """
+        legs = anatomy.legs
+        if not legs or len(motion) < 3:
+            return motion, None
+        contacts, missing = self.contacts(motion, anatomy)
+        path = motion.root_translation.astype(np.float64)
+        path[1:, [0, 2]] += np.cumsum(missing, axis=0)
+        motion = replace(motion, root_translation=path)
+        shifts = np.zeros((len(motion), len(legs), 3))
+        for number, leg in enumerate(legs):
+            offsets, most = (
+                self._offsets(contacts.steps[:, number] + missing, contacts.stands[:, number]),
+                self.most * leg.length,
             )
-        slowest = np.take_along_axis(step, (speed + HURRY * (1 - trust)).argmin(axis=1)[:, None, None], axis=1)
-        beside = np.linalg.norm(step - slowest, axis=-1) * unit
-        missing = _root_steps(step, trust / (1 + (beside / APART) ** 4) / (1 + (speed / HURRY) ** 2))
-    return Contacts(step, height, trust), missing
-
-
-def _held(enters: np.ndarray, stays: np.ndarray) -> np.ndarray:
-    """Where a foot stands, shape (n,), bool: from where it enters until it no longer stays, forwards and backwards in
-    time.
-    """
-    label = np.cumsum(np.diff(stays.astype(int), prepend=0) == 1) * stays
-    held = np.isin(label, np.unique(label[enters & stays])) & stays
-    for value in (False, True):
-        _drop_short(held, value)
-    return held
-
-
-def _drop_short(held: np.ndarray, value: bool) -> None:
-    """Flip runs of a value that are short, in place; not those at the clip's ends."""
-    edges = np.flatnonzero(np.diff(held.astype(int))) + 1
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
-        if held[start] == value and end - start < SHORT:
-            held[start:end] = not value
-
-
-def _root_steps(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
-    """Steps of the root that cancel those of standing feet, smooth in time, shape (N - 1, 2)."""
-    total = trust.sum(axis=1)
-    count = len(steps)
-    band = np.zeros((2, count))
-    band[1] = total + FREE
-    band[1, :-1] += ROOT_SMOOTH
-    band[1, 1:] += ROOT_SMOOTH
-    band[0, 1:] = -ROOT_SMOOTH
-    return np.asarray(solveh_banded(band, -np.einsum("nl,nli->ni", trust, steps)))
+            away = np.linalg.norm(offsets, axis=1, keepdims=True) / most
+            shifts[:, number][:, [0, 2]] = offsets * np.tanh(away) / np.maximum(away, 1e-9)
+        return move_feet(motion, anatomy.handles, anatomy.joints, legs, shifts), contacts
 
 
 def add_bending(band: np.ndarray) -> None:
@@ -171,54 +237,3 @@ def add_bending(band: np.ndarray) -> None:
     band[1, 1 : count - 1] -= 2
     band[1, 2:count] -= 2
     band[0, 2:] += 1
-
-
-def _offsets(steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
-    """Offsets of one foot that cancel its steps where it stands, smooth and small elsewhere, shape (N, 2).
-
-    Args:
-        steps: Shape (N - 1, 2).
-        trust: How much it stands, shape (N - 1,).
-    """
-    count = len(steps) + 1
-    band = np.zeros((3, count))
-    free = np.ones(count)
-    free[:-1] -= 0.5 * trust
-    free[1:] -= 0.5 * trust
-    band[2] = PULL * free + 1e-4
-    held = HOLD * trust
-    band[2, :-1] += held
-    band[2, 1:] += held
-    band[1, 1:] -= held
-    add_bending(band)
-    right = np.zeros((count, 2))
-    right[:-1] += held[:, None] * steps
-    right[1:] -= held[:, None] * steps
-    return np.asarray(solveh_banded(band, right))
-
-
-def lock_feet(
-    motion: HandleMotion, character: Character, handles: Handles, joints: Joints, legs: list[Leg], floor: float
-) -> tuple[HandleMotion, Contacts | None]:
-    """The motion with standing feet held in place, and its contacts; None of who has no legs.
-
-    Args:
-        motion: Of the character, on the ground.
-        character: In its rest pose.
-        handles: Its handles.
-        joints: Where they meet.
-        legs: Its legs, L.
-        floor: Height of the ground [m].
-    """
-    if not legs or len(motion) < 3:
-        return motion, None
-    contacts, missing = find_contacts(motion, character, handles, legs, floor)
-    path = motion.root_translation.astype(np.float64)
-    path[1:, [0, 2]] += np.cumsum(missing, axis=0)
-    motion = replace(motion, root_translation=path)
-    shifts = np.zeros((len(motion), len(legs), 3))
-    for number, leg in enumerate(legs):
-        offsets, most = _offsets(contacts.steps[:, number] + missing, contacts.stands[:, number]), MOST * leg.length
-        away = np.linalg.norm(offsets, axis=1, keepdims=True) / most
-        shifts[:, number][:, [0, 2]] = offsets * np.tanh(away) / np.maximum(away, 1e-9)
-    return move_feet(motion, handles, joints, legs, shifts), contacts

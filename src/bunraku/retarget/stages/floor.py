@@ -7,27 +7,23 @@ smooth in time and never less than what is needed.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.ndimage import convolve1d, maximum_filter1d
 
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.bending import move_feet
 from bunraku.anatomy.ground import lowest
-from bunraku.anatomy.joints import Joints
 from bunraku.anatomy.legs import Leg, foot_points
-from bunraku.core.character import Character, Handles
+from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.bending import move_feet
-from bunraku.retarget.stages.feet import Contacts, add_bending
+from bunraku.retarget.stages.feet import add_bending
+from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
 
-__all__ = ["enough", "settle_on_floor"]
-
-HAND = 0.45  # how far from the wrist a hand reaches, over the arm's length; farther out is what it holds
-DEPTH = 0.002  # what sinks less than this share of the height is left as it is
-SPREAD = 0.15  # how long before and after it is needed a lift begins and ends [s]
-LOWERED = 0.08  # how far a standing foot that floats is put down at the most, over the leg's length
-HOLD, PULL = 10.0, 0.05  # heights of standing feet, and of others, over the acceleration of their correction
+__all__ = ["Floor", "enough"]
 
 
 def enough(need: np.ndarray, reach: int) -> np.ndarray:
@@ -50,91 +46,108 @@ def _lifted(motion: HandleMotion, lift: np.ndarray) -> HandleMotion:
     return replace(motion, root_translation=path)
 
 
-def _foot_lifts(heights: np.ndarray, trust: np.ndarray, most: float, depth: float, reach: int) -> np.ndarray:
-    """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands, out of it where it does
-    not.
+@dataclass(frozen=True)
+class Floor(Stage):
+    """Nothing sinks into the ground, and feet that stand are on it.
+
 
     Args:
-        heights: Of its lowest point over the ground [m], shape (N,).
-        trust: How much it stands, shape (N,).
-        most: How far it is put down at the most [m].
-        depth: What may sink [m].
-        reach: How many frames before and after it is needed a lift begins and ends.
+        hand: How far from the wrist a hand reaches, over the arm's length; farther out is what it holds.
+        depth: What sinks less than this share of the height is left as it is.
+        spread: How long before and after it is needed a lift begins and ends [s].
+        lowered: How far a standing foot that floats is put down at the most, over the leg's length.
+        hold: Weight of the heights of standing feet, over the acceleration of their correction.
+        pull: Weight of the heights of other feet.
     """
-    goal = np.maximum(-heights, -most)
-    band = np.zeros((3, len(heights)))
-    band[2] = HOLD * trust + PULL * (1 - trust) + 1e-4
-    add_bending(band)
-    lifts = solveh_banded(band, HOLD * trust * goal)
-    return np.asarray(lifts + enough(np.maximum(-(heights + lifts) - depth, 0), reach))
 
+    name: ClassVar[str] = "floor"
 
-def _solid(character: Character, handles: Handles, arms: list[Leg], stands: np.ndarray) -> np.ndarray:
-    """Vertices that must not sink, shape (V,), bool: what the character stands on, its arms and its hands, but not what
-    they hold.
-    """
-    out = stands.copy()
-    for arm in arms:
-        out |= character.surface & (handles.weights[:, [arm.upper, arm.lower]].sum(axis=1) > 0.5)
-        out[_held(character, arm, True)] = True
-    return out
+    hand: float = 0.45
+    depth: float = 0.002
+    spread: float = 0.15
+    lowered: float = 0.08
+    hold: float = 10.0
+    pull: float = 0.05
 
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        return fitting.moved(self.settled(fitting.motion, anatomy, fitting.contacts))
 
-def _held(character: Character, arm: Leg, near: bool) -> np.ndarray:
-    """Vertices of a hand that are near its wrist, or those that are not and so what it holds, shape (n,)."""
-    away = np.linalg.norm(character.vertices[arm.foot_area] - arm.joints[2], axis=1)
-    return np.asarray(arm.foot_area[(away < HAND * arm.length) == near])
+    def _foot_lifts(self, heights: np.ndarray, trust: np.ndarray, most: float, depth: float, reach: int) -> np.ndarray:
+        """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands, out of it where it
+        does not.
 
+        Args:
+            heights: Of its lowest point over the ground [m], shape (N,).
+            trust: How much it stands, shape (N,).
+            most: How far it is put down at the most [m].
+            depth: What may sink [m].
+            reach: How many frames before and after it is needed a lift begins and ends.
+        """
+        goal = np.maximum(-heights, -most)
+        band = np.zeros((3, len(heights)))
+        band[2] = self.hold * trust + self.pull * (1 - trust) + 1e-4
+        add_bending(band)
+        lifts = solveh_banded(band, self.hold * trust * goal)
+        return np.asarray(lifts + enough(np.maximum(-(heights + lifts) - depth, 0), reach))
 
-def settle_on_floor(
-    motion: HandleMotion,
-    character: Character,
-    handles: Handles,
-    joints: Joints,
-    legs: list[Leg],
-    arms: list[Leg],
-    contacts: Contacts | None,
-    stands: np.ndarray,
-    floor: float,
-) -> HandleMotion:
-    """The motion with nothing below the ground, and standing feet on it.
+    def _solid(self, anatomy: Anatomy) -> np.ndarray:
+        """Vertices that must not sink, shape (V,), bool: what the character stands on, its arms and its hands, but not
+        what they hold.
+        """
+        character, handles, out = anatomy.mesh, anatomy.mesh_handles, anatomy.stands.copy()
+        for arm in anatomy.arms:
+            out |= character.surface & (handles.weights[:, [arm.upper, arm.lower]].sum(axis=1) > 0.5)
+            out[self._held(character, arm, True)] = True
+        return out
 
-    Args:
-        motion: Of the character.
-        character: In its rest pose.
-        handles: Its handles.
-        joints: Where they meet.
-        legs: Its legs, L.
-        arms: Its arms.
-        contacts: Of its feet; None where they are not known.
-        stands: What may stand on the ground, shape (V,), bool. Arms and hands, but not what they hold, must not sink
-            either.
-        floor: Height of the ground [m].
-    """
-    depth, reach = DEPTH * character.height, max(1, round(SPREAD * motion.fps))
-    solid = _solid(character, handles, arms, stands)
-    limbs = [*legs, *(replace(arm, sole=np.intersect1d(arm.sole, _held(character, arm, True))) for arm in arms)]
-    limbs = [limb for limb in limbs if len(limb.sole)]
+    def _held(self, character: Character, arm: Leg, near: bool) -> np.ndarray:
+        """Vertices of a hand that are near its wrist, or those that are not and so what it holds, shape (n,)."""
+        away = np.linalg.norm(character.vertices[arm.foot_area] - arm.joints[2], axis=1)
+        return np.asarray(arm.foot_area[(away < self.hand * arm.length) == near])
 
-    def need(some: np.ndarray) -> np.ndarray:
-        if not some.any():
-            return np.zeros(len(motion))
-        return np.maximum(
-            floor - depth - lowest(character.vertices[some], handles.weights[some], motion, handles.positions), 0
-        )
+    def settled(
+        self,
+        motion: HandleMotion,
+        anatomy: Anatomy,
+        contacts: Contacts | None,
+    ) -> HandleMotion:
+        """The motion with nothing below the ground, and standing feet on it.
 
-    ends = np.zeros(len(character.vertices), bool)
-    for limb in limbs:
-        ends[limb.foot_area] = True
-    motion = _lifted(motion, enough(need(solid & ~ends), reach))
-    if limbs and len(motion) > 2:
-        shifts, transforms = np.zeros((len(motion), len(limbs), 3)), motion.transforms(handles.positions)
-        for number, limb in enumerate(limbs):
-            heights = foot_points(limb, character, handles, transforms)[..., 1].min(axis=1) - floor
-            trust = np.zeros(len(motion))
-            if contacts is not None and number < len(legs):
-                held = contacts.stands[:, number]
-                trust[0], trust[-1], trust[1:-1] = held[0], held[-1], np.maximum(held[1:], held[:-1])
-            shifts[:, number, 1] = _foot_lifts(heights, trust, LOWERED * limb.length, depth, reach)
-        motion = move_feet(motion, handles, joints, limbs, shifts)
-    return _lifted(motion, enough(need(solid), reach))
+        Args:
+            motion: Of the character.
+            anatomy: Of the character. What may stand on the ground, arms and hands must not sink, but what hands hold
+                may.
+            contacts: Of its feet; None where they are not known.
+        """
+        character, handles, legs, arms = anatomy.mesh, anatomy.mesh_handles, anatomy.legs, anatomy.arms
+        floor = anatomy.floor
+        depth, reach = self.depth * character.height, max(1, round(self.spread * motion.fps))
+        solid = self._solid(anatomy)
+        limbs = [
+            *legs,
+            *(replace(arm, sole=np.intersect1d(arm.sole, self._held(character, arm, True))) for arm in arms),
+        ]
+        limbs = [limb for limb in limbs if len(limb.sole)]
+
+        def need(some: np.ndarray) -> np.ndarray:
+            if not some.any():
+                return np.zeros(len(motion))
+            return np.maximum(
+                floor - depth - lowest(character.vertices[some], handles.weights[some], motion, handles.positions), 0
+            )
+
+        ends = np.zeros(len(character.vertices), bool)
+        for limb in limbs:
+            ends[limb.foot_area] = True
+        motion = _lifted(motion, enough(need(solid & ~ends), reach))
+        if limbs and len(motion) > 2:
+            shifts, transforms = np.zeros((len(motion), len(limbs), 3)), motion.transforms(handles.positions)
+            for number, limb in enumerate(limbs):
+                heights = foot_points(limb, character, handles, transforms)[..., 1].min(axis=1) - floor
+                trust = np.zeros(len(motion))
+                if contacts is not None and number < len(legs):
+                    held = contacts.stands[:, number]
+                    trust[0], trust[-1], trust[1:-1] = held[0], held[-1], np.maximum(held[1:], held[:-1])
+                shifts[:, number, 1] = self._foot_lifts(heights, trust, self.lowered * limb.length, depth, reach)
+            motion = move_feet(motion, handles, anatomy.joints, limbs, shifts)
+        return _lifted(motion, enough(need(solid), reach))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.bending import carry, local_motion, move_feet
 from bunraku.anatomy.joints import Joints
 from bunraku.anatomy.legs import Leg
 from bunraku.body.layout import HANDLE_NAMES
@@ -22,7 +23,6 @@ from bunraku.core.motion import HandleMotion
 from bunraku.errors import OptionError
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.retarget.stages.bending import carry, local_motion, move_feet
 
 __all__ = ["PINNED", "LimbEnd", "Pin", "end_places", "limb_ends", "meet_pins"]
 

@@ -9,61 +9,106 @@ small least-squares problem of each frame on its own.
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.character import Character, Handles
 from bunraku.core.skinning import handle_offsets
 from bunraku.geometry.resampling import Resampling
+from bunraku.retarget.stages.stage import Fitting, Stage
 
-__all__ = ["keep_edges"]
-
-LOOKED_AT = 20_000
-EDGES = 600
-"""Edges among which those are found that can change, and how many of them count: samples, where a mesh has more."""
-STRENGTH = 0.2
-"""How much the squared changes of length count beside the squared move of the handles [m^2 of the reference body]."""
-CALM = 0.15
-"""ARAP-Loss that a character may have before the strength is taken back, so that one that distorts a lot by nature is
-not pulled about.
-"""
-LONGEST = 0.04
-"""No handle is moved farther [m of the reference body]."""
-STEPS = 2
-STRIDE = 2
-"""Every so many frames are solved; the moves between them are blended."""
-CHUNK = 32
+__all__ = ["Shape"]
 
 
-def keep_edges(
-    rotations: np.ndarray, translations: np.ndarray, character: Character, handles: Handles, scale: float
-) -> np.ndarray:
-    """What to add to local translations so that the mesh is stretched less, shape (N, K, 3) [m]; the root's share is
-    zero.
+@dataclass(frozen=True)
+class Shape(Stage):
+    """Handles move a little where that keeps the mesh's edges at their lengths.
+
 
     Args:
-        rotations: Local rotations of the handles, shape (N, K, 3, 3).
-        translations: Their local translations [m], shape (N, K, 3).
-        character: The character.
-        handles: Its handles.
-        scale: The character's size over the reference body's.
+        looked_at: Edges among which those are found that can change: a sample, where a mesh has more.
+        edges: How many of them count.
+        strength: How much the squared changes of length count beside the squared move of the handles [m^2 of the
+            reference body].
+        calm: ARAP-Loss that a character may have before the strength is taken back, so that one that distorts a lot by
+            nature is not pulled about.
+        longest: No handle is moved farther [m of the reference body].
+        steps: Gauss-Newton steps.
+        stride: Every so many frames are solved; the moves between them are blended.
+        chunk: Frames that are solved at once.
     """
-    system = _System.of(character, handles)
-    if system is None:
-        return np.zeros(translations.shape)
-    frames = np.append(np.arange(0, len(translations) - 1, STRIDE), len(translations) - 1)
-    parts = [frames[start : start + CHUNK] for start in range(0, len(frames), CHUNK)]
-    with _libraries().limit(
-        limits=1, user_api="blas"
-    ):  # small products: where a core is busy, threads would wait for each other
-        moved = np.concatenate(
-            [system.solved(rotations[part], translations[part], handles.positions, scale) for part in parts]
+
+    name: ClassVar[str] = "shape"
+    asked: ClassVar[bool] = True
+
+    looked_at: int = 20_000
+    edges: int = 600
+    strength: float = 0.2
+    calm: float = 0.15
+    longest: float = 0.04
+    steps: int = 2
+    stride: int = 2
+    chunk: int = 32
+
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        moves = self.moves(fitting.rotations, fitting.translations, anatomy.character, anatomy.handles, anatomy.scale)
+        return replace(fitting, translations=fitting.translations + moves)
+
+    def moves(
+        self, rotations: np.ndarray, translations: np.ndarray, character: Character, handles: Handles, scale: float
+    ) -> np.ndarray:
+        """What to add to local translations so that the mesh is stretched less, shape (N, K, 3) [m]; the root's share
+        is zero.
+
+        Args:
+            rotations: Local rotations of the handles, shape (N, K, 3, 3).
+            translations: Their local translations [m], shape (N, K, 3).
+            character: The character.
+            handles: Its handles.
+            scale: The character's size over the reference body's.
+        """
+        system = _System.of(character, handles, self)
+        if system is None:
+            return np.zeros(translations.shape)
+        frames = np.append(np.arange(0, len(translations) - 1, self.stride), len(translations) - 1)
+        parts = [frames[start : start + self.chunk] for start in range(0, len(frames), self.chunk)]
+        with _libraries().limit(
+            limits=1, user_api="blas"
+        ):  # small products: where a core is busy, threads would wait for each other
+            moved = np.concatenate(
+                [system.solved(rotations[part], translations[part], handles.positions, scale) for part in parts]
+            )
+        at = np.interp(np.arange(len(translations)), frames, np.arange(len(frames)))
+        low = at.astype(int)
+        high = np.minimum(low + 1, len(frames) - 1)
+        return Resampling(low, high, at - low).linear(moved.astype(float))
+
+    def some_edges(self, character: Character) -> tuple[np.ndarray, int]:
+        """At most `looked_at` edges, and how many there are; edges at the same place count once.
+
+        They are drawn by a hash of the place of their middle, so neither seams nor the order of vertices and faces make
+        a difference.
+        """
+        edges = character.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        edges = edges[edges[:, 0] != edges[:, 1]]
+        used = character.vertices[character.surface]
+        fine = 2**13 / float(
+            np.ptp(used, axis=0).max()
+        )  # coarse enough that rounding of coordinates hardly ever matters
+        middle = (character.vertices[edges[:, 0]] + character.vertices[edges[:, 1]]) / 2 - used.min(axis=0)
+        middle = np.floor(middle * fine + 0.37).astype(np.int64).astype(np.uint64)
+        place = (middle * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(
+            axis=1, dtype=np.uint64
         )
-    at = np.interp(np.arange(len(translations)), frames, np.arange(len(frames)))
-    low = at.astype(int)
-    high = np.minimum(low + 1, len(frames) - 1)
-    return Resampling(low, high, at - low).linear(moved.astype(float))
+        place ^= place >> np.uint64(29)  # as in the finishing steps of splitmix64
+        place *= np.uint64(0xBF58476D1CE4E5B9)
+        place ^= place >> np.uint64(32)
+        first = np.unique(place, return_index=True)[1]
+        return edges[first[: self.looked_at]], len(first)
 
 
 @functools.cache
@@ -75,7 +120,8 @@ def _libraries() -> ThreadpoolController:
 class _System:
     """Sampled edges of a character."""
 
-    def __init__(self, ends: np.ndarray, weights: np.ndarray, share: float, size: float):
+    def __init__(self, stage: Shape, ends: np.ndarray, weights: np.ndarray, share: float, size: float):
+        self.stage = stage
         self.apart = weights[:, 0] - weights[:, 1]  # (S, K)
         moments = weights[..., None] * ends[:, :, None]
         self.moments = (moments[:, 0] - moments[:, 1]).reshape(len(ends), -1)  # (S, 3K)
@@ -84,17 +130,21 @@ class _System:
         self.slope = self.apart / size
 
     @classmethod
-    def of(cls, character: Character, handles: Handles) -> _System | None:
+    def of(cls, character: Character, handles: Handles, stage: Shape) -> _System | None:
         """The edges whose ends are moved differently, None where there are none."""
-        edges, count = _some_edges(character)
+        edges, count = stage.some_edges(character)
         apart = np.abs(handles.weights[edges[:, 0]] - handles.weights[edges[:, 1]]).sum(axis=1) > 1e-3
         total = count * apart.mean()
-        edges = edges[apart][:EDGES]
+        edges = edges[apart][: stage.edges]
         if not len(edges):
             return None
         size = float(np.ptp(character.vertices[character.surface], axis=0).max())
         return cls(
-            character.vertices[edges].astype(float), handles.weights[edges].astype(float), total / len(edges), size
+            stage,
+            character.vertices[edges].astype(float),
+            handles.weights[edges].astype(float),
+            total / len(edges),
+            size,
         )
 
     def solved(
@@ -109,41 +159,19 @@ class _System:
         moved = np.zeros((frames, handles, 3), np.float32)
         slope, weight = self.slope.astype(np.float32), None
         eye = np.eye(3 * handles) / scale**2
-        for _ in range(STEPS):
+        for _ in range(self.stage.steps):
             edges = base + slope @ moved
             length = np.sqrt(np.square(edges).sum(-1) + 1e-12)
             change = length - self.rest.astype(np.float32)
             if weight is None:
                 loss = np.square(change).sum(-1).mean() * self.share
-                weight = STRENGTH / (loss + CALM) * self.share
+                weight = self.stage.strength / (loss + self.stage.calm) * self.share
             rows = ((edges / length[..., None])[:, :, None] * slope[..., None]).reshape(frames, len(slope), -1)
             turned = rows.transpose(0, 2, 1)
             square = (turned @ rows) * weight + eye
             side = (turned @ change[..., None])[..., 0] * weight + moved.reshape(frames, -1) / scale**2
             moved = moved - np.linalg.solve(square, side[..., None])[..., 0].reshape(moved.shape)
             far = np.linalg.norm(moved, axis=-1, keepdims=True)
-            moved = (moved * np.minimum(LONGEST * scale / np.maximum(far, 1e-12), 1)).astype(np.float32)
+            moved = (moved * np.minimum(self.stage.longest * scale / np.maximum(far, 1e-12), 1)).astype(np.float32)
             moved[:, 0] = 0
         return moved
-
-
-def _some_edges(character: Character) -> tuple[np.ndarray, int]:
-    """At most LOOKED_AT edges, and how many there are; edges at the same place count once.
-
-    They are drawn by a hash of the place of their middle, so neither seams nor the order of vertices and faces make a
-    difference.
-    """
-    edges = character.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    used = character.vertices[character.surface]
-    fine = 2**13 / float(np.ptp(used, axis=0).max())  # coarse enough that rounding of coordinates hardly ever matters
-    middle = (character.vertices[edges[:, 0]] + character.vertices[edges[:, 1]]) / 2 - used.min(axis=0)
-    middle = np.floor(middle * fine + 0.37).astype(np.int64).astype(np.uint64)
-    place = (middle * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(
-        axis=1, dtype=np.uint64
-    )
-    place ^= place >> np.uint64(29)  # as in the finishing steps of splitmix64
-    place *= np.uint64(0xBF58476D1CE4E5B9)
-    place ^= place >> np.uint64(32)
-    first = np.unique(place, return_index=True)[1]
-    return edges[first[:LOOKED_AT]], len(first)

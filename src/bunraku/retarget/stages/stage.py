@@ -1,0 +1,103 @@
+"""What a stage of fitting is, and what goes from one stage to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.core.motion import HandleMotion
+
+__all__ = ["Contacts", "Fitting", "Stage"]
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """How feet move along the ground, from each frame to the next.
+
+    Args:
+        steps: How far the lowest part of each sole moves along x and z [m], shape (N - 1, L, 2).
+        heights: Its height over the ground, mean of the two frames [m], shape (N - 1, L).
+        stands: How much the foot stands, 0 to 1, shape (N - 1, L).
+    """
+
+    steps: np.ndarray
+    heights: np.ndarray
+    stands: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Fitting:
+    """A motion on its way from the reference body to a character.
+
+    Args:
+        source: The motion of the reference body, as far as stages have changed it.
+        rotations: Local rotations of the character's handles, in the root's frame, shape (N, K, 3, 3).
+        translations: Their local translations [m], shape (N, K, 3).
+        root_rotation: Of the character, shape (N, 3, 3).
+        root_translation: Of the character [m], shape (N, 3).
+        heights: Of the lowest point of the body that moves in the source, where that is not the reference body, in its
+            scale [m], shape (N,).
+        contacts: Of the character's feet; None where nothing has looked for them.
+    """
+
+    source: HandleMotion
+    rotations: np.ndarray
+    translations: np.ndarray
+    root_rotation: np.ndarray
+    root_translation: np.ndarray
+    heights: np.ndarray | None = None
+    contacts: Contacts | None = None
+
+    @classmethod
+    def of(cls, source: HandleMotion, anatomy: Anatomy, heights: np.ndarray | None = None) -> Fitting:
+        """A motion of the reference body whose parts the character's handles play, in the character's scale."""
+        played = anatomy.handles.played
+        return cls(
+            source,
+            source.rotations[:, played].astype(np.float64),
+            source.translations[:, played] * anatomy.scale,
+            source.root_rotation,
+            anatomy.path(source),
+            heights,
+        )
+
+    @property
+    def motion(self) -> HandleMotion:
+        """The motion of the character."""
+        return replace(
+            self.source, rotations=self.rotations, translations=self.translations, root_rotation=self.root_rotation,
+            root_translation=self.root_translation,
+        )  # fmt: skip
+
+    def moved(self, motion: HandleMotion) -> Fitting:
+        """The same with another motion of the character."""
+        return replace(
+            self, rotations=motion.rotations, translations=motion.translations, root_rotation=motion.root_rotation,
+            root_translation=motion.root_translation,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A step on the way of a motion from the reference body to a character; its thresholds are its fields.
+
+    The first line of a stage's docstring says what holds after it; the help of `--without` and the docs print it.
+    """
+
+    name: ClassVar[str] = ""
+    """By which it is switched on and off (`Stages`)."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Stages without which it does not run."""
+    asked: ClassVar[bool] = False
+    """Whether it runs only where it is asked for."""
+
+    def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
+        """Whether there is something for it to do."""
+        return True
+
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        """The motion after it."""
+        raise NotImplementedError

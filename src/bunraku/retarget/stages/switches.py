@@ -1,0 +1,47 @@
+"""Which stages of fitting run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Stages"]
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Which stages fit a motion of the reference body to a character, in the order in which they run
+    (`retarget.fit.STAGES`).
+
+    Args:
+        smooth: The generator's noise is taken out; fast moves stay.
+        gait: Legs beyond those of a person step in turn.
+        rest_pose: Limbs are turned from the character's rest direction into the reference body's.
+        fins: Fins, claws and forelegs that nothing was drawn for stay near their rest.
+        tail: Tails that are held up higher than they rest are lowered.
+        front: Heads of bodies that lie along their spine are kept above the ground.
+        attach: Handles stay joined to their parents.
+        shape: Handles move a little where that keeps the mesh's edges at their lengths.
+        level: Bodies that lie along their spine take a third of a person's tilt of the pelvis.
+        ground: The lowest point is as high above the ground as the reference body's.
+        support: Legs stay under the trunk of a body on four legs.
+        feet: Standing feet do not slide.
+        hands: Hands that touch the body stay near it.
+        tail_clear: A tail that would sink into the ground is turned up.
+        floor: Nothing sinks into the ground, and feet that stand are on it.
+    """
+
+    smooth: bool = True
+    gait: bool = True
+    rest_pose: bool = True
+    fins: bool = True
+    tail: bool = True
+    front: bool = True
+    attach: bool = True
+    shape: bool = False
+    level: bool = True
+    ground: bool = True
+    support: bool = True
+    feet: bool = True
+    hands: bool = False
+    tail_clear: bool = True
+    floor: bool = True
