@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.samples import sample_character
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)
 
 # Any mesh does: character = bunraku.load_character("dragon.glb")
-character = sample_character("person")
+character = bunraku.sample_character("person")
 animation = bunraku.animate(character, "a person walks forward", seconds=2, seed=1)
 path = animation.save(folder / "person-walks.glb")
 print(f"wrote {path}")

@@ -10,12 +10,11 @@ import numpy as np
 
 import bunraku
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.samples import sample_character
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)
 
-character = sample_character("dog")
+character = bunraku.sample_character("dog")
 handles = bunraku.rig(character)
 for name, position, share in zip(HANDLE_NAMES, handles.positions, handles.weights.mean(axis=0), strict=True):
     print(f"{name:<16} at {np.round(position, 2)}, holds {share:.1%} of the vertices")

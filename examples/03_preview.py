@@ -8,12 +8,11 @@ from pathlib import Path
 
 import bunraku
 from bunraku.render import save_preview
-from bunraku.samples import sample_character
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)
 
-animation = bunraku.animate(sample_character("mushroom"), "jumps up and down", seconds=2, steps=10, seed=3)
+animation = bunraku.animate(bunraku.sample_character("mushroom"), "jumps up and down", seconds=2, steps=10, seed=3)
 for name, options in (
     ("mushroom.mp4", {"size": (320, 240)}),
     ("mushroom.png", {"frames": 6, "title": "jumps up and down"}),

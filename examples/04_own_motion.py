@@ -13,12 +13,11 @@ import numpy as np
 import bunraku
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.geometry.rotations import matrix_from_axis_angle
-from bunraku.samples import sample_character
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)
 
-character = sample_character("person")
+character = bunraku.sample_character("person")
 handles = bunraku.rig(character)
 arm = [HANDLE_NAMES.index(name) for name in ("left_shoulder", "left_elbow", "left_wrist", "left_fingers")]
 

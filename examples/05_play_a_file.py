@@ -10,12 +10,11 @@ import numpy as np
 
 import bunraku
 from bunraku.io.play import load_animation
-from bunraku.samples import sample_character
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "outputs")
 folder.mkdir(parents=True, exist_ok=True)
 
-made = bunraku.animate(sample_character("dragon"), "turns around", seconds=2, steps=10, seed=5)
+made = bunraku.animate(bunraku.sample_character("dragon"), "turns around", seconds=2, steps=10, seed=5)
 path = made.save(folder / "dragon-turns.glb", fps=20)
 played = load_animation(path, fps=20)
 print(f"{path}: {len(played.motion)} frames of {len(played.character.vertices)} vertices")

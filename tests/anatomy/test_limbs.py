@@ -11,7 +11,7 @@ from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.formats.gltf.handle_channels import handle_names
+from bunraku.formats.handle_names import handle_names
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.skeletons.bone_names import handle_of_joints

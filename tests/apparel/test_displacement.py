@@ -28,10 +28,10 @@ from bunraku.apparel.displacement.graph import EdgeBlock, node_graph, part_pool
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
 from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, load_displacement
 from bunraku.apparel.displacement.network import save_displacement as save
-from bunraku.apparel.displacement.nodes import apparel_nodes, part_neighbours
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.displacement.recurrent import KEEP, MOST, Past, RecurrentPart, node_state, past_of_states
 from bunraku.apparel.displacement.safety import Safety, SafetySettings, known_share
+from bunraku.apparel.nodes import apparel_nodes, part_neighbours
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.wearer import NORMAL_STIFFNESS, SOFTEST, Wearer, part_stiffness
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS

@@ -9,8 +9,8 @@ from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import MotionError, OptionError
-from bunraku.formats.gltf.handle_channels import handle_names
 from bunraku.formats.gltf.morph_targets import key_shapes, mixed_shapes
+from bunraku.formats.handle_names import handle_names
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character
 

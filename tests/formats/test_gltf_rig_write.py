@@ -11,7 +11,7 @@ from gltf_files import textured_glb
 from bunraku import OptionError, RigAnimation
 from bunraku.body.reference import reference_body
 from bunraku.formats.gltf.container.open import open_document
-from bunraku.formats.turning import turned
+from bunraku.formats.gltf.turning import turned
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character
 from bunraku.io.play import load_animation

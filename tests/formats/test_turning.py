@@ -10,7 +10,7 @@ from test_validator import awkward_glb, errors, needs_validator
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.errors import OptionError
-from bunraku.formats.turning import scaled, turned
+from bunraku.formats.gltf.turning import scaled, turned
 from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
 from bunraku.io import load_character, save_animation, save_character
 

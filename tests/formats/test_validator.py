@@ -17,7 +17,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.formats.turning import turned
+from bunraku.formats.gltf.turning import turned
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character, save_character
 

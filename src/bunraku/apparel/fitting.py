@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.displacement.nodes import held_vertices
+from bunraku.apparel.nodes import held_vertices
 from bunraku.apparel.parts import apparel_parts
 from bunraku.apparel.wearer import Wearer
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS

@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.displacement.nodes import NEIGHBOURS, part_neighbours
+from bunraku.apparel.nodes import NEIGHBOURS, part_neighbours
 from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
 from bunraku.geometry.normals import vertex_normals

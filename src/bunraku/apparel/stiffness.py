@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.apparel.displacement.nodes import part_lengths
+from bunraku.apparel.nodes import part_lengths
 from bunraku.apparel.wearer import Wearer, part_stiffness
 
 __all__ = ["sprung_wearer"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.formats.turning import turned
+from bunraku.formats.gltf.turning import turned
 from bunraku.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.geometry.surface_points import surface_points
 from bunraku.handles.orientation_evidence import combined, format_weights, has_rule

@@ -10,8 +10,8 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
+from bunraku.formats.gltf.container.document import Document
 from bunraku.formats.gltf.curves import MAX_SECONDS, clip_curves, node_worlds
-from bunraku.formats.gltf.document import Document
 from bunraku.formats.gltf.read import Source
 from bunraku.io.registry import load_with_clips
 

@@ -163,7 +163,7 @@ def load_character(
             _log.warning('%s: %s; say unit="m" to keep its numbers', path, note)
     if standing is None:
         return character
-    from bunraku.formats.turning import turned
+    from bunraku.formats.gltf.turning import turned
 
     return turned(character, *standing)
 

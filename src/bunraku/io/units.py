@@ -9,7 +9,7 @@ import numpy as np
 from bunraku.core.character import Character
 from bunraku.errors import OptionError, WeightsError
 from bunraku.formats.frames import BARE, UNITS, likely_unit
-from bunraku.formats.turning import scaled
+from bunraku.formats.gltf.turning import scaled
 
 __all__ = ["CHOICES", "NAMES", "SettledUnit", "check_unit", "in_metres", "settle_unit"]
 

@@ -141,7 +141,7 @@ def _facing(
     character: Character, rotations: np.ndarray, positions: np.ndarray
 ) -> tuple[Character, np.ndarray, np.ndarray]:
     """A character and the motion of its bones, turned to face +Z by what its rig says."""
-    from bunraku.formats.turning import turned
+    from bunraku.formats.gltf.turning import turned
     from bunraku.geometry.axes import upright_rotation
     from bunraku.skeletons.rig_axes import rig_axes
 

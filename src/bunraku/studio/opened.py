@@ -12,7 +12,7 @@ import numpy as np
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError, OptionError
 from bunraku.formats.files import MAX_BYTES
-from bunraku.formats.turning import turned
+from bunraku.formats.gltf.turning import turned
 from bunraku.io import load_character
 from bunraku.io.units import in_metres, settle_unit
 from bunraku.pipelines.standing import FileStanding, file_standing

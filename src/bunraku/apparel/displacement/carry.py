@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.displacement.nodes import ApparelNodes
+from bunraku.apparel.nodes import ApparelNodes
 from bunraku.apparel.wearer import Wearer
 
 __all__ = ["Carrier", "node_turns", "polar_rotation"]

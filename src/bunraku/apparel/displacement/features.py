@@ -13,7 +13,7 @@ import numpy as np
 from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
 from bunraku.apparel.displacement.filters import FREQUENCIES, LAGS, PENDULUMS, MotionFilters, Pendulums
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
-from bunraku.apparel.displacement.nodes import ApparelNodes
+from bunraku.apparel.nodes import ApparelNodes
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.wearer import Wearer
 from bunraku.body.layout import JOINT_COUNT, JOINT_MIRROR

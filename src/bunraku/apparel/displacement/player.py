@@ -12,9 +12,9 @@ from bunraku.apparel.displacement.folded import FoldedNetwork, FoldedPast
 from bunraku.apparel.displacement.graph import node_graph
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
 from bunraku.apparel.displacement.network import DisplacementNetwork
-from bunraku.apparel.displacement.nodes import apparel_nodes
 from bunraku.apparel.displacement.recurrent import past_of_states
 from bunraku.apparel.displacement.safety import Safety
+from bunraku.apparel.nodes import apparel_nodes
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.wearer import Wearer
 

@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 from bunraku.apparel.body_depth import BodyDepth, Unposed, body_depth
 from bunraku.apparel.displacement.body_points import BodyPoints, nearest_index
 from bunraku.apparel.displacement.carry import Carrier
-from bunraku.apparel.displacement.nodes import ApparelNodes
+from bunraku.apparel.nodes import ApparelNodes
 from bunraku.apparel.wearer import LEGS, Wearer
 
 __all__ = ["Safety", "SafetySettings", "known_share"]

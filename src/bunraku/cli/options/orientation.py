@@ -52,7 +52,7 @@ def stand_up(character: Character, path: Path, up: str = "auto", front: str = "a
         OptionError: The unit of the file cannot be changed.
         WeightsError: Something is to be guessed and the weights are missing or broken.
     """
-    from bunraku.formats.turning import turned
+    from bunraku.formats.gltf.turning import turned
     from bunraku.io.units import in_metres
 
     settled, line = settle_file(character, up, front)

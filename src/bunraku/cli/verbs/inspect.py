@@ -16,7 +16,7 @@ from bunraku.errors import CharacterError, WeightsError
 if TYPE_CHECKING:
     from bunraku.core.character import Character
     from bunraku.core.motion import SkeletalMotion, Skeleton
-    from bunraku.formats.gltf.document import Document
+    from bunraku.formats.gltf.container.document import Document
 
 __all__ = ["Inspect", "describe"]
 
@@ -82,7 +82,7 @@ def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
 def _body(character: Character, orientation: dict[str, Any]) -> dict[str, Any]:
     """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
     from bunraku.anatomy.anatomy import Anatomy
-    from bunraku.formats.turning import turned
+    from bunraku.formats.gltf.turning import turned
     from bunraku.handles.predict import predict_handles
     from bunraku.pipelines.decisions import body_facts
 

@@ -12,7 +12,7 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import FormatError
 from bunraku.formats.arrays.npy import npz_names, open_npz, read_member
 from bunraku.formats.files import atomic_write
-from bunraku.formats.gltf.handle_channels import handle_names
+from bunraku.formats.handle_names import handle_names
 from bunraku.geometry.rotations import matrix_from_6d
 
 if TYPE_CHECKING:

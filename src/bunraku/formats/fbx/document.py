@@ -19,9 +19,9 @@ from bunraku.formats.fbx.scene import FbxObject, FbxScene
 from bunraku.formats.fbx.skeleton import BONES, bind_matrices, inverses
 from bunraku.formats.fbx.transforms import default_world, geometric_matrix, world_matrices
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GltfBuilder
-from bunraku.formats.gltf.colors import linear_from_srgb
-from bunraku.formats.gltf.document import Document
-from bunraku.formats.gltf.mesh import MAX_VERTICES
+from bunraku.formats.gltf.container.document import Document
+from bunraku.formats.gltf.scene.colors import linear_from_srgb
+from bunraku.formats.gltf.scene.mesh import MAX_VERTICES
 from bunraku.geometry.rotations import matrix_from_quaternion, nearest_rotation, quaternion_from_matrix
 
 __all__ = ["scene_document"]

@@ -10,7 +10,7 @@ import numpy as np
 from bunraku.formats.fbx.nodes import BROKEN, FbxNode
 from bunraku.formats.fbx.scene import FbxObject, FbxScene
 from bunraku.formats.mesh.polygons import fans, split_corners
-from bunraku.formats.mesh.skins import strongest
+from bunraku.formats.skins import strongest
 
 __all__ = ["Cluster", "FbxMesh", "FbxSkin", "read_clusters", "read_mesh", "read_skin"]
 

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from bunraku.formats.gltf.document import COMPONENT_TYPES, Document
+from bunraku.formats.gltf.container.document import COMPONENT_TYPES, Document
 
 __all__ = ["ARRAY_BUFFER", "ELEMENT_ARRAY_BUFFER", "GltfBuilder", "mesh_document", "scaled_mesh_document"]
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GltfBuilder
-from bunraku.formats.gltf.document import Document
-from bunraku.formats.gltf.mesh import MeshPart, skin_matrices
+from bunraku.formats.gltf.container.document import Document
 from bunraku.formats.gltf.read import Source
+from bunraku.formats.gltf.scene.mesh import MeshPart, skin_matrices
 
 __all__ = ["MeshCarrier", "carry_images", "carry_tree", "used_extensions"]
 

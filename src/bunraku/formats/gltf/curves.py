@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.formats.gltf.document import Document
-from bunraku.formats.gltf.nodes import NodeTree
+from bunraku.formats.gltf.container.document import Document
+from bunraku.formats.gltf.scene.nodes import NodeTree
 from bunraku.geometry.rotations import matrix_from_quaternion, quaternion_slerp
 
 __all__ = ["MAX_SECONDS", "Curves", "clip_curves", "node_worlds"]

@@ -9,13 +9,13 @@ import numpy as np
 
 from bunraku.core.character import Character, Rig
 from bunraku.errors import CharacterError
-from bunraku.formats.gltf.bind_pose import bind_pose
-from bunraku.formats.gltf.colors import vertex_colors
+from bunraku.formats.gltf.container.document import Document
 from bunraku.formats.gltf.container.open import open_document
-from bunraku.formats.gltf.document import Document
-from bunraku.formats.gltf.mesh import MeshPart, check_size, read_part, rigid_joints
-from bunraku.formats.gltf.nodes import NodeTree, SkinJoints, posed_skins, read_nodes, read_skins
-from bunraku.formats.vrm.read import read_vrm
+from bunraku.formats.gltf.scene.bind_pose import bind_pose
+from bunraku.formats.gltf.scene.colors import vertex_colors
+from bunraku.formats.gltf.scene.mesh import MeshPart, check_size, read_part, rigid_joints
+from bunraku.formats.gltf.scene.nodes import NodeTree, SkinJoints, posed_skins, read_nodes, read_skins
+from bunraku.formats.gltf.scene.vrm import read_vrm
 
 __all__ = ["Source", "character_from_document", "read_gltf"]
 

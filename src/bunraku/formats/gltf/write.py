@@ -17,10 +17,10 @@ from bunraku.formats.files import atomic_write
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, GltfBuilder, mesh_document
 from bunraku.formats.gltf.bunraku_clip import add_clip, drop_clip
 from bunraku.formats.gltf.carry import MeshCarrier, carry_images, carry_tree, used_extensions
-from bunraku.formats.gltf.colors import linear_from_srgb
 from bunraku.formats.gltf.handle_channels import add_joints, add_motion
-from bunraku.formats.gltf.mesh import MeshPart, PrimitiveData
 from bunraku.formats.gltf.read import Source, character_from_document
+from bunraku.formats.gltf.scene.colors import linear_from_srgb
+from bunraku.formats.gltf.scene.mesh import MeshPart, PrimitiveData
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation

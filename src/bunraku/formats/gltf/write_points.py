@@ -21,9 +21,10 @@ from bunraku.core.resample import checked_fps
 from bunraku.core.skin_decomposition import RigidBones, decomposed
 from bunraku.errors import OptionError
 from bunraku.formats.gltf.builder import GltfBuilder
-from bunraku.formats.gltf.handle_channels import add_motion, handle_names
+from bunraku.formats.gltf.handle_channels import add_motion
 from bunraku.formats.gltf.morph_targets import Shapes, key_shapes, mixed_shapes
 from bunraku.formats.gltf.write import build_document, document_of, finish_document, joint_attributes, keeps_positions
+from bunraku.formats.handle_names import handle_names
 
 if TYPE_CHECKING:
     from bunraku.core.character import Character

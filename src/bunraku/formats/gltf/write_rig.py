@@ -21,10 +21,10 @@ from bunraku.formats.files import check_output_folder
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, GltfBuilder
 from bunraku.formats.gltf.bunraku_clip import drop_clip
 from bunraku.formats.gltf.carry import MeshCarrier, carry_images, carry_tree
-from bunraku.formats.gltf.mesh import MeshPart
-from bunraku.formats.gltf.nodes import read_nodes
 from bunraku.formats.gltf.read import Source
 from bunraku.formats.gltf.rig_clip import add_bone_clip
+from bunraku.formats.gltf.scene.mesh import MeshPart
+from bunraku.formats.gltf.scene.nodes import read_nodes
 from bunraku.formats.gltf.write import document_of, finish_document
 
 __all__ = ["save_rig_animation"]

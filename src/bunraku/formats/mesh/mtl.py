@@ -13,7 +13,7 @@ import numpy as np
 from bunraku.errors import FormatError
 from bunraku.formats.files import inside, read_bounded
 from bunraku.formats.gltf.carry import image_type
-from bunraku.formats.gltf.colors import MAX_PIXELS, linear_from_srgb
+from bunraku.formats.gltf.scene.colors import MAX_PIXELS, linear_from_srgb
 
 __all__ = ["beside", "embeddable", "read_materials"]
 

@@ -16,8 +16,8 @@ from bunraku.core.character import Character
 from bunraku.errors import FormatError
 from bunraku.formats.files import check_text
 from bunraku.formats.gltf.builder import mesh_document
-from bunraku.formats.gltf.colors import linear_from_srgb
 from bunraku.formats.gltf.read import character_from_document
+from bunraku.formats.gltf.scene.colors import linear_from_srgb
 from bunraku.formats.mesh.mtl import read_materials
 from bunraku.formats.mesh.polygons import fans, split_corners
 

@@ -12,9 +12,9 @@ from bunraku.core.character import Character
 from bunraku.errors import FormatError
 from bunraku.formats.files import check_text, inside
 from bunraku.formats.gltf.builder import mesh_document
-from bunraku.formats.gltf.colors import linear_from_srgb
-from bunraku.formats.gltf.document import Document
+from bunraku.formats.gltf.container.document import Document
 from bunraku.formats.gltf.read import character_from_document
+from bunraku.formats.gltf.scene.colors import linear_from_srgb
 from bunraku.formats.mesh.mtl import embeddable
 from bunraku.formats.mesh.obj import parse_numbers
 

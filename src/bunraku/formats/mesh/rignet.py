@@ -19,7 +19,7 @@ from bunraku.core.character import Character, Rig
 from bunraku.errors import FormatError
 from bunraku.formats.files import MAX_BYTES, check_text, read_bounded
 from bunraku.formats.mesh.obj import read_obj
-from bunraku.formats.mesh.skins import borrow_weights, strongest
+from bunraku.formats.skins import borrow_weights, strongest
 
 __all__ = ["find_mesh", "find_rig", "read_obj_with_rig", "read_rignet"]
 

@@ -15,8 +15,8 @@ import numpy as np
 from bunraku.core.mmd_model import MmdBone
 from bunraku.formats.files import inside
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GltfBuilder
-from bunraku.formats.gltf.colors import linear_from_srgb
-from bunraku.formats.gltf.document import Document
+from bunraku.formats.gltf.container.document import Document
+from bunraku.formats.gltf.scene.colors import linear_from_srgb
 from bunraku.formats.mesh.mtl import embeddable
 
 __all__ = ["MmdMaterial", "model_document"]

@@ -15,7 +15,7 @@ from bunraku.core.character import Character
 from bunraku.core.mmd_model import BODY_SHAPES, MMD_METRE, MmdBody, MmdBone, MmdJoint, mmd_angles, mmd_model
 from bunraku.errors import FormatError
 from bunraku.formats.files import atomic_write
-from bunraku.formats.gltf.colors import srgb_from_linear
+from bunraku.formats.gltf.scene.colors import srgb_from_linear
 from bunraku.formats.mmd.build import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, MmdMaterial
 from bunraku.formats.mmd.document import LIGHT
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from bunraku.core.character import Character
 from bunraku.formats.gltf.carry import image_type
-from bunraku.formats.gltf.colors import linear_from_srgb
-from bunraku.formats.gltf.document import Document
+from bunraku.formats.gltf.container.document import Document
 from bunraku.formats.gltf.read import Source
+from bunraku.formats.gltf.scene.colors import linear_from_srgb
 
 __all__ = ["Look", "Piece", "add_mesh", "pieces", "prim_name"]
 

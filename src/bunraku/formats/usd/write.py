@@ -20,7 +20,7 @@ from bunraku.core.resample import checked_fps
 from bunraku.errors import FormatError, MissingExtraError, OptionError
 from bunraku.formats.files import check_output_folder, open_to_others, writing
 from bunraku.formats.frames import UNITS, FileFrame
-from bunraku.formats.gltf.handle_channels import handle_names
+from bunraku.formats.handle_names import handle_names
 from bunraku.formats.usd.look import Look, add_mesh, pieces, prim_name
 from bunraku.geometry.rotations import quaternion_from_matrix
 

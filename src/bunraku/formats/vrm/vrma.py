@@ -13,10 +13,10 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
 from bunraku.errors import FormatError, MotionError
+from bunraku.formats.gltf.container.document import Document
 from bunraku.formats.gltf.container.open import open_document
 from bunraku.formats.gltf.curves import MAX_SECONDS, clip_curves, node_worlds
-from bunraku.formats.gltf.document import Document
-from bunraku.formats.gltf.nodes import read_nodes
+from bunraku.formats.gltf.scene.nodes import read_nodes
 
 __all__ = ["EXTENSION", "VRM_BONES", "read_glb_motion", "read_vrma"]
 

@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter1d
 from bunraku.apparel.body_volume import BodyVolume
 from bunraku.apparel.displacement.body_points import body_points
 from bunraku.apparel.displacement.carry import Carrier
-from bunraku.apparel.displacement.nodes import apparel_nodes
 from bunraku.apparel.displacement.safety import Safety, SafetySettings
+from bunraku.apparel.nodes import apparel_nodes
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.wearer import Wearer
 from bunraku.core.skinning import skin

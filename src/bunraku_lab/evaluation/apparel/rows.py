@@ -92,7 +92,7 @@ def _insides(clip: TrueClip, vertices: np.ndarray, few: slice, shown: dict[str, 
 def safe_truth(clip: TrueClip, nodes: int = 256) -> np.ndarray:
     """The truth after the safety stage: apparel vertices [m], shape (N, A, 3)."""
     from bunraku.apparel.displacement.carry import Carrier
-    from bunraku.apparel.displacement.nodes import apparel_nodes
+    from bunraku.apparel.nodes import apparel_nodes
 
     wearer = clip.wearer
     own = apparel_nodes(wearer, nodes)

@@ -58,7 +58,7 @@ class Source:
 
 def facing_character(path: Path, name: str) -> Character:
     """A character facing +Z, by what is known of the archive's rigs."""
-    from bunraku.formats.turning import turned
+    from bunraku.formats.gltf.turning import turned
     from bunraku.io import load_character
 
     character = load_character(path)

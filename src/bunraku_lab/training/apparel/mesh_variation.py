@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.displacement.nodes import part_neighbours
+from bunraku.apparel.nodes import part_neighbours
 from bunraku.apparel.sampled_mesh import point_features
 from bunraku_lab.training.apparel.mesh_bank import MeshSample
 

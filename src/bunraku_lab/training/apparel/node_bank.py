@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.apparel.displacement.features import clip_features, static_features
-from bunraku.apparel.displacement.nodes import apparel_nodes, part_neighbours
+from bunraku.apparel.nodes import apparel_nodes, part_neighbours
 from bunraku.apparel.stiffness import sprung_wearer
 from bunraku.apparel.wearer import Wearer
 from bunraku.errors import BunrakuError, FormatError

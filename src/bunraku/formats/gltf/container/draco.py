@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.errors import MissingExtraError
-from bunraku.formats.gltf.document import COMPONENT_TYPES, ELEMENT_SIZES, Document
+from bunraku.formats.gltf.container.document import COMPONENT_TYPES, ELEMENT_SIZES, Document
 from bunraku.formats.memory import room
 
 __all__ = ["DRACO", "unpack_primitives"]

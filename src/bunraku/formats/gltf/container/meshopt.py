@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.errors import MissingExtraError
-from bunraku.formats.gltf.document import MAX_ELEMENTS, Document
+from bunraku.formats.gltf.container.document import MAX_ELEMENTS, Document
 
 __all__ = ["MESHOPT", "unpack_views"]
 

@@ -13,9 +13,9 @@ from typing import Any, NoReturn
 
 from bunraku.errors import FormatError
 from bunraku.formats.files import check_input, inside, read_bounded
+from bunraku.formats.gltf.container.document import Document
 from bunraku.formats.gltf.container.draco import DRACO, unpack_primitives
 from bunraku.formats.gltf.container.meshopt import MESHOPT, unpack_views
-from bunraku.formats.gltf.document import Document
 
 __all__ = ["open_document"]
 

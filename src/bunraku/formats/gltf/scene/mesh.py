@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.formats.gltf.document import Document
-from bunraku.formats.gltf.nodes import NodeTree, SkinJoints
-from bunraku.formats.mesh.skins import borrow_weights
+from bunraku.formats.gltf.container.document import Document
+from bunraku.formats.gltf.scene.nodes import NodeTree, SkinJoints
+from bunraku.formats.skins import borrow_weights
 
 __all__ = [
     "MeshPart",

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bunraku.formats.gltf.document import Document
+from bunraku.formats.gltf.container.document import Document
 from bunraku.geometry.rotations import matrix_from_quaternion
 
 __all__ = ["NodeTree", "SkinJoints", "posed_skins", "read_nodes", "read_skins"]

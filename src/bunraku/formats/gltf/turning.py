@@ -17,9 +17,9 @@ from bunraku.core.character import Character
 from bunraku.errors import OptionError
 from bunraku.formats.frames import BARE
 from bunraku.formats.gltf.builder import scaled_mesh_document
-from bunraku.formats.gltf.mesh import MeshPart, PrimitiveData
-from bunraku.formats.gltf.nodes import NodeTree, posed_skins
 from bunraku.formats.gltf.read import Source
+from bunraku.formats.gltf.scene.mesh import MeshPart, PrimitiveData
+from bunraku.formats.gltf.scene.nodes import NodeTree, posed_skins
 from bunraku.geometry.axes import upright_rotation
 
 __all__ = ["scaled", "turned"]

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.formats.gltf.document import Document
-from bunraku.formats.gltf.mesh import MeshPart
+from bunraku.formats.gltf.container.document import Document
+from bunraku.formats.gltf.scene.mesh import MeshPart
 
 __all__ = ["linear_from_srgb", "srgb_from_linear", "vertex_colors"]
 

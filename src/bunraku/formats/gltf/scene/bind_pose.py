@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.formats.gltf.document import Document
-from bunraku.formats.gltf.nodes import NodeTree, SkinJoints
+from bunraku.formats.gltf.container.document import Document
+from bunraku.formats.gltf.scene.nodes import NodeTree, SkinJoints
 from bunraku.geometry.rotations import matrix_y
 
 __all__ = ["bind_pose"]

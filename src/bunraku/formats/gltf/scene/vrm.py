@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.vrm_model import VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
-from bunraku.formats.gltf.document import Document
-from bunraku.formats.gltf.nodes import NodeTree, read_nodes
+from bunraku.formats.gltf.container.document import Document
+from bunraku.formats.gltf.scene.nodes import NodeTree, read_nodes
 
 __all__ = ["read_vrm"]
 
