@@ -1,7 +1,9 @@
 # Everything runs in .venv, which the first call makes. Needs Python 3.11 or newer.
 #
 #   make demo      a sample character walks: a GLB and an MP4 in demo/
+#   make quick     the core of each room: a minute of a processor core, no network
 #   make test      the tests
+#   make docs      the documentation with the API, in build/docs
 #   make fuzz      broken files for all readers: COUNT=100000 of them, from seed FIRST=0 on
 #   make studio    build the studio's page again (needs npm; who changes nothing there needs neither)
 #   make stops     kills commands at TIMES=20 random file events and interrupts them at as many moments, and looks what is left
@@ -34,7 +36,7 @@ DEVELOP := .venv/.developing
 # Python compiles what it imports when it first does; compiling all that is installed would take 200 MB and half the time.
 PIP := .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile
 
-.PHONY: help install develop demo studio test browser fuzz stops soak lint format wheel clean
+.PHONY: help install develop demo studio quick test docs browser fuzz stops soak lint format wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -77,6 +79,10 @@ demo/$(SAMPLE).glb: $(READY) $(wildcard src/bunraku/samples/*.py)
 	@$(BIN)/bunraku samples $(SAMPLE) -o demo
 	@touch $@
 
+# Chosen files, listed in tests/quick.txt.
+quick: $(DEVELOP)
+	$(BIN)/python -m pytest -q @tests/quick.txt $(ARGS)
+
 test: $(DEVELOP) .venv/.validator .venv/.browser
 	$(BIN)/python -m pytest $(ARGS)
 
@@ -104,6 +110,15 @@ studio/node_modules/.package-lock.json: studio/package.json studio/package-lock.
 		|| echo "playwright could not be installed; the tests in a browser are skipped"; fi
 	@if command -v npm >/dev/null; then (cd studio && npm ci --silent) || echo "npm ci failed in studio; building its page is not tested"; fi
 	@touch $@
+
+# Docstrings are read and not imported, so this needs nothing of the package.
+.venv/.docs: .venv/pyvenv.cfg pyproject.toml
+	$(PIP) $$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"], sep="\n")')
+	@touch $@
+
+docs: .venv/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "documentation: build/docs/index.html"
 
 fuzz: $(DEVELOP)
 	$(BIN)/python -W ignore tests/fuzz/fuzz.py --count $(COUNT) --first $(FIRST)

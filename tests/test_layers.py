@@ -5,6 +5,7 @@ Every import counts: at the top, in a function, for the type checker, and as tex
 """
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -54,6 +55,7 @@ def imports(path, known):
     return {name for name in found if name in known}
 
 
+@functools.cache
 def arrows(sources):
     """What each module imports, by whole names."""
     known = modules(sources)

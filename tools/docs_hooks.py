@@ -1,0 +1,41 @@
+"""Hooks of mkdocs: pages that stand elsewhere in the repository are taken into the site, and links to them lead there.
+
+A page of docs/ links to the repository's files by "../"; those files come under repository/ in the site.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ("CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "examples/README.md")
+_UPWARDS = re.compile(r"\]\(\.\./([^)#]+)")
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add the pages of the repository, and every file that a page links to."""
+    wanted = set(PAGES) | {path.relative_to(ROOT).as_posix() for path in (ROOT / "examples").glob("[0-9]*.py")}
+    for page in (ROOT / "docs").glob("*.md"):
+        found = (_place(name) for name in _UPWARDS.findall(page.read_text(encoding="utf-8")))
+        wanted.update(name for name in found if (ROOT / name).is_file())
+    for name in sorted(wanted):
+        files.append(File.generated(config, f"repository/{name}", abs_src_path=str(ROOT / name)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
+    """Turn links between docs/ and the rest of the repository into links of the site."""
+    name = page.file.src_uri
+    if not name.startswith("repository/"):
+        return _UPWARDS.sub(lambda link: f"](repository/{_place(link[1])}", markdown)
+    up = "../" * name.count("/")
+    return re.sub(r"\]\((?:\.\./)*docs/", f"]({up}", markdown)
+
+
+def _place(name: str) -> str:
+    """The file that a link to a file or a folder means."""
+    return f"{name.rstrip('/')}/README.md" if (ROOT / name).is_dir() else name
