@@ -88,4 +88,5 @@ def test_archive(tmp_path):
     sizes = [len(TrainingCharacter.load(d).vertices) for d in done[:4]]
     assert sizes[1] < sizes[0] < sizes[2]
     assert sorted(d.stem for d in done if d.parent.name == "samples") == sorted(sample_names())
-    assert len(HELD_OUT) == 30
+    assert len(HELD_OUT) == 32
+    assert sum(name.startswith("mesh2motion/") for name in HELD_OUT) == 2

@@ -37,6 +37,7 @@ _log = logging.getLogger(__name__)
 
 HELD_OUT: tuple[str, ...] = (
     "kaykit/Rogue_Hooded",
+    "mesh2motion/dragon", "mesh2motion/spider",
     "quaternius/animals_pack/Bull", "quaternius/animals_pack/ShibaInu",
     "quaternius/cute_fish_pack/Betta", "quaternius/cute_fish_pack/Puffer", "quaternius/cute_fish_pack/Tuna",
     "quaternius/cyberpunk_pack/Enemy_2Legs", "quaternius/dinosaurs_pack/Velociraptor",
