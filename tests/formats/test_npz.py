@@ -3,6 +3,7 @@
 import io
 import struct
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -132,3 +133,15 @@ def test_only_what_numpy_packs_is_unpacked(animation, tmp_path):
             bad.writestr(name, good.read(name))
     with pytest.raises(FormatError, match=r"bad\.npz"):
         read_motion(tmp_path / "bad.npz")
+
+
+def test_what_body_a_motion_was_made_for_is_kept_and_older_files_say_all_of_it_by_one_name(animation, tmp_path):
+    path = replace(animation, motion=replace(animation.motion, own_height=True)).save(tmp_path / "own.npz")
+    found = read_motion(path)
+    assert (found.own_kind, found.own_height, found.soft) == (False, True, False)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files if name not in ("own_kind", "own_height", "soft")}
+    for value in (0.0, 1.0):
+        np.savez(path, **arrays, native=np.float32(value))
+        found = read_motion(path)
+        assert (found.own_kind, found.own_height, found.soft) == (bool(value),) * 3

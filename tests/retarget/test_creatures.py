@@ -129,7 +129,7 @@ def test_legs_swing_about_the_rest_pose_of_the_target(dog, onto, flat):
 def test_the_predicted_handles_of_a_dog_keep_all_feet_down_and_the_trunk_level(dog):
     bare = sample_character("dog")
     result = bunraku.transfer(bare, trot(dog, frames=41, flat=True))
-    assert isinstance(result, bunraku.Animation) and result.reference is not None and result.reference.native
+    assert isinstance(result, bunraku.Animation) and result.reference is not None and result.reference.own_kind
     vertices = result.vertices()
     rise = 0.5 * (1 - np.cos(SWING))  # of legs half a metre long that swing together, and so of the source itself
     low = vertices[..., 1].min(axis=1)
@@ -178,7 +178,7 @@ def flapping(seconds: float = 2.0) -> bunraku.Animation:
     parts = RigParts.of(sample_character("dragon", rigged=True))
     count = round(20 * seconds)
     turns = np.tile(np.eye(3), (count, 30, 1, 1))
-    still = HandleMotion(np.zeros((count, 30, 3)), turns, np.zeros((count, 3)), turns[:, 0], 20.0, native=True)
+    still = HandleMotion(np.zeros((count, 30, 3)), turns, np.zeros((count, 3)), turns[:, 0], 20.0).of_own_body()
     flown = moved_so(still, "fly", slice(0, count), Anatomy.of(parts.character, parts.handles))
     body = replace(parts.character, rig=None)
     fitted = fit_motion(flown, Anatomy.of(body, parts.handles), Stages(smooth=False))
@@ -223,7 +223,7 @@ def test_two_legs_under_a_level_trunk_go_from_stance_to_stance_and_onto_people_b
     assert np.linalg.norm(away - lift, axis=-1).mean() < 0.01 * body.height
     person = reference_body()
     moved = bunraku.transfer(person.character(), source, handles=person.handles, fps=20.0)
-    assert moved.reference is found.person or not moved.reference.native
+    assert moved.reference is found.person or not moved.reference.own_kind
 
 
 def test_a_clip_that_ends_amid_a_stride_has_the_same_stance_on_both_sides(dog):

@@ -29,7 +29,7 @@ def bowed(angle: float) -> HandleMotion:
     rotations = np.tile(np.eye(3), (FRAMES, 30, 1, 1))
     for name in ("spine1", "spine2", "spine3", "neck", "head", "head_top", "face"):
         rotations[:, HANDLE_NAMES.index(name)] = turns
-    return HandleMotion(np.zeros((FRAMES, 30, 3)), rotations, np.zeros((FRAMES, 3)), turns, 20.0, native=True)
+    return HandleMotion(np.zeros((FRAMES, 30, 3)), rotations, np.zeros((FRAMES, 3)), turns, 20.0).of_own_body()
 
 
 def head_heights(dog, motion: HandleMotion, rotations: np.ndarray) -> np.ndarray:

@@ -1,7 +1,5 @@
 """The way back from a character to the reference body, against the way there."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -46,11 +44,10 @@ def test_there_and_back_is_the_same_clip(name):
     here = wild(character.height)
     # what hangs on joints: the wild translations on top of those that keep parts together
     anatomy = Anatomy.of(character, handles)
-    there = motion_to_reference(here, anatomy, native=True)
-    again = motion_to_reference(fit_motion(replace(there, native=True), anatomy, BARE), anatomy, native=True)
+    there = motion_to_reference(here, anatomy, own=True)
+    again = motion_to_reference(fit_motion(there.of_own_body(), anatomy, BARE), anatomy, own=True)
     first, second = (
-        Animation(character, handles, fit_motion(replace(m, native=True), anatomy, BARE)).vertices()
-        for m in (there, again)
+        Animation(character, handles, fit_motion(m.of_own_body(), anatomy, BARE)).vertices() for m in (there, again)
     )
     assert np.linalg.norm(first - second, axis=-1).max() < 1e-3 * character.height
 
@@ -59,12 +56,12 @@ def test_there_and_back_is_the_same_clip(name):
 def test_a_clip_whose_parts_hold_together_comes_back(name):
     character, handles = beast(name)
     clip = fit_motion(
-        replace(motion_to_reference(wild(character.height), Anatomy.of(character, handles), native=True), native=True),
+        motion_to_reference(wild(character.height), Anatomy.of(character, handles), own=True).of_own_body(),
         Anatomy.of(character, handles),
         BARE,
     )
     back = fit_motion(
-        replace(motion_to_reference(clip, Anatomy.of(character, handles), native=True), native=True),
+        motion_to_reference(clip, Anatomy.of(character, handles), own=True).of_own_body(),
         Anatomy.of(character, handles),
         BARE,
     )
@@ -79,7 +76,7 @@ def test_tail_and_height_stay_the_creatures():
     still[:, tail] = Rotation.from_euler("y", 40, degrees=True).as_matrix()
     path = np.tile([0, 0.5 * character.height, 0], (5, 1))
     clip = HandleMotion(np.zeros((5, 30, 3)), still, path, np.broadcast_to(np.eye(3), (5, 3, 3)))
-    native = motion_to_reference(clip, Anatomy.of(character, handles), native=True)
+    native = motion_to_reference(clip, Anatomy.of(character, handles), own=True)
     person = motion_to_reference(clip, Anatomy.of(character, handles))
     assert Rotation.from_matrix(native.rotations[0, tail]).magnitude() == pytest.approx(np.radians(40), abs=1e-3)
     assert native.root_translation[:, 1].min() > 0.2
@@ -91,7 +88,7 @@ def test_tail_and_height_stay_the_creatures():
 def test_parts_that_a_creature_lacks_move_with_their_parents():
     character, handles = beast("mushroom")
     anatomy = Anatomy.of(character, handles)
-    there = motion_to_reference(wild(character.height), anatomy, native=True)
+    there = motion_to_reference(wild(character.height), anatomy, own=True)
     absent = [k for k in range(1, 30) if not anatomy.joints.present[k]]
     assert absent
     for handle in absent:

@@ -1,19 +1,23 @@
 """The list of stages is what the switches, their help and the docs say."""
 
 import inspect
+import itertools
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import bunraku
-from bunraku.anatomy.anatomy import reference_anatomy
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
+from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.fit import STAGES, fit_motion, running
 from bunraku.retarget.stages.stage import Fitting
 from bunraku.retarget.stages.switches import Stages
+from bunraku.samples import sample_character
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -71,3 +75,25 @@ def test_without_stages_a_motion_is_played_in_the_body_s_own_scale():
     fitting = Fitting.of(motion, reference_anatomy())
     np.testing.assert_allclose(fitting.motion.root_translation, motion.root_translation, atol=0.01)
     np.testing.assert_array_equal(fitting.moved(fitting.motion).motion.rotations, motion.rotations)
+
+
+def test_what_was_made_for_a_kind_a_height_and_a_softness_is_looked_after_apart():
+    dog = sample_character("dog", 0.3, rigged=True)
+    anatomy = Anatomy.of(replace(dog, rig=None), rig_handles(dog))
+    stages = {stage.name: stage for stage in STAGES}
+    turns = np.tile(np.eye(3), (20, 30, 1, 1))
+    shifts = np.zeros((20, 30, 3))
+    shifts[:, HANDLE_NAMES.index("spine3")] = [0, 0.3, 0]
+    sunk = np.tile([0, -0.2, 0], (20, 1))
+    plain = HandleMotion(shifts, turns, sunk, turns[:, 0])
+    for kind, height, soft in itertools.product((False, True), repeat=3):
+        motion = replace(plain, own_kind=kind, own_height=height, soft=soft)
+        fitting = Fitting.of(motion, anatomy)
+        applied = [stages[name].applies(fitting, anatomy) for name in ("tail", "front", "level")]
+        assert applied == [kind, kind, not kind]
+        loose = stages["attach"](fitting, anatomy).translations[:, HANDLE_NAMES.index("spine3")]
+        assert np.linalg.norm(loose, axis=1).max() == pytest.approx((0.3 if soft else 0.05) * anatomy.scale, rel=1e-3)
+        low = fit_motion(motion, anatomy, Stages(smooth=False, feet=False, floor=False, support=False))
+        assert (low.root_translation[:, 1].max() < -0.1 * anatomy.scale) == height  # others stand as the reference does
+    own = plain.of_own_body()
+    assert own.own_kind and own.own_height and own.soft and not own.of_own_body(False).soft

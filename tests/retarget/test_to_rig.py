@@ -93,7 +93,7 @@ def test_the_way_back():
     reference = body_handle_motion(walking())
     parts = RigParts.of(rested(0.7, 0.9))
     moved = fit_rig(reference, parts, CARRIED)
-    back = rig_to_reference(parts, *moved.world(), 20.0, native=True)
+    back = rig_to_reference(parts, *moved.world(), 20.0, own=True)
     assert (
         np.degrees(
             np.linalg.norm(
@@ -162,5 +162,5 @@ def test_a_wrist_bone_over_the_hand_leaves_the_turn_to_the_hand():
     turns = np.array(moved.rotations)
     turns[:, 22] = matrix_from_axis_angle(np.array([0.7, 0.2, 0.1]))  # as a clip turns it
     clip = replace(moved, rotations=turns)
-    back = fit_rig(rig_to_reference(found, *clip.world(), 20.0, native=True), found, CARRIED)
+    back = fit_rig(rig_to_reference(found, *clip.world(), 20.0, own=True), found, CARRIED)
     assert np.abs(back.vertices() - clip.vertices()).max() < 0.005 * plain.height

@@ -26,7 +26,7 @@ EVERY = slice(0, FRAMES)
 
 def still() -> HandleMotion:
     turns = np.tile(np.eye(3), (FRAMES, 30, 1, 1))
-    return HandleMotion(np.zeros((FRAMES, 30, 3)), turns, np.zeros((FRAMES, 3)), turns[:, 0], 20.0, native=True)
+    return HandleMotion(np.zeros((FRAMES, 30, 3)), turns, np.zeros((FRAMES, 3)), turns[:, 0], 20.0).of_own_body()
 
 
 @pytest.fixture(scope="module")

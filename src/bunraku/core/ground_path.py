@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -128,5 +128,4 @@ def bent_to_path(
     far = np.linalg.norm(sway, axis=1, keepdims=True) / (ASIDE * size)
     sway *= np.tanh(far) / np.maximum(far, 1e-9)
     root[:, [0, 2]] = want + sway
-    arrays = {name: getattr(motion, name) for name in HandleMotion.arrays} | {"root_translation": root}
-    return HandleMotion(**arrays, fps=motion.fps, native=motion.native)
+    return replace(motion, root_translation=root)

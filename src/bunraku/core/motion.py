@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -144,9 +144,12 @@ class HandleMotion:
         root_translation: Global translation t_g [m], shape (N, 3).
         root_rotation: Global rotation R_g, shape (N, 3, 3).
         fps: Frames a second [1/s].
-        native: A motion of the reference body that was generated for one body of its own kind, by weights that know
-            creatures: it brings its height over the floor, lying bodies keep the pelvis' tilt, and soft ones bend
-            farther than people. `fit_motion` reads it.
+        own_kind: Of the reference body's: its rotations were made for a body of the kind that takes it, by weights that
+            know creatures or by such a body. A lying body keeps the pelvis' tilt, and its fins, tail and head are
+            looked after.
+        own_height: Of the reference body's: its height over the floor is that of the body that takes it, which is only
+            set down where it hovers.
+        soft: Of the reference body's: its parts may leave their joints farther than those of people.
 
     Raises:
         MotionError: Shapes disagree, a value is not finite, or handle 0 moves locally.
@@ -157,7 +160,9 @@ class HandleMotion:
     root_translation: np.ndarray
     root_rotation: np.ndarray
     fps: float = 20.0
-    native: bool = False
+    own_kind: bool = False
+    own_height: bool = False
+    soft: bool = False
 
     arrays: ClassVar[tuple[str, ...]] = ("translations", "rotations", "root_translation", "root_rotation")
     """Names of what has a value for each frame."""
@@ -182,6 +187,15 @@ class HandleMotion:
     def duration(self) -> float:
         """Length [s]."""
         return len(self) / self.fps
+
+    def of_own_body(self, own: bool = True) -> HandleMotion:
+        """The motion as one that was made for the body that takes it, in kind, height and softness, or for none."""
+        return replace(self, own_kind=own, own_height=own, soft=own)
+
+    def with_arrays(self, arrays: Mapping[str, np.ndarray]) -> HandleMotion:
+        """The motion with other values of some of `arrays`, by their names."""
+        changed: dict[str, Any] = dict(arrays)
+        return replace(self, **changed)
 
     def take(self, frames: slice | np.ndarray) -> HandleMotion:
         """The motion of some of the frames: a slice, or indices of shape (M,)."""

@@ -79,6 +79,7 @@ def resample(motion: HandleMotion, fps: float) -> HandleMotion:
         return motion if len(motion) > 1 else replace(motion, fps=fps)
     between = Resampling.of(len(motion), motion.fps, fps)
     moves, path = (between.linear(values.astype(float)) for values in (motion.translations, motion.root_translation))
-    return HandleMotion(
-        moves, between.rotations(motion.rotations), path, between.rotations(motion.root_rotation), fps, motion.native
-    )
+    return replace(
+        motion, translations=moves, rotations=between.rotations(motion.rotations), root_translation=path,
+        root_rotation=between.rotations(motion.root_rotation), fps=fps,
+    )  # fmt: skip

@@ -72,13 +72,12 @@ def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
         np.stack([turns[index] for index in rounds.tolist()]),
         np.stack([positions[index] for index in rounds.tolist()]),
     )
-    return HandleMotion(
-        motion.translations[frames],
-        motion.rotations[frames],
-        np.einsum("nij,nj->ni", turned, motion.root_translation[frames]) + moves,
-        turned @ motion.root_rotation[frames],
-        motion.fps,
-        motion.native,
+    return replace(
+        motion,
+        translations=motion.translations[frames],
+        rotations=motion.rotations[frames],
+        root_translation=np.einsum("nij,nj->ni", turned, motion.root_translation[frames]) + moves,
+        root_rotation=turned @ motion.root_rotation[frames],
     )
 
 
@@ -115,13 +114,12 @@ def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> Hand
         share[:, None, None] * (motion.translations[0] - motion.translations[-1])
     ).astype(np.float32)
     translations[-1] = motion.translations[0]
-    return HandleMotion(
-        translations,
-        turned(motion.rotations, motion.rotations[0]),
-        path,
-        turned(motion.root_rotation, goal_rotation),
-        motion.fps,
-        motion.native,
+    return replace(
+        motion,
+        translations=translations,
+        rotations=turned(motion.rotations, motion.rotations[0]),
+        root_translation=path,
+        root_rotation=turned(motion.root_rotation, goal_rotation),
     )
 
 
@@ -204,7 +202,7 @@ def put_back(
             array[:, handles] = getattr(original, name)[:, handles]
         elif handles[0]:
             array[:] = getattr(original, name)
-    return HandleMotion(**arrays, fps=original.fps, native=made.native)
+    return replace(made.with_arrays(arrays), fps=original.fps)
 
 
 def put_back_runs(
@@ -229,7 +227,7 @@ def put_back_runs(
         arrays = {name: np.array(getattr(whole, name)) for name in HandleMotion.arrays}
         for name, array in arrays.items():
             array[first:after] = getattr(piece, name)[first:after]
-        whole = HandleMotion(**arrays, fps=original.fps, native=made.native)
+        whole = replace(made.with_arrays(arrays), fps=original.fps)
     return whole
 
 

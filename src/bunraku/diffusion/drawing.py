@@ -79,7 +79,7 @@ class Sampling:
         if self.guidance is not None and not (math.isfinite(self.guidance) and 0 <= self.guidance <= 20):
             raise OptionError(f"the guidance scale must be from 0 to 20, not {self.guidance:g}")
 
-    def native(self, model: Denoiser) -> bool:
+    def of_body(self, model: Denoiser) -> bool:
         """Whether what is drawn is a body's own motion: see `HandleMotion`."""
         return self.mesh_feature is not None and bool(model.notes.get("creatures"))
 

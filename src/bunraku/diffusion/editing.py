@@ -126,7 +126,8 @@ def edit_motion(
     whole = made.take(
         np.clip(np.arange(len(motion)) - low, 0, len(made) - 1)
     )  # what is kept beyond the part comes next
-    return replace(put_back_runs(whole, motion, handles, runs, fade=0), native=motion.native)
+    own = {name: getattr(motion, name) for name in ("own_kind", "own_height", "soft")}
+    return replace(put_back_runs(whole, motion, handles, runs, fade=0), **own)
 
 
 def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int = 0, **sampling: Any) -> HandleMotion:
@@ -242,7 +243,7 @@ def _generate(
             adaptation[near] *= (1 - _fade(len(near)))[:, None, None]
     adaptation[~made_anew] = 0
     adaptation[:, handles] = 0
-    return adapt(replace(decode(made, model.config.fps), native=how.native(model)), adaptation)
+    return adapt(decode(made, model.config.fps).of_own_body(how.of_body(model)), adaptation)
 
 
 def _reach(first: int, after: int, frames: int) -> list[tuple[int, np.ndarray]]:

@@ -121,10 +121,10 @@ def generate_motions(
         found = choose(draw, len(scripts), how.candidates, _ranked(model, encoder))
     else:
         found = draw(rows, [0] * len(rows))
-    native = how.native(model)
+    own = how.of_body(model)
     motions = []
     for one, script in zip(found, scripts, strict=True):
-        made = replace(decode(one.motion, model.config.fps), native=native)
+        made = decode(one.motion, model.config.fps).of_own_body(own)
         if path is not None:
             x, z, heading = way_of(path, len(made), model.config.fps, script)[0]
             made = moved(made, heading, np.array([x, 0, z]))

@@ -79,4 +79,4 @@ def _own_clip(path: Path) -> Animation | HandleMotion | None:
     except (FormatError, MotionError):
         return None
     known = found.reference
-    return known if known is not None and not known.native else load_clip_animation(path)
+    return known if known is not None and not known.own_kind else load_clip_animation(path)

@@ -76,7 +76,7 @@ def creature_motion(
     """
     found = _creature_motion(motion, fps, names)
     if found is not None and found.plan.kind == "two legs" and not found.flies:
-        person = replace(reference_motion(motion, fps=fps, names=names), native=False)
+        person = reference_motion(motion, fps=fps, names=names).of_own_body(False)
         found = replace(found, person=person)
     return found
 
@@ -134,7 +134,7 @@ def _of_rig(character: Character, rotations: np.ndarray, positions: np.ndarray, 
     from bunraku.retarget.rig_motion import rig_to_reference
 
     character, rotations, positions = _facing(character, rotations, positions)
-    return rig_to_reference(RigParts.of(character), rotations, positions, fps, native=True)
+    return rig_to_reference(RigParts.of(character), rotations, positions, fps, own=True)
 
 
 def _facing(

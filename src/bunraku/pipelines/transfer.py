@@ -179,7 +179,7 @@ def apply_transfer(
             parts = None
     progress("fit", 0.0)
     if isinstance(reference, HandleMotion):
-        reference = replace(reference, native=False)  # generated for another body, or for none
+        reference = reference.of_own_body(False)  # generated for another body, or for none
     if parts is not None:
         result: Animation | RigAnimation = (
             fit_rig(reference, parts, stages)

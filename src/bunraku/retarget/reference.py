@@ -21,8 +21,8 @@ __all__ = ["motion_to_reference"]
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
 
-def motion_to_reference(motion: HandleMotion, anatomy: Anatomy, native: bool = False) -> HandleMotion:
-    """A handle motion of a character as the one of the reference body that `fit_motion` of a `native` motion without
+def motion_to_reference(motion: HandleMotion, anatomy: Anatomy, own: bool = False) -> HandleMotion:
+    """A handle motion of a character as the one of the reference body that `fit_motion` of such a motion without
     its ground stages takes back to the character's.
 
     Limbs turn back from the character's rest directions, parts that the character lacks move with their parents,
@@ -33,7 +33,7 @@ def motion_to_reference(motion: HandleMotion, anatomy: Anatomy, native: bool = F
     Args:
         motion: Motion of the character's handles.
         anatomy: Of the character, in the pose that the motion is relative to.
-        native: The motion stays one of this very body. Otherwise it becomes a person's: parts stay closer to their
+        own: The motion stays one of this very body. Otherwise it becomes a person's: parts stay closer to their
             joints, there is no tail, and the reference body stands on y = 0.
 
     Returns:
@@ -48,11 +48,11 @@ def motion_to_reference(motion: HandleMotion, anatomy: Anatomy, native: bool = F
     for handle in downwards(HANDLE_PARENTS):
         if not present[handle] and handle:
             rotations[:, handle] = rotations[:, max(int(parents[handle]), 0)]
-    translations = attach_joints(rotations, reference_body().handles, reference_joints())[1] + capped(residual, native)
+    translations = attach_joints(rotations, reference_body().handles, reference_joints())[1] + capped(residual, own)
     path = motion.root_translation - np.array([0, anatomy.rise, 0])
     path = (path - (motion.root_rotation - np.eye(3)) @ anatomy.lever) / anatomy.scale
     result = replace(motion, rotations=rotations, translations=translations, root_translation=path)
-    return result if native else _as_person(result)
+    return result if own else _as_person(result)
 
 
 def _as_person(motion: HandleMotion) -> HandleMotion:

@@ -54,7 +54,7 @@ def handle_animation(animation: RigAnimation) -> Animation:
 
 
 def rig_to_reference(
-    parts: RigParts, rotations: np.ndarray, positions: np.ndarray, fps: float, native: bool = False
+    parts: RigParts, rotations: np.ndarray, positions: np.ndarray, fps: float, own: bool = False
 ) -> HandleMotion:
     """Motion of a rig's bones as handle motion of the reference body.
 
@@ -63,6 +63,6 @@ def rig_to_reference(
         rotations: World turn of each bone from its rest pose, shape (N, J, 3, 3).
         positions: Where its head is [m], shape (N, J, 3).
         fps: Frames a second [1/s].
-        native: See `motion_to_reference`.
+        own: See `motion_to_reference`.
     """
-    return motion_to_reference(bones_to_handles(parts, rotations, positions, fps), parts.anatomy, native)
+    return motion_to_reference(bones_to_handles(parts, rotations, positions, fps), parts.anatomy, own)

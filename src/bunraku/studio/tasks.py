@@ -203,7 +203,7 @@ def _with_pose(clip: Animation, source: Take, time: float, at: float) -> Animati
         arrays = {name: np.array(getattr(motion, name)) for name in HandleMotion.arrays}
         for name, array in arrays.items():
             array[frame] = getattr(one, name)[0]
-        return HandleMotion(**arrays, fps=motion.fps, native=motion.native)
+        return motion.with_arrays(arrays)
 
     return Animation(
         clip.character, clip.handles, patched(clip.motion, source.motion),

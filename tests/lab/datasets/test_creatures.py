@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from importlib import resources
 
 import numpy as np
@@ -163,7 +162,7 @@ def test_a_clip_goes_to_the_reference_body_and_back(archive):
     again = Animation(
         body.character,
         body.handles,
-        fit_motion(replace(motion, native=True), Anatomy.of(body.character, body.handles), bare),
+        fit_motion(motion.of_own_body(), Anatomy.of(body.character, body.handles), bare),
     ).vertices()
     error = np.linalg.norm(again - vertices, axis=-1).mean() / body.character.height
     assert error < 0.02

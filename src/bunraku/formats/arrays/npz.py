@@ -34,6 +34,9 @@ __all__ = [
 REFERENCE = "reference_"
 
 _NEEDED = ("translations", "rotations", "root_translation", "root_rotation", "fps")
+_OWN = ("own_kind", "own_height", "soft")
+_ALL_OWN = "native"
+"""What files say that hold one member for all three."""
 
 
 def write_animation(animation: Animation, path: Path) -> Path:
@@ -51,7 +54,8 @@ def pack_animation(animation: Animation) -> bytes:
     """The NPZ of an animation's handle motion.
 
     The arrays, all float32: `translations` (N, K, 3) [m], `rotations` (N, K, 3, 3), `root_translation` (N, 3) [m],
-    `root_rotation` (N, 3, 3), `fps` () [1/s], `native` (), 0 or 1, `handle_positions` (K, 3) [m];
+    `root_rotation` (N, 3, 3), `fps` () [1/s], `own_kind`, `own_height` and `soft` (), 0 or 1 (`HandleMotion`),
+    `handle_positions` (K, 3) [m];
     and `handle_names` (K,) text. Where it is known, the
     motion of the reference body that it was fitted from, under the same names with `reference_` before them.
     """
@@ -71,7 +75,7 @@ def pack_motion(motion: HandleMotion, handles: Handles, reference: HandleMotion 
 
 def motion_arrays(motion: HandleMotion, prefix: str = "") -> dict[str, np.ndarray]:
     """The arrays of a motion by their names in an NPZ, with `prefix` before each."""
-    return {f"{prefix}{name}": np.asarray(getattr(motion, name), np.float32) for name in (*_NEEDED, "native")}
+    return {f"{prefix}{name}": np.asarray(getattr(motion, name), np.float32) for name in (*_NEEDED, *_OWN)}
 
 
 def read_any_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
@@ -108,9 +112,12 @@ def read_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
                 path, f"this NPZ lacks {', '.join(missing)}, so it is no handle motion; save one with Animation.save"
             )
         arrays = {name: read_member(path, archive, prefix + name, len(data)) for name in _NEEDED}
-        native = prefix + "native" in npz_names(archive) and bool(
-            np.any(read_member(path, archive, prefix + "native", len(data)))
-        )
+        known = npz_names(archive)
+        names = {name: prefix + (name if prefix + name in known else _ALL_OWN) for name in _OWN}
+        own = {
+            name: member in known and bool(np.any(read_member(path, archive, member, len(data))))
+            for name, member in names.items()
+        }
     if arrays["fps"].size != 1:
         raise FormatError(path, "its 'fps' must be one number; save it again")
     fps = float(arrays["fps"].reshape(()))
@@ -122,7 +129,7 @@ def read_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
         arrays["root_translation"],
         _matrices(path, arrays["root_rotation"], 3),
         fps,
-        native,
+        **own,
     )
 
 

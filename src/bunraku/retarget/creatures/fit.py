@@ -48,7 +48,7 @@ def fit_creature(source: CreatureMotion, anatomy: Anatomy, stages: Stages) -> An
         return Animation(character, handles, fit_motion(source.person, anatomy, stages), source.person)
     check_plans(source.plan, anatomy.plan, character.name, source.flies)
     fitted = fit_motion(source.motion, anatomy, _own_stages(stages), _heights(source))
-    return Animation(character, handles, fitted, motion_to_reference(fitted, anatomy, native=True))
+    return Animation(character, handles, fitted, motion_to_reference(fitted, anatomy, own=True))
 
 
 def fit_creature_rig(source: CreatureMotion, parts: RigParts, stages: Stages) -> RigAnimation:

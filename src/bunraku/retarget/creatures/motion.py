@@ -159,5 +159,5 @@ def _creature(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
     rise = float(np.quantile(ground, STANDS))
     path[:, 1] -= rise - floor
     scale = float(body.handles.positions[0, 1]) / max(float(handles.positions[0, 1]) - floor, 0.02 * character.height)
-    moved = replace(motion, rotations=rotations, translations=translations, root_translation=path * scale, native=True)
+    moved = replace(motion, rotations=rotations, translations=translations, root_translation=path * scale).of_own_body()
     return CreatureMotion(in_air(moved) if flies else moved, plan, (ground - rise) * scale, flies)

@@ -95,14 +95,14 @@ def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMoti
     share = np.ones(len(motion)) if frames is None else _amount(len(motion), frames, motion.fps)
     path = motion.root_translation.astype(np.float64)
     path[:, 1] += HOVER * _root() * share
-    return replace(motion, root_translation=path, native=True)
+    return replace(motion, root_translation=path, own_height=True)
 
 
 def _grounded(motion: HandleMotion, way: str, frames: np.ndarray, anatomy: Anatomy) -> HandleMotion:
     """The motion lower by as much as the character would hover in some frames, with a tail that a tilted trunk does not
     hold up.
     """
-    if not motion.native:
+    if not motion.own_height:
         return motion
     share = _amount(len(motion), frames, motion.fps)
     motion = _tail_lowered(motion, share, anatomy)

@@ -31,6 +31,6 @@ class Attach(Stage):
         source, handles, joints = fitting.source, anatomy.handles, anatomy.joints
         rotations, translations = attach_joints(fitting.rotations, handles, joints)
         stiff = attach_joints(source.rotations.astype(np.float64), reference_body().handles, reference_joints())[1]
-        residual = capped(source.translations - stiff, source.native)
+        residual = capped(source.translations - stiff, source.soft)
         translations += residual[:, handles.played] * anatomy.scale * joints.present[:, None]
         return replace(fitting, rotations=rotations, translations=translations)

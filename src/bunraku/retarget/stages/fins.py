@@ -46,7 +46,7 @@ class Fins(Stage):
     slow: float = 0.5
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        if not fitting.source.native or anatomy.upright:
+        if not fitting.source.own_kind or anatomy.upright:
             return False
         return not anatomy.legs or anatomy.handles.roles is not None or not self.drawn(fitting.source.rotations)
 

@@ -45,7 +45,7 @@ class Front(Stage):
     soft: float = 0.15
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return fitting.source.native and bool(anatomy.legs) and not anatomy.upright
+        return fitting.source.own_kind and bool(anatomy.legs) and not anatomy.upright
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         source, rotations = self.raised(fitting.source, fitting.rotations, anatomy)

@@ -44,7 +44,7 @@ class Ground(Stage):
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         motion = fitting.motion
-        if not fitting.source.native or fitting.heights is not None:
+        if not fitting.source.own_height or fitting.heights is not None:
             return fitting.moved(self.followed(fitting.source, motion, anatomy, fitting.heights))
         wings = bool(anatomy.joints.present[_WINGS].all())
         flies = not anatomy.legs or anatomy.upright or wings  # who is upright may climb or hang

@@ -46,7 +46,7 @@ class Level(Stage):
     parts: float = 3
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return not fitting.source.native and not anatomy.upright
+        return not fitting.source.own_kind and not anatomy.upright
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         root = fitting.source.root_rotation

@@ -45,7 +45,7 @@ class Tail(Stage):
     slow: float = 0.5
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return fitting.source.native
+        return fitting.source.own_kind
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         lowered = self.lowered(fitting.rotations, anatomy.handles, anatomy.joints, fitting.source.fps)

@@ -2,9 +2,9 @@
 
 Each character gets the handles that the shipped predictor gives its bare mesh, as those of whoever has an unrigged
 copy. Its clips are registered to them and taken to the reference body (`bunraku.retarget.reference`), from where
-`fit_motion` of a `native` motion takes them back. `creature_clips.json` holds the species of every file, the action
-and the words of every label, and, in place of those words, sentences of whoever watched the clip. Of people with equal
-clips one is taken, without the walking that motion capture has more of; they join as clips of any humanoid.
+`fit_motion` of a motion of their own body takes them back. `creature_clips.json` holds the species of every file, the
+action and the words of every label, and, in place of those words, sentences of whoever watched the clip. Of people with
+equal clips one is taken, without the walking that motion capture has more of; they join as clips of any humanoid.
 """
 
 from __future__ import annotations
@@ -281,7 +281,7 @@ def reference_motion(
         motion = played_on(motion, LEAST_LOOP)
     if travels:
         motion = with_travel(motion, forward_speed(vertices, body.character.surface, height, FPS))
-    return motion_to_reference(motion, body.anatomy, native=not person)
+    return motion_to_reference(motion, body.anatomy, own=not person)
 
 
 def _entry(clip: CreatureClip, frames: int) -> dict[str, Any]:
