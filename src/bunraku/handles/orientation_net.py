@@ -8,7 +8,7 @@ favoured by accident.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from torch import nn
 
 from bunraku.geometry.axes import right_angle_rotations
 from bunraku.handles.graph import farthest_points
-from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import load_network, save_network
 
 __all__ = [
     "OrientationConfig",
@@ -168,15 +168,8 @@ class OrientationPredictor(nn.Module):
 def save_orientation_predictor(
     path: str | Path, model: OrientationPredictor, note: dict[str, Any] | None = None, half: bool = False
 ) -> Path:
-    """Write the weights with their config as a checkpoint of kind "orientation".
-
-    Args:
-        note: Anything else to carry, for example the training's settings and results.
-        half: Store the matrices as float16.
-    """
-    return save_checkpoint(
-        path, model.state_dict(), {"predictor": asdict(model.config), **(note or {})}, "orientation", half=half
-    )
+    """Write the weights with their config as a checkpoint of kind "orientation"."""
+    return save_network(path, model, "orientation", note, half, key="predictor")
 
 
 def load_orientation_predictor(path: str | Path) -> OrientationPredictor:
@@ -185,8 +178,6 @@ def load_orientation_predictor(path: str | Path) -> OrientationPredictor:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    state, config = load_checkpoint(path, "orientation")
-    with fitting_config(path):
-        model = OrientationPredictor(OrientationConfig(**config["predictor"]))
-        model.load_state_dict(state)
-    return model.eval()
+    return load_network(
+        path, "orientation", lambda shape: OrientationPredictor(OrientationConfig(**shape)), key="predictor"
+    )

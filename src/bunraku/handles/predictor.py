@@ -4,7 +4,7 @@ out.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from torch import nn
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.errors import WeightsError
 from bunraku.handles.graph import GraphLayer, MeshGraph
-from bunraku.nn.checkpoints import fitting_config, load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import load_checkpoint, load_network, save_network
 
 __all__ = [
     "HandlePrediction",
@@ -102,15 +102,8 @@ class HandlePredictor(nn.Module):
 def save_predictor(
     path: str | Path, model: HandlePredictor, note: dict[str, Any] | None = None, half: bool = False
 ) -> Path:
-    """Write the weights with their config as a checkpoint of kind "handles".
-
-    Args:
-        note: Anything else to carry, for example the training's settings and results.
-        half: Store the matrices as float16.
-    """
-    return save_checkpoint(
-        path, model.state_dict(), {"predictor": asdict(model.config), **(note or {})}, "handles", half=half
-    )
+    """Write the weights with their config as a checkpoint of kind "handles"."""
+    return save_network(path, model, "handles", note, half, key="predictor")
 
 
 def load_predictor(path: str | Path) -> HandlePredictor:
@@ -119,14 +112,12 @@ def load_predictor(path: str | Path) -> HandlePredictor:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    state, config = load_checkpoint(path, "handles")
-    with fitting_config(path):
-        settings: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in config["predictor"].items()
-        }
-        model = HandlePredictor(PredictorConfig(**settings))
-        model.load_state_dict(state)
-    return model.eval()
+
+    def build(shape: dict[str, Any]) -> HandlePredictor:
+        settings: dict[str, Any] = {k: tuple(value) if isinstance(value, list) else value for k, value in shape.items()}
+        return HandlePredictor(PredictorConfig(**settings))
+
+    return load_network(path, "handles", build, key="predictor")
 
 
 def grow_predictor(model: HandlePredictor, path: str | Path) -> None:

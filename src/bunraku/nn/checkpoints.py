@@ -142,14 +142,20 @@ def fitting_config(path: str | Path) -> Iterator[None]:
     """
     try:
         yield
-    except (KeyError, TypeError, RuntimeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, LookupError, TypeError, RuntimeError, ValueError) as error:
         raise WeightsError(
             f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
         ) from error
 
 
 def save_network(
-    path: str | Path, model: torch.nn.Module, kind: str, note: dict[str, Any] | None = None, half: bool = False
+    path: str | Path,
+    model: torch.nn.Module,
+    kind: str,
+    note: dict[str, Any] | None = None,
+    half: bool = False,
+    *,
+    key: str = "network",
 ) -> Path:
     """Write a network's weights with its config, a dataclass.
 
@@ -157,27 +163,31 @@ def save_network(
         path: The file.
         model: The network, its shape in `config`.
         kind: Of the checkpoint.
-        note: Anything else to carry.
+        note: Anything else to carry, for example the training's settings and results.
         half: Store the matrices as float16.
+        key: Under which the config stands.
     """
-    config = {"network": asdict(cast(Any, model.config)), **(note or {})}
+    config = {key: asdict(cast(Any, model.config)), **(note or {})}
     return save_checkpoint(path, model.state_dict(), config, kind, half=half)
 
 
-def load_network(path: str | Path, kind: str, build: Callable[[dict[str, Any]], Network]) -> Network:
+def load_network(
+    path: str | Path, kind: str, build: Callable[[dict[str, Any]], Network], *, key: str = "network"
+) -> Network:
     """Read what `save_network` wrote, ready to use.
 
     Args:
         path: The file.
         kind: Of the checkpoint.
         build: The network of its config's fields.
+        key: Under which the config stands.
 
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, kind)
     with fitting_config(path):
-        model = build(config["network"])
+        model = build(config[key])
         model.load_state_dict(state)
     return model.eval().requires_grad_(False)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from bunraku.cli.output.progress import stages
@@ -21,8 +22,10 @@ __all__ = [
     "ranker",
 ]
 
+Verb = tuple[type, Callable[[Any], None]]
 
-def handles() -> tuple[type, Callable[[Any], None]]:
+
+def handles() -> Verb:
     """Train the Mesh Handle Predictor (section 3.1 of TapMo).
 
     The same command goes on where a run stopped.
@@ -31,21 +34,10 @@ def handles() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku_lab.training.handles.train import HandleTrainConfig, train_handles
 
-    def run(config: HandleTrainConfig) -> None:
-        with stages() as report:
-
-            def log(row: dict[str, float]) -> None:
-                print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
-                spent = row["seconds"] / (60 * config.minutes) if config.minutes > 0 else 0.0
-                report("training", min(max(spent, row["epoch"] / config.epochs), 1.0))
-
-            path = train_handles(config, log)
-        print(f"wrote {path}")
-
-    return HandleTrainConfig, run
+    return _verb(HandleTrainConfig, train_handles)
 
 
-def orientation() -> tuple[type, Callable[[Any], None]]:
+def orientation() -> Verb:
     """Train the network that knows which way up a character belongs and which way it faces.
 
     The same command goes on where a run stopped.
@@ -54,13 +46,10 @@ def orientation() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku_lab.training.orientation.train import OrientationTrainConfig, train_orientation
 
-    def log(row: dict[str, float]) -> None:
-        print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
-
-    return OrientationTrainConfig, lambda config: print(f"wrote {train_orientation(config, log)}")
+    return _verb(OrientationTrainConfig, train_orientation)
 
 
-def diffusion() -> tuple[type, Callable[[Any], None]]:
+def diffusion() -> Verb:
     """Train the Shape-aware Motion Diffusion (section 3.2 of TapMo).
 
     The same command goes on where a run stopped. The preset "small" trains on a processor in hours. Several GPUs or
@@ -73,7 +62,7 @@ def diffusion() -> tuple[type, Callable[[Any], None]]:
     return TrainingConfig, lambda config: print(f"wrote {train_diffusion(config)}")
 
 
-def adaptation() -> tuple[type, Callable[[Any], None]]:
+def adaptation() -> Verb:
     """Fine-tune the adaptation of motions to meshes on ARAP pseudo-labels (Eq. 10 and 11 of TapMo).
 
     Only the linear layer of the adaptation learns. The same command goes on where a run stopped.
@@ -83,19 +72,10 @@ def adaptation() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku_lab.training.adaptation.train import AdaptationConfig, train_adaptation
 
-    def run(config: AdaptationConfig) -> None:
-        with stages() as report:
-
-            def log(row: dict[str, float]) -> None:
-                print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
-
-            path = train_adaptation(config, log, report)
-        print(f"wrote {path}")
-
-    return AdaptationConfig, run
+    return _verb(AdaptationConfig, train_adaptation)
 
 
-def extractor() -> tuple[type, Callable[[Any], None]]:
+def extractor() -> Verb:
     """Train the feature extractor that `bunraku evaluate motion` measures with (section A.2 of TapMo).
 
     The same command goes on where a run stopped. A processor takes half an hour.
@@ -104,19 +84,10 @@ def extractor() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku_lab.evaluation.motion.train_extractor import ExtractorTrainConfig, train_extractor
 
-    def run(config: ExtractorTrainConfig) -> None:
-        with stages() as report:
-
-            def log(row: dict[str, float]) -> None:
-                print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
-
-            path = train_extractor(config, log, report=report)
-        print(f"wrote {path}")
-
-    return ExtractorTrainConfig, run
+    return _verb(ExtractorTrainConfig, train_extractor)
 
 
-def ranker() -> tuple[type, Callable[[Any], None]]:
+def ranker() -> Verb:
     """Train the ranker, which chooses among the candidates that `bunraku animate` makes.
 
     The same command goes on where a run stopped. A processor takes half an hour.
@@ -125,18 +96,10 @@ def ranker() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku_lab.training.ranker.train import RankerTrainConfig, train_ranker
 
-    def run(config: RankerTrainConfig) -> None:
-        def log(row: dict[str, float]) -> None:
-            print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
-
-        with stages() as report:
-            path = train_ranker(config, log, progress=report)
-        print(f"wrote {path}")
-
-    return RankerTrainConfig, run
+    return _verb(RankerTrainConfig, train_ranker)
 
 
-def apparel_mask() -> tuple[type, Callable[[Any], None]]:
+def apparel_mask() -> Verb:
     """Train the apparel segmentation network (section 4.1 of MMDMC) on characters of the wardrobe.
 
     The same command goes on where a run stopped. No motion and no physics are needed.
@@ -145,10 +108,10 @@ def apparel_mask() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku_lab.training.apparel.segmentation import SegmentationTrainConfig, train_segmentation
 
-    return SegmentationTrainConfig, lambda config: print(f"wrote {train_segmentation(config, _told)}")
+    return _verb(SegmentationTrainConfig, train_segmentation)
 
 
-def apparel_body() -> tuple[type, Callable[[Any], None]]:
+def apparel_body() -> Verb:
     """Train the body network: skinning weights by geodesic attention (section 4.2 of MMDMC).
 
     The same command goes on where a run stopped. Its variants without geodesic distances and sorted by them are
@@ -158,10 +121,10 @@ def apparel_body() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku_lab.training.apparel.body import BodyTrainConfig, train_body
 
-    return BodyTrainConfig, lambda config: print(f"wrote {train_body(config, _told)}")
+    return _verb(BodyTrainConfig, train_body)
 
 
-def apparel_refinement() -> tuple[type, Callable[[Any], None]]:
+def apparel_refinement() -> Verb:
     """Train the joint refinement (section 4.4 of MMDMC), which merges what the body and the apparel network say.
 
     The same command goes on where a run stopped. The other networks are the shipped ones, or those that are named.
@@ -170,10 +133,10 @@ def apparel_refinement() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku_lab.training.apparel.refinement import RefinementTrainConfig, train_refinement
 
-    return RefinementTrainConfig, lambda config: print(f"wrote {train_refinement(config, _told)}")
+    return _verb(RefinementTrainConfig, train_refinement)
 
 
-def apparel() -> tuple[type, Callable[[Any], None]]:
+def apparel() -> Verb:
     """Train the apparel displacement network (section 4.3 of MMDMC): the head that cannot drift, then what remembers.
 
     The same command goes on where a run stopped. The paper's form is --network.frame world --head 0.
@@ -182,8 +145,18 @@ def apparel() -> tuple[type, Callable[[Any], None]]:
     """
     from bunraku_lab.training.apparel.displacement import DisplacementTrainConfig, train_displacement
 
-    return DisplacementTrainConfig, lambda config: print(f"wrote {train_displacement(config, _told)}")
+    return _verb(DisplacementTrainConfig, train_displacement)
 
 
-def _told(row: dict[str, float]) -> None:
-    print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
+def _verb(settings: type, train: Callable[..., Path]) -> Verb:
+    """Settings, and what trains by them, prints the rows of its log and shows how far it is."""
+
+    def told(row: dict[str, float]) -> None:
+        print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
+
+    def run(config: Any) -> None:
+        with stages() as report:
+            path = train(config, report=told, progress=report)
+        print(f"wrote {path}")
+
+    return settings, run

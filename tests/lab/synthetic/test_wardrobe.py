@@ -18,10 +18,10 @@ from bunraku.errors import FormatError
 from bunraku.formats.mmd.pmx_write import write_pmx
 from bunraku.physics.simulate import simulate
 from bunraku.skeletons.mmd_names import mmd_skeleton_map
+from bunraku_lab.synthetic.surfaces import strand
 from bunraku_lab.synthetic.wardrobe import build_wardrobe, wardrobe_character, wardrobe_costume
 from bunraku_lab.synthetic.wardrobe.kit.chains import Chains
 from bunraku_lab.synthetic.wardrobe.kit.figure import Skin
-from bunraku_lab.synthetic.wardrobe.kit.surfaces import strand
 from bunraku_lab.synthetic.wardrobe.makehuman import closet
 
 SEEDS = range(8)

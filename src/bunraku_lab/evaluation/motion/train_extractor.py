@@ -150,25 +150,25 @@ def _sentences(clips: Mapping[str, Mapping[str, Any]]) -> set[str]:
 
 def train_extractor(
     config: ExtractorTrainConfig,
-    log: Callable[[dict[str, float]], None] | None = None,
+    report: Callable[[dict[str, float]], None] | None = None,
     encoder: TextEncoder | None = None,
-    report: Callable[[str, float], None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> Path:
     """Train, or go on training, and return the path of the averaged weights.
 
     Args:
         config: The run.
-        log: Called with a row of the log at each validation.
+        report: Called with a row of the log at each validation.
         encoder: In place of the built-in text encoder.
-        report: Called with a stage's name and the share done.
+        progress: Called with a stage's name and the share done.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.
         FormatError: The data are missing or damaged.
     """
-    report = report or (lambda stage, done: None)
+    progress = progress or (lambda stage, done: None)
     config.prepare()
-    clips = load_clips(config.data, lambda done, total: report("clips", done / total), splits={"train", "val"})
+    clips = load_clips(config.data, lambda done, total: progress("clips", done / total), splits={"train", "val"})
     train, held = people(clips, "train"), people(clips, "val")
     if not train:
         raise OptionError(
@@ -176,9 +176,9 @@ def train_extractor(
         )
     encoder = encoder or text_encoder(config.extractor.text_encoder)
     config = replace(config, extractor=for_encoder(config.extractor, encoder))
-    trainer = ExtractorTrainer(config, train, captions_of(config, encoder, _sentences(train), report))
+    trainer = ExtractorTrainer(config, train, captions_of(config, encoder, _sentences(train), progress))
     trainer.held, (trainer.held_out, trainer.candidates), trainer.encoder = held, _validation(held), encoder
-    return trainer.learn(log, report)
+    return trainer.learn(report, progress)
 
 
 def _validation(clips: Mapping[str, dict[str, Any]]) -> tuple[list[Window], int]:

@@ -13,6 +13,7 @@ from bunraku.geometry.normals import vertex_normals
 from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
 from bunraku_lab.synthetic.dressed.wardrobe import Piece, Wardrobe, Worn, joined
 from bunraku_lab.synthetic.makehuman import BODY_VERTICES
+from bunraku_lab.synthetic.surfaces import sheet_faces
 
 __all__ = ["bag", "cape", "ears", "glasses", "hat", "helmet", "shell", "shoulder_pads", "spikes", "tail", "wings"]
 
@@ -35,14 +36,6 @@ def _rigid(points: np.ndarray, faces: np.ndarray, joint: str, handle: str) -> Pi
     return Piece(points, faces, joints, handles)
 
 
-def _grid(rows: int, columns: int, closed: bool = False) -> np.ndarray:
-    """Triangles of a grid of points, row by row; `closed` joins the last column with the first."""
-    row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns if closed else columns - 1), indexing="ij")
-    a, b = row * columns + column, row * columns + (column + 1) % columns
-    quads = np.stack([a, b, b + columns, a + columns], axis=-1).reshape(-1, 4)
-    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-
-
 def _tube(centers: np.ndarray, radii: np.ndarray, sides: int = 10) -> tuple[np.ndarray, np.ndarray]:
     """A tube along a curve, shape (N, 3); ends stay open where their radius is not small."""
     along = np.gradient(centers, axis=0)
@@ -53,7 +46,7 @@ def _tube(centers: np.ndarray, radii: np.ndarray, sides: int = 10) -> tuple[np.n
         center + radius * rings @ rotation_between(up, step).T
         for center, radius, step in zip(centers, radii, along, strict=True)
     ]
-    return np.concatenate(points), _grid(len(centers), sides, closed=True)
+    return np.concatenate(points), sheet_faces(len(centers), sides, wrap=True)[:, ::-1]
 
 
 def _box(center: np.ndarray, size: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -83,7 +76,7 @@ def hat(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
                       -profile[:, :1] * np.sin(ring) * half[2] * fat], axis=-1).reshape(-1, 3)  # fmt: skip
     tilt = np.asarray(matrix_from_axis_angle(rng.normal(0, 0.12, 3)))
     brow = center + half * np.array([0, rng.uniform(0.35, 0.6), -0.1])
-    return _rigid(local @ tilt.T + brow, _grid(len(profile), 20, closed=True), "head", "head_top")
+    return _rigid(local @ tilt.T + brow, sheet_faces(len(profile), 20, wrap=True)[:, ::-1], "head", "head_top")
 
 
 def ears(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
@@ -164,7 +157,7 @@ def cape(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     away, folds, phase = rng.uniform(0.02, 0.05), int(rng.integers(2, 6)), rng.uniform(0, 6)
     z = back - away + 0.06 * u**2 * (1 - v) - 0.15 * rng.random() * v + 0.03 * v * np.sin(folds * np.pi * u + phase)
     x = u * shoulder[0] * (rng.uniform(0.9, 1.15) + rng.uniform(0, 1.0) * v)
-    piece = _rigid(np.stack([x, y, z], axis=-1).reshape(-1, 3), _grid(24, 25), "spine3", "spine3")
+    piece = _rigid(np.stack([x, y, z], axis=-1).reshape(-1, 3), sheet_faces(24, 25)[:, ::-1], "spine3", "spine3")
     return Piece(piece.points, piece.faces, piece.joints, _winged(piece, smooth_step(v.reshape(-1), 0.0, 0.15)))
 
 
@@ -193,8 +186,8 @@ def wings(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     x, y, z = u * span, lift * span * np.sin(u * 2.0) - v * depth, -sweep * span * u
     right = root + np.stack([x, y, z], axis=-1).reshape(-1, 3)
     pieces = [
-        _rigid(right, _grid(9, 16), "spine3", "left_wing"),
-        _rigid(right * [-1, 1, 1], _grid(9, 16)[:, ::-1], "spine3", "right_wing"),
+        _rigid(right, sheet_faces(9, 16)[:, ::-1], "spine3", "left_wing"),
+        _rigid(right * [-1, 1, 1], sheet_faces(9, 16), "spine3", "right_wing"),
     ]
     return joined(pieces)
 
@@ -246,7 +239,7 @@ def shoulder_pads(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> P
         pieces.append(
             _rigid(
                 (dome @ turn.T) + worn.joints[_J[name]] + [0.2 * side * size, 0.1 * size, 0],
-                _grid(6, 12, closed=True),
+                sheet_faces(6, 12, wrap=True)[:, ::-1],
                 name,
                 name,
             )

@@ -6,7 +6,7 @@ import numpy as np
 
 from bunraku_lab.synthetic.families.human_head import ears_and_horns, eyes
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
-from bunraku_lab.synthetic.families.shapes import unit
+from bunraku_lab.synthetic.surfaces import unit
 
 __all__ = ["beast_head", "dragon", "frog", "quadruped", "tail", "wings"]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from bunraku_lab.synthetic.families.human_head import eyes
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
-from bunraku_lab.synthetic.families.shapes import unit
+from bunraku_lab.synthetic.surfaces import unit
 
 __all__ = ["bee", "crab", "insect", "snake", "spider"]
 

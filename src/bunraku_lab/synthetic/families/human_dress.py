@@ -9,7 +9,7 @@ import numpy as np
 from bunraku.samples.surfaces import ring_mesh
 from bunraku_lab.synthetic.families.human_frame import Human, arm_chain
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
-from bunraku_lab.synthetic.families.shapes import unit
+from bunraku_lab.synthetic.surfaces import unit
 
 __all__ = ["build_clothes", "build_items"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku_lab.synthetic.families.model import SIDES, Chain, Model
-from bunraku_lab.synthetic.families.shapes import unit
+from bunraku_lab.synthetic.surfaces import unit
 
 __all__ = ["Human", "arm_chain", "draw_human", "pose_skeleton"]
 

@@ -7,17 +7,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from bunraku.geometry.normals import vertex_normals
 from bunraku.samples.fields import Field, Lump
 from bunraku.samples.meshing import marched
+from bunraku_lab.synthetic.surfaces import sheet_faces
 
-__all__ = ["Mesh", "block_mesh", "melted_mesh", "sheet_mesh", "thinned", "unit"]
+__all__ = ["Mesh", "block_mesh", "melted_mesh", "sheet_mesh", "thinned"]
 
 Mesh = tuple[np.ndarray, np.ndarray]
-
-
-def unit(vector: np.ndarray) -> np.ndarray:
-    """The vector with length 1."""
-    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
 
 
 @lru_cache(maxsize=64)
@@ -127,19 +124,11 @@ def sheet_mesh(grid: np.ndarray, thickness: float = 0.0, wrap: bool = False) -> 
     index = np.arange(rows * columns).reshape(rows, columns)
     if wrap:
         index = np.concatenate([index, index[:, :1]], axis=1)
-    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    faces = sheet_faces(rows, columns, wrap)
     points = grid.reshape(-1, 3)
     if thickness <= 0:
         return points, faces
-    corners = points[faces]
-    normal = np.zeros_like(points)
-    np.add.at(
-        normal,
-        faces.ravel(),
-        np.repeat(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), 3, axis=0),
-    )
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    normal = vertex_normals(points, faces)
     count = len(points)
     rim = [index[0], index[-1][::-1]] + ([] if wrap else [index[::-1, 0], index[:, -1]])
     walls = [faces, faces[:, ::-1] + count]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku_lab.synthetic.surfaces import patch
 from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
-from bunraku_lab.synthetic.wardrobe.kit.surfaces import patch
 
 __all__ = ["add_face"]
 

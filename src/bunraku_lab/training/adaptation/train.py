@@ -240,7 +240,7 @@ class _Run:
 
 def train_adaptation(
     config: AdaptationConfig,
-    log: Callable[[dict[str, float]], None] | None = None,
+    report: Callable[[dict[str, float]], None] | None = None,
     progress: Callable[[str, float], None] | None = None,
     encoder: TextEncoder | None = None,
 ) -> Path:
@@ -248,7 +248,7 @@ def train_adaptation(
 
     Args:
         config: The run.
-        log: Called with each row of the log.
+        report: Called with each row of the log.
         progress: Called with a stage's name and the share done.
         encoder: In place of the denoiser's own text encoder.
 
@@ -320,7 +320,7 @@ def train_adaptation(
     state = config.out / "state.safetensors"
     if state.is_file():
         run.restore(state)
-    _loop(run, log, progress)
+    _loop(run, report, progress)
     return config.out / "diffusion.safetensors"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.losses.apparel_losses import edge_loss, smoothness_loss, vertex_loss
-from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
 from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["BodyTrainConfig", "BodyTrainer", "pose_bank", "posed_joints", "train_body"]
@@ -159,12 +159,13 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
         return save_body(self.checkpoint, self.average, note, half=True)
 
 
-def train_body(config: BodyTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
+def train_body(config: BodyTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
     """Train the body network, or go on where the run in `config.out` stopped.
 
     Args:
         config: Settings.
         report: Called at each validation with its figures (the row of log.csv).
+        progress: Called with a stage\'s name and the share done.
 
     Returns:
         The checkpoint.
@@ -176,4 +177,4 @@ def train_body(config: BodyTrainConfig, report: Callable[[dict[str, float]], Non
     meshes = build_meshes(config.meshes or config.out.with_name(f"{config.out.name}-meshes"), config.characters)
     poses, held_poses = pose_bank(config.data, "train"), pose_bank(config.data, "val", 500)
     trainer = BodyTrainer(config, meshes["train"], poses, meshes["val"] if len(held_poses) else [], held_poses)
-    return trainer.learn(report)
+    return trainer.learn(report, progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from bunraku.apparel.displacement.recurrent import past_of_states
 from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.node_bank import HEADS, BankCharacter, build_bank
 from bunraku_lab.training.losses.apparel_losses import edge_loss, vertex_loss
-from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
 from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["DisplacementTrainConfig", "DisplacementTrainer", "train_displacement"]
@@ -240,13 +240,14 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
 
 
 def train_displacement(
-    config: DisplacementTrainConfig, report: Callable[[dict[str, float]], None] | None = None
+    config: DisplacementTrainConfig, report: Report | None = None, progress: Progress | None = None
 ) -> Path:
     """Train the displacement network, or go on where the run in `config.out` stopped.
 
     Args:
         config: Settings.
         report: Called at each validation with its figures (the row of log.csv).
+        progress: Called with a stage\'s name and the share done.
 
     Returns:
         The checkpoint.
@@ -263,4 +264,4 @@ def train_displacement(
         for split in ("train", "val")  # type: ignore[arg-type]
     )
     trainer = DisplacementTrainer(config, characters, held_out)
-    return trainer.learn(report)
+    return trainer.learn(report, progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.training.apparel.node_bank import truth_wearer
 from bunraku_lab.training.losses.apparel_losses import edge_loss, refinement_loss, vertex_loss
-from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
 from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["RefinementTrainConfig", "RefinementTrainer", "SeamSample", "seam_sample", "train_refinement"]
@@ -202,12 +202,15 @@ def _samples(config: RefinementTrainConfig, split: str, most: int, folder: Path)
     return out
 
 
-def train_refinement(config: RefinementTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
+def train_refinement(
+    config: RefinementTrainConfig, report: Report | None = None, progress: Progress | None = None
+) -> Path:
     """Train the joint refinement, or go on where the run in `config.out` stopped.
 
     Args:
         config: Settings.
         report: Called at each validation with its figures (the row of log.csv).
+        progress: Called with a stage\'s name and the share done.
 
     Returns:
         The checkpoint.
@@ -219,4 +222,4 @@ def train_refinement(config: RefinementTrainConfig, report: Callable[[dict[str, 
     bank = config.out.with_name(f"{config.out.name}-seams")
     held_out = _samples(config, "val", max(config.characters // 8, 1), bank / "val")
     characters = _samples(config, "train", config.characters, bank / "train")
-    return RefinementTrainer(config, characters, held_out).learn(report)
+    return RefinementTrainer(config, characters, held_out).learn(report, progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.apparel.mesh_variation import varied
 from bunraku_lab.training.losses.apparel_losses import mask_loss
-from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
 from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["SegmentationTrainConfig", "SegmentationTrainer", "mask_iou", "train_segmentation"]
@@ -127,13 +127,14 @@ def mask_iou(mask: np.ndarray, truth: np.ndarray) -> float:
 
 
 def train_segmentation(
-    config: SegmentationTrainConfig, report: Callable[[dict[str, float]], None] | None = None
+    config: SegmentationTrainConfig, report: Report | None = None, progress: Progress | None = None
 ) -> Path:
     """Train the segmentation network, or go on where the run in `config.out` stopped.
 
     Args:
         config: Settings.
         report: Called at each validation with its figures (the row of log.csv).
+        progress: Called with a stage\'s name and the share done.
 
     Returns:
         The checkpoint.
@@ -144,4 +145,4 @@ def train_segmentation(
     config.prepare()
     meshes = build_meshes(config.out.with_name(f"{config.out.name}-meshes"), config.characters)
     trainer = SegmentationTrainer(config, meshes["train"], meshes["val"])
-    return trainer.learn(report)
+    return trainer.learn(report, progress)

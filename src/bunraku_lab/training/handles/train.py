@@ -30,7 +30,7 @@ from bunraku_lab.training.handles.damage import DamageConfig, damage
 from bunraku_lab.training.handles.mesh_feature_bank import write_mesh_bank
 from bunraku_lab.training.losses import handle_losses as losses
 from bunraku_lab.training.losses.handle_losses import LossConfig
-from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
 from bunraku_lab.training.runs.settings import TrainingSettings
 
 __all__ = ["HandleTrainConfig", "HandleTrainer", "train_handles", "validate_handles"]
@@ -282,13 +282,14 @@ def validate_handles(
     return {name: float(np.mean(values)) if values else math.nan for name, values in results.items()}
 
 
-def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
+def train_handles(config: HandleTrainConfig, report: Report | None = None, progress: Progress | None = None) -> Path:
     """Train the predictor, or go on where the run in `config.out` stopped; at the end write `mesh_features.npz` for the
     diffusion.
 
     Args:
         config: Settings.
         report: Called after each epoch with its figures (the row of log.csv).
+        progress: Called with a stage\'s name and the share done.
 
     Returns:
         The checkpoint.
@@ -304,7 +305,7 @@ def train_handles(config: HandleTrainConfig, report: Callable[[dict[str, float]]
     config.prepare()
     characters, held_out = load_characters(config.cache)
     trainer = HandleTrainer(config, characters, held_out, reference_characters(config.predictor.mesh_vertices))
-    checkpoint = trainer.learn(report)
+    checkpoint = trainer.learn(report, progress)
     bank = config.out / "mesh_features.npz"
     if not bank.is_file() or bank.stat().st_mtime < checkpoint.stat().st_mtime:  # older where a run was killed here
         write_mesh_bank(trainer.average, [*trainer.characters, *trainer.reference], bank)

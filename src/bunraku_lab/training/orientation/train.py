@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from bunraku_lab.training.orientation.measures import (
     validate_orientation,
     varied_tokens,
 )
-from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
 from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["OrientationTrainConfig", "OrientationTrainer", "train_orientation"]
@@ -135,12 +135,15 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         return save_orientation_predictor(self.checkpoint, shipped, note, half=True)
 
 
-def train_orientation(config: OrientationTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
+def train_orientation(
+    config: OrientationTrainConfig, report: Report | None = None, progress: Progress | None = None
+) -> Path:
     """Train the orientation network, or go on where the run in `config.out` stopped.
 
     Args:
         config: Settings.
         report: Called at each validation with its figures (the row of log.csv).
+        progress: Called with a stage\'s name and the share done.
 
     Returns:
         The checkpoint.
@@ -156,4 +159,4 @@ def train_orientation(config: OrientationTrainConfig, report: Callable[[dict[str
     config.prepare()
     characters, held_out = load_characters(config.cache)
     reference = reference_characters() if config.reference_share > 0 else ()
-    return OrientationTrainer(config, characters, held_out, reference).learn(report)
+    return OrientationTrainer(config, characters, held_out, reference).learn(report, progress)

@@ -156,7 +156,7 @@ def alike(sentences: Sequence[str]) -> np.ndarray:
 
 def train_ranker(
     config: RankerTrainConfig,
-    log: Callable[[dict[str, float]], None] | None = None,
+    report: Callable[[dict[str, float]], None] | None = None,
     encoder: TextEncoder | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
@@ -164,7 +164,7 @@ def train_ranker(
 
     Args:
         config: The run.
-        log: Called with a row of the log at each validation.
+        report: Called with a row of the log at each validation.
         encoder: In place of the built-in text encoder.
         progress: Called with a stage's name and the share done.
 
@@ -182,4 +182,4 @@ def train_ranker(
     encoder = encoder or text_encoder(config.network.text_encoder)
     config = replace(config, network=for_encoder(config.network, encoder))
     bank = captions_of(config, encoder, {*train.sentences(), *held.sentences()}, progress)
-    return RankerTrainer(config, train, bank, held).learn(log, progress)
+    return RankerTrainer(config, train, bank, held).learn(report, progress)

@@ -17,10 +17,13 @@ from bunraku.formats.files import sweep
 from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
 from bunraku_lab.training.runs.runs import Stop, append_row, careful_step, follow_weights, learning_rate, plain_settings
 
-__all__ = ["AveragedRun", "share_done"]
+__all__ = ["AveragedRun", "Progress", "Report", "share_done"]
 
 Network = TypeVar("Network", bound=torch.nn.Module)
 Report = Callable[[dict[str, float]], None]
+"""Called with each row of the log."""
+Progress = Callable[[str, float], None]
+"""Called with a stage's name and the share done."""
 
 
 def share_done(seconds: float, minutes: float, step: int, steps: int) -> float:
@@ -205,7 +208,7 @@ class AveragedRun(Generic[Network]):
         """The first columns of a row of the log."""
         return {"step": self.step, "seconds": round(self.seconds, 1)}
 
-    def learn(self, report: Report | None = None, progress: Callable[[str, float], None] | None = None) -> Path:
+    def learn(self, report: Report | None = None, progress: Progress | None = None) -> Path:
         """Go on from the folder's state to the end of the run, or until it is asked to stop; each validation writes the
         checkpoint, the state and a row of `log.csv`.
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bunraku.core.mmd_model import MmdBody, MmdBone, MmdJoint
+from bunraku_lab.synthetic.surfaces import unit
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume, bone_frame
-from bunraku_lab.synthetic.wardrobe.kit.surfaces import unit
 
 __all__ = ["Chains", "Hang", "add_chains", "band_start"]
 

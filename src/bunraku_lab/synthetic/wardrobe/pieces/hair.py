@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku_lab.synthetic.surfaces import curve_through, sheet_faces, strand, unit
 from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains, band_start
 from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID
-from bunraku_lab.synthetic.wardrobe.kit.surfaces import curve_through, sheet_faces, strand, unit
 
 __all__ = ["HAIR", "Scalp", "add_hair"]
 

@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from bunraku_lab.synthetic.surfaces import curve_through, strand, unit
 from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains
 from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID
-from bunraku_lab.synthetic.wardrobe.kit.surfaces import curve_through, strand, unit
 from bunraku_lab.synthetic.wardrobe.pieces.hair import HAIR, Scalp
 
 __all__ = ["add_little_pieces"]

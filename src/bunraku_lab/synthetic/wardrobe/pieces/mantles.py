@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from bunraku_lab.synthetic.surfaces import sheet_faces, unit
 from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains, band_start
 from bunraku_lab.synthetic.wardrobe.kit.clothes import collar_field
 from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID, body_weights
-from bunraku_lab.synthetic.wardrobe.kit.surfaces import sheet_faces, unit
 from bunraku_lab.synthetic.wardrobe.pieces.skirts import Drape, hanging_rings
 
 __all__ = ["add_cape", "add_coat", "add_sleeves"]

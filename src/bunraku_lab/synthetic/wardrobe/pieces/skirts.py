@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku_lab.synthetic.surfaces import sheet_faces
 from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains, band_start
 from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID
-from bunraku_lab.synthetic.wardrobe.kit.surfaces import sheet_faces
 
 __all__ = ["Drape", "add_skirt", "hanging_rings"]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku_lab.synthetic.surfaces import curve_through, strand, unit
 from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains
 from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID
-from bunraku_lab.synthetic.wardrobe.kit.surfaces import curve_through, strand, unit
 from bunraku_lab.synthetic.wardrobe.pieces.hair import Scalp
 
 __all__ = ["add_bow", "add_ears", "add_scarf", "add_tail"]
