@@ -22,7 +22,7 @@ from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.reader import ApparelCharacter, ApparelClip
 from bunraku_lab.datasets.apparel.standing_out import standing_out
 
-__all__ = ["BANK_NODES", "BankCharacter", "build_bank", "load_bank", "truth_wearer"]
+__all__ = ["BANK_NODES", "BankCharacter", "build_bank", "truth_wearer"]
 
 BANK_NODES = 128
 HEADS = (48, 72, 128)
@@ -106,18 +106,6 @@ def build_bank(
         if progress:
             progress((number + 1) / max(len(data.characters), 1))
     return out
-
-
-def load_bank(folder: Path) -> list[BankCharacter]:
-    """The characters of a bank that is built.
-
-    Raises:
-        FormatError: There is none.
-    """
-    found = [BankCharacter(path.parent, path.parent.name) for path in sorted(folder.glob("*/static.npz"))]
-    if not found:
-        raise FormatError(folder, "there are no features of apparel here; train again from the data set")
-    return found
 
 
 def _by_character(data: ApparelData) -> Iterator[tuple[str, list[ApparelClip]]]:
