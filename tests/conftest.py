@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,3 +158,27 @@ def gesture():
         return tuple(torch.from_numpy(np.array(part))[None] for part in (motion.rotations, motion.translations))
 
     return make
+
+
+@pytest.fixture
+def fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Run a command that must fail with one sentence and status 2 and leave no file behind; give the sentence."""
+
+    import re
+
+    from bunraku.cli import main
+
+    def run(*words: object) -> str:
+        before = sorted(tmp_path.rglob("*"))
+        status = main([str(word) for word in words])
+        said = capsys.readouterr()
+        lines = [
+            line for line in said.err.strip().splitlines() if not re.fullmatch(r"\w+: \d+\.\d s", line)
+        ]  # stages that took long
+        assert status == 2, said.err
+        assert len(lines) == 1 and lines[0].startswith("bunraku: error: "), said.err
+        assert "Traceback" not in said.err and said.out == ""
+        assert sorted(tmp_path.rglob("*")) == before
+        return lines[0].removeprefix("bunraku: error: ")
+
+    return run

@@ -1,15 +1,12 @@
 """Tiny files, good and bad, made by hand, and a way to run the command line in this process."""
 
 import json
-import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-from bunraku.cli import main
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1.5, 0], [0, 0, 1]], "<f4")
 TRIANGLES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u2")
@@ -56,23 +53,3 @@ def good(tmp_path: Path) -> Path:
     path = tmp_path / "good.glb"
     path.write_bytes(glb_bytes())
     return path
-
-
-@pytest.fixture
-def fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Run a command that must fail with one sentence and status 2 and leave no file behind; give the sentence."""
-
-    def run(*words: object) -> str:
-        before = sorted(tmp_path.rglob("*"))
-        status = main([str(word) for word in words])
-        said = capsys.readouterr()
-        lines = [
-            line for line in said.err.strip().splitlines() if not re.fullmatch(r"\w+: \d+\.\d s", line)
-        ]  # stages that took long
-        assert status == 2, said.err
-        assert len(lines) == 1 and lines[0].startswith("bunraku: error: "), said.err
-        assert "Traceback" not in said.err and said.out == ""
-        assert sorted(tmp_path.rglob("*")) == before
-        return lines[0].removeprefix("bunraku: error: ")
-
-    return run
