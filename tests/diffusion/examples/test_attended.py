@@ -59,3 +59,24 @@ def test_takes():
     names = ("cmu_13_29_jacks@40", "cmu_13_29@0#12", "snu_WalkSad05@0", "snu_WalkSad11", "hdm_kick", "turn_cmu_02_01")
     found = [take_of(name) for name in names]
     assert found == ["cmu_13_29", "cmu_13_29", "snu_WalkSad", "snu_WalkSad", "hdm_kick", "cmu_02_01"]
+
+
+def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(denoiser):
+    """Motions of a network that attends to examples differ from those that it makes where none is usable."""
+    from bunraku.diffusion.examples import attended
+    from bunraku.diffusion.sampling.sampler import sample
+    from bunraku.language.encoders import text_encoder
+
+    name = "all-MiniLM-L6-v2+cues"
+    encoder = text_encoder(name)
+    sizes = {"text_encoder": name, "text_size": encoder.token_size, "pooled_size": encoder.pooled_size}
+    model = denoiser(examples=2, **sizes)
+    text = encoder.encode(["a person does a cartwheel"])
+    bank = attended.example_bank(model)
+    assert attended.example_bank(model) is bank
+    found = bank(text)
+    assert found.values.shape[:2] == (1, 2) and (found.lengths > 0).all()
+    one = sample(model, text, 40, steps=2, seed=1).values
+    assert torch.equal(one, sample(model, text, 40, steps=2, seed=1).values)
+    model.layers[1].examples.out.weight.zero_()
+    assert (one - sample(model, text, 40, steps=2, seed=1).values).abs().max() > 1e-3
