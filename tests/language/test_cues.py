@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from bunraku.language.captions import mirror_words
-from bunraku.language.cues import CUES, said_cues, sentence_cues
 from bunraku.language.encoders import CuedEncoder
+from bunraku.language.lexicon.cues import CUES, said_cues, sentence_cues
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ import torch
 import bunraku
 import bunraku.language
 from bunraku.errors import OptionError, WeightsError
-from bunraku.language.cues import CUES
 from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
+from bunraku.language.lexicon.cues import CUES
 from bunraku.language.prompts import check_prompt
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from bunraku.language.known.synonyms import in_known_words
+from bunraku.language.lexicon.reading import in_known_words
 from bunraku.language.understood import understood
 
 

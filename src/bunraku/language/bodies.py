@@ -10,9 +10,9 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from bunraku.language.clauses import of_creature, subject_of, with_subject
+from bunraku.language.lexicon.reading import said_otherwise
 from bunraku.language.parse import clause_of
 from bunraku.language.sentence import Clause, Sentence
-from bunraku.language.ways import said_otherwise
 
 __all__ = ["INSTEAD", "KINDS", "for_body"]
 
@@ -91,7 +91,9 @@ def _done(clause: Clause, kind: str, wings: bool, as_people: bool) -> Clause:
     moves = row.moves if row else "fly" if clause.locomotion == "fly" and wings else ""
     said = clause
     if row and row.verb:
-        said = clause_of(said_otherwise(clause.text, row.verb), clause.seconds)
+        predicate = subject_of(clause.text)[1]
+        head = clause.text[: len(clause.text) - len(predicate)]
+        said = clause_of(head + said_otherwise(predicate, row.verb), clause.seconds)
     ground = _on_ground(said)
     text = said.text
     if moves == "fly":

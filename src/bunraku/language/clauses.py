@@ -8,16 +8,16 @@ does only one of both. Words that say order part a sentence, and commas between 
 
 from __future__ import annotations
 
-import functools
 import re
 
-from bunraku.language.actions import actions_of
-from bunraku.language.captions import known_clauses, known_verbs
-from bunraku.language.captions.grammar import conjugate
+from bunraku.language.captions import is_known_clause
+from bunraku.language.lexicon.reading import actions_of
+from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.lexicon.tokens import words_of
 
 __all__ = [
     "SHORTEST_CLAUSE",
-    "clause_verbs",
+    "begins",
     "of_creature",
     "of_person",
     "split_clauses",
@@ -26,27 +26,6 @@ __all__ = [
     "with_subject",
 ]
 
-ONCE = {
-    "jump": 2.0, "long jump": 2.3, "kick": 2.0, "reach": 2.2, "sword": 1.6, "pick up": 3.2, "put down": 2.7,
-    "stand up": 2.5, "raise arm": 2.5, "turn": 2.0, "turn around": 2.5, "fall": 2.4, "roll": 2.0, "cartwheel": 3.0,
-    "flip": 2.0, "throw": 2.4, "kneel": 2.5, "catch": 2.4, "bow": 2.5, "lunge": 1.8, "shoot": 1.8, "shoot a ball": 3.0,
-    "salute": 2.2, "point": 2.2, "shrug": 2.0, "kiss": 2.5, "thumbs up": 2.4, "stop": 2.4, "facepalm": 2.6,
-    "shake hands": 2.6, "high five": 2.0, "hug": 3.2, "sneeze": 2.3, "cast": 2.8, "open door": 2.5, "watch": 2.4,
-    "photo": 2.9, "yawn": 3.2, "propose": 3.4, "both knees": 3.2, "pitch": 3.0, "serve": 3.2, "bat": 3.2, "golf": 3.8,
-    "stumble": 3.2, "jump over": 2.5,
-}  # fmt: skip
-"""How long captured people take for what is done once [s], by the words of `language.actions`: medians, rounded up."""
-_FIRST = {"turn", "turn around", "stand up"}
-_WHEELS = {"jump", "hop", "kick", "spin", "circle", "dance", "ballet", "salsa", "backward", "sidestep", "idle", "talk"}
-"""What goes together with a turn."""
-_GOES = {"walk", "run", "march", "sneak", "backward", "sidestep", "skip", "circle"}
-_STOPS = {
-    "salute", "look far", "bow", "kneel", "both knees", "propose", "pray", "stop", "facepalm", "hands on hips",
-    "shake hands", "high five", "hug", "photo", "knock", "open door", "write", "cast", "stretch", "pick up", "put down",
-    "throw", "jump over", "ladder", "golf", "bat", "pitch", "serve", "piano", "shoot", "sit", "lie", "fall", "squat",
-    "push-up", "sit-up", "stumble",
-}  # fmt: skip
-"""What people who go stop for, if it is not said that they do both at once."""
 GOING, LEAST_GOING = 2.5, 1.5
 """Time that goes on doing something is worth beside these, and the least that it gets before they get less [s]."""
 SHORTEST_CLAUSE = 1.0
@@ -68,64 +47,44 @@ _HINGE = re.compile(
     r"\s*,?\s+(?P<word>before|after)\s+(?:having\s+)?(?P<rest>(?!landing|being).+)$", re.IGNORECASE | re.DOTALL
 )
 _COMMA = re.compile(r"\s*,\s*(?:and\s+)?", re.IGNORECASE)
-_NOUN = (
-    r"(?:(?:a|an|the|one|this|that|my|our|his|her|their|its)\s+(?:(?!(?:and|or)\b)[\w'-]+\s+){1,3}?"
-    r"|(?:someone|somebody|he|she|it|they)\s+)"
-)
-_MORE_VERBS = (
-    "approach", "bark", "beckon", "blow", "brush", "chase", "check", "comb", "conduct", "cook", "cough", "cover",
-    "cross", "cry", "dab", "descend", "dig", "draw", "drum", "enter", "escape", "facepalm", "flee", "flex", "fold",
-    "grow", "growl", "hiss", "howl", "hug", "hunt", "kiss", "knock", "photograph", "pour", "pray", "propose", "read",
-    "relax", "salute", "scream", "search", "shade", "shiver", "shout", "shrug", "sigh", "smile", "sneeze", "sniff",
-    "sob", "speed", "stalk", "stir", "strum", "surrender", "tremble", "try", "type", "wake", "weep", "write", "yawn",
-    "yell",
-)  # fmt: skip
 _NO_VERB = re.compile(
     r"(?:left|right|forwards?|backwards?|back(?!\s+(?:up|away|off))|sideways|to|towards?|into|onto|in|on|at|around|up|down|away|out|off|again|over|with|from"
     r"|the\s+other|another|some|for|once|twice|faster|slower|more|less|higher|lower)\b",
     re.IGNORECASE,
 )
-_ADVERBS = r"(?:(?:\w+ly|also|again)\s+)*"
+_PRONOUNS = frozenset(("someone", "somebody", "he", "she", "it", "they"))
+_DETERMINERS = frozenset(("a", "an", "the", "one", "this", "that", "my", "our", "his", "her", "their", "its"))
+_LONGEST_NAME = 3
+"""Words that name somebody, behind an article."""
+_PEOPLE = frozenset((
+    "person", "someone", "somebody", "man", "woman", "boy", "girl", "guy", "human", "character", "figure", "he", "she",
+    "they", "people", "body",
+))  # fmt: skip
+_SAID_OF_PEOPLE = frozenset(("old", "young", "tired", "happy", "sad"))
+_FINITE = ("third", "is")
+_CLAUSE = ("third", "gerund", "plain", "is")
 
 
-def clause_verbs() -> frozenset[str]:
-    """Verbs that a clause may begin with, plain."""
-    return known_verbs() | frozenset(_MORE_VERBS)
+def begins(text: str, *forms: str) -> bool:
+    """Whether a text begins with a verb in one of some forms, adverbs before it apart.
 
-
-_PEOPLE = re.compile(
-    r"(an? |the |this |that )?(old |young |tired |happy |sad )?"
-    r"(person|someone|somebody|man|woman|boy|girl|guy|human|character|figure|he|she|they|people|body)"
-)
-
-
-@functools.cache
-def _forms() -> tuple[str, str, str]:
-    """Patterns of a verb in the third person, as a gerund, and plain."""
-
-    def pattern(words: set[str]) -> str:
-        return r"(?:" + "|".join(sorted(map(re.escape, words), key=len, reverse=True)) + r")\b"
-
-    verbs = clause_verbs()
-    third, gerund = ({conjugate(f"{{{verb}}}", form) for verb in verbs} for form in ("third", "gerund"))
-    return pattern(third), pattern(gerund), pattern(set(verbs))
-
-
-@functools.cache
-def _begins(what: str) -> re.Pattern[str]:
-    """What begins a clause: a "subject", a verb in the "third" person, as a "gerund" or "plain", any "clause", or a
-    "finite" one. Each is compiled when it is asked for first: with all verbs in them that takes a tenth of a second.
+    Args:
+        text: In English.
+        forms: "third", "gerund", "plain", or "is" for "is" and "are" before something else.
     """
-    third, gerund, plain = _forms()
-    text = {
-        "subject": rf"(?P<subject>{_NOUN})(?={_ADVERBS}(?:{third}|{gerund}|is\s+|are\s+))",
-        "third": rf"{_ADVERBS}{third}",
-        "gerund": rf"{_ADVERBS}{gerund}",
-        "clause": rf"(?:{_NOUN})?{_ADVERBS}(?:{third}|{gerund}|{plain}|is\s|are\s)",
-        "plain": rf"{_ADVERBS}{plain}",
-        "finite": rf"{_NOUN}{_ADVERBS}(?:{third}|is\s|are\s)",
-    }[what]
-    return re.compile(text, re.IGNORECASE)
+    table = lexicon()
+    words = words_of(text)[0]
+    for number, word in enumerate(words):
+        if (
+            ("third" in forms and word in table.third)
+            or ("gerund" in forms and word in table.gerund)
+            or ("plain" in forms and word in table.verbs)
+            or ("is" in forms and word in ("is", "are") and number + 1 < len(words))
+        ):
+            return True
+        if not (word in ("also", "again") or (word.endswith("ly") and len(word) > 2)):
+            return False
+    return False
 
 
 def split_clauses(sentence: str) -> list[str]:
@@ -137,8 +96,6 @@ def split_clauses(sentence: str) -> list[str]:
         sentence: A prompt in English.
     """
     text = " ".join(sentence.replace('"', " ").split())
-    if subject_of(text)[1].lower().removeprefix("is ").rstrip(" .") in known_clauses():
-        return [sentence]  # training knows it as it is
     parts = _ORDER.split(_BEGINS.sub("", text))
     pieces = [piece for part in parts for piece in _hinged(part)]
     items = [item for piece in pieces for item in _listed(piece, len(pieces) > 1)]
@@ -149,8 +106,8 @@ def split_clauses(sentence: str) -> list[str]:
             clauses[-1] += f", then {clause}"  # "runs left, then right"
         elif clause:
             clauses.append(clause)
-    if len(clauses) < 2:
-        return [sentence]
+    if len(clauses) < 2 or is_known_clause(subject_of(text)[1].lower().removeprefix("is ").rstrip(" .")):
+        return [sentence]  # nothing says order, or training knows it as it is
     subject, named = "", []
     for clause in clauses:
         own = subject_of(clause)[0]
@@ -161,8 +118,21 @@ def split_clauses(sentence: str) -> list[str]:
 
 def subject_of(clause: str) -> tuple[str, str]:
     """Its subject, "" where it has none, and the rest."""
-    found = _begins("subject").match(clause)
-    return (found["subject"].strip(), clause[found.end() :]) if found else ("", clause)
+    names, stop = clause.split(None, _LONGEST_NAME + 1), 0
+    if len(names) < 2:
+        return "", clause
+    first = names[0].lower()
+    most = 1 if first in _PRONOUNS else _LONGEST_NAME + 1 if first in _DETERMINERS else 0
+    for number, name in enumerate(names[:most], 1):
+        stop = clause.index(name, stop) + len(name)
+        if number > 1 and name.lower() in ("and", "or", "of"):
+            break
+        if not name.replace("-", "").replace("'", "").replace("_", "").isalnum():
+            break
+        rest = clause[stop:].lstrip()
+        if (number > 1 or most == 1) and begins(rest, "third", "gerund", "is"):
+            return clause[:stop].strip(), rest
+    return "", clause
 
 
 def of_creature(clause: str) -> str:
@@ -173,7 +143,9 @@ def of_creature(clause: str) -> str:
     subject, rest = subject_of(clause)
     if not subject:
         return with_subject(clause, "it")
-    return f"it {rest}" if _PEOPLE.fullmatch(subject.lower()) else clause
+    names = [word for word in subject.lower().split() if word not in ("a", "an", "the", "this", "that")]
+    known = names and names[-1] in _PEOPLE and len(names) < 3 and set(names[:-1]) <= _SAID_OF_PEOPLE
+    return f"it {rest}" if known else clause
 
 
 def of_person(clause: str) -> str:
@@ -190,8 +162,8 @@ def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
     """The clauses of a sentence with their shares of its seconds; the sentence itself where an even share is under a
     second.
 
-    What is done once gets the time that it takes (`ONCE`), and what goes on (walking, waving) shares the rest evenly.
-    Where there is not enough time, or nothing goes on, all get more or less in proportion.
+    What is done once gets the time that it takes (`Action.seconds`), and what goes on (walking, waving) shares the rest
+    evenly. Where there is not enough time, or nothing goes on, all get more or less in proportion.
     """
     clauses = split_clauses(sentence)
     if seconds / len(clauses) < SHORTEST_CLAUSE:
@@ -210,18 +182,19 @@ def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
 
 def _time_of(clause: str) -> float:
     """Time that a clause takes when it is done once [s]; 0 for what goes on."""
-    times = [ONCE.get(action, 0.0) for action in actions_of(clause)]
+    rows = lexicon().actions
+    times = [rows[action].seconds for action in actions_of(clause)]
     return max(times) if times and min(times) > 0 else 0.0
 
 
 def _hinged(piece: str) -> list[str]:
     """A piece parted at "before" and "after", in the order in which things happen."""
     found = _AFTER_FIRST.match(piece)
-    if found and _begins("gerund").match(found["earlier"]) and _begins("clause").match(found["later"]):
+    if found and begins(found["earlier"], "gerund") and _begins_clause(found["later"], *_CLAUSE):
         return [found["earlier"], *_hinged(found["later"])]
     for found in re.finditer(_HINGE, piece):
         rest = found["rest"]
-        if found.start() and (_begins("gerund").match(rest) or _begins("finite").match(rest)):
+        if found.start() and (begins(rest, "gerund") or (subject_of(rest)[0] and _begins_clause(rest, *_FINITE))):
             head = piece[: found.start()]
             return [head, *_hinged(rest)] if found["word"].lower() == "before" else [*_hinged(rest), head]
     return [piece]
@@ -238,10 +211,9 @@ def _listed(piece: str, ordered: bool) -> list[str]:
         return [piece]
     begin = subject_of(_OPENING.sub("", first))[1]
     for form in ("third", "gerund", "plain") if others else ():
-        verb = _begins(form)
-        if all(verb.match(item) for item in (begin, *others)):
+        if all(begins(item, form) for item in (begin, *others)):
             head, _, last = others[-1].rpartition(" and ")
-            return [first, *others[:-1], head, last] if head and verb.match(last) else [first, *others]
+            return [first, *others[:-1], head, last] if head and begins(last, form) else [first, *others]
     return [piece]
 
 
@@ -254,12 +226,13 @@ def _turned_first(piece: str) -> list[str]:
     if not joint or " and " in head or "," in piece or " while " in piece:
         return [piece]
     begin = subject_of(_OPENING.sub("", head))[1]
-    if not any(_begins(form).match(begin) and _begins(form).match(last) for form in ("third", "gerund", "plain")):
+    if not any(begins(begin, form) and begins(last, form) for form in ("third", "gerund", "plain")):
         return [piece]
-    first, second = set(actions_of(head)), set(actions_of(last))
-    turned = first and first <= _FIRST and second and not second & (_FIRST | _WHEELS)
-    stopped = first and first <= _GOES and second and second <= _STOPS
-    return [head, last] if turned or stopped else [piece]
+    rows = lexicon().actions
+    first, second = ([rows[action] for action in actions_of(half)] for half in (head, last))
+    turned = all(row.alone for row in first) and not any(row.alone or row.turning for row in second)
+    stopped = all(row.locomotion in ("walk", "run") for row in first) and all(row.halts for row in second)
+    return [head, last] if first and second and (turned or stopped) else [piece]
 
 
 def with_subject(clause: str, subject: str) -> str:
@@ -268,6 +241,11 @@ def with_subject(clause: str, subject: str) -> str:
     """
     if not subject:
         return clause
-    if _begins("third").match(clause):
+    if begins(clause, "third"):
         return f"{subject} {clause}"
-    return f"{subject} is {clause}" if _begins("gerund").match(clause) else clause
+    return f"{subject} is {clause}" if begins(clause, "gerund") else clause
+
+
+def _begins_clause(text: str, *forms: str) -> bool:
+    """Whether a text begins with a verb in one of some forms, with a subject or without."""
+    return begins(subject_of(text)[1], *forms)

@@ -10,29 +10,16 @@ from __future__ import annotations
 
 import re
 
-from bunraku.language.actions import actions_of
-from bunraku.language.captions.grammar import conjugate
 from bunraku.language.clauses import subject_of, with_subject
-from bunraku.language.gestures import GESTURE_WORDS
+from bunraku.language.lexicon.reading import actions_of
+from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.lexicon.tokens import words_of
 
 __all__ = ["moved_part", "split_voices"]
 
-_LEGS = (
-    "walk", "run", "jog", "sprint", "march", "sneak", "tiptoe", "skip", "stroll", "stride", "hop", "jump", "trot",
-    "stomp", "wander", "sit", "kneel", "stand",
-)  # fmt: skip
-_ARMS = ("wave", "clap", "applaud", "salute", "cheer", "point", "beckon", "drink", "greet")
-_HEAD = ("nod",)
-_WHOLE = {
-    "look around", "propose", "kneel", "both knees", "pitch", "bat", "tennis", "serve", "march in place",
-    "run in place", "zombie", "stumble", "jump over", "ladder",
-}  # fmt: skip
-"""Gestures that take the legs too, or the head alone."""
-_SIGNS = (GESTURE_WORDS.keys() - _WHOLE) | {
-    "clap", "shrug", "point", "salute", "pray", "eat", "drink", "phone", "cook",
-}  # fmt: skip
 _GESTURING = ("arms", "head", "arms and head")
-_LIMB = re.compile(r"\b(?:hands?|arms?|fists?)\b", re.IGNORECASE)
+_RAISING = ("raise", "lift", "swing")
+_LIMBS = frozenset(("hand", "hands", "arm", "arms", "fist", "fists"))
 _JOINTS = tuple(
     re.compile(joint, re.IGNORECASE)
     for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!then\b)", r"\s*,\s*(?=\w+ing\b)")
@@ -60,29 +47,18 @@ def split_voices(clause: str) -> tuple[str, ...]:
 
 def moved_part(clause: str) -> str:
     """What its verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all."""
-    words = subject_of(clause)[1].lower().split()
+    words = words_of(subject_of(clause)[1])[0]
     words = words[1:] if words and words[0] in ("is", "are") else words
-    while words and words[0].endswith("ly"):
+    while words and words[0].endswith("ly") and len(words[0]) > 3:
         words = words[1:]
+    table = lexicon()
     verb = words[0] if words else ""
-    for part, verbs in (("legs", _LEGS), ("arms", _ARMS), ("head", _HEAD)):
-        if any(
-            verb in (plain, conjugate(f"{{{plain}}}", "third"), conjugate(f"{{{plain}}}", "gerund")) for plain in verbs
-        ):
-            return part
-    if verb in (
-        "raise",
-        "raises",
-        "raising",
-        "lift",
-        "lifts",
-        "lifting",
-        "swing",
-        "swings",
-        "swinging",
-    ) and _LIMB.search(clause):
+    part = table.parts.get(verb, "")
+    if part in ("legs", "arms", "head"):
+        return part
+    if table.lemmas.get(verb) in _RAISING and not _LIMBS.isdisjoint(words):
         return "arms"
-    said = set(actions_of(clause))
-    if said and said <= _SIGNS:
-        return "arms and head"
-    return "head" if said and said <= {"shake head", "look around"} else ""
+    said = {table.actions[action].part for action in actions_of(clause)}
+    if not said or not said <= set(_GESTURING):
+        return ""
+    return "head" if said == {"head"} else "arms and head"

@@ -19,9 +19,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bunraku.errors import MissingExtraError, WeightsError
-from bunraku.language.cues import CUES, sentence_cues
 from bunraku.language.known.pieces import encoder_file, read_header
 from bunraku.language.known.tokenizer import WordPieces
+from bunraku.language.lexicon.cues import CUES, sentence_cues
 
 __all__ = [
     "TEXT_LENGTH",

@@ -4,14 +4,16 @@ fields.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from bunraku.errors import OptionError
 from bunraku.language.clauses import of_person, subject_of, timed_clauses
 from bunraku.language.concurrent import moved_part, split_voices
-from bunraku.language.prompts import check_prompt
-from bunraku.language.reading import actions_of, goes_straight, locomotion_of, said_cues, said_traits, said_turn
-from bunraku.language.sentence import Clause, Sentence
+from bunraku.language.lexicon.cues import said_cues
+from bunraku.language.lexicon.reading import actions_of, locomotion_of, said_traits
+from bunraku.language.prompts import check_prompt, narrow
+from bunraku.language.sentence import Clause, Sentence, Turn
 from bunraku.language.sequence import parse_sequence, timed_sequence
 from bunraku.language.understood import check_understood
 
@@ -32,10 +34,12 @@ def parse(prompt: str, seconds: float = 6.0, anyway: bool = False) -> Sentence:
     """
     if not isinstance(prompt, str):
         raise OptionError("the prompt must be a sentence")
-    timed = timed_sequence(parse_sequence(prompt), seconds)
+    timed = timed_sequence(parse_sequence(narrow(prompt)), seconds)
     parts = [(check_understood(part, anyway), length) for part, length in timed]
     clauses = [clause for found, length in parts for clause in timed_clauses(found.english, length)]
     found = [part for part, _ in parts]
+    loop = any("loop" in said_traits(part.prompt) for part in found)
+    notes = [note for part in found for note in part.notes]
     return Sentence(
         prompt,
         "; ".join(part.english for part in found),
@@ -43,7 +47,8 @@ def parse(prompt: str, seconds: float = 6.0, anyway: bool = False) -> Sentence:
         tuple(clause_of(text, length) for text, length in clauses),
         tuple(word for part in found for word in part.unknown),
         tuple(pair for part in found for pair in part.corrected),
-        tuple(note for part in found for note in part.notes),
+        (*notes, "it asks for a loop: add --loop (loop=True in Python)") if loop else tuple(notes),
+        loop=loop,
     )
 
 
@@ -67,9 +72,32 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
 
 
 def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = ()) -> Clause:
-    person = of_person(text)
+    person, (subject, predicate) = of_person(text), subject_of(text)
     cues, traits = said_cues(person), said_traits(person)
     return Clause(
-        text, seconds, subject_of(text)[0], person, actions_of(person), moved_part(text), locomotion_of(text), cues,
-        traits, said_turn(cues, traits), goes_straight(cues, traits), voices=voices,
+        text, seconds, subject, person, actions_of(person), moved_part(text), locomotion_of(predicate), cues,
+        traits, _turn(cues, traits), _goes_straight(cues, traits), voices=voices,
     )  # fmt: skip
+
+
+def _goes_straight(cues: frozenset[str], traits: frozenset[str]) -> bool:
+    """Whether somebody goes forward or on, with nothing of a turn, a curve or a side."""
+    sided = {"left turn", "right turn", "left go", "right go"} & cues
+    return ("forward" in cues or "goes on" in traits) and not sided and "winding" not in traits
+
+
+def _turn(cues: frozenset[str], traits: frozenset[str]) -> Turn | None:
+    """How far somebody turns; None where nothing of the kind is said, or both sides are."""
+    side = int("left turn" in cues) - int("right turn" in cues)
+    if {"left turn", "right turn"} <= cues:
+        return None
+    if not side and not ("turns" in traits and {"half", "full", "quarter"} & cues):
+        return None
+    least, most = 50.0, 130.0
+    if "all round" in traits:
+        least, most = 250.0, math.inf
+    elif "full" in cues:
+        least, most = 290.0, 430.0
+    elif "half" in cues:
+        least, most = 145.0, 215.0
+    return Turn(side, math.radians(least), math.radians(most))

@@ -6,9 +6,16 @@ import unicodedata
 
 from bunraku.errors import OptionError
 
-__all__ = ["check_prompt"]
+__all__ = ["check_prompt", "narrow"]
 
 PROMPT_LIMIT = 1000
+
+
+def narrow(text: str) -> str:
+    """Full-width letters, digits and signs as plain ones, each in its place (NFKC of those that stay one letter)."""
+    if text.isascii():
+        return text
+    return "".join(plain if len(plain := unicodedata.normalize("NFKC", letter)) == 1 else letter for letter in text)
 
 
 def check_prompt(prompt: str) -> str:
@@ -21,7 +28,9 @@ def check_prompt(prompt: str) -> str:
         raise OptionError("the prompt must be a sentence")
     if len(prompt) > PROMPT_LIMIT:
         raise OptionError(f"the prompt has {len(prompt):,} characters; say it in at most {PROMPT_LIMIT:,}")
-    plain = " ".join("".join(" " if unicodedata.category(letter)[0] in "CZ" else letter for letter in prompt).split())
+    if not prompt.isprintable():
+        prompt = "".join(" " if unicodedata.category(letter)[0] in "CZ" else letter for letter in prompt)
+    plain = " ".join(prompt.split())
     if not plain:
         raise OptionError("the prompt is empty; say what the character should do, for example 'a person walks forward'")
     plain = plain.rstrip(" .") or plain

@@ -100,6 +100,7 @@ class Sentence:
         unknown: Words that are not understood.
         corrected: Words taken for typing errors, and what is read in their place.
         notes: What somebody who gave the prompt should be told, one line each.
+        loop: Whether it asks for a loop: "walk cycle".
         cannot: What a body cannot do of it, one line each (`for_body`).
     """
 
@@ -110,6 +111,7 @@ class Sentence:
     unknown: tuple[UnknownWord, ...] = ()
     corrected: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
+    loop: bool = False
     cannot: tuple[str, ...] = ()
 
     @property

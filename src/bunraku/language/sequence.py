@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
 from bunraku.errors import OptionError
@@ -12,7 +11,6 @@ __all__ = ["LONGEST", "SHORTEST", "parse_sequence", "timed_sequence"]
 
 SHORTEST, LONGEST = 0.5, 120.0
 """Seconds that a clip, and each of its parts, may last."""
-_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?\s*s?", re.IGNORECASE)
 
 
 def parse_sequence(text: str) -> list[tuple[str, float | None]]:
@@ -33,10 +31,8 @@ def parse_sequence(text: str) -> list[tuple[str, float | None]]:
     found: list[tuple[str, float | None]] = []
     for number, piece in enumerate(pieces, 1):
         prompt, colon, tail = piece.rpartition(":")
-        seconds = None
-        if colon and _NUMBER.fullmatch(tail.strip()):
-            seconds = float(tail.strip().rstrip("sS"))
-        else:
+        seconds = _number(tail) if colon else None
+        if seconds is None:
             prompt = piece
         prompt = prompt.strip()
         if not prompt and (len(pieces) > 1 or seconds is not None):
@@ -50,6 +46,14 @@ def parse_sequence(text: str) -> list[tuple[str, float | None]]:
         found.append((prompt, seconds))
     _check_total([seconds for _, seconds in found if seconds is not None])
     return found
+
+
+def _number(text: str) -> float | None:
+    """The seconds that a text gives, "nan" and "inf" among them; None where it is no number."""
+    try:
+        return float(text.strip().rstrip("sS"))
+    except ValueError:
+        return None
 
 
 def timed_sequence(parts: Sequence[tuple[str, float | None]], seconds: float) -> list[tuple[str, float]]:

@@ -15,9 +15,11 @@ from dataclasses import dataclass, replace
 from bunraku.errors import OptionError
 from bunraku.language.known.nearest import nearest_sentences
 from bunraku.language.known.spelling import corrected
-from bunraku.language.known.synonyms import in_known_words
 from bunraku.language.known.vocabulary import FUNCTION_WORDS, says_action, words_of
-from bunraku.language.prompts import check_prompt
+from bunraku.language.lexicon.reading import in_known_words
+from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.lexicon.tokens import words_of as words_in
+from bunraku.language.prompts import check_prompt, narrow
 from bunraku.language.sentence import UnknownWord
 from bunraku.language.words import Translation, translate
 
@@ -26,6 +28,11 @@ __all__ = ["Understanding", "check_understood", "english_of", "understood"]
 _log = logging.getLogger(__name__)
 _SHARE = 0.25
 """Of a sentence's words that must be known: "lorem ipsum dolor sit amet" is no way to sit."""
+_AUXILIARIES = frozenset((
+    "do", "does", "did", "is", "are", "was", "can", "will", "should", "must", "don", "doesn", "didn", "isn", "aren",
+    "wasn", "won", "shouldn", "mustn",
+))  # fmt: skip
+"""Words before "not", and what is before "'t"."""
 _SURE = 0.6
 """Of the words that are not the grammar's, the share that must be known or nearly so for any to be a typing error."""
 
@@ -43,6 +50,7 @@ class Understanding:
         unknown: Those that are not, with their places in `prompt`.
         corrected: Words taken for typing errors, and what is read in their place.
         nearest: Three known sentences like it, where a word is not understood.
+        denied: What it says that is not done, such as "does not walk".
     """
 
     prompt: str
@@ -53,6 +61,7 @@ class Understanding:
     unknown: tuple[UnknownWord, ...] = ()
     corrected: tuple[tuple[str, str], ...] = ()
     nearest: tuple[str, ...] = ()
+    denied: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -62,6 +71,8 @@ class Understanding:
             said.append(f"read as: {self.english}")
         if self.unknown:
             said.append(f"not understood: {_quoted(self.unknown)}")
+        if self.denied:
+            said.append(f"beyond it: what is not done ({', '.join(map(repr, self.denied))}); say what is done instead")
         return tuple(said)
 
 
@@ -81,8 +92,31 @@ def understood(prompt: str) -> Understanding:
         OptionError: It is empty, has no letters or digits, or is longer than 1,000 characters.
     """
     check_prompt(prompt)
-    translation = translate(prompt)
-    return _foreign(prompt, translation) if translation.concepts else _english(prompt, translation.language)
+    plain = narrow(prompt)
+    translation = translate(plain)
+    found = _foreign(plain, translation) if translation.concepts else _english(plain, translation.language)
+    denied, rest = _denied(found.english)
+    if denied:
+        found = replace(found, denied=denied, ok=found.ok and says_action(rest))
+    return found if plain is prompt else replace(found, prompt=prompt)
+
+
+def _denied(english: str) -> tuple[tuple[str, ...], str]:
+    """What a sentence says that is not done, and the sentence without it."""
+    words, places = words_in(english)
+    denied, rest, start = [], "", 0
+    for number, word in enumerate(words):
+        before = words[number - 1] if number else ""
+        if word not in ("not", "never", "t") or (word == "t" and not (before.endswith("n") and before in _AUXILIARIES)):
+            continue
+        stop = number + 1
+        while stop < len(words) and words[stop].endswith("ly"):
+            stop += 1
+        if stop < len(words) and words[stop] in lexicon().lemmas:
+            first = number - (before in _AUXILIARIES)
+            denied.append(english[places[first][0] : places[stop][1]])
+            rest, start = rest + english[start : places[first][0]], places[stop][1]
+    return tuple(denied), rest + english[start:]
 
 
 def _english(prompt: str, language: str) -> Understanding:
@@ -173,6 +207,11 @@ def check_understood(prompt: str, anyway: bool = False) -> Understanding:
     found = understood(prompt)
     if found.ok or anyway:
         return found
+    if found.denied:
+        raise OptionError(
+            f"{found.denied[0]!r} says what is not done, and that is beyond it; say what is done instead, or go on "
+            "anyway with --anyway (anyway=True in Python)"
+        )
     what = _quoted(found.unknown) if found.unknown else f"'{' '.join(prompt.split())[:60]}'"
     near = "; ".join(f"'{sentence}'" for sentence in found.nearest or nearest_sentences(found.known))
     raise OptionError(

@@ -45,7 +45,7 @@ def translate(prompt: str) -> Translation:
     Args:
         prompt: In English or a language of the table, which is told by its script and by the words that the table has.
     """
-    scripts = {_script(letter) for letter in prompt if letter.isalpha()}
+    scripts = set() if prompt.isascii() else {_script(letter) for letter in prompt if letter.isalpha()}
     if "kana" in scripts:
         return _translated(prompt, "ja", scan_unspaced(prompt, "ja"))
     if "han" in scripts:

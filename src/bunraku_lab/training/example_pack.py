@@ -36,9 +36,9 @@ from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
 from bunraku.diffusion.matching import RADIUS, Extractor, embed_motions, embed_sentences
 from bunraku.diffusion.ranking import load_ranker
 from bunraku.errors import OptionError
-from bunraku.language.actions import main_actions
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
+from bunraku.language.lexicon.reading import main_actions
 from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.description.describe import inside

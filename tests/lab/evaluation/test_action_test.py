@@ -7,7 +7,7 @@ import pytest
 
 from bunraku.diffusion.features import decode, encode, mirror
 from bunraku.errors import FormatError
-from bunraku.language.actions import main_actions
+from bunraku.language.lexicon.reading import main_actions
 from bunraku_lab.datasets.motions.clips import write_clip
 from bunraku_lab.evaluation.motion.viewer.action_test import (
     SENTENCES,

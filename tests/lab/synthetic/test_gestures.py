@@ -7,7 +7,7 @@ from bunraku.anatomy.ground import lowest
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.errors import FormatError
-from bunraku.language.actions import actions_of
+from bunraku.language.lexicon.reading import actions_of
 from bunraku.language.understood import understood
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING, read_gestures

@@ -7,7 +7,7 @@ import torch
 from bunraku.diffusion.features import mirror
 from bunraku.diffusion.matching import RANKER, ExtractorConfig, load_extractor
 from bunraku.errors import OptionError, WeightsError
-from bunraku.language.cues import CUES
+from bunraku.language.lexicon.cues import CUES
 from bunraku.nn.checkpoints import load_training_state
 from bunraku_lab.training.ranker.train import RankerTrainConfig, alike, spoilt, train_ranker
 

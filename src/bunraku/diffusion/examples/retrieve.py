@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bunraku.diffusion.examples.pack import ExamplePack
-from bunraku.language.actions import main_actions
 from bunraku.language.captions import mirror_words
-from bunraku.language.reading import said_cues, said_traits
+from bunraku.language.lexicon.cues import said_cues
+from bunraku.language.lexicon.reading import main_actions, said_traits
 from bunraku.language.sentence import Clause
 
 __all__ = ["Found", "retrieve"]

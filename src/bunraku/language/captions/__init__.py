@@ -21,7 +21,8 @@ from bunraku.language.captions.grammar import conjugate, fill, is_stative, sente
 
 __all__ = [
     "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants",
-    "creature_clauses", "creature_names", "creature_variants", "creature_words", "known_clauses", "known_phrases",
+    "creature_clauses", "creature_names", "creature_variants", "creature_words", "is_known_clause", "known_clauses",
+    "known_phrases",
     "known_verbs", "mirror_words", "normalise_label", "person_phrases",
 ]  # fmt: skip
 
@@ -111,6 +112,18 @@ def known_clauses() -> frozenset[str]:
     training are made of.
     """
     return frozenset(conjugate(phrase, form) for phrase in known_phrases() for form in ("third", "gerund", "plain"))
+
+
+def is_known_clause(clause: str) -> bool:
+    """Whether `known_clauses` has a clause, without making them all."""
+    spaces, begin = clause.count(" "), clause[:2]
+    for group in _table("captions.json")["groups"]:
+        for phrase in group["phrases"]:
+            if phrase.count(" ") != spaces or phrase[phrase[0] == "{" :][:2] != begin:
+                continue
+            if any(conjugate(phrase, form) == clause for form in ("third", "gerund", "plain")):
+                return True
+    return False
 
 
 def mirror_words(sentence: str) -> str:

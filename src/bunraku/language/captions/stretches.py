@@ -7,10 +7,11 @@ import re
 import zlib
 from collections.abc import Sequence
 
-from bunraku.language.captions import caption_clauses, caption_variants, known_verbs, mirror_words
+from bunraku.language.captions import caption_clauses, caption_variants, mirror_words
 from bunraku.language.captions.grammar import sentence_forms
+from bunraku.language.lexicon.tables import lexicon
 
-__all__ = ["agreeing", "stretch_phrases", "stretch_variants", "stretch_verbs"]
+__all__ = ["agreeing", "stretch_phrases", "stretch_variants"]
 
 _SUBJECT = re.compile(
     r"^(?:a|the|one) (?:person|human|man|woman|figure|character)\b|^someone\b|^somebody\b", re.IGNORECASE
@@ -29,25 +30,7 @@ _SUBJECTS = (
     "somebody",
     "this person",
 )
-_MORE_VERBS = frozenset({
-    "walk", "run", "jog", "turn", "jump", "hop", "kick", "punch", "wave", "sit", "stand", "lie", "kneel",
-    "squat", "crouch", "bend", "reach", "grab", "pick", "put", "throw", "catch", "raise", "lift", "lower",
-    "stretch", "swing", "dance", "spin", "twirl", "step", "march", "sneak", "creep", "crawl", "climb", "hang",
-    "push", "pull", "carry", "hold", "stagger", "stumble", "limp", "fall", "roll", "dribble", "shoot", "aim",
-    "stab", "slash", "chop", "block", "dodge", "duck", "bow", "nod", "shake", "clap", "point", "salute", "pace",
-    "stroll", "stride", "skip", "bounce", "balance", "lean", "twist", "swim", "fly", "rest", "wait", "drink",
-    "eat", "wash", "wipe", "mop", "sweep", "play", "box", "jab", "shuffle", "sidestep", "sway", "rock", "move",
-    "go", "come", "get", "rise", "drop", "land", "leap", "trot", "sprint", "dash", "circle", "veer", "curve",
-    "swerve", "back", "stop", "start", "look", "touch", "tap", "stomp", "strut", "prowl", "tiptoe", "hunch",
-    "open", "close", "cross", "spread", "rotate", "hit", "serve", "pass", "receive", "toss", "pivot", "lunge",
-    "slide", "act", "imitate",
-})  # fmt: skip
 _LINK = re.compile(r"(,? and then |,? then |,? and |, )")
-
-
-def stretch_verbs() -> frozenset[str]:
-    """Verbs that a watched sentence may begin with, plain."""
-    return known_verbs() | _MORE_VERBS
 
 
 @functools.lru_cache(maxsize=8192)
@@ -62,7 +45,7 @@ def stretch_phrases(texts: tuple[str, ...]) -> tuple[str, ...]:
     braced = []
     for place, part in enumerate(parts):
         first, *rest = part.split(" ", 1)
-        if place % 2 == 0 and first.lower() in stretch_verbs():
+        if place % 2 == 0 and first.lower() in lexicon().verbs:
             part = " ".join(["{" + first.lower() + "}", *rest])
         elif place == 0:
             return ()

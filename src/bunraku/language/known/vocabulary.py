@@ -13,12 +13,10 @@ import re
 from importlib import resources
 from typing import Any, NamedTuple
 
-from bunraku.language.actions import ACTIONS, says_any
 from bunraku.language.captions import creature_words, known_phrases
-from bunraku.language.captions.stretches import stretch_verbs
-from bunraku.language.clauses import clause_verbs
 from bunraku.language.foreign.table import table
-from bunraku.language.gestures import GESTURE_THINGS
+from bunraku.language.lexicon.reading import actions_of
+from bunraku.language.lexicon.tables import lexicon
 
 __all__ = ["FUNCTION_WORDS", "Word", "action_stems", "is_known", "known_words", "says_action", "stem", "words_of"]
 
@@ -51,6 +49,12 @@ _FUNCTION = (
 )
 FUNCTION_WORDS = frozenset(_FUNCTION.split())
 """Words that say nothing of a movement; they are in every language model, and no reason for a warning."""
+_THINGS = (
+    "goodbye searching everybody cups plate apple camera orchestra book page pot wrapped waking noise biceps club meal "
+    "soldier boxer jabs cross hook overarm stone fastball baseball racket serve pitcher press fours puddle obstacle "
+    "log abs freestyle newspaper soup spoon undead hair combs"
+)
+"""Other words of sentences that tell gestures."""
 _LIGHT = (
     "be do have make let start begin continue keep try act take give get use perform show want need seem become cause "
     "help say tell know feel set can will would may must please remain mean call change find add list own note light "
@@ -100,14 +104,9 @@ def known_words() -> dict[str, int]:
     """
     written: dict[str, int] = _written()["words"]
     named = [row["en"].replace("/", " ") for section in ("beings", "parts") for row in table()[section]]
-    told = (*ACTIONS, *map(_literal, ACTIONS.values()), GESTURE_THINGS)
+    told = (*lexicon().words, *lexicon().verbs, _THINGS)
     listed = " ".join((*known_phrases(), *creature_words(), *named, *told))
     return dict.fromkeys(re.findall(r"[a-z]+", listed.lower()), 1) | dict.fromkeys(FUNCTION_WORDS, 1) | written
-
-
-def _literal(pattern: str) -> str:
-    """A pattern's words without its signs: whole ones, and the beginnings of those with any ending."""
-    return re.sub(r"[^a-z]+", " ", re.sub(r"\\[wb]\*?\+?", "", pattern.replace(r"\w*", "")))
 
 
 @functools.cache
@@ -120,13 +119,17 @@ def action_stems() -> frozenset[str]:
     """Stems of the verbs that training shows, without those that say no movement by themselves, and without those that
     are a part of the body, too.
     """
-    verbs = clause_verbs() | stretch_verbs() | set(_written()["verbs"])
+    verbs = {*lexicon().verbs, *_written()["verbs"]}
     parts = [name for row in table()["parts"] for name in row["en"].split("/")]
     return (frozenset(map(stem, verbs)) & _stems()) - frozenset(map(stem, [*parts, *_LIGHT.split()]))
 
 
 def is_known(word: str) -> bool:
     """Whether training had a word, in any inflection; of one with hyphens whether it had all parts."""
+    if (plain := word.lower()) in FUNCTION_WORDS or plain in lexicon().lemmas or plain in lexicon().words:
+        return True
+    if plain in _written()["words"]:
+        return True
     stems = _stems()
     if stem(word) in stems or word.isdigit() or word.lower() in FUNCTION_WORDS:
         return True
@@ -141,10 +144,12 @@ def words_of(sentence: str) -> list[Word]:
 
 def says_action(sentence: str) -> bool:
     """Whether any word of a sentence is a movement that training shows."""
+    if actions_of(sentence):
+        return True
     stems = action_stems()
     return any(
         stem(part) in stems
         for word in _WORD.findall(sentence)
         for part in (word, *re.split(r"[-'’]", word))
         if part.lower() not in FUNCTION_WORDS
-    ) or says_any(sentence)
+    )

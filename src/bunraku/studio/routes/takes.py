@@ -28,17 +28,16 @@ def _script(body: dict[str, Any]) -> tuple[str, float]:
     """
     from bunraku.language.sequence import parse_sequence, timed_sequence
 
-    parts = []
+    parts: list[tuple[str, float]] = []
     for part in things(body, "script", 20):
         if not isinstance(part, dict):
             raise OptionError("a script is a list of texts with seconds")
-        words = text(part, "text", 1000).replace(";", ",").replace("\n", " ").strip()
-        parts.append(f"{words}:{number(part, 'seconds', 0.5, 120, 4):g}")
+        words = text(part, "text", 1000).replace("\n", " ").strip()
+        parts += timed_sequence(parse_sequence(words), number(part, "seconds", 0.5, 120, 4))
     if not parts:
         raise OptionError("type what the character does, such as: walks forward, then waves")
-    script = "; ".join(parts)
-    timed = timed_sequence(parse_sequence(script), 6.0)
-    return script, sum(seconds for _, seconds in timed)
+    script = "; ".join(f"{words}:{seconds:g}" for words, seconds in parts)
+    return script, sum(seconds for _, seconds in timed_sequence(parse_sequence(script), 6.0))
 
 
 def _ready(state: State, name: str) -> dict[str, Any]:

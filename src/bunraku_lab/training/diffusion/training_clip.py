@@ -10,9 +10,9 @@ import numpy as np
 
 from bunraku.diffusion.features import FeatureStatistics, feature_weights, is_rotation
 from bunraku.diffusion.splicing import END, held, join_point, played, rests
-from bunraku.language.actions import CYCLIC, main_actions
 from bunraku.language.captions import caption_group
 from bunraku.language.captions.stretches import agreeing, stretch_phrases, stretch_variants
+from bunraku.language.lexicon.reading import is_cyclic, main_actions
 from bunraku_lab.description.wording import all_variants, clauses
 
 __all__ = ["TrainingClip"]
@@ -165,4 +165,4 @@ def may_loop(texts: tuple[str, ...], species: str | None, action: str | None) ->
     """Whether what the captions say is still true when the motion is played again."""
     if species is not None:
         return action not in _FINAL
-    return all(word in CYCLIC for word in main_actions(texts)) and not any(_ONCE.search(text) for text in texts)
+    return all(map(is_cyclic, main_actions(texts))) and not any(_ONCE.search(text) for text in texts)

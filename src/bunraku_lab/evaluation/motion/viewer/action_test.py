@@ -15,8 +15,8 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError
-from bunraku.language.actions import actions_of, main_actions
 from bunraku.language.description.track import SIDES, Track
+from bunraku.language.lexicon.reading import actions_of, main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.evaluation.motion.classifier import ActionClassifier, action_features, fit_classifier
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError
-from bunraku.language.actions import main_actions
 from bunraku.language.description.track import SIDES
+from bunraku.language.lexicon.reading import main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.evaluation.bars import Bar
 from bunraku_lab.evaluation.motion.seams import measure_seams

@@ -1,0 +1,147 @@
+"""What a text says by the lexicon: actions, cues, traits, the way of moving, and known words in place of rare ones."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+
+from bunraku.language.lexicon.tables import Phrase, lexicon
+from bunraku.language.lexicon.tokens import words_of
+
+__all__ = [
+    "actions_of", "in_known_words", "is_cyclic", "locomotion_of", "main_actions", "said_otherwise",
+    "said_phrases", "said_traits",
+]  # fmt: skip
+
+
+@functools.lru_cache(maxsize=4096)
+def said_phrases(text: str) -> dict[str, dict[str, int]]:
+    """The rows of each section of the lexicon that a text says, with the number of the word at which each begins."""
+    phrases = lexicon().phrases
+    words = words_of(text)[0]
+    found: dict[str, dict[str, int]] = {"actions": {}, "cues": {}, "traits": {}, "places": {}, "synonyms": {}}
+    for start, word in enumerate(words):
+        for phrase in phrases.get(word, ()):
+            if phrase.name not in found[phrase.section] and _end(phrase, words, start):
+                found[phrase.section][phrase.name] = start
+    return found
+
+
+def _end(phrase: Phrase, words: Sequence[str], start: int) -> int:
+    """The number of the word after a phrase whose first word stands here; 0 where it does not stand here."""
+    _, _, sets, before, after, ahead, first, last, gap = phrase
+    if (first and start) or (start and words[start - 1] in before):
+        return 0
+    stop = start + len(sets)
+    if gap:
+        return stop if any(word in sets[-1] for word in words[start + 1 :]) else 0  # type: ignore[operator]
+    if stop > len(words) or (last and stop != len(words)):
+        return 0
+    for place in range(start + 1, stop):
+        allowed = sets[place - start]
+        if (words[place] not in allowed) if allowed is not None else not words[place].isalnum():
+            return 0
+    if ahead:
+        place = stop
+        for allowed in after:
+            if place < len(words) and words[place] in allowed:
+                place += 1
+            elif "" not in allowed:
+                return 0
+    elif after and stop < len(words) and words[stop] in after[0]:
+        return 0
+    return stop
+
+
+def actions_of(text: str) -> tuple[str, ...]:
+    """Canonical words of a text in the order in which it says them; none where it says nothing known."""
+    rows = lexicon().actions
+    found = said_phrases(text)["actions"]
+    covered: set[str] = set()
+    for action in found:
+        covered |= rows[action].covers
+    names = [action for action in rows if action in found and action not in covered]
+    return tuple(sorted(names, key=found.__getitem__))
+
+
+def main_actions(texts: Sequence[str]) -> tuple[str, ...]:
+    """What the sentences of one stretch agree on: the words of the tersest that says any, or, where none does,
+    "other".
+    """
+    for text in reversed(texts):
+        found = actions_of(text)
+        if found:
+            return found
+    return ("other",)
+
+
+def is_cyclic(action: str) -> bool:
+    """Whether an action is still the same when it is done again; no for a word that the lexicon does not have."""
+    row = lexicon().actions.get(action)
+    return row is not None and row.cyclic
+
+
+def said_traits(text: str) -> frozenset[str]:
+    """The names of the traits that a text tells."""
+    return frozenset(said_phrases(text)["traits"])
+
+
+def locomotion_of(predicate: str) -> str:
+    """The way of moving of the first verb that has one; "" where none has."""
+    known = lexicon().locomotion
+    return next((known[word] for word in words_of(predicate)[0] if word in known), "")
+
+
+def said_otherwise(predicate: str, verb: str) -> str:
+    """A predicate with its verb of moving replaced: "crawls ahead" becomes "walks ahead", and so does "is crawling".
+
+    Args:
+        predicate: What is said of somebody.
+        verb: In the third person.
+    """
+    known = lexicon().locomotion
+    words, places = words_of(predicate)
+    for number, word in enumerate(words):
+        if word in known:
+            start = 0 if number == 1 and words[0] == "is" else places[number][0]
+            return predicate[:start] + verb + predicate[places[number][1] :]
+    return predicate
+
+
+def in_known_words(text: str) -> str:
+    """A text in English with rare words for movements put into those that training has, in the same form."""
+    if not said_phrases(text)["synonyms"]:
+        return text
+    table = lexicon()
+    words, places = words_of(text)
+    out, copied, place = "", 0, 0
+    while place < len(words):
+        best: tuple[int, Phrase] | None = None
+        for phrase in table.phrases.get(words[place], ()):
+            if phrase.section == "synonyms":
+                stop = _end(phrase, words, place)
+                if stop and (best is None or stop > best[0]):
+                    best = stop, phrase
+        if best is None:
+            place += 1
+            continue
+        stop, phrase = best
+        known = table.synonyms[phrase.name]
+        if known:
+            first = text[places[place][0] : places[place][1]]
+            out += text[copied : places[place][0]] + (first if known == "=" else _in_form(known, words[place]))
+            copied = places[stop - 1][1]
+        place = stop
+    return out + text[copied:]
+
+
+def _in_form(known: str, like: str) -> str:
+    """A phrase with its verb in braces in the form of another verb."""
+    if "{" not in known:
+        return known
+    verb = known[known.find("{") + 1 : known.find("}")]
+    table = lexicon()
+    forms = (verb, *table.verbs[verb])
+    own = (table.lemmas.get(like, like), *table.verbs.get(table.lemmas.get(like, like), ()))
+    form = forms[min(own.index(like), len(forms) - 1)] if like in own else verb
+    return known.replace("{" + verb + "}", form)
