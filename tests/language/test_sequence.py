@@ -12,7 +12,6 @@ from bunraku.language.sequence import parse_sequence, timed_sequence
         ("walks : 4 s ;jumps;", [("walks", 4), ("jumps", None)]),
         ("a person says: hello", [("a person says: hello", None)]),
         ("he shouts: stop:1.5; runs:.5", [("he shouts: stop", 1.5), ("runs", 0.5)]),
-        ("walks:nan", [("walks:nan", None)]),
         ("", [("", None)]),
     ],
 )
@@ -26,6 +25,8 @@ def test_prompts_and_seconds(text, parts):
         ("walks;;jumps", "part 2 .* no prompt"),
         (":4", "part 1 .* no prompt"),
         ("walks:0", "'walks' cannot last 0 seconds"),
+        ("walks:nan", "'walks' cannot last nan seconds"),
+        ("walks:inf", "cannot last inf"),
         ("walks:-3", "cannot last -3"),
         ("walks:1e9", "cannot last 1e"),
         ("walks:80; runs:80", "160 seconds in all"),

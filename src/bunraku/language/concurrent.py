@@ -61,4 +61,4 @@ def moved_part(clause: str) -> str:
     said = {table.actions[action].part for action in actions_of(clause)}
     if not said or not said <= set(_GESTURING):
         return ""
-    return "head" if said == {"head"} else "arms and head"
+    return said.pop() if len(said) == 1 else "arms and head"

@@ -30,7 +30,7 @@ LEAST = 0.6
 WALKING = 0.8
 """The same for plain walks and runs, which the network does well by itself."""
 SAME = 0.9
-"""Cosine of two sentences that mean the same, whatever words `language.actions` finds in them. A gesture made by code
+"""Cosine of two sentences that mean the same, whatever words the lexicon finds in them. A gesture made by code
 is what its words say: the ranker has never seen it, and takes sit-ups for sitting down.
 """
 _PACE = {"slow", "fast"}

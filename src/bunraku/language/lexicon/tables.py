@@ -148,8 +148,9 @@ def lexicon() -> Lexicon:
         row["covers"] = frozenset((*row.get("covers", ()), *(GESTURES_COVER if row.get("gesture") else ())))
         actions[name] = action = Action(**row)
         for phrase in action.said:
-            if " " not in phrase:
-                for word in phrase.split("/"):
+            first, *others = phrase.split()
+            if all(other[0] in "!$" for other in others):
+                for word in first.split("/"):
                     if word[0] == "{" and action.locomotion:
                         moving[word.strip("{+}")] = action.locomotion
                     if word[0] == "{" and action.part:
@@ -167,10 +168,10 @@ def lexicon() -> Lexicon:
     data["classes"]["going"] = " ".join("{" + verb + "+}" for verb, way in moving.items() if way in _LEGS)
     phrases, words = _phrases(data, verbs)
     places: dict[str, frozenset[str]] = {}
-    for some in phrases.values():
-        for phrase in some:
-            if phrase.section == "places":
-                places[phrase.name] = phrase.words[0] or frozenset()
+    for starting in phrases.values():
+        for one in starting:
+            if one.section == "places":
+                places[one.name] = one.words[0] or frozenset()
     return Lexicon(
         verbs, frozenset(third), frozenset(gerund), lemmas, actions, by_form[0], by_form[1], phrases,
         {section: tuple(data[section]) for section in ("actions", "cues", "traits")}, places,

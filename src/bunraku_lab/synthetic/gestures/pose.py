@@ -94,7 +94,7 @@ class Gesture:
     """Something that people do mostly with their hands.
 
     Args:
-        name: In the words of `language.actions`, or a new one.
+        name: In the words of the lexicon, or a new one.
         texts: Sentences that tell it, the fullest first. Sides are the right one's.
         keys: Key poses in order of time; the first is where it begins and the last where it ends.
         cycle: Seconds (start, end) that can be played again and again; None where it is done once.

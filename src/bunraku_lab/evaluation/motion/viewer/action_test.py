@@ -64,7 +64,7 @@ SENTENCES: dict[str, tuple[str, str]] = {
     "spin": ("the ballerina spins", "he spins like a top"),
     "jumping jack": ("the class does jumping jacks", "he is doing jumping jacks"),
 }
-"""What is asked for, by the words of `language.actions`."""
+"""What is asked for, by the words of the lexicon."""
 SHORTEST = 20  # frames of a captured clip
 FOLDS = 5
 _LIMBS = ("wrist", "elbow", "ankle")

@@ -1,0 +1,118 @@
+"""Prompts as sentences in fields, and sentences as other bodies do them."""
+
+from __future__ import annotations
+
+import pytest
+
+from bunraku.errors import OptionError
+from bunraku.language.bodies import for_body
+from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.lexicon.tokens import words_of
+from bunraku.language.parse import clause_of, parse
+
+
+def test_a_prompt_is_clauses_with_fields():
+    sentence = parse("walks forward, then waves with the left hand", 6.0)
+    walk, wave = sentence.clauses
+    assert sentence.language == "en" and sentence.seconds == 6.0 and not sentence.notes
+    assert (walk.text, walk.actions, walk.locomotion, walk.part) == ("walks forward", ("walk",), "walk", "legs")
+    assert walk.straight and walk.turn is None and wave.cues == {"left arm"} and wave.part == "arms"
+    assert walk.seconds == wave.seconds == 3.0
+
+
+def test_who_does_it_says_nothing_of_what_is_done():
+    turn = clause_of("a left-handed guard turns right").turn
+    assert turn is not None and turn.side == -1
+
+
+@pytest.mark.parametrize("verb", ["walks", "limps", "sneaks", "hobbles", "trudges", "ambles"])
+def test_a_snake_slithers_whatever_walk_is_said(verb):
+    (clause,) = for_body(parse(f"a snake {verb} ahead"), "snake", as_people=False).clauses
+    assert (clause.text, clause.moves) == ("a snake slithers ahead", "slither")
+
+
+def test_a_snake_that_dashes_slithers_fast_and_it_is_said():
+    sentence = for_body(parse("dashes away"), "snake", as_people=False)
+    assert [clause.text for clause in sentence.clauses] == ["it slithers fast away"]
+    assert "it slithers instead" in sentence.cannot[0]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "voices"),
+    [
+        ("limps while clapping", ["limps", "clapping"]),
+        ("a man trudges along while waving", ["a man trudges along", "a man is waving"]),
+        ("dashes off and waves", ["dashes off", "waves"]),
+    ],
+)
+def test_any_way_of_walking_goes_together_with_a_gesture(sentence, voices):
+    assert [voice.text for voice in clause_of(sentence).voices] == voices
+
+
+@pytest.mark.parametrize("verb", ["walks", "limps", "hobbles", "trudges", "dashes"])
+def test_any_way_of_walking_stops_for_a_salute(verb):
+    assert len(parse(f"{verb} forward and salutes").clauses) == 2
+
+
+@pytest.mark.parametrize("sentence", ["trudges on", "limps straight ahead", "a dog trots along"])
+def test_who_goes_on_goes_straight_in_any_way(sentence):
+    assert clause_of(sentence).straight
+
+
+def test_a_strafe_is_a_sidestep():
+    (clause,) = parse("strafes left").clauses
+    assert clause.text == "sidesteps to the left" and clause.actions == ("sidestep",)
+    assert "left go" in clause.cues and {"goes", "aside"} <= clause.traits
+
+
+@pytest.mark.parametrize("prompt", ["does not walk", "doesn't walk", "a person isn't really walking", "never jumps"])
+def test_what_is_not_done_is_beyond_it(prompt):
+    with pytest.raises(OptionError, match="what is not done"):
+        parse(prompt)
+    assert parse(prompt, anyway=True).clauses
+
+
+def test_what_else_is_not_done_is_told():
+    (note,) = parse("walks but does not wave").notes
+    assert "does not wave" in note and "what is done instead" in note
+
+
+def test_the_words_of_animators_are_understood():
+    death, cycle = parse("death animation"), parse("walk cycle")
+    assert death.clauses[0].actions == ("fall",) and not death.unknown and not death.loop
+    assert cycle.clauses[0].actions == ("walk",) and cycle.loop and "--loop" in cycle.notes[0]
+
+
+def test_full_width_letters_are_plain_ones():
+    wide, plain = parse("ｗａｌｋｓ　ｆｏｒｗａｒｄ：４；ｊｕｍｐｓ"), parse("walks forward:4; jumps")
+    assert wide.clauses == plain.clauses and not wide.unknown
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-1", "NaN", "-inf"])
+def test_a_length_that_is_no_length_is_refused(seconds):
+    with pytest.raises(OptionError, match="'walks' cannot last"):
+        parse(f"walks:{seconds}")
+
+
+def test_an_action_is_one_row_of_the_lexicon():
+    """What `lexicon.tables` says of a new one, shown with "cower"."""
+    (clause,) = parse("a person is cowering").clauses
+    assert clause.actions == ("cower",)
+    assert [one.text for one in parse("runs forward and cowers").clauses] == ["runs forward", "cowers"]
+
+
+def test_the_lexicon_is_whole():
+    table = lexicon()
+    for forms in table.verbs.values():
+        assert len(forms) >= 2 and all(form.isalpha() for form in forms)
+    for name, row in table.actions.items():
+        assert row.said and row.covers <= set(table.actions), name
+        assert row.part in ("", "legs", "arms", "head", "arms and head")
+        assert row.locomotion in ("", "fly", "swim", "slither", "crawl", "walk", "run")
+    for said in table.synonyms:
+        assert not any(letter.isupper() for letter in said)
+
+
+def test_words_are_parted_by_hyphens_and_apostrophes_and_punctuation_stands_alone():
+    assert words_of("Push-ups, don't!")[0] == ["push", "ups", ",", "don", "t", "!"]
+    assert words_of("a  dog")[1] == [(0, 1), (3, 6)]
