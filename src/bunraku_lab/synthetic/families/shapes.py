@@ -10,7 +10,7 @@ import numpy as np
 from bunraku.geometry.normals import vertex_normals
 from bunraku.samples.fields import Field, Lump
 from bunraku.samples.meshing import marched
-from bunraku_lab.synthetic.surfaces import sheet_faces
+from bunraku_lab.synthetic.surfaces import sheet_faces, unit
 
 __all__ = ["Mesh", "block_mesh", "melted_mesh", "sheet_mesh", "thinned"]
 
@@ -128,7 +128,7 @@ def sheet_mesh(grid: np.ndarray, thickness: float = 0.0, wrap: bool = False) -> 
     points = grid.reshape(-1, 3)
     if thickness <= 0:
         return points, faces
-    normal = vertex_normals(points, faces)
+    normal = unit(vertex_normals(points, faces, unit=False))  # where the sheet ends in a point it has no thickness
     count = len(points)
     rim = [index[0], index[-1][::-1]] + ([] if wrap else [index[::-1, 0], index[:, -1]])
     walls = [faces, faces[:, ::-1] + count]
