@@ -1,7 +1,7 @@
 """Each example runs to its end, where its own check stands."""
 
 import ast
-import subprocess
+import runpy
 import sys
 from pathlib import Path
 
@@ -15,15 +15,16 @@ EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs(path, tmp_path):
+def test_example_runs(path, tmp_path, monkeypatch, capsys):
     for name in ("handles", "diffusion"):
         try:
             shipped_checkpoint(name)
         except bunraku.WeightsError as error:
             pytest.skip(str(error))
-    done = subprocess.run([sys.executable, str(path), str(tmp_path)], capture_output=True, text=True, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip()
+    monkeypatch.setattr(sys, "argv", [str(path), str(tmp_path)])
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(path), run_name="__main__")  # in this process, which loads the networks once for all
+    assert capsys.readouterr().out.strip()
 
 
 def test_examples_are_numbered_listed_and_checked():
