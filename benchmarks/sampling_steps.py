@@ -53,7 +53,7 @@ def main() -> None:
     import torch
 
     from bunraku.diffusion.features import FeatureStatistics, decode
-    from bunraku.diffusion.generate import load_generator
+    from bunraku.diffusion.networks import load_generator
     from bunraku.diffusion.sampling.sampler import sample
     from bunraku.nn.threads import fitting_threads
     from bunraku_lab.evaluation.motion.seams import posed_positions

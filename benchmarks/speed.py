@@ -93,7 +93,7 @@ def sampling_step() -> tuple[float, float]:
     """Seconds of one guided prediction of x0, ours and the reference's."""
     import torch
 
-    from bunraku.diffusion.generate import load_generator
+    from bunraku.diffusion.networks import load_generator
     from bunraku.nn.threads import fitting_threads
 
     model, encoder = load_generator()

@@ -19,8 +19,10 @@ import numpy as np
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
-from bunraku.pipelines.animate import animate_each, rig
+from bunraku.pipelines.animate import rig
+from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.decisions import body_facts
+from bunraku.pipelines.requests.request import Request, Sampling
 from bunraku.render import contact_sheet, render_animation
 from bunraku_lab.evaluation.transfer.character import facing_character
 from bunraku_lab.evaluation.transfer.ground import ground_heights, off_ground
@@ -70,7 +72,8 @@ def told(name: str, folder: Path, work: Path | None) -> tuple[list[np.ndarray], 
     floats = plan.swims or (plan.wings and not plan.legs)
     pictures: list[np.ndarray] = []
     off = {}
-    moved = animate_each(character, SENTENCES, seconds=SECONDS, seed=SEED, handles=handles)
+    requests = [Request(one, Sampling(SECONDS, SEED), handles=handles) for one in SENTENCES]
+    moved = Animator.shipped().each(character, requests)
     for sentence, animation in zip(SENTENCES, moved, strict=True):
         assert isinstance(animation, Animation)
         off[sentence] = off_ground(ground_heights(animation), animation.fps)

@@ -74,7 +74,7 @@ def test_missing_file_and_folder(fails, tmp_path):
         (["--seconds", "600"], "not 600"),
         (["--seconds", "nan"], "not nan"),
         (["--seconds", "inf"], "not inf"),
-        (["--fps", "0"], "--fps must be from 1 to 120"),
+        (["--fps", "0"], "--fps must be from 1 to 240"),
         (["--steps", "0"], "--steps"),
         (["--guidance", "-3"], "--guidance"),
         (["--seed", "-1"], "--seed"),

@@ -4,6 +4,7 @@ import dataclasses
 import errno
 import importlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,8 @@ import pytest
 import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import all_verbs
-from bunraku.cli.output.checks import SECONDS
 from bunraku.cli.verbs.inspect import describe
+from bunraku.core.request.limits import SECONDS
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.samples import sample_names
 
@@ -224,9 +225,19 @@ def test_limits_and_defaults_agree_with_the_library():
         importlib.import_module("bunraku.language.sequence"),
         importlib.import_module("bunraku.diffusion.generate"),
     )
-    assert SECONDS == (sequence.SHORTEST, sequence.LONGEST)
+    assert (SECONDS.low, SECONDS.high) == (sequence.SHORTEST, sequence.LONGEST)
     text = (ROOT / "docs" / "cli.md").read_text()
     assert f"{generate.STEPS} by default" in text and f"{generate.GUIDANCE} by default" in text
+
+
+def options_of(kind):
+    """Names of the options and arguments of a verb, those of the dataclasses that it holds among them."""
+    for field in dataclasses.fields(kind):
+        if dataclasses.is_dataclass(field.default_factory):
+            yield from options_of(field.default_factory)
+        elif "Suppress" not in str(field.type):
+            named = re.search(r'arg\(name="([^"]+)"', str(field.type))
+            yield named[1] if named else field.name.replace("_", "-")
 
 
 def test_every_option_is_documented():
@@ -236,16 +247,13 @@ def test_every_option_is_documented():
         kind = getattr(importlib.import_module(module), name)
         if isinstance(kind, type):
             section = text[text.index(f"## bunraku {verb[0]}") if verb[0] != "evaluate" else 0 :]
-            for field in dataclasses.fields(kind):
-                option = field.name.replace("_", "-")
+            for option in options_of(kind):
                 assert f"--{option}" in section or f"`{option.upper()}`" in section, (
                     f"docs/cli.md does not name --{option} of {' '.join(verb)}"
                 )
 
 
 def test_documents_link_to_files_that_exist():
-    import re
-
     for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "examples" / "README.md"]:
         for target in re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text()):
             if "://" not in target:

@@ -109,7 +109,7 @@ def test_progress_and_threads(make):
 @pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
 def test_loading_the_networks_does_not_load_torchs_compiler():
     code = (
-        "import sys; from bunraku.diffusion.generate import load_generator; load_generator(); assert "
+        "import sys; from bunraku.diffusion.networks import load_generator; load_generator(); assert "
         "'torch._dynamo' not in sys.modules"
     )
     subprocess.run(

@@ -8,7 +8,7 @@ from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import closed_loop, in_place, moved, placed_at, repeated
 from bunraku.diffusion.features import FEATURE_SIZE, decode
-from bunraku.diffusion.root_path import arrive
+from bunraku.diffusion.sampling.root_path import arrive
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku_lab.evaluation.motion.seams import posed_positions
 

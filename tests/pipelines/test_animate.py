@@ -9,7 +9,9 @@ import pytest
 
 import bunraku
 from bunraku.nn.checkpoints import shipped_checkpoint
-from bunraku.pipelines.animate import animate, animate_each, rig
+from bunraku.pipelines.animate import animate, rig
+from bunraku.pipelines.animator import Animator
+from bunraku.pipelines.requests.request import Request, Sampling
 from bunraku.samples import sample_character
 
 pytestmark = pytest.mark.skipif(
@@ -204,8 +206,10 @@ def test_a_sentence_of_another_language_is_made_as_its_english(caplog):
 def test_an_animation_of_a_batch_is_the_same_bit_for_bit_when_others_are_there_already(person):
     """As where a batch was stopped before its last clip."""
     prompts = ["a person walks", "waves", "a man jumps up and down"]
-    how = {"seconds": 1, "candidates": 1, "handles": rig(person)}
-    whole = list(animate_each(person, prompts, **how))
-    (last,) = animate_each(person, prompts, **how, only={2})
+    animator, handles = Animator.shipped(), rig(person)
+    sampling = Sampling(seconds=1, candidates=1)
+    requests = [Request(prompt, sampling, handles=handles) for prompt in prompts]
+    whole = list(animator.each(person, requests))
+    (last,) = animator.each(person, requests, only={2})
     assert np.array_equal(last.vertices(), whole[2].vertices())
-    assert list(animate_each(person, prompts, **how, only=())) == []
+    assert list(animator.each(person, requests, only=())) == []

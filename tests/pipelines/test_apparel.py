@@ -16,7 +16,9 @@ from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import CharacterError, OptionError
 from bunraku.geometry.areas import vertex_areas
 from bunraku.pipelines.apparel import dressed, learned
-from bunraku.pipelines.together import check_apparel_option, check_together
+from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.pipelines.requests.constraints import Constraints, Loop
+from bunraku.pipelines.requests.request import Request
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 
 MOTION = stock_motion("walk", 1.0, 20.0)
@@ -86,14 +88,14 @@ def test_no_apparel_is_said(animation, weights):
 
 def test_options_that_cannot_be():
     for apparel in ("auto", "none", "rigid", "simulate", "learn", "mine.npy"):
-        check_apparel_option(apparel)
+        Apparel(apparel).check()
     with pytest.raises(OptionError, match="learn"):
-        check_apparel_option("float")
+        Apparel("float").check()
     with pytest.raises(OptionError, match="stiffness"):
-        check_apparel_option("learn", 0.0)
+        Apparel("learn", 0.0).check()
     with pytest.raises(OptionError, match="loop"):
-        check_together("learn", loop=True)
-    check_together("none", loop=True)
+        Request("walks", constraints=Constraints([Loop()]), apparel=Apparel("learn")).check()
+    Request("walks", constraints=Constraints([Loop()]), apparel=Apparel("none")).check()
 
 
 def test_parts_hang_on_what_they_touch(animation):

@@ -23,6 +23,9 @@ from bunraku.geometry.rotations import matrix_from_quaternion
 from bunraku.io import save_character
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.apply import apply_motion
+from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.pipelines.requests.constraints import Constraints, Keep
+from bunraku.pipelines.requests.request import Request, Sampling
 from bunraku.samples import sample_character
 from bunraku.studio import dressing
 from bunraku.studio.clips import (
@@ -34,7 +37,7 @@ from bunraku.studio.clips import (
     unpacked_apparel,
     unpacked_clip,
 )
-from bunraku.studio.dressing import Apparel, dressed_anew, is_worn
+from bunraku.studio.dressing import check_fits, dressed_anew, is_worn
 from bunraku.studio.opened import Settings, opened_character
 from bunraku.studio.tasks import run_task
 from bunraku.studio.workspace import Workspace
@@ -197,9 +200,9 @@ def test_what_is_worn_is_found(file):
 def test_too_many_places_are_refused_before_the_work(body, monkeypatch):
     monkeypatch.setattr(dressing, "MOST_PLACES", 100_000)
     with pytest.raises(OptionError, match="take at most 0.4"):
-        Apparel("learn").check(body.character, 4.0)
-    Apparel("learn").check(body.character, 0.2)
-    Apparel("rigid").check(body.character, 120.0)
+        check_fits(Apparel("learn"), body.character, 4.0)
+    check_fits(Apparel("learn"), body.character, 0.2)
+    check_fits(Apparel("rigid"), body.character, 120.0)
 
 
 def test_a_take_is_dressed_anew_and_its_motion_stays(body):
@@ -229,8 +232,8 @@ def test_the_worker_makes_and_dresses_and_writes(file, tmp_path):
     (place / "record.json").write_text(json.dumps(record))
     workspace = Workspace(str(tmp_path))
     told = []
-    params = {"character": "one", "takes": ["a"], "seeds": [0], "script": "walks:1", "seconds": 1.0, "steps": 2,
-              "candidates": 1, "loop": False, "in_place": False, "apparel": "learn", "stiffness": 0.2}  # fmt: skip
+    asked = Request("walks:1", Sampling(1.0, steps=2, candidates=1), apparel=Apparel("learn", 0.2))
+    params = {"character": "one", "takes": ["a"], "seeds": [0], "request": asked.to_json()}
     run_task(workspace, "open", {"character": "one", "file": record["file"], "settings": settings}, quiet, told.append)
     run_task(workspace, "animate", params, quiet, told.append)
     draft, done = told
@@ -238,11 +241,13 @@ def test_the_worker_makes_and_dresses_and_writes(file, tmp_path):
     assert (done["fps"], done["frames"], done["skin"]) == (30.0, 29, "handles") and done["stiffness"] == 0.2
     first = workspace.take("a", "one")
     assert not unpacked_apparel((tmp_path / "takes/a/draft.bin").read_bytes())
-    run_task(workspace, "dress", {**params, "takes": ["b"], "parent": "a", "stiffness": 5.0}, quiet, told.append)
+    dress = {"character": "one", "takes": ["b"], "parent": "a", "apparel": "learn", "stiffness": 5.0}
+    run_task(workspace, "dress", dress, quiet, told.append)
     second = workspace.take("b", "one")
     np.testing.assert_array_equal(first.body.motion.rotations, second.body.motion.rotations)
     assert told[-1]["stiffness"] == 5.0 and np.abs(first.points.offsets - second.points.offsets).max() > 1e-4
-    edit = {**params, "takes": ["c"], "parent": "b", "prompt": "waves", "keep": ["legs"], "stiffness": 5.0}
+    asked = Request("waves", Sampling(steps=2), Constraints([Keep(("legs",))]), Apparel("learn", 5.0))
+    edit = {**params, "takes": ["c"], "parent": "b", "request": asked.to_json()}
     run_task(workspace, "edit", edit, quiet, told.append)
     assert isinstance(workspace.take("c", "one"), Dressed)
     for suffix in ("glb", "bvh"):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request.constraint import Constraint
 from bunraku.errors import OptionError
 
 __all__ = ["GroundPath", "bent_to_path"]
@@ -18,7 +20,7 @@ MOST = 200
 DENSE = 64
 """Places that stand for the curve between two points."""
 LONGEST = 500.0
-"""Metres of a path."""
+"""Metres of a path, and from the origin along an axis."""
 SWAY = 0.3
 """Seconds: what a root does faster than this is its own, not the path's."""
 ASIDE = 0.05
@@ -26,7 +28,7 @@ ASIDE = 0.05
 
 
 @dataclass(frozen=True)
-class GroundPath:
+class GroundPath(Constraint):
     """Points on the ground that a root passes.
 
     Args:
@@ -39,6 +41,12 @@ class GroundPath:
 
     points: tuple[tuple[float, float], ...]
     times: tuple[float, ...] | None = None
+
+    kind: ClassVar[str] = "path"
+    alone: ClassVar[tuple[tuple[str, ...], str]] = (
+        ("loop", "after", "in_place"),
+        "a path says where the character goes, so it goes with none of {1}, {2} and {3}",
+    )
 
     def __post_init__(self) -> None:
         points = np.asarray(self.points, float)

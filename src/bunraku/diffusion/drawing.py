@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,8 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bunraku.core.ground_path import GroundPath
+from bunraku.core.request.limits import CANDIDATES
+from bunraku.core.request.limits import GUIDANCE as GUIDANCE_LIMIT
+from bunraku.core.request.limits import STEPS as STEP_LIMIT
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, root_velocities, standing_legs
 from bunraku.diffusion.finishing import steadied, straightened, turned_as_asked
+from bunraku.diffusion.networks import Networks
 from bunraku.errors import OptionError
 from bunraku.geometry.easing import smooth_step
 from bunraku.language.encoders import TextEncoder
@@ -26,7 +29,7 @@ if TYPE_CHECKING:
     from bunraku.diffusion.ranking import Drawn
     from bunraku.diffusion.sampling.sentence_pull import Critic
 
-__all__ = ["GUIDANCE", "STEPS", "Sampling", "draw_candidates", "frames_of", "way_of"]
+__all__ = ["GUIDANCE", "STEPS", "Drawing", "draw_candidates", "frames_of", "way_of"]
 
 STEPS = 20
 GUIDANCE = 3.5
@@ -39,7 +42,7 @@ STANDING, GOING_DOWN = 6, 14
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Drawing:
     """How a motion is drawn.
 
     Args:
@@ -48,7 +51,7 @@ class Sampling:
         mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
             generate for no mesh in particular.
         progress: Called with a stage's name and the share done.
-        checkpoint: Weights in place of the shipped ones.
+        checkpoint: Weights of the denoiser in place of the shipped ones.
         candidates: How many motions are drawn for each that is given back: the one that the ranker likes best
             (`diffusion.ranking`), 1 to 16. The first has the noise that it has alone. Where none has the side, the turn
             or the direction that the sentence says, as many are drawn again, three times at the most.
@@ -56,6 +59,7 @@ class Sampling:
             (`diffusion.examples`). They are of people.
         all_led: The first does so too.
         pull: What is predicted is pulled towards its sentences (`diffusion.sampling.sentence_pull`), as people do them.
+        held: The networks; None loads those of `checkpoint` when they are asked for.
 
     Raises:
         OptionError: A setting is outside what can be done.
@@ -70,14 +74,17 @@ class Sampling:
     examples: bool = True
     all_led: bool = False
     pull: bool = True
+    held: Networks | None = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.candidates <= 16:
-            raise OptionError(f"a motion is the best of 1 to 16 candidates, not of {self.candidates}")
-        if self.steps is not None and not 1 <= self.steps <= 1000:
-            raise OptionError(f"sampling takes 1 to 1,000 steps, not {self.steps}")
-        if self.guidance is not None and not (math.isfinite(self.guidance) and 0 <= self.guidance <= 20):
-            raise OptionError(f"the guidance scale must be from 0 to 20, not {self.guidance:g}")
+        CANDIDATES.check(self.candidates)
+        STEP_LIMIT.check(self.steps)
+        GUIDANCE_LIMIT.check(self.guidance)
+
+    @property
+    def networks(self) -> Networks:
+        """The networks that draw."""
+        return self.held or Networks(self.checkpoint)
 
     def of_body(self, model: Denoiser) -> bool:
         """Whether what is drawn is a body's own motion: see `HandleMotion`."""
@@ -106,7 +113,7 @@ def draw_candidates(
     encoder: TextEncoder,
     scripts: Sequence[Sequence[Clause]],
     noise: list[tuple[int, int]],
-    how: Sampling,
+    how: Drawing,
     loop: bool,
     path: GroundPath | None,
     leads: Sequence[tuple[Lead | None, Lead | None]],
@@ -270,7 +277,7 @@ def closed(values: Tensor, model: Denoiser) -> Tensor:
     """
     import torch
 
-    from bunraku.diffusion.root_path import arrive
+    from bunraku.diffusion.sampling.root_path import arrive
 
     mean, std = model.mean[:3], model.std[:3]
     root = arrive(values[:, :3] * std + mean, model.config.fps, None, None)

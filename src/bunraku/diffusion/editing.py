@@ -19,10 +19,10 @@ from bunraku.body.layout import HANDLE_COUNT
 from bunraku.body.parts import kept_handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import FADE, _fade, placed_at, put_back, put_back_runs
-from bunraku.diffusion.drawing import Sampling, frames_of
+from bunraku.diffusion.drawing import Drawing, frames_of
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_mask
-from bunraku.diffusion.generate import adapt, load_generator
-from bunraku.diffusion.root_path import arrive
+from bunraku.diffusion.generate import adapt
+from bunraku.diffusion.sampling.root_path import arrive
 from bunraku.errors import MotionError, OptionError
 from bunraku.language.sentence import Clause
 
@@ -93,7 +93,7 @@ def edit_motion(
         span: Seconds from and to which is generated; all of the motion by default. The frames outside stay as they are.
         poses: Seconds of single frames in it that stay too: what is between them is generated.
         seed: The same seed and version give the same motion.
-        sampling: See `Sampling`.
+        sampling: See `Drawing`.
 
     Returns:
         As many frames; those outside the span, those of `poses`, and the handles that are kept, hold the arrays of
@@ -104,7 +104,7 @@ def edit_motion(
         MotionError: The motion has another number of handles or frames a second than the model.
         WeightsError: The weights are missing or broken.
     """
-    how = Sampling(**sampling)
+    how = Drawing(**sampling)
     handles = kept_handles(keep) if keep else np.zeros(HANDLE_COUNT, bool)
     first, after = (0, len(motion)) if span is None else span_frames(span, len(motion), motion.fps)
     runs = generated_runs(first, after, pose_frames(poses, len(motion), motion.fps))
@@ -113,7 +113,7 @@ def edit_motion(
             "nothing is kept of the motion; name what stays with keep (such as 'legs'), the span of seconds that "
             "changes, or the times of poses that stay"
         )
-    model, _ = load_generator(how.checkpoint)
+    model = how.networks.denoiser
     _check(motion, model)
     low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
     part = motion.take(slice(low, high))
@@ -137,7 +137,7 @@ def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int
         motion: Motion of the reference body at the model's 20 frames a second.
         script: What is done, clause by clause.
         seed: The same seed and version give the same motion.
-        sampling: See `Sampling`.
+        sampling: See `Drawing`.
 
     Returns:
         The new motion alone; its first frame is the last one of `motion`, bit for bit.
@@ -147,8 +147,8 @@ def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int
         MotionError: The motion has another number of handles or frames a second than the model.
         WeightsError: The weights are missing or broken.
     """
-    how = Sampling(**sampling)
-    model, _ = load_generator(how.checkpoint)
+    how = Drawing(**sampling)
+    model = how.networks.denoiser
     _check(motion, model)
     lengths = frames_of([clause.seconds for clause in script], model.config.fps)
     past = min(len(motion), HISTORY)
@@ -186,7 +186,7 @@ def _generate(
     texts: list[str],
     lengths: list[int],
     seed: int,
-    how: Sampling,
+    how: Drawing,
 ) -> HandleMotion:
     """All frames of the original with some runs of frames made anew, but for the kept handles; the root's path from x
     = z = 0 facing +Z.
@@ -198,7 +198,8 @@ def _generate(
 
     if how.progress:
         how.progress("generate", 0.0)
-    model, encoder = load_generator(how.checkpoint)
+    networks = how.networks
+    model, encoder = networks.denoiser, networks.encoder
     text = encoder.encode(texts)
     plan = plan_windows(lengths, model.config.frames)
     frames = len(original)

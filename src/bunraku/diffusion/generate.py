@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import math
-import os
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,22 +12,22 @@ import numpy as np
 from bunraku.core.ground_path import GroundPath
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import moved
-from bunraku.diffusion.drawing import GUIDANCE, STEPS, Sampling, draw_candidates, frames_of, way_of
+from bunraku.diffusion.drawing import GUIDANCE, STEPS, Drawing, draw_candidates, frames_of, way_of
 from bunraku.diffusion.features import decode
+from bunraku.diffusion.networks import Networks
 from bunraku.errors import OptionError
-from bunraku.language.encoders import TextEncoder, encoder_of, text_encoder
+from bunraku.language.encoders import encoder_of
 from bunraku.language.parse import clauses_of
 from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
-    from bunraku.diffusion.denoiser import Denoiser
     from bunraku.diffusion.examples.guide import Lead
     from bunraku.diffusion.examples.leads import Leads
     from bunraku.diffusion.matching import Extractor
     from bunraku.diffusion.ranking import Drawn
     from bunraku.diffusion.sampling.sentence_pull import Critic
 
-__all__ = ["GUIDANCE", "STEPS", "Sampling", "adapt", "generate_motion", "generate_motions", "load_generator"]
+__all__ = ["GUIDANCE", "STEPS", "Drawing", "adapt", "generate_motion", "generate_motions"]
 
 _APART = 1_000_003
 """Between the noise of a motion's candidates, so that none is that of another motion of the batch."""
@@ -43,7 +40,7 @@ def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: A
         prompt: What the character does, in English, at most 1,000 characters, of which some 30 words are read.
         seconds: Length [s].
         seed: The same seed and version give the same motion.
-        sampling: See `Sampling`.
+        sampling: See `Drawing`.
 
     Raises:
         OptionError: The prompt or a setting is outside what can be done.
@@ -68,13 +65,13 @@ def generate_motions(
         loop: Make loops: each motion's last frame is its first again, at another place where it travels.
         path: What the root follows, in metres of the reference body; each motion then starts where the path does. Who
             goes backwards in the first clause looks back along it.
-        sampling: See `Sampling`.
+        sampling: See `Drawing`.
 
     Raises:
         OptionError: A length or a setting is outside what can be done.
         WeightsError: The weights are missing or broken.
     """
-    how = Sampling(**sampling)
+    how = Drawing(**sampling)
     for clause in (clause for script in scripts for clause in script):
         if not (math.isfinite(clause.seconds) and clause.seconds > 0):
             raise OptionError(f"a motion needs a length of more than 0 seconds, not {clause.seconds:g}")
@@ -87,11 +84,12 @@ def generate_motions(
 
     if how.progress:
         how.progress("generate", 0.0)
-    model, encoder = load_generator(how.checkpoint)
+    networks = how.networks
+    model, encoder = networks.denoiser, networks.encoder
     noise = drawn_noise(seeds, len(scripts))
     plain = 0 if how.all_led else 1  # candidates of a turn that start from no example
-    led = _leads(model, encoder, scripts) if how.candidates > plain and how.examples else None
-    critic = _critic(model, encoder, scripts) if how.pull else None
+    led = _leads(networks, scripts) if how.candidates > plain and how.examples else None
+    critic = _critic(networks, scripts) if how.pull else None
 
     def lead(row: int, place: int) -> tuple[Lead | None, Lead | None]:
         """What a candidate starts from, and what the gestures do that are made at the same time."""
@@ -118,7 +116,7 @@ def generate_motions(
     if how.candidates > 1:
         from bunraku.diffusion.ranking import choose
 
-        found = choose(draw, len(scripts), how.candidates, _ranked(model, encoder))
+        found = choose(draw, len(scripts), how.candidates, _ranked(networks))
     else:
         found = draw(rows, [0] * len(rows))
     own = how.of_body(model)
@@ -132,58 +130,56 @@ def generate_motions(
     return motions
 
 
-def _ranked(model: Denoiser, encoder: TextEncoder) -> Callable[[Sequence[Drawn]], np.ndarray]:
+def _ranked(networks: Networks) -> Callable[[Sequence[Drawn]], np.ndarray]:
     """What the ranker says of candidates, with the encoder that it was trained with."""
-    from bunraku.diffusion.ranking import load_ranker, script_scores
+    from bunraku.diffusion.ranking import script_scores
     from bunraku.nn.threads import fitting_threads
 
-    ranker = load_ranker()
-    own = encoder_of(ranker.config.text_encoder, encoder)
+    ranker = networks.ranker
+    own = encoder_of(ranker.config.text_encoder, networks.encoder)
 
     def score(drawn: Sequence[Drawn]) -> np.ndarray:
-        with fitting_threads(model):
+        with fitting_threads(networks.denoiser):
             return script_scores(ranker, own, [one.motion for one in drawn], [one.script for one in drawn])
 
     return score
 
 
-def _critic(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[Clause]]) -> Critic | None:
+def _critic(networks: Networks, scripts: Sequence[Sequence[Clause]]) -> Critic | None:
     """What pulls motions towards the clauses of these scripts; None where the file was taken away."""
     import torch
 
-    from bunraku.diffusion.ranking import load_critic
     from bunraku.diffusion.sampling.sentence_pull import Critic
 
-    network = load_critic()
+    network = networks.critic
     if network is None:
         return None
-    found = _as_person(network, model, encoder, [clause.body for script in scripts for clause in script])
+    found = _as_person(network, networks, [clause.body for script in scripts for clause in script])
     return Critic(network, {text: torch.from_numpy(vector).float() for text, (_, vector) in found.items()})
 
 
-def _leads(model: Denoiser, encoder: TextEncoder, scripts: Sequence[Sequence[Clause]]) -> Leads | None:
+def _leads(networks: Networks, scripts: Sequence[Sequence[Clause]]) -> Leads | None:
     """Examples for all clauses; None where the file was taken away."""
     from bunraku.diffusion.examples.leads import Leads
-    from bunraku.diffusion.examples.pack import load_examples
-    from bunraku.diffusion.ranking import load_ranker
 
-    pack = load_examples()
+    pack = networks.examples
     if pack is None:
         return None
     clauses = [one for script in scripts for clause in script for one in (clause, *clause.voices)]
-    return Leads(pack, _as_person(load_ranker(), model, encoder, clauses))
+    return Leads(pack, _as_person(networks.ranker, networks, clauses))
 
 
 def _as_person(
-    network: Extractor, model: Denoiser, encoder: TextEncoder, clauses: Collection[Clause]
+    network: Extractor, networks: Networks, clauses: Collection[Clause]
 ) -> dict[str, tuple[Clause, np.ndarray]]:
     """Each clause by its text, with its vector as said of a person, of length 1, shape (E,)."""
     from bunraku.diffusion.matching import RADIUS, embed_sentences
     from bunraku.nn.threads import fitting_threads
 
     said = sorted({clause.person for clause in clauses})
-    with fitting_threads(model):
-        vectors = embed_sentences(network, encoder_of(network.config.text_encoder, encoder), said)
+    own = encoder_of(network.config.text_encoder, networks.encoder)
+    with fitting_threads(networks.denoiser):
+        vectors = embed_sentences(network, own, said)
     return {clause.text: (clause, vectors[clause.person] / RADIUS) for clause in clauses}
 
 
@@ -199,28 +195,3 @@ def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:
     translations = motion.translations + adaptation
     translations[:, 0] = 0
     return replace(motion, translations=translations)
-
-
-def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, TextEncoder]:
-    """The denoiser and its text encoder, kept between calls as long as the file does not change.
-
-    Weights trained with CLIP look for its folder in the environment variable BUNRAKU_CLIP.
-
-    Args:
-        checkpoint: Weights in place of the shipped ones.
-
-    Raises:
-        WeightsError: The weights are missing or broken.
-    """
-    from bunraku.nn.checkpoints import dated_checkpoint
-
-    return _load(*dated_checkpoint("diffusion", checkpoint))
-
-
-@functools.lru_cache(maxsize=2)
-def _load(path: Path, changed: int) -> tuple[Denoiser, TextEncoder]:
-    from bunraku.diffusion.checkpoint import load_denoiser
-
-    model = load_denoiser(path)
-    name = model.config.text_encoder
-    return model, text_encoder(name, os.environ.get("BUNRAKU_CLIP") if name.startswith("clip") else None)

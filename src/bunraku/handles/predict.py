@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ from bunraku.handles.repairs import eased, reunited, without_doubts
 if TYPE_CHECKING:
     from bunraku.handles.predictor import HandlePredictor
 
-__all__ = ["VIEWS", "mesh_feature", "predict_handles", "predict_weights", "smooth_weights", "trim_weights"]
+__all__ = ["VIEWS", "Predictor", "mesh_feature", "predict_handles", "predict_weights", "smooth_weights", "trim_weights"]
 
 VIEWS = (
     (0.0, 0.0, 0.0),
@@ -129,3 +130,22 @@ def mesh_feature(character: Character, checkpoint: str | Path | None = None) -> 
     """
     model = _load(checkpoint)
     return predict_weights(network_mesh(character.vertices, character.faces, model.config.mesh_vertices), model)[1]
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """Gives the handles of characters.
+
+    Args:
+        checkpoint: Weights of kind "handles"; the shipped ones when not given.
+    """
+
+    checkpoint: str | Path | None = None
+
+    def __call__(self, character: Character) -> Handles:
+        """The handles of a character (see `predict_handles`)."""
+        return predict_handles(character, self.checkpoint)
+
+    def feature(self, character: Character) -> np.ndarray:
+        """The mesh deformation feature f_phi of a character, shape (448,)."""
+        return mesh_feature(character, self.checkpoint)

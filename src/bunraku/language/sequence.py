@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from bunraku.core.request.limits import SECONDS
 from bunraku.errors import OptionError
 
 __all__ = ["LONGEST", "SHORTEST", "parse_sequence", "timed_sequence"]
 
-SHORTEST, LONGEST = 0.5, 120.0
+SHORTEST, LONGEST = SECONDS.low, SECONDS.high
 """Seconds that a clip, and each of its parts, may last."""
 
 

@@ -1,38 +1,25 @@
-"""TapMo's Figure 2 as code: mesh -> handles -> motion from a sentence -> animation."""
+"""Short faces of the pipeline (`pipelines.animator`): `rig`, `generate`, `animate`."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import replace
-from itertools import compress
-from typing import Any, Literal, overload
-
-import numpy as np
+from collections.abc import Callable, Sequence
+from typing import Literal, TypedDict, Unpack, overload
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animated import AnimatedCharacter
-from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.ground_path import GroundPath
 from bunraku.core.motion import HandleMotion
-from bunraku.core.rig_animation import RigAnimation
-from bunraku.errors import OptionError
-from bunraku.language.parse import parse
-from bunraku.language.sentence import Sentence
-from bunraku.pipelines.apply import apply_motion, apply_rigged, apply_simulated, reference_of, reference_path
-from bunraku.pipelines.bodies import as_bodies_do, moved_ways
-from bunraku.pipelines.together import check_apparel_option, check_together, moves_apparel
+from bunraku.pipelines.animator import Animator
+from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.pipelines.requests.constraints import Constraints
+from bunraku.pipelines.requests.request import Request, Sampling
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
 
-__all__ = ["animate", "animate_each", "generate", "rig"]
-
-_log = logging.getLogger(__name__)
+__all__ = ["animate", "generate", "rig"]
 
 Progress = Callable[[str, float], None]
-AT_ONCE = 8
-"""Prompts in one pass of the network."""
 
 
 def rig(
@@ -51,74 +38,32 @@ def rig(
         OptionError: `handles` is neither.
         WeightsError: The shipped weights are missing or broken.
     """
-    from bunraku.handles.from_rig import rig_handles
-    from bunraku.handles.predict import mesh_feature, predict_handles
-
-    if handles not in ("predict", "rig"):
-        raise OptionError(f"handles are made by 'predict' or 'rig', not '{handles}'; choose one of the two")
-    if progress:
-        progress("handles", 0.0)
-    found = (
-        replace(rig_handles(character), features=mesh_feature(character))
-        if handles == "rig"
-        else predict_handles(character)
-    )
-    found = found.top(4)  # what viewers read, so the file plays as the library does
-    if progress:
-        progress("handles", 1.0)
-    return found
+    return Animator.shipped(progress).handles(character, handles)
 
 
-CANDIDATES = 3
-"""Motions that are drawn for each that is given back."""
+class _Generating(TypedDict, total=False):
+    """Keyword arguments of `generate`."""
 
-
-def _read(prompts: Sequence[str], seconds: float, anyway: bool) -> list[Sentence]:
-    """Each prompt read; what cannot be generated is refused before anything is loaded, and what is not understood is
-    told.
-    """
-    sentences = [parse(prompt, seconds, anyway) for prompt in prompts]
-    for note in (note for sentence in sentences for note in sentence.notes):
-        _log.warning("%s", note)
-    return sentences
+    seconds: float
+    seed: int | Sequence[int]
+    steps: int | None
+    guidance: float | None
+    mesh_feature: object | None
+    loop: bool
+    after: HandleMotion | None
+    path: GroundPath | None
+    candidates: int
+    body: Anatomy | None
+    anyway: bool
+    progress: Progress | None
 
 
 @overload
-def generate(
-    prompt: str,
-    *,
-    seconds: float = ...,
-    seed: int | Sequence[int] = ...,
-    steps: int | None = ...,
-    guidance: float | None = ...,
-    mesh_feature: object | None = ...,
-    loop: bool = ...,
-    after: HandleMotion | None = ...,
-    path: GroundPath | None = ...,
-    candidates: int = ...,
-    body: Anatomy | None = ...,
-    anyway: bool = ...,
-    progress: Progress | None = ...,
-) -> HandleMotion: ...
+def generate(prompt: str, **how: Unpack[_Generating]) -> HandleMotion: ...
 
 
 @overload
-def generate(
-    prompt: list[str] | tuple[str, ...],
-    *,
-    seconds: float = ...,
-    seed: int | Sequence[int] = ...,
-    steps: int | None = ...,
-    guidance: float | None = ...,
-    mesh_feature: object | None = ...,
-    loop: bool = ...,
-    after: HandleMotion | None = ...,
-    path: GroundPath | None = ...,
-    candidates: int = ...,
-    body: Anatomy | None = ...,
-    anyway: bool = ...,
-    progress: Progress | None = ...,
-) -> list[HandleMotion]: ...
+def generate(prompt: list[str] | tuple[str, ...], **how: Unpack[_Generating]) -> list[HandleMotion]: ...
 
 
 def generate(
@@ -132,7 +77,7 @@ def generate(
     loop: bool = False,
     after: HandleMotion | None = None,
     path: GroundPath | None = None,
-    candidates: int = CANDIDATES,
+    candidates: int = 3,
     body: Anatomy | None = None,
     anyway: bool = False,
     progress: Progress | None = None,
@@ -165,43 +110,13 @@ def generate(
         WeightsError: The shipped weights are missing or broken.
     """
     prompts = [prompt] if isinstance(prompt, str) else list(prompt)
-    sentences = _read(prompts, seconds, anyway)
-    check_together("rigid", loop=loop, after=after is not None, path=path is not None)
-    as_people = True
-    if body is not None:
-        sentences, as_people = as_bodies_do(sentences, body)
-        mesh_feature = body.handles.features if mesh_feature is None else mesh_feature
-    how: dict[str, Any] = {
-        "steps": steps, "guidance": guidance, "mesh_feature": mesh_feature, "examples": as_people, "pull": as_people,
-        "progress": progress,
-    }  # fmt: skip
-    motions = _generated(sentences, seed, loop, after, path, candidates, how)
-    if body is not None:
-        motions = [moved_ways(motion, one, body, loop) for motion, one in zip(motions, sentences, strict=True)]
+    if not prompts:
+        return []
+    sampling = Sampling(seconds, seed if isinstance(seed, int) else 0, steps, guidance, candidates)
+    constraints = Constraints.of(loop=loop, after=after, path=path)
+    requests = [Request(one, sampling, constraints, force=anyway) for one in prompts]
+    motions = Animator.shipped(progress).generate(requests, seed, mesh_feature, body)
     return motions[0] if isinstance(prompt, str) else motions
-
-
-def _generated(
-    sentences: Sequence[Sentence],
-    seed: int | Sequence[int],
-    loop: bool,
-    after: HandleMotion | None,
-    path: GroundPath | None,
-    candidates: int,
-    how: dict[str, Any],
-) -> list[HandleMotion]:
-    """A motion for each sentence; arguments as for `generate`."""
-    from bunraku.diffusion.generate import generate_motions
-
-    scripts = [sentence.clauses for sentence in sentences]
-    if after is None:
-        return generate_motions(scripts, seeds=seed, loop=loop, path=path, candidates=candidates, **how)
-    from bunraku.diffusion.editing import continue_motion
-
-    seeds = [seed + index for index in range(len(scripts))] if isinstance(seed, int) else list(seed)
-    if len(seeds) != len(scripts):
-        raise OptionError(f"{len(scripts)} motions need as many seeds, not {len(seeds)}")
-    return [continue_motion(after, script, seed=one, **how) for script, one in zip(scripts, seeds, strict=True)]
 
 
 def animate(
@@ -221,7 +136,7 @@ def animate(
     path: GroundPath | None = None,
     pins: Sequence[Pin] = (),
     stages: Stages | None = None,
-    candidates: int = CANDIDATES,
+    candidates: int = 3,
     anyway: bool = False,
     progress: Progress | None = None,
 ) -> AnimatedCharacter:
@@ -263,121 +178,9 @@ def animate(
         CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """
-    return next(
-        animate_each(
-            character, [prompt], seconds=seconds, seed=seed, steps=steps, guidance=guidance, handles=handles,
-            apparel=apparel, stiffness=stiffness, loop=loop,
-            in_place=in_place, after=after, path=path, pins=pins, stages=stages, candidates=candidates, anyway=anyway,
-            progress=progress,
-        )
+    request = Request(
+        prompt, Sampling(seconds, seed, steps, guidance, candidates),
+        Constraints.of(loop=loop, in_place=in_place, after=after, path=path, pins=pins), Apparel(apparel, stiffness),
+        stages, "predict" if handles is None else handles, anyway,
     )  # fmt: skip
-
-
-def animate_each(
-    character: Character,
-    prompts: Sequence[str],
-    *,
-    seconds: float = 6.0,
-    seed: int = 0,
-    steps: int | None = None,
-    guidance: float | None = None,
-    handles: Handles | Literal["predict", "rig"] = "predict",
-    apparel: str = "rigid",
-    stiffness: float = 1.0,
-    loop: bool = False,
-    in_place: bool = False,
-    after: HandleMotion | AnimatedCharacter | None = None,
-    path: GroundPath | None = None,
-    pins: Sequence[Pin] = (),
-    stages: Stages | None = None,
-    candidates: int = CANDIDATES,
-    anyway: bool = False,
-    only: Collection[int] | None = None,
-    progress: Progress | None = None,
-) -> Iterator[AnimatedCharacter]:
-    """One animation for each prompt, as `animate` makes them, several in one pass of the network.
-
-    Each has the same seed, so that it does not depend on those beside it, but for the last bits of its numbers: sums
-    are rounded otherwise in a pass of another size. Other arguments, results and errors are those of `animate`.
-
-    Args:
-        character: As for `animate`.
-        prompts: What each does.
-        only: Indices of the prompts whose animations are wanted, all where None. Those beside them are generated along,
-            so that each is bit for bit the one that all of them would give.
-    """
-    sentences = _read(prompts, seconds, anyway)
-    check_together(
-        apparel, loop=loop, after=after is not None, handles=handles != "predict", path=path is not None,
-        in_place=in_place, pins=bool(pins),
-    )  # fmt: skip
-    check_apparel_option(apparel, stiffness)
-    as_people, anatomy = True, None
-    moved_by = apparel_way(character, apparel, handles)
-    if moved_by != "handles" and (path is not None or pins):
-        moved_by = "handles"  # what goes along a path or meets pins
-    if moved_by != "handles":
-        from bunraku.handles.predict import mesh_feature
-
-        feature: np.ndarray | None = mesh_feature(character)
-    else:
-        if not isinstance(handles, Handles):
-            handles = rig(character, handles=handles or "predict", progress=progress)
-        anatomy, feature = Anatomy.of(character, handles), handles.features
-        sentences, as_people = as_bodies_do(sentences, anatomy)
-    before = after if isinstance(after, HandleMotion) or after is None else reference_of(after)
-    way = path if anatomy is None else reference_path(path, anatomy)
-    how: dict[str, Any] = {
-        "steps": steps, "guidance": guidance, "mesh_feature": feature, "examples": as_people, "pull": as_people,
-        "progress": progress,
-    }  # fmt: skip
-    for start in range(0, len(sentences), AT_ONCE):
-        some = sentences[start : start + AT_ONCE]
-        wanted = [only is None or number in only for number in range(start, start + len(some))]
-        if not any(wanted):
-            continue
-        motions = _generated(some, [seed] * len(some), loop, before, way, candidates, how)
-        for number, motion in compress(enumerate(motions, start), wanted):
-            if moved_by == "simulate":
-                yield apply_simulated(motion, character, in_place=in_place, stages=stages, progress=progress)
-                continue
-            if anatomy is None:
-                moved: Animation | RigAnimation = apply_rigged(
-                    motion, character, in_place=in_place, stages=stages, progress=progress
-                )
-            else:
-                motion = moved_ways(motion, sentences[number], anatomy, loop)
-                moved = apply_motion(
-                    motion, anatomy, loop=loop, in_place=in_place, after=after, path=path, pins=pins,
-                    stages=stages, progress=progress
-                )  # fmt: skip
-            if moves_apparel(apparel):
-                from bunraku.pipelines.apparel import dressed
-
-                yield dressed(moved, apparel, stiffness=stiffness, progress=progress)
-            else:
-                yield moved
-
-
-def apparel_way(character: Character, apparel: str, handles: object = "predict") -> str:
-    """What moves a character whose apparel moves so: "handles", its "rig", or "simulate", its rig and the physics of
-    its file.
-
-    Args:
-        character: The character.
-        apparel: As of `animate`.
-        handles: As of `animate`; where they are given or asked for they are what moves.
-
-    Raises:
-        CharacterError: It is to be simulated, and its file says nothing of physics.
-    """
-    from bunraku.physics.animated import check_apparel
-    from bunraku.physics.from_file import apparel_rig
-    from bunraku.retarget.rig_parts import is_humanoid_rig
-
-    if apparel == "simulate":
-        check_apparel(character)  # before the work
-        return "simulate"
-    if not moves_apparel(apparel) or handles != "predict" or not is_humanoid_rig(character):
-        return "handles"
-    return "simulate" if apparel == "auto" and apparel_rig(character) is not None else "rig"
+    return Animator.shipped(progress)(character, request)

@@ -30,7 +30,7 @@ from bunraku.nn.checkpoints import dated_checkpoint
 from bunraku.physics.animated import with_apparel
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.worn import wearer_of_file
-from bunraku.pipelines.together import check_apparel_option, moves_apparel
+from bunraku.pipelines.requests.apparel import Apparel
 
 __all__ = ["animated_wearer", "dressed", "learned", "shipped_displacement"]
 
@@ -75,8 +75,9 @@ def dressed(
         FormatError: The mask is broken or belongs to another mesh.
         WeightsError: The shipped weights are missing or broken.
     """
-    check_apparel_option(str(apparel), stiffness)
-    if not moves_apparel(str(apparel)):
+    asked = Apparel(str(apparel), stiffness)
+    asked.check()
+    if not asked.moves:
         return animation
     if str(apparel) == "simulate":
         return with_apparel(animation, "simulate", progress)

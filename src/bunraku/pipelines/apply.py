@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from bunraku.anatomy.anatomy import Anatomy
@@ -11,9 +11,11 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.ground_path import GroundPath, bent_to_path
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request.constraint import Constraint
 from bunraku.core.rig_animation import RigAnimation
+from bunraku.pipelines.requests.constraints import Constraints
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.stages.pins import Pin, meet_pins
+from bunraku.retarget.stages.pins import meet_pins
 
 __all__ = [
     "GENERATED_STAGES", "apply_motion", "apply_rigged", "apply_simulated", "fitted_motion", "reference_of",
@@ -28,12 +30,7 @@ GENERATED_STAGES = Stages(shape=True)
 def apply_motion(
     motion: HandleMotion,
     anatomy: Anatomy,
-    *,
-    loop: bool = False,
-    in_place: bool = False,
-    after: HandleMotion | AnimatedCharacter | None = None,
-    path: GroundPath | None = None,
-    pins: Sequence[Pin] = (),
+    constraints: Iterable[Constraint] = (),
     stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> Animation:
@@ -42,16 +39,15 @@ def apply_motion(
     Args:
         motion: N frames.
         anatomy: Of the character.
-        loop: Whether the motion is a loop.
-        in_place: Take the way over the ground out.
-        after: Start in the last pose of this; a motion of the reference body is one that `motion` already follows.
-        path: What the root follows [m]; `motion` was generated for it (`reference_path`).
-        pins: Where hands and feet are at some times.
+        constraints: What it must meet. It was generated as a loop where it is one, for its path (`reference_path`), and
+            to follow the motion of the reference body that it follows.
         stages: Which stages fit the motion to the character; `GENERATED_STAGES` when None.
         progress: Called with a stage's name and the share done, 0 to 1.
     """
     if progress:
         progress("fit", 0.0)
+    constraints = Constraints(constraints)
+    after, loop, path = constraints.after, constraints.loop, constraints.path
     stages = stages or GENERATED_STAGES
     if (
         after is not None and not isinstance(after, HandleMotion) and after.reference is None
@@ -62,14 +58,14 @@ def apply_motion(
         from bunraku.core.travel import follow
 
         fitted = follow(fitted, after.motion)
-    if in_place:
+    if constraints.in_place:
         from bunraku.core.travel import in_place as in_place_motion
 
         fitted = in_place_motion(fitted, loop)
     if path is not None:
         low = float(anatomy.character.vertices[:, 1].min())
         fitted = bent_to_path(fitted, path, size=float(anatomy.handles.positions[0, 1]) - low)
-    fitted = meet_pins(fitted, anatomy, pins)
+    fitted = meet_pins(fitted, anatomy, constraints.pins)
     if progress:
         progress("fit", 1.0)
     return Animation(anatomy.character, anatomy.handles, fitted, motion)

@@ -4,21 +4,77 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.body.parts import kept_handles
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
+from bunraku.core.travel import put_back_runs
+from bunraku.diffusion.drawing import Drawing
+from bunraku.diffusion.editing import edit_motion, generated_runs, pose_frames, span_frames
 from bunraku.errors import MotionError, OptionError
+from bunraku.language.parse import clause_of
+from bunraku.language.understood import english_of
+from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.apply import fitted_motion, reference_of
+from bunraku.pipelines.requests.constraints import Constraints, Keep, Pose
+from bunraku.pipelines.requests.request import Request, Sampling
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin, meet_pins
 
-__all__ = ["edit"]
+__all__ = ["edit", "edited"]
 
 Clip = TypeVar("Clip", bound=HandleMotion | Animation)
+
+
+def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
+    """A clip of which a part is kept and the rest generated from a sentence (section A.3 of TapMo).
+
+    Args:
+        animator: Holds the networks.
+        clip: An animation, or a motion of the reference body at 20 frames a second.
+        request: What is done instead, and with `Keep`, `Pose` and `Pin` what stays. It has the clip's length, and one
+            candidate is drawn. Results and errors are those of `edit`.
+    """
+    asked, how = request.sentence, request.sampling
+    clause = clause_of(english_of(asked, request.force) if isinstance(asked, str) else asked.english)
+    request.check(clip=True)
+    parts, span = request.constraints.keep.parts, request.constraints.keep.span
+    poses, pins = [pose.time for pose in request.constraints.poses], request.constraints.pins
+
+    def generated(motion: HandleMotion, feature: np.ndarray | None) -> HandleMotion:
+        drawing = Drawing(how.steps, how.guidance, feature, animator.progress, held=animator.networks)
+        return edit_motion(motion, clause, keep=parts, span=span, poses=poses, seed=how.seed, **vars(drawing))
+
+    if isinstance(clip, HandleMotion):
+        if pins:
+            raise OptionError("pins are places of a character's hands and feet; edit an animation of it")
+        return cast(Clip, generated(clip, None))
+    assert isinstance(clip, Animation)
+    handles = clip.handles
+    if handles.features is None:
+        handles = replace(handles, features=animator.predictor.feature(clip.character))
+    anatomy = Anatomy.of(clip.character, handles)
+    reference = reference_of(clip, anatomy)
+    if len(reference) != len(clip.motion):
+        raise MotionError(
+            f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it "
+            "again"
+        )
+    made = generated(reference, handles.features)
+    animator.progress("fit", 0.0)
+    kept = np.zeros(len(handles.positions), bool)
+    if parts:
+        kept = kept_handles(parts)[handles.played]  # a spare handle that plays a kept part is kept with it
+    first, after = (0, len(made)) if span is None else span_frames(span, len(made), made.fps)
+    runs = generated_runs(first, after, pose_frames(poses, len(made), made.fps))
+    fitted = put_back_runs(fitted_motion(made, anatomy, request.stages), clip.motion, kept, runs)
+    fitted = meet_pins(fitted, anatomy, pins)
+    animator.progress("fit", 1.0)
+    return cast(Clip, Animation(clip.character, clip.handles, fitted, made))
 
 
 def edit(
@@ -63,49 +119,10 @@ def edit(
         MotionError: The motion is not that of 30 handles at 20 frames a second.
         WeightsError: The shipped weights are missing or broken.
     """
-    from bunraku.body.parts import kept_handles
-    from bunraku.core.travel import put_back_runs
-    from bunraku.diffusion.editing import edit_motion, generated_runs, pose_frames, span_frames
-    from bunraku.language.parse import clause_of
-    from bunraku.language.understood import english_of
-
-    clause = clause_of(english_of(prompt, anyway))
-    how: dict[str, Any] = {
-        "keep": keep,
-        "span": span,
-        "poses": poses,
-        "seed": seed,
-        "steps": steps,
-        "guidance": guidance,
-        "progress": progress,
-    }
-    if isinstance(clip, HandleMotion):
-        if pins:
-            raise OptionError("pins are places of a character's hands and feet; edit an animation of it")
-        return cast(Clip, edit_motion(clip, clause, **how))
-    assert isinstance(clip, Animation)
-    handles = clip.handles
-    if handles.features is None:
-        from bunraku.handles.predict import mesh_feature
-
-        handles = replace(handles, features=mesh_feature(clip.character))
-    anatomy = Anatomy.of(clip.character, handles)
-    reference = reference_of(clip, anatomy)
-    if len(reference) != len(clip.motion):
-        raise MotionError(
-            f"the clip has {len(clip.motion)} frames and its motion of the reference body {len(reference)}; save it "
-            "again"
-        )
-    made = edit_motion(reference, clause, mesh_feature=handles.features, **how)
-    if progress:
-        progress("fit", 0.0)
-    kept = np.zeros(len(handles.positions), bool)
-    if keep:
-        kept = kept_handles(keep)[handles.played]  # a spare handle that plays a kept part is kept with it
-    first, after = (0, len(made)) if span is None else span_frames(span, len(made), made.fps)
-    runs = generated_runs(first, after, pose_frames(poses, len(made), made.fps))
-    fitted = put_back_runs(fitted_motion(made, anatomy, stages), clip.motion, kept, runs)
-    fitted = meet_pins(fitted, anatomy, pins)
-    if progress:
-        progress("fit", 1.0)
-    return cast(Clip, Animation(clip.character, clip.handles, fitted, made))
+    parts = ((keep,) if keep else ()) if isinstance(keep, str) else tuple(keep)
+    stays = [Keep(parts, span)] if parts or span is not None else []
+    request = Request(
+        prompt, Sampling(seed=seed, steps=steps, guidance=guidance),
+        Constraints((*stays, *map(Pose, poses), *pins)), stages=stages, force=anyway,
+    )  # fmt: skip
+    return edited(Animator.shipped(progress), clip, request)

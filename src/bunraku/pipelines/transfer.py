@@ -19,18 +19,26 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.errors import CharacterError, OptionError
+from bunraku.errors import CharacterError
 from bunraku.io.motions import Motion, load_motion
+from bunraku.physics.animated import check_apparel
+from bunraku.pipelines.animator import Animator
+from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.pipelines.requests.transfer import RATE, TransferRequest
 from bunraku.pipelines.to_reference import bone_rotations, creature_motion, reference_motion
 from bunraku.retarget.creatures.fit import fit_creature, fit_creature_rig
 from bunraku.retarget.creatures.motion import CreatureMotion
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.to_rig import fit_rig
+from bunraku.retarget.treadmill import is_treadmill
 
-__all__ = ["RATE", "TRANSFER_STAGES", "Source", "apply_transfer", "played_by_mmd", "same_skeleton", "transfer"]
+__all__ = [
+    "TRANSFER_STAGES", "Source", "apply_transfer", "fitted_transfer", "played_by_mmd", "same_skeleton", "transfer",
+    "transferred",
+]  # fmt: skip
 
 Progress = Callable[[str, float], None]
-RATE = 30.0
-"""Frames a second [1/s] of what is transferred, unless another rate is asked for."""
 TRANSFER_STAGES = Stages(hands=True, shape=True)
 """The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its
 shape.
@@ -74,6 +82,33 @@ class Source:
     def reference(self) -> HandleMotion:
         """The motion of the reference body."""
         return reference_motion(self.motion, fps=self.fps, names=self.names)
+
+
+def transferred(
+    animator: Animator, character: Character, motion: Motion | Source | str | Path, request: TransferRequest
+) -> AnimatedCharacter:
+    """A character that does what a motion does: F(V, J, T) of [MMDMC 1].
+
+    Args:
+        animator: Holds the networks.
+        character: Any mesh, +Y up and facing +Z.
+        motion: As of `transfer`. A `Source` brings its own rate, names and clip.
+        request: How it is put on the character. Results and errors are those of `transfer`.
+    """
+    request.check()
+    if request.apparel.motion == "simulate":
+        check_apparel(character)  # before the work
+    source = motion if isinstance(motion, Source) else Source(motion, request.fps, request.names, request.clip)
+    animator.progress("read", 0.0)
+    moved: Animation | RigAnimation | None = None
+    if request.onto != "handles" and not isinstance(request.handles, Handles):
+        moved = None if source.path is None else played_by_mmd(character, source.path, source.fps)
+        moved = moved or same_skeleton(character, source.motion)
+    if moved is None:
+        reference = source.creature or source.reference
+        animator.progress("read", 1.0)
+        moved = fitted_transfer(animator, character, reference, request)
+    return animator.dress(moved, request.apparel)
 
 
 def transfer(
@@ -120,34 +155,56 @@ def transfer(
         MotionError: No pelvis and legs are found in the skeleton.
         FormatError: The file cannot be read.
     """
-    from bunraku.physics.animated import check_apparel
-    from bunraku.pipelines.together import check_apparel_option, moves_apparel
+    request = TransferRequest(onto, Apparel(apparel, stiffness), stages, handles, fps, names, clip)
+    return transferred(Animator.shipped(progress), character, motion, request)
 
-    if onto not in ("auto", "handles", "rig"):
-        raise OptionError(f"a motion goes onto 'handles', 'rig' or 'auto', not '{onto}'; choose one of the three")
-    if not 1 <= fps <= 240:
-        raise OptionError(f"frames a second must be from 1 to 240, not {fps:g}")
-    check_apparel_option(apparel, stiffness)
-    if apparel == "simulate":
-        if onto == "handles":
-            raise OptionError("apparel is simulated on the bones of a character's rig; leave out onto='handles'")
-        check_apparel(character)  # before the work
-    source = motion if isinstance(motion, Source) else Source(motion, fps, names, clip)
-    progress = progress or (lambda stage, done: None)
-    progress("read", 0.0)
-    result: Animation | RigAnimation | None = None
-    if onto != "handles" and not isinstance(handles, Handles):
-        result = None if source.path is None else played_by_mmd(character, source.path, source.fps)
-        result = result or same_skeleton(character, source.motion)
-    if result is None:
-        reference = source.creature or source.reference
-        progress("read", 1.0)
-        result = apply_transfer(character, reference, onto=onto, handles=handles, stages=stages, progress=progress)
-    if not moves_apparel(apparel):
-        return result
-    from bunraku.pipelines.apparel import dressed
 
-    return dressed(result, apparel, stiffness=stiffness, progress=progress)
+def fitted_transfer(
+    animator: Animator, character: Character, reference: HandleMotion | CreatureMotion, request: TransferRequest
+) -> Animation | RigAnimation:
+    """What `reference_motion` or `creature_motion` gives, on the rig or the handles of a character.
+
+    Args:
+        animator: Makes handles where they are needed.
+        character: Any mesh, +Y up and facing +Z.
+        reference: Motion of the reference body, or of a creature.
+        request: Onto what it goes, by which stages.
+    """
+    stages = request.stages or TRANSFER_STAGES
+    if stages.feet and isinstance(reference, HandleMotion) and is_treadmill(reference):
+        stages = replace(stages, feet=False)  # feet that are held would carry the character away
+    parts = _rig_parts(character, request)
+    animator.progress("fit", 0.0)
+    if isinstance(reference, HandleMotion):
+        reference = reference.of_own_body(False)  # generated for another body, or for none
+    if parts is not None:
+        result: Animation | RigAnimation = (
+            fit_rig(reference, parts, stages)
+            if isinstance(reference, HandleMotion)
+            else fit_creature_rig(reference, parts, stages)
+        )
+    else:
+        handles = animator.handles(character, request.handles)
+        if isinstance(reference, HandleMotion):
+            fitted = fit_motion(reference, Anatomy.of(character, handles), stages)
+            result = Animation(character, handles, fitted, reference)
+        else:
+            result = fit_creature(reference, Anatomy.of(character, handles), stages)
+    animator.progress("fit", 1.0)
+    return result
+
+
+def _rig_parts(character: Character, request: TransferRequest) -> RigParts | None:
+    """The rig that a motion goes onto; None where handles take it."""
+    if request.onto == "rig":
+        return RigParts.of(character)
+    if request.onto == "handles" or character.rig is None or isinstance(request.handles, Handles):
+        return None
+    try:
+        parts = RigParts.of(character)
+    except CharacterError:
+        return None
+    return parts if parts.humanoid else None
 
 
 def apply_transfer(
@@ -160,44 +217,8 @@ def apply_transfer(
     progress: Progress | None = None,
 ) -> Animation | RigAnimation:
     """`transfer` of what `reference_motion` or `creature_motion` gives; arguments are those of `transfer`."""
-    from bunraku.retarget.rig_parts import RigParts
-    from bunraku.retarget.to_rig import fit_rig
-    from bunraku.retarget.treadmill import is_treadmill
-
-    progress = progress or (lambda stage, done: None)
-    stages = stages or TRANSFER_STAGES
-    if stages.feet and isinstance(reference, HandleMotion) and is_treadmill(reference):
-        stages = replace(stages, feet=False)  # feet that are held would carry the character away
-    parts = None
-    if onto == "rig":
-        parts = RigParts.of(character)
-    elif onto == "auto" and character.rig is not None and not isinstance(handles, Handles):
-        try:
-            parts = RigParts.of(character)
-            parts = parts if parts.humanoid else None
-        except CharacterError:
-            parts = None
-    progress("fit", 0.0)
-    if isinstance(reference, HandleMotion):
-        reference = reference.of_own_body(False)  # generated for another body, or for none
-    if parts is not None:
-        result: Animation | RigAnimation = (
-            fit_rig(reference, parts, stages)
-            if isinstance(reference, HandleMotion)
-            else fit_creature_rig(reference, parts, stages)
-        )
-    else:
-        if not isinstance(handles, Handles):
-            from bunraku.pipelines.animate import rig
-
-            handles = rig(character, handles=handles, progress=progress)
-        if isinstance(reference, HandleMotion):
-            fitted = fit_motion(reference, Anatomy.of(character, handles), stages)
-            result = Animation(character, handles, fitted, reference)
-        else:
-            result = fit_creature(reference, Anatomy.of(character, handles), stages)
-    progress("fit", 1.0)
-    return result
+    request = TransferRequest(onto, stages=stages, handles=handles)
+    return fitted_transfer(Animator.shipped(progress), character, reference, request)
 
 
 def same_skeleton(character: Character, motion: Motion) -> RigAnimation | None:

@@ -6,18 +6,17 @@ A take can be dressed anew, which leaves its motion as it is.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
 
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
+from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.retarget.fit import Stages
 from bunraku.studio.clips import Dressed, Take, body_of
 
-__all__ = ["Apparel", "dressed_anew", "is_worn"]
+__all__ = ["check_fits", "dressed_anew", "is_worn", "put_on"]
 
 Report = Callable[[str, float], None]
 MOST_PLACES = 30_000_000
@@ -26,72 +25,52 @@ LEAST = 0.01
 """Share of a mesh that is apparel where there is some."""
 
 
-@dataclass(frozen=True)
-class Apparel:
-    """How the apparel of takes moves.
+def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
+    """Whether apparel of a clip can move so, before the work.
 
     Args:
-        way: "rigid", "simulate" or "learn".
-        stiffness: Factor on how stiff learned apparel is.
+        apparel: How it is to move.
+        character: The character.
+        seconds: Length of the clip.
+
+    Raises:
+        CharacterError: It is to be simulated, and the file says nothing of physics.
+        OptionError: It is to be learned, and the mesh is too large for so long a clip.
     """
+    from bunraku.physics.animated import check_apparel
+    from bunraku.pipelines.apparel import RATE
 
-    way: str = "rigid"
-    stiffness: float = 1.0
+    if apparel.motion == "simulate":
+        check_apparel(character)
+    most = MOST_PLACES / (RATE * len(character.vertices))
+    if apparel.motion == "learn" and seconds > most:
+        raise OptionError(
+            f"learned apparel of {len(character.vertices):,} vertices does not fit into the studio for {seconds:g} "
+            f"seconds; take at most {most:.1f}, or use the command line"
+        )
 
-    @classmethod
-    def of(cls, params: dict[str, Any]) -> Apparel:
-        """From what a task is given."""
-        return cls(str(params.get("apparel") or "rigid"), float(params.get("stiffness") or 1.0))
 
-    def on_bones(self, character: Character, predicted: bool, directed: bool) -> bool:
-        """Whether a generated motion moves the bones of the character, as in `pipelines.animate`.
+def put_on(body: Animation | RigAnimation, apparel: Apparel, report: Report) -> Take:
+    """A take of an animation, with apparel that moves as is asked for.
 
-        Args:
-            character: The character.
-            predicted: Whether its handles are predicted, and not those of its file.
-            directed: Whether a path or pins are to be met, which handles do.
-        """
-        from bunraku.retarget.rig_parts import is_humanoid_rig
+    Args:
+        body: The animation, apparel going with the body.
+        apparel: How it is to move.
+        report: Called with a stage's name and the share done.
 
-        if self.way == "simulate":
-            return True
-        return self.way == "learn" and predicted and not directed and is_humanoid_rig(character)
+    Raises:
+        CharacterError: The mesh has no apparel.
+        OptionError: See `check_fits`.
+    """
+    from bunraku.core.point_animation import PointAnimation
+    from bunraku.pipelines.apparel import dressed
 
-    def check(self, character: Character, seconds: float) -> None:
-        """Whether this can be, before the work.
-
-        Raises:
-            CharacterError: It is to be simulated, and the file says nothing of physics.
-            OptionError: It is to be learned, and the mesh is too large for so long a clip.
-        """
-        from bunraku.physics.animated import check_apparel
-        from bunraku.pipelines.apparel import RATE
-
-        if self.way == "simulate":
-            check_apparel(character)
-        most = MOST_PLACES / (RATE * len(character.vertices))
-        if self.way == "learn" and seconds > most:
-            raise OptionError(
-                f"learned apparel of {len(character.vertices):,} vertices does not fit into the studio for {seconds:g} "
-                f"seconds; take at most {most:.1f}, or use the command line"
-            )
-
-    def put_on(self, body: Animation | RigAnimation, report: Report) -> Take:
-        """A take of an animation: with learned apparel where that is asked for.
-
-        Raises:
-            CharacterError: The mesh has no apparel.
-            OptionError: See `check`.
-        """
-        if self.way != "learn":
-            return body
-        from bunraku.core.point_animation import PointAnimation
-        from bunraku.pipelines.apparel import dressed
-
-        self.check(body.character, len(body.motion) / body.fps)
-        points = dressed(body, "learn", stiffness=self.stiffness, progress=report)
-        assert isinstance(points, PointAnimation)
-        return Dressed(body, points, self.stiffness)
+    if not apparel.moves:
+        return body
+    if apparel.motion == "learn":
+        check_fits(apparel, body.character, len(body.motion) / body.fps)
+    moved = dressed(body, apparel.motion, stiffness=apparel.stiffness, progress=report)
+    return Dressed(body, moved, apparel.stiffness) if isinstance(moved, PointAnimation) else moved
 
 
 def dressed_anew(
@@ -119,20 +98,21 @@ def dressed_anew(
     """
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of
+    from bunraku.pipelines.requests.constraints import Constraints
 
     body = body_of(take)
-    apparel.check(body.character, len(body.motion) / body.fps)
-    if apparel.way == "learn" or (apparel.way == "rigid" and isinstance(body, Animation)):
-        return apparel.put_on(body, report)
+    check_fits(apparel, body.character, len(body.motion) / body.fps)
+    if apparel.motion == "learn" or (not apparel.moves and isinstance(body, Animation)):
+        return put_on(body, apparel, report)
     if isinstance(body, RigAnimation) and body.reference is None:
         raise OptionError(
             "the bones of this take were moved by its file; drop that file again with other hair and clothes"
         )
     anatomy = Anatomy.of(body.character, handles)
     motion: HandleMotion = reference_of(body)
-    if apparel.way == "simulate":
+    if apparel.motion == "simulate":
         return apply_simulated(motion, body.character, in_place=in_place, stages=stages, progress=report)
-    return apply_motion(motion, anatomy, in_place=in_place, stages=stages, progress=report)
+    return apply_motion(motion, anatomy, Constraints.of(in_place=in_place), stages, report)
 
 
 def is_worn(character: Character, handles: Handles) -> bool:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import shutil
 import zipfile
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from bunraku.errors import FormatError
+from bunraku.core.request.json_form import from_json
+from bunraku.errors import FormatError, OptionError
 from bunraku.formats.files import atomic_write, inside, writing
+from bunraku.studio.forms import check_asked
+from bunraku.studio.opened import Settings
 from bunraku.studio.store import Store
 
 __all__ = ["pack_project", "unpack_project"]
@@ -23,8 +27,28 @@ _MAY_HAVE = "apparel.npz"
 """Of takes whose apparel is learned."""
 _KEPT = ("name", "settings", "axes", "unit", "vertices", "faces", "height", "bounds", "joints", "rig", "physics",
          "apparel", "mmd", "roles", "positions", "used", "ends", "clips", "file")  # fmt: skip
-_TAKE_KEPT = ("script", "asked", "how", "seed", "seeds", "star", "title", "skin", "fps", "frames", "seconds", "clip",
-              "stiffness")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _TakeRecord:
+    """What a project says of a take; what was asked for it is read by `studio.forms`."""
+
+    script: tuple[object, ...] = ()
+    asked: object = None
+    how: Literal["animate", "edit", "bend", "dress", "transfer"] = "animate"
+    seed: int = 0
+    seeds: tuple[int, ...] = ()
+    star: bool = False
+    title: str = ""
+    skin: Literal["handles", "bones"] = "handles"
+    fps: float = 20.0
+    frames: int = 0
+    seconds: float = 0.0
+    clip: Literal["clip.bin"] = "clip.bin"
+    stiffness: float | None = None
+
+
+_OF_TAKES = [field.name for field in fields(_TakeRecord)]
 
 
 def pack_project(store: Store, character: str, view: dict[str, Any], path: Path) -> None:
@@ -39,7 +63,7 @@ def pack_project(store: Store, character: str, view: dict[str, Any], path: Path)
     about = {
         "version": VERSION,
         "character": {name: record[name] for name in _KEPT if name in record},
-        "takes": [{**{name: take[name] for name in _TAKE_KEPT if name in take}, "was": take["id"]} for take in takes],
+        "takes": [{**{name: take[name] for name in _OF_TAKES if name in take}, "was": take["id"]} for take in takes],
         "view": view,
     }
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as out:
@@ -81,6 +105,7 @@ def unpack_project(store: Store, path: Path) -> dict[str, Any]:
                 raise FormatError(path.name, "it was saved by another version of Bunraku; open it with that one")
             old = about["character"]
             fresh = {name: old[name] for name in _KEPT if name in old}
+            from_json(Settings, fresh.get("settings", {}), "settings")
             if inside(path.parent, str(fresh["file"])) is None or not str(fresh["file"]).startswith("source/"):
                 raise FormatError(path.name, "its character lies outside of it; save it again")
             character = store.new("characters", {**fresh, "state": "opening", "error": "", "version": 1})
@@ -95,7 +120,9 @@ def unpack_project(store: Store, path: Path) -> dict[str, Any]:
                     _copy(archive, entry, target)
             names = {}
             for take in about["takes"]:
-                values = {name: take[name] for name in _TAKE_KEPT if name in take}
+                values = {name: take[name] for name in _OF_TAKES if name in take}
+                from_json(_TakeRecord, values, "a take")
+                check_asked(values.get("how"), values.get("script"), values.get("asked"))
                 new = store.new("takes", {"error": "", **values, "character": character["id"], "state": "waiting"})
                 made.append(("takes", new["id"]))
                 names[str(take["was"])] = new["id"]
@@ -110,6 +137,9 @@ def unpack_project(store: Store, path: Path) -> dict[str, Any]:
     except FormatError:
         _undo(store, made)
         raise
+    except OptionError as error:
+        _undo(store, made)
+        raise FormatError(path.name, f"{error}; save the project again") from None
     except (zipfile.BadZipFile, KeyError, ValueError, TypeError, AttributeError, RuntimeError, EOFError):
         _undo(store, made)
         raise FormatError(path.name, "it is no project of Bunraku, or broken; save it again") from None

@@ -1,28 +1,32 @@
 """What the worker does: open a character, make takes, change them, carry a motion over, write files.
 
-A task reads and writes the binary files of the store's folders; records are the server's. It gets what it needs as
-plain values and gives plain values back.
+A task is a dataclass with a JSON form, which the server checks before it queues it; it reads and writes the binary
+files of the store's folders, and records are the server's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
-from bunraku.core.character import Character
-from bunraku.core.ground_path import GroundPath
+from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request.json_form import from_json
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
+from bunraku.handles.predict import Predictor
+from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.pipelines.requests.constraints import Constraints, Follow
+from bunraku.pipelines.requests.request import Request
 from bunraku.retarget.fit import Stages
-from bunraku.retarget.stages.pins import Pin
 from bunraku.studio.clips import Dressed, Take, body_of, save_handles
-from bunraku.studio.dressing import Apparel, dressed_anew
+from bunraku.studio.dressing import check_fits, dressed_anew, put_on
+from bunraku.studio.forms import stages_without
 from bunraku.studio.opened import Settings, opened_character, told
 from bunraku.studio.workspace import Workspace
 
@@ -30,7 +34,6 @@ __all__ = ["TASKS", "run_task"]
 
 Report = Callable[[str, float], None]
 Partly = Callable[[dict[str, Any]], None]
-Params = dict[str, Any]
 FPS = 20.0
 """What the network knows; takes of other rates, carried over from files, are resampled before they are changed."""
 BODIES = (".bvh", ".vrma", ".vmd", ".npz")
@@ -40,22 +43,35 @@ DRAFT_STAGES = Stages(smooth=False, feet=False, floor=False)
 """Of a draft, which is there to be seen at once."""
 
 
-def _open(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
-    from bunraku.io import save_character
-    from bunraku.pipelines.animate import rig
+class Task(Protocol):
+    """Something that the worker does."""
 
-    place = shop.place("characters", params["character"])
-    settings = Settings(**params["settings"])
-    source = place / params["file"]
-    report("read", 0.1)
-    character, taken = opened_character(source, settings)
-    report("handles", 0.3)
-    handles = rig(character, handles=settings.handles)
-    report("write", 0.8)
-    save_character(character, place / "mesh.glb", handles)
-    (place / "bones.glb").unlink(missing_ok=True)
-    save_handles(handles, place / "handles.npz")
-    return {**taken, **told(character, handles), "clips": _clips_of(character)}
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        """Do it; give what its record learns."""
+
+
+@dataclass(frozen=True)
+class Open:
+    """Open a character."""
+
+    character: str
+    file: str
+    settings: Settings = field(default_factory=Settings)
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.io import save_character
+        from bunraku.pipelines.animate import rig
+
+        place = shop.place("characters", self.character)
+        report("read", 0.1)
+        character, taken = opened_character(place / self.file, self.settings)
+        report("handles", 0.3)
+        handles = rig(character, handles=self.settings.handles)
+        report("write", 0.8)
+        save_character(character, place / "mesh.glb", handles)
+        (place / "bones.glb").unlink(missing_ok=True)
+        save_handles(handles, place / "handles.npz")
+        return {**taken, **told(character, handles), "clips": _clips_of(character)}
 
 
 def _clips_of(character: Character) -> list[str]:
@@ -67,91 +83,66 @@ def _clips_of(character: Character) -> list[str]:
     return clip_names(source.document)[:50] if isinstance(source, Source) and character.rig is not None else []
 
 
-def _directed(params: Params) -> tuple[GroundPath | None, list[Pin]]:
-    path, pins = params.get("path"), params.get("pins") or []
-    return (
-        GroundPath(tuple((float(x), float(z)) for x, z in path)) if path else None,
-        [
-            Pin(
-                str(pin["part"]),
-                float(pin["time"]),
-                tuple(float(value) for value in pin["position"]),  # type: ignore[arg-type]
-                None if pin.get("rotation") is None else np.asarray(pin["rotation"], float),
-                float(pin.get("hold", 0)),
-            )
-            for pin in pins
-        ],
-    )
+@dataclass(frozen=True)
+class _Known(Predictor):
+    """What is known of a character that is open."""
+
+    handles: Handles | None = None
+
+    def feature(self, character: Character) -> np.ndarray:
+        found = None if self.handles is None else self.handles.features
+        return super().feature(character) if found is None else found
 
 
-def _stages(without: Sequence[str]) -> Stages | None:
-    from bunraku.pipelines.apply import GENERATED_STAGES
+@dataclass(frozen=True)
+class Animate:
+    """Takes of one sentence: a draft first, then all in full."""
 
-    known = set(Stages.__dataclass_fields__)
-    for stage in without:
-        if stage not in known:
-            raise OptionError(f"there is no stage '{stage}'; there are {', '.join(sorted(known))}")
-    return replace(GENERATED_STAGES, **dict.fromkeys(without, False)) if without else None
+    character: str
+    takes: tuple[str, ...]
+    seeds: tuple[int, ...]
+    request: object
+    draft: bool = True
 
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.pipelines.animator import Animator, moved_by
 
-def _animate(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
-    """Takes of one script: drafts first, all of them in one pass, then each in full."""
-    from bunraku.pipelines.animate import generate
-    from bunraku.pipelines.apply import apply_motion, apply_rigged, apply_simulated, reference_of, reference_path
-    from bunraku.pipelines.together import check_together
+        character, handles = shop.character(self.character)
+        request = _followed(shop, Request.from_json(self.request), self.character)
+        check_fits(request.apparel, character, request.sampling.seconds)
+        if moved_by(character, request) == "handles":
+            request = replace(request, handles=handles)
 
-    owner, takes, seeds = params["character"], params["takes"], [int(seed) for seed in params["seeds"]]
-    character, handles = shop.character(owner)
-    anatomy = Anatomy.of(character, handles)
-    path, pins = _directed(params)
-    apparel, loop, in_place = Apparel.of(params), bool(params["loop"]), bool(params["in_place"])
-    before = body_of(shop.take(params["after"], owner)) if params.get("after") else None
-    check_together(
-        apparel.way,
-        loop=loop,
-        after=before is not None,
-        path=path is not None,
-        in_place=in_place,
-        pins=bool(pins),
-    )
-    apparel.check(character, float(params["seconds"]))
-    on_bones = apparel.on_bones(character, params.get("handles") != "rig", path is not None or bool(pins))
-    stages = _stages(params.get("without", ()))
-    how: dict[str, Any] = {
-        "seconds": float(params["seconds"]), "mesh_feature": handles.features, "loop": loop,
-        "after": None if before is None else reference_of(before), "guidance": params.get("guidance"),
-        "path": reference_path(path, anatomy), "anyway": bool(params.get("anyway")),
-        "body": None if on_bones else anatomy,
-    }  # fmt: skip
+        def quickly(stage: str, done: float) -> None:
+            report("draft", 0.02 + 0.04 * done)
 
-    def fitted(motion: HandleMotion, draft: bool) -> Take:
-        if on_bones and not draft:
-            move = apply_simulated if apparel.way == "simulate" else apply_rigged
-            return apparel.put_on(move(motion, character, in_place=in_place, stages=stages), report)
-        body = apply_motion(
-            motion, anatomy, loop=loop, in_place=in_place, after=before, path=path, pins=pins,
-            stages=DRAFT_STAGES if draft else stages,
-        )  # fmt: skip
-        return body if draft else apparel.put_on(body, report)
+        if self.draft:
+            report("draft", 0.02)
+            sampling = replace(request.sampling, seed=self.seeds[0], steps=DRAFT_STEPS, candidates=1)
+            quick = replace(request, sampling=sampling, apparel=Apparel(), stages=DRAFT_STAGES, handles=handles)
+            (body,) = Animator(_Known(handles=handles), progress=quickly).moved(character, [quick])
+            partly({"take": self.takes[0], **shop.keep(body, self.takes[0], self.character, draft=True)})
+        places = {"generate": (0.1, 0.6), "fit": (0.7, 0.1)}
 
-    prompts = [params["script"]] * len(seeds)
-    if params.get("draft", True):
-        report("draft", 0.02)
-        quick = generate(prompts[:1], seed=seeds[:1], steps=DRAFT_STEPS, candidates=1, **how)
-        report("draft", 0.06)
-        partly({"take": takes[0], **shop.keep(fitted(quick[0], True), takes[0], owner, draft=True)})
-    motions = generate(
-        prompts, seed=seeds, steps=params.get("steps"), candidates=int(params.get("candidates", 3)),
-        progress=lambda stage, done: report(stage, 0.1 + 0.6 * done), **how,
-    )  # fmt: skip
-    for number, (motion, name) in enumerate(zip(motions, takes, strict=True)):
-        report("fit", 0.7 + 0.3 * number / len(takes))
-        partly({"take": name, "state": "done", **shop.keep(fitted(motion, False), name, owner)})
-    return {"takes": takes}
+        def whole(stage: str, done: float) -> None:
+            start, share = places.get(stage, (0.8, 0.2))
+            report(stage, start + share * done)
+
+        requests = [request.with_seed(seed) for seed in self.seeds]
+        bodies = Animator(_Known(handles=handles), progress=whole).moved(character, requests)
+        for name, body in zip(self.takes, bodies, strict=True):
+            take = put_on(body, request.apparel, whole)
+            partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
+        return {"takes": list(self.takes)}
 
 
-def _handles_take(shop: Workspace, params: Params) -> Animation:
-    return _of_handles(shop.take(params["parent"], params["character"]))
+def _followed(shop: Workspace, request: Request, owner: str) -> Request:
+    """The request with the take opened that it follows."""
+    for one in request.constraints:
+        if isinstance(one, Follow) and isinstance(one.clip, str):
+            before = body_of(shop.take(one.clip, owner))
+            return replace(request, constraints=request.constraints.following(before))
+    return request
 
 
 def _of_handles(take: Take) -> Animation:
@@ -161,32 +152,37 @@ def _of_handles(take: Take) -> Animation:
     return body
 
 
-def _edit(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Edit:
     """A take with parts of another kept, for each seed."""
-    from bunraku.pipelines.apply import GENERATED_STAGES
-    from bunraku.pipelines.edit import edit
 
-    parent, apparel = _handles_take(shop, params).at(FPS), Apparel.of(params)
-    _, pins = _directed(params)
-    poses = [float(pose["time"]) for pose in params.get("poses", ())]
-    for pose in params.get("poses", ()):
-        if pose.get("take") and (pose["take"] != params["parent"] or float(pose["at"]) != float(pose["time"])):
-            source = shop.take(pose["take"], params["character"])
-            parent = _with_pose(parent, source, float(pose["time"]), float(pose["at"]))
-    takes, seeds = params["takes"], params["seeds"]
-    how: dict[str, Any] = {
-        "keep": params.get("keep", ()), "span": params.get("span"), "poses": poses, "pins": pins,
-        "steps": params.get("steps"), "guidance": params.get("guidance"), "anyway": bool(params.get("anyway")),
-        "stages": _stages(params.get("without", ())) or GENERATED_STAGES,
-    }  # fmt: skip
-    for number, (name, seed) in enumerate(zip(takes, seeds, strict=True)):
+    character: str
+    takes: tuple[str, ...]
+    seeds: tuple[int, ...]
+    parent: str
+    request: object
 
-        def told(stage: str, done: float, number: int = number) -> None:
-            report(stage, (number + 0.9 * done) / len(takes))
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.pipelines.animator import Animator
+        from bunraku.pipelines.apply import GENERATED_STAGES
+        from bunraku.pipelines.edit import edited
 
-        made = apparel.put_on(edit(parent, params["prompt"], seed=int(seed), progress=told, **how), report)
-        partly({"take": name, "state": "done", **shop.keep(made, name, params["character"])})
-    return {"takes": takes}
+        request = Request.from_json(self.request)
+        request = replace(request, stages=request.stages or GENERATED_STAGES)
+        clip = _of_handles(shop.take(self.parent, self.character)).at(FPS)
+        for pose in request.constraints.poses:
+            at = pose.time if pose.at is None else pose.at
+            if pose.take and (pose.take != self.parent or at != pose.time):
+                clip = _with_pose(clip, shop.take(pose.take, self.character), pose.time, at)
+        for number, (name, seed) in enumerate(zip(self.takes, self.seeds, strict=True)):
+
+            def ahead(stage: str, done: float, number: int = number) -> None:
+                report(stage, (number + 0.9 * done) / len(self.takes))
+
+            made = edited(Animator.shipped(ahead), clip, request.with_seed(seed))
+            take = put_on(made, request.apparel, report)
+            partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
+        return {"takes": list(self.takes)}
 
 
 def _with_pose(clip: Animation, source: Take, time: float, at: float) -> Animation:
@@ -211,85 +207,129 @@ def _with_pose(clip: Animation, source: Take, time: float, at: float) -> Animati
     )  # fmt: skip
 
 
-def _bend(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Bend:
     """A take bent to its pins, with nothing generated."""
-    from bunraku.retarget.stages.pins import meet_pins
 
-    parent = _handles_take(shop, params)
-    report("fit", 0.2)
-    _, pins = _directed(params)
-    met = meet_pins(parent.motion, Anatomy.of(parent.character, parent.handles), pins)
-    made = Apparel.of(params).put_on(Animation(parent.character, parent.handles, met, parent.reference), report)
-    (name,) = params["takes"]
-    partly({"take": name, "state": "done", **shop.keep(made, name, params["character"])})
-    return {"takes": [name]}
+    character: str
+    takes: tuple[str]
+    parent: str
+    constraints: tuple[object, ...]
+    apparel: str = "rigid"
+    stiffness: float = 1.0
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.retarget.stages.pins import meet_pins
+
+        parent = _of_handles(shop.take(self.parent, self.character))
+        report("fit", 0.2)
+        pins = Constraints.from_json(self.constraints).pins
+        met = meet_pins(parent.motion, Anatomy.of(parent.character, parent.handles), pins)
+        made = Animation(parent.character, parent.handles, met, parent.reference)
+        take, (name,) = put_on(made, Apparel(self.apparel, self.stiffness), report), self.takes
+        partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
+        return {"takes": [name]}
 
 
-def _dress(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Dress:
     """A take of the same motion whose apparel moves otherwise."""
-    owner, (name,) = params["character"], params["takes"]
-    parent, (_, handles) = shop.take(params["parent"], owner), shop.character(owner)
-    made = dressed_anew(
-        parent, Apparel.of(params), handles, in_place=bool(params.get("in_place")),
-        stages=_stages(params.get("without", ())), report=report,
-    )  # fmt: skip
-    partly({"take": name, "state": "done", **shop.keep(made, name, owner)})
-    return {"takes": [name]}
+
+    character: str
+    takes: tuple[str]
+    parent: str
+    apparel: str = "rigid"
+    stiffness: float = 1.0
+    in_place: bool = False
+    without: tuple[str, ...] = ()
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        parent, (_, handles) = shop.take(self.parent, self.character), shop.character(self.character)
+        made = dressed_anew(
+            parent, Apparel(self.apparel, self.stiffness), handles, in_place=self.in_place,
+            stages=stages_without(self.without), report=report,
+        )  # fmt: skip
+        (name,) = self.takes
+        partly({"take": name, "state": "done", **shop.keep(made, name, self.character)})
+        return {"takes": [name]}
 
 
-def _transfer(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Transfer:
     """A take from a motion of a file."""
-    from bunraku.pipelines.transfer import transfer
 
-    owner, (name,) = params["character"], params["takes"]
-    character, handles = shop.character(owner)
-    file = shop.place("takes", name) / params["file"]
-    apparel = Apparel.of(params)
-    apparel.check(character, 0)
-    take = None
-    if apparel.way != "rigid" or params.get("onto") == "auto":
-        take = transfer(character, file, apparel="simulate" if apparel.way == "simulate" else "rigid", progress=report)
-    if not isinstance(take, RigAnimation):  # on the handles that the studio shows
-        take = transfer(character, file, onto="handles", handles=handles, progress=report)
-    assert isinstance(take, Animation | RigAnimation)
-    partly({"take": name, "state": "done", **shop.keep(apparel.put_on(take, report), name, owner)})
-    return {"takes": [name]}
+    character: str
+    takes: tuple[str]
+    file: str
+    apparel: str = "rigid"
+    stiffness: float = 1.0
+    onto: Literal["auto", "handles"] = "handles"
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.pipelines.animator import Animator
+        from bunraku.pipelines.requests.transfer import TransferRequest
+        from bunraku.pipelines.transfer import Source, transferred
+
+        (name,) = self.takes
+        character, handles = shop.character(self.character)
+        source = Source(shop.place("takes", name) / self.file)
+        apparel, animator = Apparel(self.apparel, self.stiffness), Animator.shipped(report)
+        check_fits(apparel, character, 0)
+        take = None
+        if apparel.moves or self.onto == "auto":
+            own = apparel if apparel.motion == "simulate" else Apparel()
+            take = transferred(animator, character, source, TransferRequest(apparel=own))
+        if not isinstance(take, RigAnimation):  # on the handles that the studio shows
+            take = transferred(animator, character, source, TransferRequest("handles", handles=handles))
+        assert isinstance(take, Animation | RigAnimation)
+        worn = Apparel() if apparel.motion == "simulate" else apparel  # simulated already
+        partly({"take": name, "state": "done", **shop.keep(put_on(take, worn, report), name, self.character)})
+        return {"takes": [name]}
 
 
-def _export(shop: Workspace, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Export:
     """A take as a file of another program."""
-    from bunraku.io.registry import check_writer
 
-    target = shop.place("exports", params["export"]) / params["file"]
-    check_writer(target)
-    report("write", 0.1)
-    take = shop.take(params["take"], params["character"])
-    options = {} if target.suffix in (".npz", ".vmd") else {"fps": float(params.get("fps", 30))}
-    if isinstance(take, Dressed):
-        (take.body if target.suffix in BODIES else take.points).save(target, **options)
-    else:
-        take.save(target, **options)
-    return {"export": params["export"], "bytes": target.stat().st_size}
+    character: str
+    export: str
+    file: str
+    take: str
+    fps: float = 30.0
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.io.registry import check_writer
+
+        target = shop.place("exports", self.export) / self.file
+        check_writer(target)
+        report("write", 0.1)
+        take = shop.take(self.take, self.character)
+        options = {} if target.suffix in (".npz", ".vmd") else {"fps": self.fps}
+        if isinstance(take, Dressed):
+            (take.body if target.suffix in BODIES else take.points).save(target, **options)
+        else:
+            take.save(target, **options)
+        return {"export": self.export, "bytes": target.stat().st_size}
 
 
-TASKS: dict[str, Callable[[Workspace, Params, Report, Partly], dict[str, Any]]] = {
-    "open": _open,
-    "animate": _animate,
-    "edit": _edit,
-    "bend": _bend,
-    "dress": _dress,
-    "transfer": _transfer,
-    "export": _export,
+TASKS: dict[str, type[Task]] = {
+    "open": Open,
+    "animate": Animate,
+    "edit": Edit,
+    "bend": Bend,
+    "dress": Dress,
+    "transfer": Transfer,
+    "export": Export,
 }
 
 
-def run_task(shop: Workspace, task: str, params: Params, report: Report, partly: Partly) -> dict[str, Any]:
+def run_task(shop: Workspace, task: str, params: object, report: Report, partly: Partly) -> dict[str, Any]:
     """Run a task of `TASKS`.
 
     Args:
         shop: What it works with.
         task: Its name.
-        params: What it takes.
+        params: Its JSON form.
         report: Called with a stage's name and the share done.
         partly: Called with what is there before the end.
 
@@ -298,4 +338,4 @@ def run_task(shop: Workspace, task: str, params: Params, report: Report, partly:
     """
     if task not in TASKS:
         raise OptionError(f"there is no task '{task}'")
-    return TASKS[task](shop, params, report, partly)
+    return from_json(TASKS[task], params, f"the task {task}")(shop, report, partly)

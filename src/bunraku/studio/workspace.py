@@ -35,16 +35,12 @@ class Workspace:
 
     def warm_up(self) -> None:
         """Load the networks, so that the first user does not wait for them."""
-        from bunraku.anatomy.anatomy import Anatomy
-        from bunraku.pipelines.animate import generate, rig
-        from bunraku.pipelines.apply import apply_motion
+        from bunraku.pipelines.animator import Animator
+        from bunraku.pipelines.requests.request import Request, Sampling
         from bunraku.samples import sample_character
 
         try:
-            character = sample_character("person")
-            handles = rig(character)
-            motion = generate("walks", seconds=2, steps=2, candidates=2, mesh_feature=handles.features)
-            apply_motion(motion, Anatomy.of(character, handles))
+            Animator.shipped()(sample_character("person"), Request("walks", Sampling(2, steps=2, candidates=2)))
         except BunrakuError as error:  # it will be told where it matters
             logging.getLogger(__name__).warning("%s", error)
 

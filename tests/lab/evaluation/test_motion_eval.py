@@ -8,7 +8,7 @@ from swings import PARTS, WordEncoder, swing
 
 from bunraku.body.reference import reference_body
 from bunraku.cli import main
-from bunraku.diffusion import generate
+from bunraku.diffusion import networks
 from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
@@ -70,10 +70,10 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def words(monkeypatch):
-    generate._load.cache_clear()
-    monkeypatch.setattr(generate, "text_encoder", lambda name, folder=None: WordEncoder())
+    networks._load.cache_clear()
+    monkeypatch.setattr(networks, "text_encoder", lambda name, folder=None: WordEncoder())
     yield
-    generate._load.cache_clear()
+    networks._load.cache_clear()
 
 
 def settings(folder, work, **changes):

@@ -5,7 +5,7 @@ import pytest
 from swings import PARTS, WordEncoder
 
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.diffusion import generate
+from bunraku.diffusion import networks
 from bunraku.diffusion.checkpoint import load_denoiser, save_denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.errors import FormatError, OptionError
@@ -65,8 +65,8 @@ def trained(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def words(monkeypatch):
     """Weights that name the encoder "words" get it."""
-    generate._load.cache_clear()
-    monkeypatch.setattr(generate, "text_encoder", lambda name, folder=None: WordEncoder())
+    networks._load.cache_clear()
+    monkeypatch.setattr(networks, "text_encoder", lambda name, folder=None: WordEncoder())
 
 
 def test_a_model_that_reads_finds_the_sentences(trained):

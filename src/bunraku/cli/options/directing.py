@@ -1,24 +1,59 @@
-"""The options `--pin` and `--path`: where hands, feet and the root go."""
+"""The options of constraints: loops, what is followed, where hands, feet and the root go."""
 
 from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from bunraku.errors import OptionError
+from bunraku.pipelines.requests.constraints import Constraints
 
 if TYPE_CHECKING:
     from bunraku.core.ground_path import GroundPath
     from bunraku.retarget.stages.pins import Pin
 
-__all__ = ["PathOption", "PinOption", "parse_path", "parse_pin"]
+__all__ = ["DirectingOptions", "PinOption", "parse_path", "parse_pin"]
 
 PinOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="PART@TIME=X,Y,Z"), tyro.conf.UseAppendAction]
 PathOption = Annotated[str, tyro.conf.arg(metavar="'X,Z X,Z ...'")]
 _PIN = re.compile(r"(?P<part>[a-z_-]+)@(?P<time>[^=+]+)(\+(?P<hold>[^=]+))?=(?P<place>.+)")
+
+
+@dataclass(frozen=True)
+class DirectingOptions:
+    """Constraints of a motion on the command line."""
+
+    loop: bool = False
+    """Make a loop: the clip ends in the pose that it starts in, at the same speed."""
+    in_place: bool = False
+    """Take the way over the ground out: the character walks on the spot."""
+    after: Path | None = None
+    """A .glb or .npz clip of Bunraku: start in its last pose."""
+    path: PathOption = ""
+    """Points on the ground that the root passes, x and z in metres from where the clip starts to where it ends, such as
+    "0,0 1,2 3,2"; with "@SECONDS" behind each where times matter.
+    """
+    pin: PinOption = ()
+    """Where the wrist of a hand or the ankle of a foot is at a time, such as left_hand@2.0=0.3,1.4,0.2: left_hand,
+    right_hand, left_foot or right_foot, seconds (+ seconds for which it is held), x, y and z in metres. May be given
+    more than once.
+    """
+
+    def constraints(self) -> Constraints:
+        """The constraints; what is followed is named by its file.
+
+        Raises:
+            OptionError: A text is no path or no pin.
+        """
+        return Constraints.of(
+            loop=self.loop, in_place=self.in_place, after=None if self.after is None else str(self.after),
+            path=parse_path(self.path), pins=[parse_pin(pin) for pin in self.pin],
+        )  # fmt: skip
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...]:

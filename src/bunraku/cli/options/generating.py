@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass, field
+from typing import Literal
 
 import tyro
 
 from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes
-from bunraku.cli.output.checks import check_range
+from bunraku.cli.options.sampling import SamplingOptions
 from bunraku.cli.output.outputs import OutputOption, PreviewOption, WithoutOption
+from bunraku.core.request.limits import FPS
 
 __all__ = ["GeneratingOptions"]
 
@@ -26,14 +27,10 @@ class GeneratingOptions:
     """
     preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
-    seed: int = 0
-    """The same seed and version give the same motion."""
-    steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
-    """Sampling steps, 1 to 1000; more is slower. Default: 20."""
-    guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
-    """How closely to follow the sentence, 0 to 20. Default: 3.5."""
+    sampling: tyro.conf.OmitArgPrefixes[SamplingOptions] = field(default_factory=SamplingOptions)
+    """How the motion is drawn."""
     fps: float = 30.0
-    """Frames a second of the files, 1 to 120."""
+    """Frames a second of the files, 1 to 240."""
     handles: Literal["predict", "rig"] = "predict"
     """Where the character's handles come from: "predict" finds them from the shape, "rig" takes the file's own bones,
     by their names.
@@ -57,13 +54,6 @@ class GeneratingOptions:
 
     def check(self) -> None:
         """Raise OptionError unless a motion can be made with these."""
-        check_range("--seed", self.seed, 0, 2**63 - 1)
-        check_range("--steps", self.steps, 1, 1000)
-        check_range("--guidance", self.guidance, 0, 20)
-        check_range("--fps", self.fps, 1, 120)
+        self.sampling.check("--")
+        FPS.check(self.fps, "--fps")
         check_axes(self.up, self.front)
-
-    @property
-    def sampling(self) -> dict[str, Any]:
-        """What `animate` and `edit` take of these."""
-        return {"seed": self.seed, "steps": self.steps, "guidance": self.guidance, "anyway": self.anyway}

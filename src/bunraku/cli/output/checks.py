@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import re
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from bunraku.core.request.limits import SECONDS, Limit
 from bunraku.errors import FormatError, OptionError
 from bunraku.language.prompts import check_prompt
-from bunraku.language.sequence import LONGEST, SHORTEST, parse_sequence, timed_sequence
+from bunraku.pipelines.requests.apparel import Apparel
+
+if TYPE_CHECKING:
+    from bunraku.language.sentence import Sentence
 
 __all__ = [
     "check_different", "check_folder", "check_input", "check_mask", "check_output", "check_range", "check_seconds",
@@ -20,43 +24,41 @@ __all__ = [
     "check_source", "make_folder", "slug", "written_path",
 ]  # fmt: skip
 
-SECONDS = (SHORTEST, LONGEST)
 SEQUENCES = (".obj", ".ply")
 """Outputs that are folders with one mesh a frame."""
 NEEDY = (".usd", ".usda", ".usdc", ".usdz", ".fbx")
 """Outputs that need an optional library or program."""
 
 
-def check_mask(apparel: str) -> None:
+def check_mask(apparel: Apparel) -> None:
     """Raise FormatError where --apparel names a mask that is not there."""
-    from bunraku.pipelines.together import APPAREL
-
-    if apparel not in APPAREL:
-        check_input(Path(apparel))
+    if apparel.mask is not None:
+        check_input(apparel.mask)
 
 
 def check_range(option: str, value: float | None, low: float, high: float) -> None:
     """Raise OptionError unless the value is None or a number from low to high."""
-    if value is not None and not (math.isfinite(value) and low <= value <= high):
-        raise OptionError(f"{option} must be from {low:g} to {high:g}, not {value:g}")
+    Limit(option, low, high).check(value)
 
 
 def check_seconds(seconds: float) -> None:
     """Raise OptionError unless a clip of this length [s] can be made."""
-    check_range("--seconds", seconds, *SECONDS)
+    SECONDS.check(seconds, "--seconds")
 
 
-def check_sequence(prompt: str, seconds: float, anyway: bool) -> None:
-    """Raise OptionError unless this is a prompt, or several in a row, for a clip of a length that can be made; one that
-    is not understood is taken where it is to be made `anyway`.
+def check_sequence(prompt: str, seconds: float, anyway: bool) -> Sentence:
+    """The sentence of a prompt, or of several in a row; one that is not understood is taken where it is to be made
+    `anyway`.
+
+    Raises:
+        OptionError: It is none, or no clip of this length can be made.
     """
-    from bunraku.language.understood import check_understood
+    from bunraku.language.parse import parse
 
     check_seconds(seconds)
     if not prompt.strip() or ";" not in prompt:
         check_prompt(prompt)
-    for part, _ in timed_sequence(parse_sequence(prompt), seconds):
-        check_understood(part, anyway)
+    return parse(prompt, seconds, anyway)
 
 
 def check_input(path: Path) -> None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes
-from bunraku.cli.output.checks import check_folder, check_input, check_mask, check_range
+from bunraku.cli.options.sampling import ApparelOptions
+from bunraku.cli.output.alone import alone
+from bunraku.cli.output.checks import check_folder, check_input, check_mask, written_path
 from bunraku.cli.output.ledger import begin, note, still_to_do
 from bunraku.cli.output.outputs import PreviewOption, WithoutOption, check_outputs, check_stages, save_all
 from bunraku.cli.output.progress import stages
@@ -20,7 +22,6 @@ from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, holds_charac
 from bunraku.cli.transfer.runs import run_pairs
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.nn.spread import parse_jobs
-from bunraku.pipelines.together import check_apparel_option
 
 __all__ = ["Transfer"]
 
@@ -49,13 +50,8 @@ class Transfer:
     """What is moved: the "handles" of the character, the bones of its own "rig", or by "auto" the rig of a humanoid and
     the handles of others.
     """
-    apparel: Annotated[str, tyro.conf.arg(metavar="{auto,none,simulate,learn,MASK}")] = "none"
-    """How hair and clothes move: "none" with the body, "simulate" by the physics of an MMD or VRM file, "learn" by a
-    network that finds them on any mesh, "auto" by the one or the other; or the file of a mask (.npy, .txt, painted .ply
-    or .glb) of what is to be learned.
-    """
-    stiffness: float = 1.0
-    """How stiff learned apparel is, as a factor, 0.001 to 1000."""
+    apparel: tyro.conf.OmitArgPrefixes[ApparelOptions] = field(default_factory=ApparelOptions)
+    """How hair and clothes move."""
     handles: Literal["predict", "rig"] = "predict"
     """Where handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
     their names.
@@ -67,7 +63,7 @@ class Transfer:
     clip: str = "0"
     """Number or name of the clip of a motion file with several."""
     fps: float = 30.0
-    """Frames a second of the result, 1 to 120."""
+    """Frames a second of the result, 1 to 240."""
     without: WithoutOption = ()
     up: AxisOption = "auto"
     """The axis that is up in the characters' files."""
@@ -91,29 +87,15 @@ class Transfer:
     """
 
     def run(self) -> int:
-        check_range("--fps", self.fps, 1, 120)
         check_axes(self.up, self.front)
         names = _names(self.map)
         check_stages(self.without)
-        check_apparel_option(self.apparel, self.stiffness, dashes="--")
-        check_mask(self.apparel)
-        if self.apparel == "simulate" and self.onto == "handles":
-            raise OptionError("--apparel simulate moves the bones of a character's rig; leave out --onto handles")
         settings = Settings(
-            self.onto,
-            self.handles,
-            self.fps,
-            self.clip,
-            names,
-            tuple(sorted(set(self.without))),
-            self.up,
-            self.front,
-            self.apparel,
-        )
-        settings = replace(
-            settings, file_up=self.file_up or "", file_unit=self.file_unit or "", unit=self.unit,
-            stiffness=self.stiffness,
+            self.onto, self.handles, self.fps, self.clip, names, tuple(sorted(set(self.without))), self.up, self.front,
+            self.apparel, self.file_up or "", self.file_unit or "", self.unit,
         )  # fmt: skip
+        settings.request().check("--")
+        check_mask(self.apparel)
         jobs, suffix = parse_jobs(self.jobs), _suffix(self.format)
         characters, motions, bad = self._sorted()
         single = len(characters) == len(motions) == 1 and not bad and not self._folder()
@@ -166,8 +148,8 @@ class Transfer:
     def _one(self, character: Path, motion: Path, settings: Settings, suffix: str) -> None:
         output = self.output or Path(f"{character.stem}-{motion.stem}{suffix}")
         inputs = [character] if motion.is_dir() else [character, motion]
-        check_outputs([output], self.preview, inputs, _outputs(), overwrite=self.overwrite)
-        with stages() as report:
+        with alone(written_path(path) for path in (output, *self.preview)), stages() as report:
+            check_outputs([output], self.preview, inputs, _outputs(), overwrite=self.overwrite)
             animation = animation_of(Pair(character, motion, output), settings, report)
             save_all(animation, [output], self.preview, self.fps, report, settings.saving)
 
@@ -200,6 +182,11 @@ class Transfer:
         for pair in pairs:
             if pair.output.resolve() in inputs:
                 raise FormatError(pair.output, "this would overwrite the input; name another folder with -o")
+        with alone(folders=[folder]):
+            return self._fill(pairs, bad, settings, jobs)
+
+    def _fill(self, pairs: list[Pair], bad: dict[Path, str], settings: Settings, jobs: int | str) -> int:
+        """Do the pairs whose files are not there yet."""
         marks = marks_of(pairs, settings)
         left = set(still_to_do(marks, self.overwrite))
         todo = [pair for pair in pairs if pair.written in left]
@@ -207,7 +194,7 @@ class Transfer:
             print(f"{len(pairs) - len(todo)} of {len(pairs)} files are there already")
         failed: dict[str, str] = {str(path): reason for path, reason in bad.items()}
         if todo:
-            folder.mkdir(exist_ok=True)
+            todo[0].output.parent.mkdir(exist_ok=True)
             begin({pair.written: marks[pair.written] for pair in todo})
         with stages() as report:
             for done, (pair, reason) in enumerate(run_pairs(todo, settings, jobs), 1):

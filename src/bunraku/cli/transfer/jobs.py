@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 from bunraku.cli.output.checks import written_path
 from bunraku.cli.output.ledger import fingerprint
 from bunraku.errors import BunrakuError, FormatError
+from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.pipelines.requests.transfer import TransferRequest
 
 if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
+    from bunraku.core.character import Character, Handles
     from bunraku.pipelines.transfer import Source
     from bunraku.retarget.fit import Stages
 
@@ -24,19 +27,29 @@ __all__ = ["Pair", "Settings", "animation_of", "holds_character", "marks_of", "p
 class Settings:
     """What is the same for all pairs of a batch; the fields are options of `bunraku transfer`."""
 
-    onto: str = "auto"
-    handles: str = "predict"
+    onto: Literal["auto", "handles", "rig"] = "auto"
+    handles: Literal["predict", "rig"] = "predict"
     fps: float = 30.0
     clip: str = "0"
     names: tuple[tuple[str, str], ...] = ()
     without: tuple[str, ...] = ()
     up: str = "auto"
     front: str = "auto"
-    apparel: str = "none"
-    stiffness: float = 1.0
+    apparel: Apparel = field(default_factory=Apparel)
     file_up: str = ""
     file_unit: str = ""
     unit: str = "auto"
+
+    def request(self, handles: Handles | None = None) -> TransferRequest:
+        """What is asked for of each pair.
+
+        Args:
+            handles: The character's, where they are known.
+        """
+        clip = int(self.clip) if self.clip.isdecimal() else self.clip
+        return TransferRequest(
+            self.onto, self.apparel, None, handles or self.handles, self.fps, dict(self.names) or None, clip
+        )
 
     @property
     def saving(self) -> dict[str, str]:
@@ -113,17 +126,12 @@ def animation_of(
     Raises:
         BunrakuError: A file cannot be read, the two do not go together, or there is nothing to simulate.
     """
-    from bunraku.pipelines.transfer import transfer
+    from bunraku.pipelines.animator import Animator
+    from bunraku.pipelines.transfer import transferred
 
     character, handles = character_of(pair.character, settings)
-    how: dict[str, Any] = {
-        "onto": settings.onto,
-        "apparel": settings.apparel,
-        "stiffness": settings.stiffness,
-        "handles": handles or settings.handles,
-        "fps": settings.fps,
-    }
-    return transfer(character, source_of(pair.motion, settings), stages=stages_of(settings), progress=progress, **how)
+    request = replace(settings.request(handles), stages=stages_of(settings))
+    return transferred(Animator.shipped(progress), character, source_of(pair.motion, settings), request)
 
 
 def transfer_pair(pair: Pair, settings: Settings) -> str:
@@ -150,7 +158,7 @@ def transfer_pair(pair: Pair, settings: Settings) -> str:
 
 
 @lru_cache(maxsize=2)
-def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
+def character_of(path: Path, settings: Settings) -> tuple[Character, Handles | None]:
     """A character standing upright, and its handles where its rig is not moved."""
     from bunraku.cli.options.orientation import stand_up
     from bunraku.core.mmd_model import mmd_model
@@ -162,7 +170,7 @@ def character_of(path: Path, settings: Settings) -> tuple[Any, Any]:
     bones = settings.onto == "rig" or (
         settings.onto == "auto" and (is_humanoid_rig(character) or mmd_model(character) is not None)
     )
-    return character, None if bones else rig(character, handles=settings.handles)  # type: ignore[arg-type]
+    return character, None if bones else rig(character, handles=settings.handles)
 
 
 @lru_cache(maxsize=16)
@@ -170,12 +178,8 @@ def source_of(path: Path, settings: Settings) -> Source:
     """A motion, to be read when it is needed first."""
     from bunraku.pipelines.transfer import Source
 
-    return Source(
-        path,
-        settings.fps,
-        dict(settings.names) or None,
-        int(settings.clip) if settings.clip.isdecimal() else settings.clip,
-    )
+    request = settings.request()
+    return Source(path, request.fps, request.names, request.clip)
 
 
 def stages_of(settings: Settings) -> Stages:

@@ -4,29 +4,34 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.options.directing import PathOption, PinOption, parse_path, parse_pin
+from bunraku.cli.options.directing import DirectingOptions
 from bunraku.cli.options.generating import GeneratingOptions
 from bunraku.cli.options.orientation import stand_up
-from bunraku.cli.output.checks import check_folder, check_input, check_mask, check_range, check_sequence, slug
+from bunraku.cli.options.sampling import ApparelOptions
+from bunraku.cli.output.alone import alone
+from bunraku.cli.output.checks import check_folder, check_input, check_mask, check_sequence, slug, written_path
 from bunraku.cli.output.ledger import fingerprint
 from bunraku.cli.output.outputs import check_outputs, fitting_stages, save_all
 from bunraku.cli.output.progress import Report, stages
 from bunraku.cli.verbs.batch import Clip, characters_of, clips_of, clips_to_do, make_clips, read_lines
+from bunraku.core.request.limits import TAKES
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.nn.spread import parse_jobs
-from bunraku.pipelines.together import check_apparel_option, check_together
+from bunraku.pipelines.requests.request import Request
 
 if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
     from bunraku.core.character import Character, Handles
     from bunraku.core.motion import HandleMotion
+    from bunraku.language.sentence import Sentence
+    from bunraku.pipelines.animator import Body
 
 __all__ = ["Animate"]
 
@@ -58,34 +63,12 @@ class Animate(GeneratingOptions):
     """
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the clips of --prompts or of a folder, or "ray" for a Ray cluster."""
-    seconds: float = 6.0
-    """Length of the clip, 0.5 to 120; prompts in a row without seconds of their own share it."""
-    loop: bool = False
-    """Make a loop: the clip ends in the pose that it starts in, at the same speed."""
-    apparel: Annotated[str, tyro.conf.arg(metavar="{auto,none,simulate,learn,MASK}")] = "none"
-    """How hair and clothes move: "none" with the body, "simulate" by the physics of an MMD or VRM file, on the bones of
-    its own rig, "learn" by a network that finds them on any mesh, "auto" by the one or the other; or the file of a mask
-    (.npy, .txt, painted .ply or .glb) of what is to be learned.
-    """
-    stiffness: float = 1.0
-    """How stiff learned apparel is, as a factor, 0.001 to 1000."""
-    candidates: int = 3
-    """Motions that are drawn, of which the one is written that a ranker likes best, 1 to 16; 1 is the fastest."""
+    apparel: tyro.conf.OmitArgPrefixes[ApparelOptions] = field(default_factory=ApparelOptions)
+    """How hair and clothes move."""
+    directing: tyro.conf.OmitArgPrefixes[DirectingOptions] = field(default_factory=DirectingOptions)
+    """What the motion must meet."""
     takes: int = 1
     """Write several takes of one prompt, 1 to 100: NAME-1.glb, NAME-2.glb and so on, with seeds that follow --seed."""
-    in_place: bool = False
-    """Take the way over the ground out: the character walks on the spot."""
-    after: Path | None = None
-    """A .glb or .npz clip of Bunraku: start in its last pose."""
-    path: PathOption = ""
-    """Points on the ground that the root passes, x and z in metres from where the clip starts to where it ends, such as
-    "0,0 1,2 3,2"; with "@SECONDS" behind each where times matter.
-    """
-    pin: PinOption = ()
-    """Where the wrist of a hand or the ankle of a foot is at a time, such as left_hand@2.0=0.3,1.4,0.2: left_hand,
-    right_hand, left_foot or right_foot, seconds (+ seconds for which it is held), x, y and z in metres. May be given
-    more than once.
-    """
 
     def run(self) -> int:
         prompts = self._prompts()
@@ -93,48 +76,53 @@ class Animate(GeneratingOptions):
         batch = self._batch()
         if not batch:
             check_input(self.character)
-        if self.after is not None:
-            check_input(self.after)
-        check_apparel_option(self.apparel, self.stiffness, dashes="--")
+        after = self.directing.after
+        if after is not None:
+            check_input(after)
+        self.apparel.check("--")
         check_mask(self.apparel)
-        check_together(
-            self.apparel, loop=self.loop, after=self.after is not None, handles=self.handles != "predict",
-            path=bool(self.path), in_place=self.in_place, pins=bool(self.pin), dashes="--",
-        )  # fmt: skip
-        parse_path(self.path)
-        [parse_pin(pin) for pin in self.pin]
-        fitting_stages(self.without, shape=True)
-        check_range("--candidates", self.candidates, 1, 16)
-        check_range("--takes", self.takes, 1, 100)
+        self.request().check("--")
+        TAKES.check(self.takes, "--takes")
         jobs = parse_jobs(self.jobs)
         if batch:
-            return self._many(prompts, jobs)
+            return self._many([sentence.prompt for sentence in prompts], jobs)
         if jobs != 1:
             raise OptionError("--jobs shares the clips of --prompts, or of a folder of characters; leave it out")
         named = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
         takes = [_numbered(named, self.preview, take, self.takes) for take in range(self.takes)]
-        inputs = [self.character] + ([self.after] if self.after else [])
-        for outputs, previews in takes:
-            check_outputs(outputs, previews, inputs, overwrite=self.overwrite)
-        with stages() as report:
-            character, how = _ready(self, self.character, report)
-            _say_limits(self.character, character, how["handles"], prompts)
-
-            from bunraku.pipelines.animate import animate_each
-
-            for take, (outputs, previews) in enumerate(takes):
-                drawn = {**self.sampling, "seed": self.seed + take}
-                (animation,) = animate_each(character, prompts, **how, **drawn, progress=report)
-                save_all(animation, outputs, previews, self.fps, report)
+        inputs = [self.character] + ([after] if after else [])
+        with alone(written_path(path) for outputs, previews in takes for path in (*outputs, *previews)):
+            for outputs, previews in takes:
+                check_outputs(outputs, previews, inputs, overwrite=self.overwrite)
+            self._make(prompts[0], takes)
         return 0
+
+    def _make(self, sentence: Sentence, takes: list[tuple[tuple[Path, ...], tuple[Path, ...]]]) -> None:
+        """Make and write each take: its files and its previews."""
+        with stages() as report:
+            body, request = _ready(self, self.character, report)
+            request = replace(request, sentence=sentence)
+            _say_limits(self.character, body, [sentence])
+
+            from bunraku.pipelines.animator import Animator
+
+            animator = Animator.shipped(report)
+            for take, (outputs, previews) in enumerate(takes):
+                animation = animator(body, request.with_seed(self.sampling.seed + take))
+                save_all(animation, outputs, previews, self.fps, report)
+
+    def request(self) -> Request:
+        """What is asked for; the clip that is followed is only named."""
+        return Request(
+            self.prompt, self.sampling, self.directing.constraints(), self.apparel,
+            fitting_stages(self.without, shape=True), self.handles, self.anyway,
+        )  # fmt: skip
 
     def _batch(self) -> bool:
         """Whether this makes clips in a folder."""
         return self.prompts is not None or self.character.is_dir()
 
     def _many(self, prompts: list[str], jobs: int | str) -> int:
-        from bunraku.pipelines.animate import AT_ONCE
-
         if self.character.is_dir():
             characters = characters_of(self.character)
         else:
@@ -143,6 +131,13 @@ class Animate(GeneratingOptions):
         folder = self.output[0] if self.output else Path(f"{self.character.stem}-clips")
         if folder.is_dir() and self.character.is_dir() and folder.samefile(self.character):
             raise OptionError(f"the clips would lie among the characters of {folder}; name another folder with -o")
+        with alone(folders=[folder]):
+            return self._fill(folder, characters, prompts, jobs)
+
+    def _fill(self, folder: Path, characters: dict[Path, str], prompts: list[str], jobs: int | str) -> int:
+        """Make the clips of a folder that are not there yet."""
+        from bunraku.pipelines.animator import AT_ONCE
+
         clips: list[Clip] = []
         todo: list[Clip] = []
         if self.character.is_dir() and not folder.is_file():
@@ -160,41 +155,42 @@ class Animate(GeneratingOptions):
             if len(characters) == 1 and jobs == 1:  # what is wrong with it is said at once, and in its place
                 _kept(self, next(iter(characters)))
             here = self
-            if jobs == "ray" and Path(self.apparel).is_file():
-                here = replace(self, apparel=str(Path(self.apparel).resolve()))
+            if jobs == "ray" and self.apparel.mask is not None:
+                here = replace(self, apparel=replace(self.apparel, motion=str(self.apparel.mask.resolve())))
             failed = make_clips(todo, partial(_clips, here), jobs, report)
         return 1 if failed else 0
 
     def _mark(self, character: Path, prompt: str) -> str:
         """What a clip is made of."""
-        same = ("output", "preview", "overwrite", "character", "prompt", "prompts", "after", "jobs")
-        options = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in same}
+        same = ("output", "preview", "overwrite", "character", "prompt", "prompts", "jobs")
+        options = {name: value for name, value in asdict(self).items() if name not in same}
         return fingerprint([character], "animate", prompt, options)
 
-    def _prompts(self) -> list[str]:
-        """All prompts, checked."""
+    def _prompts(self) -> list[Sentence]:
+        """All prompts, parsed."""
         if self.prompts is not None and self.prompt:
             raise OptionError("a prompt and --prompts are both given; leave one out")
-        if self._batch() and (self.preview or self.after or len(self.output) > 1 or self.takes > 1):
+        if self._batch() and (self.preview or self.directing.after or len(self.output) > 1 or self.takes > 1):
             what = "--prompts" if self.prompts is not None else "a folder of characters"
             raise OptionError(f"{what} makes GLB files in one folder (-o), without --preview, --after and --takes")
         if self.prompts is None:
-            check_sequence(self.prompt, self.seconds, self.anyway)
-            return [self.prompt]
-        return read_lines(self.prompts, self.seconds, self.anyway)
+            return [check_sequence(self.prompt, self.sampling.seconds, self.anyway)]
+        return read_lines(self.prompts, self.sampling.seconds, self.anyway)
 
 
 def _clips(verb: Animate, clips: list[Clip]) -> Iterator[str]:
     """Make the clips of a pass; tell of each what went wrong, "" for nothing."""
-    from bunraku.pipelines.animate import animate_each
+    from bunraku.language.parse import parse
+    from bunraku.pipelines.animator import Animator
 
     path, prompts = clips[0].character, clips[0].beside
     done = 0
     try:
-        character, how = _kept(verb, path)
-        _say_limits(path, character, how["handles"], [prompts[clip.place] for clip in clips])
-        only = {clip.place for clip in clips}
-        animations = animate_each(character, prompts, **how, **verb.sampling, only=only)
+        body, request = _kept(verb, path)
+        sentences = [parse(prompt, verb.sampling.seconds, verb.anyway) for prompt in prompts]
+        _say_limits(path, body, [sentences[clip.place] for clip in clips])
+        requests = [replace(request, sentence=sentence) for sentence in sentences]
+        animations = Animator.shipped().each(body, requests, {clip.place for clip in clips})
         for clip in clips:
             next(animations).save(clip.path, fps=verb.fps)
             done += 1
@@ -215,42 +211,37 @@ def _clips(verb: Animate, clips: list[Clip]) -> Iterator[str]:
 
 
 @lru_cache(maxsize=1)
-def _kept(verb: Animate, path: Path) -> tuple[Character, dict[str, Any]]:
+def _kept(verb: Animate, path: Path) -> tuple[Body, Request]:
     """What `_ready` gives, for clips of one character that follow another."""
     return _ready(verb, path, lambda stage, done: None)
 
 
-def _ready(verb: Animate, path: Path, report: Report) -> tuple[Character, dict[str, Any]]:
-    """A character as it is to be animated, and how, but for what is drawn."""
+def _ready(verb: Animate, path: Path, report: Report) -> tuple[Body, Request]:
+    """A character as it is to be animated, and what is asked of it."""
     from bunraku.io import load_character
 
     report("load", 0.0)
     character = stand_up(load_character(path, unit="m"), path, verb.up, verb.front, verb.unit)
     report("load", 1.0)
 
-    from bunraku.pipelines.animate import apparel_way, rig
+    from bunraku.pipelines.animator import Animator
 
-    bones = apparel_way(character, verb.apparel, verb.handles) != "handles"
-    handles = verb.handles if bones else rig(character, handles=verb.handles, progress=report)
-    after = None if verb.after is None or isinstance(handles, str) else _before(verb.after, character, handles)
-    return character, {
-        "seconds": verb.seconds, "handles": handles, "apparel": verb.apparel, "stiffness": verb.stiffness,
-        "loop": verb.loop, "in_place": verb.in_place, "after": after, "path": parse_path(verb.path),
-        "pins": [parse_pin(pin) for pin in verb.pin], "stages": fitting_stages(verb.without, shape=True),
-        "candidates": verb.candidates,
-    }  # fmt: skip
+    request = verb.request()
+    body = Animator.shipped(report).body(character, request)
+    if verb.directing.after is not None and body.anatomy is not None:
+        before = _before(verb.directing.after, character, body.anatomy.handles)
+        request = replace(request, constraints=request.constraints.following(before))
+    return body, request
 
 
-def _say_limits(path: Path, character: Character, handles: Handles | str, prompts: list[str]) -> None:
-    """Say on standard error what the prompts ask for that this body cannot do."""
-    if isinstance(handles, str):  # its own rig moves it
+def _say_limits(path: Path, body: Body, sentences: list[Sentence]) -> None:
+    """Say on standard error what sentences ask for that this body cannot do."""
+    if body.anatomy is None:  # its own rig moves it
         return
-    from bunraku.anatomy.anatomy import Anatomy
-    from bunraku.language.parse import parse
     from bunraku.pipelines.decisions import suited
 
-    plan = Anatomy.of(character, handles).plan
-    for note in dict.fromkeys(note for prompt in prompts for note in suited(parse(prompt, 120, True), plan).cannot):
+    plan = body.anatomy.plan
+    for note in dict.fromkeys(note for sentence in sentences for note in suited(sentence, plan).cannot):
         print(f"{path}: {note}", file=sys.stderr)
 
 

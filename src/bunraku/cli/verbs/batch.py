@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bunraku.cli.output.checks import check_folder, check_input, check_sequence, slug
 from bunraku.cli.output.ledger import begin, note, still_to_do
@@ -16,13 +17,16 @@ from bunraku.cli.output.report import wrote
 from bunraku.errors import FormatError, OptionError
 from bunraku.nn.spread import spread
 
+if TYPE_CHECKING:
+    from bunraku.language.sentence import Sentence
+
 __all__ = ["Clip", "characters_of", "clips_of", "clips_to_do", "make_clips", "passes", "read_lines"]
 
 LIMIT = 10_000
 
 
-def read_lines(path: Path, seconds: float, anyway: bool) -> list[str]:
-    """The prompts of a text file, one a line; empty lines do not count.
+def read_lines(path: Path, seconds: float, anyway: bool) -> list[Sentence]:
+    """The sentences of a text file, one a line; empty lines do not count.
 
     Raises:
         FormatError: The file is missing, or is no text.
@@ -37,10 +41,9 @@ def read_lines(path: Path, seconds: float, anyway: bool) -> list[str]:
     for number, line in enumerate(lines, 1):
         if line.strip():
             try:
-                check_sequence(line, seconds, anyway)
+                prompts.append(check_sequence(line.strip(), seconds, anyway))
             except OptionError as error:
                 raise OptionError(f"{path}, line {number}: {error}") from None
-            prompts.append(line.strip())
     if not 1 <= len(prompts) <= LIMIT:
         raise OptionError(f"{path} holds {len(prompts):,} prompts; give 1 to {LIMIT:,}, one a line")
     return prompts

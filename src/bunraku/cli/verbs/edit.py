@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,11 +13,15 @@ import tyro
 from bunraku.cli.options.directing import PinOption, parse_pin
 from bunraku.cli.options.generating import GeneratingOptions
 from bunraku.cli.options.orientation import stand_up
-from bunraku.cli.output.checks import check_input, slug
+from bunraku.cli.options.sampling import EditSamplingOptions
+from bunraku.cli.output.alone import alone
+from bunraku.cli.output.checks import check_input, slug, written_path
 from bunraku.cli.output.outputs import check_outputs, fitting_stages, save_all
 from bunraku.cli.output.progress import Report, stages
 from bunraku.errors import OptionError
 from bunraku.language.understood import check_understood
+from bunraku.pipelines.requests.constraints import Constraints, Keep, Pose
+from bunraku.pipelines.requests.request import Request
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
@@ -34,6 +38,8 @@ class Edit(GeneratingOptions):
     Example: bunraku edit walk.glb "waves with both hands" --keep legs -o walk-wave.glb
     """
 
+    sampling: tyro.conf.OmitArgPrefixes[EditSamplingOptions] = field(default_factory=EditSamplingOptions, kw_only=True)
+    """How the motion is drawn."""
     clip: tyro.conf.Positional[Path]
     """The clip, .glb or .npz, as Bunraku wrote it."""
     prompt: tyro.conf.Positional[str]
@@ -59,35 +65,40 @@ class Edit(GeneratingOptions):
         from bunraku.body.parts import kept_handles
 
         check_understood(self.prompt, self.anyway)
-        span = parse_span(self.span) if self.span else None
+        request = self.request()
         if self.keep:
             kept_handles(self.keep)
-        elif span is None and not self.pose:
+        elif not self.span and not self.pose:
             raise OptionError(
                 "nothing is kept of the clip; name what stays (--keep legs), the seconds that change (--span 1.0:3.0) "
                 "or poses that stay (--pose 1.5)"
             )
-        pins = [parse_pin(pin) for pin in self.pin]
         self.check()
+        request.check("--", clip=True)
         inputs = [self.clip] + ([self.character] if self.character else [])
         for path in inputs:
             check_input(path)
         outputs = self.output or (Path(f"{self.clip.stem}-{slug(self.prompt)}{self.clip.suffix.lower()}"),)
-        check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
-        fitting = fitting_stages(self.without)
-
-        with stages() as report:
+        with alone(written_path(path) for path in (*outputs, *self.preview)), stages() as report:
+            check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
             report("load", 0.0)
             clip = self._animation(report)
             report("load", 1.0)
 
-            from bunraku.pipelines.edit import edit
+            from bunraku.pipelines.animator import Animator
+            from bunraku.pipelines.edit import edited
 
-            animation = edit(
-                clip, self.prompt, keep=self.keep, span=span, poses=self.pose, pins=pins, stages=fitting,
-                progress=report, **self.sampling,
-            )  # fmt: skip
-            save_all(animation, outputs, self.preview, self.fps, report)
+            save_all(edited(Animator.shipped(report), clip, request), outputs, self.preview, self.fps, report)
+
+    def request(self) -> Request:
+        """What is asked for."""
+        span = parse_span(self.span) if self.span else None
+        stays = [Keep(self.keep, span)] if self.keep or span is not None else []
+        pins = [parse_pin(pin) for pin in self.pin]
+        return Request(
+            self.prompt, self.sampling, Constraints((*stays, *map(Pose, self.pose), *pins)),
+            stages=fitting_stages(self.without), force=self.anyway,
+        )  # fmt: skip
 
     def _animation(self, report: Report) -> Animation:
         from bunraku.body.reference import reference_body

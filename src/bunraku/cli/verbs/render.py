@@ -14,6 +14,7 @@ from bunraku.cli.output.ledger import check_free, note_written
 from bunraku.cli.output.outputs import PREVIEWS
 from bunraku.cli.output.progress import Report, stages
 from bunraku.cli.output.report import wrote
+from bunraku.core.request.limits import FPS
 from bunraku.errors import FormatError, OptionError
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class Render:
     clip: str = "0"
     """Which clip of a file with several: its number or name."""
     fps: float = 30.0
-    """Frames a second, 1 to 120."""
+    """Frames a second, 1 to 240."""
     size: tuple[int, int] = (640, 480)
     """Width and height of a video or a still in pixels."""
     color: Literal["texture", "handles"] = "texture"
@@ -59,7 +60,7 @@ class Render:
 
     def run(self) -> None:
         check_axes(self.up, self.front)
-        check_range("--fps", self.fps, 1, 120)
+        FPS.check(self.fps, "--fps")
         for side in self.size:
             check_range("--size", side, 16, 4096)
         check_input(self.file)

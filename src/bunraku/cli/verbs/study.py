@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from bunraku.cli.output.checks import check_input, check_range
+from bunraku.cli.output.checks import check_input
 from bunraku.cli.output.progress import Report, stages
+from bunraku.core.request.limits import SECONDS
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class StudyMake:
         from bunraku.studio.study.make import make_study, read_lines
 
         check_input(self.prompts)
-        check_range("--seconds", self.seconds, 0.5, 120)
+        SECONDS.check(self.seconds, "--seconds")
         lines = read_lines(self.prompts)
         methods: dict[str, Path] = {}
         for text in self.method:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from bunraku.anatomy.legs import Leg
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request.constraint import Constraint
 from bunraku.errors import OptionError
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
@@ -41,7 +43,7 @@ MISSED = 5e-3
 
 
 @dataclass(frozen=True)
-class Pin:
+class Pin(Constraint):
     """Where a hand or a foot is at a time.
 
     Args:
@@ -61,6 +63,9 @@ class Pin:
     rotation: np.ndarray | None = None
     hold: float = 0.0
 
+    kind: ClassVar[str] = "pin"
+    several: ClassVar[bool] = True
+
     def __post_init__(self) -> None:
         if self.part not in PINNED:
             raise OptionError(f"'{self.part}' cannot be pinned; there are {', '.join(PINNED)}")
@@ -72,7 +77,7 @@ class Pin:
         if self.rotation is not None:
             turn = np.asarray(self.rotation, np.float64)
             if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
-                raise OptionError(f"the turn of {self.part} is no rotation")
+                raise OptionError(f"the rotation of {self.part} must be a matrix of three rows that only turns")
             object.__setattr__(self, "rotation", turn)
 
     def frames(self, count: int, fps: float) -> np.ndarray:

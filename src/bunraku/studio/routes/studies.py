@@ -8,6 +8,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
+from bunraku.core.request.limits import Limit
 from bunraku.studio.routes.asked import body_of, number, state_of, text
 from bunraku.studio.store import NotThere
 from bunraku.studio.study.show import Session
@@ -36,7 +37,7 @@ async def answers(request: Request) -> Any:
     """Take an answer; the next trial comes back."""
     session, body = _session(request), await body_of(request)
     participant = text(body, "participant", 20)
-    seconds = number(body, "seconds", 0, 1e6, 0)
+    seconds = number(body, "seconds", Limit("seconds", 0, 1e6), 0)
     await run_in_threadpool(session.answer, participant, text(body, "trial", 40), body.get("ranks"), seconds)
     return JSONResponse(session.next(participant), 201)
 

@@ -8,36 +8,18 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
+from bunraku.core.request.json_form import from_json
+from bunraku.core.request.limits import FPS
 from bunraku.errors import FormatError, OptionError
-from bunraku.studio.routes.asked import body_of, choice, number, path_of, sampling, state_of, text, things
+from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.studio.forms import ChangeForm, DressForm, TakeForm
+from bunraku.studio.routes.asked import body_of, choice, number, state_of, text
 from bunraku.studio.state import State
 from bunraku.studio.uploads import CHARACTERS, MOTIONS, plain_name, receive
 
 __all__ = ["ROUTES"]
 
 SUFFIXES = ("glb", "bvh", "vrma", "vmd", "npz", "fbx", "usdz", "usdc", "mp4", "gif")
-WAYS = ("rigid", "simulate", "learn")
-"""How apparel moves."""
-
-
-def _script(body: dict[str, Any]) -> tuple[str, float]:
-    """The sentences of a request as a sequence, and how long all of it is [s].
-
-    Raises:
-        OptionError: A sentence is empty, or a length out of range.
-    """
-    from bunraku.language.sequence import parse_sequence, timed_sequence
-
-    parts: list[tuple[str, float]] = []
-    for part in things(body, "script", 20):
-        if not isinstance(part, dict):
-            raise OptionError("a script is a list of texts with seconds")
-        words = text(part, "text", 1000).replace("\n", " ").strip()
-        parts += timed_sequence(parse_sequence(words), number(part, "seconds", 0.5, 120, 4))
-    if not parts:
-        raise OptionError("type what the character does, such as: walks forward, then waves")
-    script = "; ".join(f"{words}:{seconds:g}" for words, seconds in parts)
-    return script, sum(seconds for _, seconds in timed_sequence(parse_sequence(script), 6.0))
 
 
 def _ready(state: State, name: str) -> dict[str, Any]:
@@ -58,38 +40,18 @@ async def takes(request: Request) -> Any:
 
 
 def _make(state: State, owner: str, body: dict[str, Any]) -> Any:
-    from bunraku.language.sequence import parse_sequence
-    from bunraku.language.understood import check_understood
-
     character = _ready(state, owner)
-    script, seconds = _script(body)
-    how = sampling(body)
-    for sentence, _ in parse_sequence(script):
-        check_understood(sentence, how["anyway"])
-    params = {
-        **how, "script": script, "seconds": seconds, "draft": body.get("draft", True) is not False,
-        "loop": bool(body.get("loop")), "in_place": bool(body.get("in_place")),
-        **_apparel(body), "path": path_of(body),
-        "after": body["after"] if body.get("after") else None, "handles": character["settings"]["handles"],
-    }  # fmt: skip
-    if params["after"] is not None:
-        before = state.store.get("takes", params["after"])
+    form = from_json(TakeForm, body, "the request")
+    request = form.request(character["settings"]["handles"])
+    if form.after:
+        before = state.store.get("takes", form.after)
         if before["character"] != owner or before["state"] != "done" or before.get("skin") != "handles":
             raise OptionError("what is followed must be a finished take of handles of the same character")
-    kept = ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "stiffness", "path", "pins")
-    asked = {name: params[name] for name in kept}
     made = state.new_takes(
-        owner, len(how["seeds"]), how="animate", script=body["script"], asked=asked, seeds=how["seeds"]
+        owner, len(form.seeds), how="animate", script=body["script"], asked=form.asked(), seeds=list(form.seeds)
     )
-    return state.make("animate", script, owner, made, params)
-
-
-def _apparel(body: dict[str, Any]) -> dict[str, Any]:
-    """How apparel moves, checked."""
-    return {
-        "apparel": choice(body, "apparel", WAYS, "rigid"),
-        "stiffness": number(body, "stiffness", 0.001, 1000, 1.0),
-    }
+    params = {"request": request.to_json(), "seeds": list(form.seeds), "draft": form.draft}
+    return state.make("animate", request.prompt, owner, made, params)
 
 
 def _factor(word: str | None) -> float | None:
@@ -130,55 +92,47 @@ async def change(request: Request) -> Any:
 
 
 def _change(state: State, name: str, body: dict[str, Any]) -> Any:
-    from bunraku.language.understood import check_understood
-
     parent = state.store.get("takes", name)
     if parent["state"] != "done":
         raise OptionError("this take is not finished; wait for it")
-    _ready(state, parent["character"])
-    how = sampling(body)
-    prompt = text(body, "prompt", 1000).strip()
-    worn = {"apparel": "learn" if parent.get("stiffness") else "rigid", "stiffness": parent.get("stiffness") or 1.0}
-    params: dict[str, Any] = {**how, **worn, "parent": name, "prompt": prompt}
-    if not prompt:
-        kind, asked = "bend", {**worn, "pins": how["pins"]}
-        if "apparel" in body:
-            kind = "dress"
-            in_place = bool((parent.get("asked") or {}).get("in_place"))
-            asked = {**(parent.get("asked") or {}), **_apparel(body), "in_place": in_place}
-        elif not how["pins"]:
-            raise OptionError("type what is done instead, or pin a hand or a foot")
-        made = state.new_takes(parent["character"], 1, how=kind, parent=name, script=parent["script"], asked=asked,
-                              seeds=[parent.get("seed", 0)])  # fmt: skip
-        title = "bend to the pins" if kind == "bend" else "dress anew"
-        return state.make(kind, title, parent["character"], made, {**params, **asked})
-    check_understood(prompt, how["anyway"])
-    keep = [str(part) for part in things(body, "keep", 40)]
-    if keep:
-        from bunraku.body.parts import kept_handles
+    owner = parent["character"]
+    _ready(state, owner)
+    form = from_json(ChangeForm, body, "the request")
+    stiffness = parent.get("stiffness")
+    worn = Apparel("learn" if stiffness else "rigid", stiffness or 1.0)
+    if form.prompt.strip():
+        return _edit(state, parent, form, worn)
+    seeds = [parent.get("seed", 0)]
+    asked: dict[str, Any]
+    params: dict[str, Any]
+    if form.apparel is not None:
+        kind, title = "dress", "dress anew"
+        old = parent.get("asked") or {}
+        changed = {"apparel": form.apparel, "stiffness": form.stiffness, "in_place": bool(old.get("in_place"))}
+        asked, params = {**old, **changed}, {**changed, "without": list(form.without)}
+    elif form.pins:
+        kind, title = "bend", "bend to the pins"
+        own: dict[str, Any] = {"apparel": worn.motion, "stiffness": worn.stiffness}
+        asked, params = {**own, "pins": list(form.pins)}, {**own, "constraints": form.bends().to_json()}
+    else:
+        raise OptionError("type what is done instead, or pin a hand or a foot")
+    made = state.new_takes(owner, 1, how=kind, parent=name, script=parent["script"], asked=asked, seeds=seeds)
+    return state.make(kind, title, owner, made, {**params, "parent": name})
 
-        kept_handles(keep)
-    span = [number({"span": value}, "span", 0, 120) for value in things(body, "span", 2)]
-    if len(span) == 1 or None in span:
-        raise OptionError("a span is two seconds, from and to")
-    poses = []
-    for pose in things(body, "poses", 100):
-        if not isinstance(pose, dict):
-            raise OptionError("a pose has a time")
-        time = number(pose, "time", 0, 120, 0)
-        source = pose.get("take")
-        if source is not None and state.store.get("takes", source)["character"] != parent["character"]:
+
+def _edit(state: State, parent: dict[str, Any], form: ChangeForm, worn: Apparel) -> Any:
+    """Takes of which parts of another are kept."""
+    owner = parent["character"]
+    for pose in form.poses:
+        if pose.take is not None and state.store.get("takes", pose.take)["character"] != owner:
             raise OptionError("a pose must be of a take of the same character")
-        poses.append({"time": time, "take": source, "at": number(pose, "at", 0, 120, time)})
-    if not keep and not span and not poses:
-        raise OptionError("nothing is kept: select a span of time, keep parts of the body, or pin poses")
-    params |= {"keep": keep, "span": span or None, "poses": poses}
-    asked = {key: params[key] for key in ("seeds", "keep", "span", "poses", "pins", "prompt", "apparel", "stiffness")}
+    request = form.request(worn)
     made = state.new_takes(
-        parent["character"], len(how["seeds"]), how="edit", parent=name, script=parent["script"], asked=asked,
-        seeds=how["seeds"],
+        owner, len(form.seeds), how="edit", parent=parent["id"], script=parent["script"], asked=form.asked(worn),
+        seeds=list(form.seeds),
     )  # fmt: skip
-    return state.make("edit", prompt, parent["character"], made, params)
+    params = {"request": request.to_json(), "seeds": list(form.seeds), "parent": parent["id"]}
+    return state.make("edit", request.prompt, owner, made, params)
 
 
 async def transfer(request: Request) -> Any:
@@ -188,7 +142,9 @@ async def transfer(request: Request) -> Any:
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*MOTIONS, *CHARACTERS):
         raise FormatError(f"{title}{suffix}", f"this is no format of motions; they are {', '.join(MOTIONS)} and .fbx")
-    worn = _apparel({**request.query_params, "stiffness": _factor(request.query_params.get("stiffness"))})
+    told = {"apparel": request.query_params.get("apparel"), "stiffness": _factor(request.query_params.get("stiffness"))}
+    form = from_json(DressForm, {name: value for name, value in told.items() if value is not None})
+    worn = {"apparel": form.apparel, "stiffness": form.stiffness}
     onto = choice(dict(request.query_params), "onto", ("auto", "handles"), "handles")
     (made,) = state.new_takes(
         owner, 1, how="transfer", script=[{"text": title, "seconds": 0}], asked={"file": title, **worn}
@@ -209,7 +165,7 @@ async def export(request: Request) -> Any:
     record = state.store.get("takes", name)
     body = await body_of(request)
     suffix = choice(body, "format", SUFFIXES, "glb")
-    fps = number(body, "fps", 1, 120, 30)
+    fps = number(body, "fps", FPS, 30)
     if record["state"] != "done":
         raise OptionError("this take is not finished; wait for it")
     title = state.store.get("characters", record["character"])["name"]

@@ -142,7 +142,8 @@ def measure_adaptation(
     """
     import torch
 
-    from bunraku.diffusion.generate import GUIDANCE, STEPS, adapt, load_generator
+    from bunraku.diffusion.generate import GUIDANCE, STEPS, adapt
+    from bunraku.diffusion.networks import load_generator
     from bunraku.diffusion.sampling.sampler import sample
     from bunraku.nn.threads import fitting_threads
 

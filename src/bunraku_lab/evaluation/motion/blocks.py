@@ -233,7 +233,7 @@ def _motions(
     config: MotionEvalConfig, windows: list[Window], mesh_feature: np.ndarray | None = None
 ) -> list[np.ndarray]:
     """Our model's motions of windows; for a character with its adaptation."""
-    from bunraku.diffusion.generate import load_generator
+    from bunraku.diffusion.networks import load_generator
     from bunraku.nn.checkpoints import shipped_checkpoint
 
     path = config.checkpoint or shipped_checkpoint("diffusion")

@@ -142,7 +142,7 @@ def retrieval(
         OptionError: There are fewer captions than candidates, or a setting is out of range.
         WeightsError: The weights are missing or broken.
     """
-    from bunraku.diffusion.generate import load_generator
+    from bunraku.diffusion.networks import load_generator
 
     if candidates < 2 or frames < 1 or not levels or any(not 0 <= level < 1000 for level in levels):
         raise OptionError("retrieval needs at least 2 candidates, 1 frame, and diffusion steps from 0 to 999")

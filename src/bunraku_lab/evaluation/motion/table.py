@@ -202,7 +202,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         FormatError: The data are missing or damaged.
         WeightsError: Weights are missing or broken.
     """
-    from bunraku.diffusion.generate import load_generator
+    from bunraku.diffusion.networks import load_generator
     from bunraku.nn.checkpoints import shipped_checkpoint
 
     _check(config)
@@ -325,7 +325,7 @@ def _steps_ratio(
     report: Report,
 ) -> dict[str, float]:
     """FID of the default sampler and of many DDPM steps on the same windows, against the reference windows."""
-    from bunraku.diffusion.generate import load_generator
+    from bunraku.diffusion.networks import load_generator
     from bunraku.nn.checkpoints import shipped_checkpoint
 
     path = config.checkpoint or shipped_checkpoint("diffusion")

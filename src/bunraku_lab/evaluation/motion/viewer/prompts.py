@@ -294,7 +294,7 @@ def _ground(make: Make, seeds: int) -> dict[str, Any]:
 
 def _minute(make: Make, config: MotionEvalConfig, seeds: int) -> dict[str, Any]:
     """Walks of a minute: the largest change of heading, and the largest jump at a seam, of all seeds."""
-    from bunraku.diffusion.generate import load_generator
+    from bunraku.diffusion.networks import load_generator
     from bunraku.diffusion.sampling.windows import plan_windows
 
     model, _ = load_generator(config.checkpoint)

@@ -1,0 +1,142 @@
+"""The JSON form of dataclasses, written as it is and read strictly.
+
+A form has no key that the class does not have, each value has the type of its field, each number is finite, and lists
+and texts are bounded, so that what a file or a page sends is either an object of the class or one sentence.
+"""
+
+from __future__ import annotations
+
+import math
+import types
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from bunraku.errors import OptionError
+
+__all__ = ["from_json", "to_json"]
+
+Kind = TypeVar("Kind")
+MOST_ENTRIES = 1000
+"""Entries of a list."""
+MOST_LETTERS = 10_000
+"""Letters of a text."""
+_COUNTS = {2: "two", 3: "three", 4: "four"}
+
+
+def to_json(thing: object) -> Any:
+    """A dataclass as an object of JSON, a field a key; arrays and tuples are lists.
+
+    Raises:
+        OptionError: A value has no such form.
+    """
+    if is_dataclass(thing) and not isinstance(thing, type):
+        return {field.name: to_json(getattr(thing, field.name)) for field in fields(thing)}
+    if isinstance(thing, np.ndarray):
+        return thing.tolist()
+    if isinstance(thing, tuple | list):
+        return [to_json(one) for one in thing]
+    if isinstance(thing, dict):
+        return {str(name): to_json(one) for name, one in thing.items()}
+    if thing is None or isinstance(thing, bool | int | float | str):
+        return thing
+    raise OptionError(f"{type(thing).__name__} has no form in JSON; save it as a file and name that")
+
+
+def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
+    """The dataclass of an object of JSON.
+
+    Args:
+        kind: The dataclass. Its fields are numbers, texts, arrays, tuples of these, other dataclasses, or unions.
+        data: What `json.loads` gave.
+        name: What it is called in messages.
+
+    Raises:
+        OptionError: A key is unknown or missing, or a value is of another type, not finite, or too large; or the class
+            refuses the values.
+    """
+    name = name or kind.__name__.lower()
+    if not isinstance(data, dict):
+        raise OptionError(f"{name} must be an object, not {_shown(data)}")
+    hints = get_type_hints(kind)
+    known = {field.name: field for field in fields(cast(Any, kind)) if field.init}
+    for key in data:
+        if key not in known:
+            raise OptionError(f"{name} has no '{str(key)[:40]}'; it has {', '.join(known)}")
+    for key, field in known.items():
+        if key not in data and field.default is MISSING and field.default_factory is MISSING:
+            raise OptionError(f"{name} needs '{key}'")
+    return kind(**{key: _value(hints[key], value, key) for key, value in data.items()})
+
+
+def _value(hint: Any, value: Any, name: str) -> Any:
+    """A value of JSON as a field's type wants it."""
+    if hint is object:  # read by a class of its own
+        return value
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in inner:
+            return None
+        return _value(next(one for one in inner if one is not type(None)), value, name)
+    if origin is Literal:
+        if value not in inner or isinstance(value, bool):
+            raise OptionError(f"{name} is one of {', '.join(map(str, inner))}, not {_shown(value)}")
+        return value
+    if origin is tuple:
+        return _tuple(inner, value, name)
+    if hint is np.ndarray:
+        return _array(value, name)
+    if is_dataclass(hint):
+        return from_json(cast(type, hint), value, name)
+    return _plain(hint, value, name)
+
+
+def _plain(hint: Any, value: Any, name: str) -> Any:
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise OptionError(f"{name} must be true or false, not {_shown(value)}")
+        return value
+    if hint is str:
+        if not isinstance(value, str):
+            raise OptionError(f"{name} must be a text, not {_shown(value)}")
+        if len(value) > MOST_LETTERS:
+            raise OptionError(f"{name} has more than {MOST_LETTERS} characters")
+        return value
+    if hint in (int, float):
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise OptionError(f"{name} must be a number, not {_shown(value)}")
+        if (isinstance(value, float) and not math.isfinite(value)) or abs(value) > 1e300:
+            raise OptionError(f"{name} must be a number that is finite")
+        if hint is int and value != int(value):
+            raise OptionError(f"{name} must be a whole number, not {value:g}")
+        return hint(value)
+    raise TypeError(f"{name}: {hint} has no form in JSON")
+
+
+def _tuple(inner: tuple[Any, ...], value: Any, name: str) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise OptionError(f"{name} must be a list, not {_shown(value)}")
+    if len(inner) == 2 and inner[1] is Ellipsis:
+        if len(value) > MOST_ENTRIES:
+            raise OptionError(f"{name} has more than {MOST_ENTRIES} entries")
+        return tuple(_value(inner[0], one, name) for one in value)
+    if len(value) != len(inner):
+        what = "numbers" if set(inner) <= {int, float} else "entries"
+        raise OptionError(f"{name} must be {_COUNTS.get(len(inner), len(inner))} {what}, not {len(value)}")
+    return tuple(_value(hint, one, name) for hint, one in zip(inner, value, strict=True))
+
+
+def _array(value: Any, name: str) -> np.ndarray:
+    try:
+        found = np.asarray(value)
+    except (ValueError, OverflowError, RecursionError):
+        found = np.empty(0, object)
+    if found.dtype.kind not in "if" or found.size > MOST_ENTRIES or not np.isfinite(found).all():
+        raise OptionError(f"{name} must be rows of at most {MOST_ENTRIES} finite numbers, all of one length")
+    return found.astype(np.float64)
+
+
+def _shown(value: Any) -> str:
+    text = "null" if value is None else repr(value)
+    return text if len(text) <= 40 else f"{text[:40]}..."

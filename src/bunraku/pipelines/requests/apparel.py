@@ -1,0 +1,83 @@
+"""How apparel is asked to move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bunraku.core.request.constraint import Constraint
+from bunraku.core.request.limits import STIFFNESS
+from bunraku.errors import OptionError
+
+__all__ = ["APPAREL", "Apparel"]
+
+APPAREL = ("auto", "none", "rigid", "simulate", "learn")
+"""How apparel may move, beside a mask; "rigid" is "none"."""
+MASKS = (".npy", ".txt", ".ply", ".glb")
+
+
+@dataclass(frozen=True)
+class Apparel:
+    """How hair and clothes move.
+
+    Args:
+        motion: "none" or "rigid" moves them with the body; "simulate" by the rigid bodies or springs of an MMD or VRM
+            file, on the bones of its own rig; "learn" by a network that finds them on any mesh; "auto" simulates where
+            the file has physics and learns where the mesh has apparel; or the file of a mask of what is to be learned.
+        stiffness: How stiff learned apparel is, as a factor, 0.001 to 1000.
+    """
+
+    motion: str = "none"
+    stiffness: float = 1.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether apparel moves on its own by this, or may."""
+        return self.motion not in ("none", "rigid")
+
+    @property
+    def mask(self) -> Path | None:
+        """The file of a mask, where one names what is apparel."""
+        return None if self.motion in APPAREL else Path(self.motion)
+
+    def check(self, dashes: str = "") -> None:
+        """Whether apparel can move so.
+
+        Args:
+            dashes: What stands before the names of options in messages.
+
+        Raises:
+            OptionError: It cannot.
+        """
+        if self.mask is not None and self.mask.suffix.lower() not in MASKS:
+            raise OptionError(
+                f"apparel moves by 'auto', 'none', 'simulate' or 'learn', or is named by a mask ({', '.join(MASKS)}), "
+                f"not '{self.motion}'; choose one of these"
+            )
+        STIFFNESS.check(self.stiffness, f"{dashes}stiffness")
+
+    def check_with(self, constraints: Sequence[Constraint], handles: bool = False, dashes: str = "") -> None:
+        """Whether apparel that moves so goes together with what a motion must meet.
+
+        Args:
+            constraints: Those of a request.
+            handles: Whether handles are given or asked for.
+            dashes: What stands before the names of options in messages.
+
+        Raises:
+            OptionError: It does not.
+        """
+        kinds = {one.kind for one in constraints}
+        if self.motion == "simulate" and kinds & {"path", "pin"}:
+            raise OptionError(
+                f"paths and pins are for characters moved by handles; leave out {dashes}apparel simulate, or "
+                f"{dashes}path and {dashes}pin"
+            )
+        if self.moves and kinds & {"loop", "after"}:
+            moving = "simulated" if self.motion == "simulate" else "moving"
+            raise OptionError(
+                f"{moving} apparel starts from the rest pose, so it goes with neither {dashes}loop nor {dashes}after"
+            )
+        if self.motion == "simulate" and handles:
+            raise OptionError(f"apparel is simulated on the bones of a character's rig; leave {dashes}handles out")

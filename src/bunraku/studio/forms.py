@@ -1,0 +1,335 @@
+"""What a page asks for, a dataclass for each form: the same for a request of the page, a link and a project file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from bunraku.core.request.json_form import from_json, to_json
+from bunraku.core.request.limits import CANDIDATES, GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit
+from bunraku.errors import OptionError
+from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.pipelines.requests.constraints import Constraints, Keep, Pose
+from bunraku.pipelines.requests.request import Request, Sampling
+
+if TYPE_CHECKING:
+    from bunraku.core.ground_path import GroundPath
+    from bunraku.retarget.fit import Stages
+    from bunraku.retarget.stages.pins import Pin
+
+__all__ = ["ChangeForm", "DressForm", "Part", "PoseForm", "TakeForm", "check_asked", "read_script", "stages_without"]
+
+MOST_SEEDS = 8
+MOST_PARTS = 20
+MOST_WORDS = 1000
+MOST_SEED = 2**53
+"""Seeds are less, so that a browser knows them exactly."""
+TIME = Limit("time", 0, SECONDS.high)
+Motion = Literal["rigid", "simulate", "learn"]
+"""How apparel moves."""
+
+
+def stages_without(names: Sequence[str]) -> Stages | None:
+    """The stages of generated motions but those named; None where none is.
+
+    Raises:
+        OptionError: There is no such stage.
+    """
+    from bunraku.pipelines.apply import GENERATED_STAGES
+
+    known = sorted(field.name for field in fields(GENERATED_STAGES))
+    for name in names:
+        if name not in known:
+            raise OptionError(f"there is no stage '{name[:40]}'; there are {', '.join(known)}")
+    return replace(GENERATED_STAGES, **dict.fromkeys(names, False)) if names else None
+
+
+def _pins(forms: Sequence[object]) -> list[Pin]:
+    from bunraku.retarget.stages.pins import Pin
+
+    found = [Pin.from_json(form) for form in forms]
+    for pin in found:
+        TIME.check(pin.time)
+        TIME.check(pin.hold, "hold")
+    return found
+
+
+def _path(points: Sequence[object]) -> GroundPath | None:
+    """Points of a path on the floor, x and z [m]; None where there are none."""
+    from bunraku.core.ground_path import LONGEST, GroundPath
+
+    if not points:
+        return None
+    limit = Limit("x and z of a path", -LONGEST, LONGEST)
+    places = []
+    for point in points:
+        if not isinstance(point, list) or len(point) != 2 or not all(type(one) in (int, float) for one in point):
+            raise OptionError("a path is a list of points, each with x and z")
+        for one in point:
+            limit.check(one)
+        places.append((float(point[0]), float(point[1])))
+    return GroundPath(tuple(places))
+
+
+@dataclass(frozen=True)
+class Part:
+    """A sentence of a script.
+
+    Args:
+        text: What the character does.
+        seconds: For how long.
+    """
+
+    text: str
+    seconds: float = 4.0
+
+    def __post_init__(self) -> None:
+        if len(self.text) > MOST_WORDS:
+            raise OptionError(f"text has more than {MOST_WORDS} characters")
+        SECONDS.check(self.seconds)
+
+
+def read_script(script: Sequence[Part]) -> tuple[str, float]:
+    """The sentences of a script as one sequence, and how long all of it is [s].
+
+    Raises:
+        OptionError: A sentence is empty, or all are too long.
+    """
+    from bunraku.language.sequence import parse_sequence, timed_sequence
+
+    if not script:
+        raise OptionError("type what the character does, such as: walks forward, then waves")
+    if len(script) > MOST_PARTS:
+        raise OptionError(f"script has more than {MOST_PARTS} entries")
+    timed = [
+        one
+        for part in script
+        for one in timed_sequence(parse_sequence(part.text.replace("\n", " ").strip()), part.seconds)
+    ]
+    sequence = "; ".join(f"{text}:{seconds:g}" for text, seconds in timed)
+    return sequence, sum(seconds for _, seconds in timed_sequence(parse_sequence(sequence), 6.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Drawn:
+    """How takes are drawn.
+
+    Args:
+        seeds: One for each take.
+        steps: Of the sampler; None takes the default.
+        guidance: Of the sentence; None takes the default.
+        candidates: Motions of which one is chosen.
+        anyway: Go on where no movement is understood.
+        without: Names of stages that are left out.
+        pins: JSON forms of pins.
+    """
+
+    seeds: tuple[float, ...] = (0,)
+    steps: int | None = None
+    guidance: float | None = None
+    candidates: int = 3
+    anyway: bool = False
+    without: tuple[str, ...] = ()
+    pins: tuple[object, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.seeds) > MOST_SEEDS:
+            raise OptionError(f"seeds has more than {MOST_SEEDS} entries")
+        if any(seed != int(seed) or not 0 <= seed < MOST_SEED for seed in self.seeds):
+            raise OptionError("seeds are whole numbers from 0 on")
+        object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds) or (0,))
+        STEPS.check(self.steps, "steps")
+        GUIDANCE.check(self.guidance, "guidance")
+        CANDIDATES.check(self.candidates, "candidates")
+
+    def sampling(self, seconds: float) -> Sampling:
+        """The same of a clip of some seconds."""
+        return Sampling(seconds, int(self.seeds[0]), self.steps, self.guidance, self.candidates)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DressForm:
+    """How the apparel of takes moves.
+
+    Args:
+        apparel: With the body, by the physics of the file, or as it is learned.
+        stiffness: Factor on how stiff learned apparel is.
+    """
+
+    apparel: Motion = "rigid"
+    stiffness: float = 1.0
+
+    def __post_init__(self) -> None:
+        STIFFNESS.check(self.stiffness, "stiffness")
+
+    @property
+    def worn(self) -> Apparel:
+        """The same as a part of a request."""
+        return Apparel(self.apparel, self.stiffness)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TakeForm(_Drawn):
+    """Takes that are made from sentences.
+
+    Args:
+        script: What the character does.
+        draft: Show a quick one first.
+        loop: Make loops.
+        in_place: Take the path over the ground out.
+        apparel: How apparel moves.
+        stiffness: How stiff learned apparel is.
+        path: Points that the root passes, x and z [m].
+        after: The take in whose last pose these start.
+    """
+
+    script: tuple[Part, ...] = ()
+    draft: bool = True
+    loop: bool = False
+    in_place: bool = False
+    apparel: Motion = "rigid"
+    stiffness: float = 1.0
+    path: tuple[object, ...] | None = None
+    after: str | None = None
+
+    def request(self, handles: Literal["predict", "rig"] = "predict") -> Request:
+        """The request, checked; the take that is followed is only named.
+
+        Args:
+            handles: How the handles of the character were made.
+
+        Raises:
+            OptionError: It cannot be asked for, or a sentence is not understood.
+        """
+        from bunraku.language.sequence import parse_sequence
+        from bunraku.language.understood import check_understood
+
+        sentence, seconds = read_script(self.script)
+        for part, _ in parse_sequence(sentence):
+            check_understood(part, self.anyway)
+        found = Request(
+            sentence, self.sampling(seconds),
+            Constraints.of(
+                loop=self.loop, in_place=self.in_place, after=self.after or None, path=_path(self.path or ()),
+                pins=_pins(self.pins),
+            ),
+            DressForm(apparel=self.apparel, stiffness=self.stiffness).worn, stages_without(self.without),
+            "predict" if self.apparel == "simulate" else handles, self.anyway,
+        )  # fmt: skip
+        found.check()
+        return found
+
+    def asked(self) -> dict[str, Any]:
+        """What a take's record keeps of it, for links."""
+        kept = ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "stiffness", "path", "pins")
+        return {name: to_json(getattr(self, name)) for name in kept}
+
+
+@dataclass(frozen=True)
+class PoseForm:
+    """A pose that stays.
+
+    Args:
+        time: Seconds of the clip.
+        take: The take that it is of; None is the clip itself.
+        at: Seconds of that take; None is `time`.
+    """
+
+    time: float = 0.0
+    take: str | None = None
+    at: float | None = None
+
+    def __post_init__(self) -> None:
+        TIME.check(self.time)
+        TIME.check(self.at, "at")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeForm(_Drawn):
+    """Takes that are made from one: parts kept and the rest generated, bent to pins, or dressed anew.
+
+    Args:
+        prompt: What is done instead; nothing is generated where it is empty.
+        keep: Parts that stay.
+        span: Seconds from and to which is generated.
+        poses: Poses that stay.
+        apparel: How apparel moves, where that is to change.
+        stiffness: How stiff learned apparel is.
+    """
+
+    prompt: str = ""
+    keep: tuple[str, ...] = ()
+    span: tuple[float, ...] | None = None
+    poses: tuple[PoseForm, ...] = ()
+    apparel: Motion | None = None
+    stiffness: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.prompt) > MOST_WORDS:
+            raise OptionError(f"prompt has more than {MOST_WORDS} characters")
+        if len(self.span or ()) not in (0, 2):
+            raise OptionError("a span is two seconds, from and to")
+        for second in self.span or ():
+            TIME.check(second, "span")
+
+    def request(self, worn: Apparel) -> Request:
+        """The request of an edit, checked.
+
+        Args:
+            worn: How the apparel of the take moves.
+
+        Raises:
+            OptionError: Nothing is kept, or the sentence is not understood.
+        """
+        from bunraku.body.parts import kept_handles
+        from bunraku.language.understood import check_understood
+
+        check_understood(self.prompt, self.anyway)
+        if self.keep:
+            kept_handles(self.keep)
+        if not self.keep and not self.span and not self.poses:
+            raise OptionError("nothing is kept: select a span of time, keep parts of the body, or pin poses")
+        span = (self.span[0], self.span[1]) if self.span else None
+        stays = [Keep(self.keep, span)] if self.keep or span else []
+        poses = [Pose(pose.time, pose.take, pose.at) for pose in self.poses]
+        found = Request(
+            self.prompt.strip(), self.sampling(6.0), Constraints((*stays, *poses, *_pins(self.pins))), worn,
+            stages_without(self.without), force=self.anyway,
+        )  # fmt: skip
+        found.check(clip=True)
+        return found
+
+    def bends(self) -> Constraints:
+        """Its pins, for a take that is bent to them."""
+        return Constraints(_pins(self.pins))
+
+    def asked(self, worn: Apparel) -> dict[str, Any]:
+        """What a take's record keeps of it."""
+        kept = ("seeds", "keep", "span", "poses", "pins", "prompt")
+        return {**{name: to_json(getattr(self, name)) for name in kept}, "apparel": worn.motion,
+                "stiffness": worn.stiffness}  # fmt: skip
+
+
+def check_asked(how: object, script: object, asked: object) -> None:
+    """Whether what a project says of a take was asked for by a page.
+
+    Args:
+        how: How the take was made.
+        script: Its script.
+        asked: What its record kept of the form.
+
+    Raises:
+        OptionError: It was not.
+    """
+    kept: dict[str, Any] = asked if isinstance(asked, dict) else {}
+    if how == "animate":
+        form = from_json(TakeForm, {**kept, "script": script})
+        read_script(form.script)
+        _path(form.path or ())
+        _pins(form.pins)
+    elif how == "edit":
+        _pins(from_json(ChangeForm, kept).pins)
+    else:
+        from_json(DressForm, {name: kept[name] for name in ("apparel", "stiffness") if name in kept})
