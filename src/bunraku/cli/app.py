@@ -12,7 +12,8 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from dataclasses import fields, is_dataclass
+from typing import Any, get_type_hints
 
 from bunraku.errors import BunrakuError, OptionError
 
@@ -149,13 +150,46 @@ def _dispatch(words: list[str]) -> int:
 def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> Any:
     import tyro
 
+    config = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
+    _check_once(kind, words)
     return tyro.cli(
         kind,
         prog=" ".join(("bunraku", *verb)),
         description="\n".join(line.strip() for line in text.strip().splitlines()),
         args=words,
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
+        config=config,
     )
+
+
+def _check_once(kind: type, words: Sequence[str]) -> None:
+    """Raise OptionError where an option is given several times of which only the last would count."""
+    given = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("-")]
+    if len(set(given)) == len(given) and not {"-o", "--output"} <= set(given):
+        return
+    for names in _single_options(kind):
+        found = [name for name in given if name in names]
+        if len(found) > 1:
+            raise OptionError(f"{found[-1]} is given {len(found)} times, and one is taken; leave the others out")
+
+
+def _single_options(kind: Any) -> list[set[str]]:
+    """The names of each option that takes one value, those of the dataclasses that a verb holds among them."""
+    import tyro
+
+    out: list[set[str]] = []
+    hints = get_type_hints(kind, include_extras=True)
+    for field in fields(kind) if is_dataclass(kind) else ():
+        hint = hints[field.name]
+        notes = getattr(hint, "__metadata__", ())
+        if is_dataclass(getattr(hint, "__origin__", hint)):
+            out += _single_options(getattr(hint, "__origin__", hint))
+        elif tyro.conf.UseAppendAction not in notes and hint is not bool:
+            names = {f"--{field.name.replace('_', '-')}"}
+            for note in notes:
+                names = {f"--{name}" for name in [getattr(note, "name", None)] if name} or names
+                names |= set(getattr(note, "aliases", None) or ())
+            out.append(names)
+    return out
 
 
 def _joined(words: list[str]) -> list[str]:

@@ -11,7 +11,7 @@ import torch
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import ARCHITECTURES, DenoiserConfig
 from bunraku.errors import WeightsError
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import config_of, load_checkpoint, save_checkpoint
 
 __all__ = ["build_denoiser", "save_denoiser", "load_denoiser"]
 
@@ -48,7 +48,7 @@ def load_denoiser(path: str | Path, device: str | torch.device = "cpu") -> Denoi
     state, config = load_checkpoint(path, KIND)
     notes = config.pop("notes", None)
     try:
-        built = DenoiserConfig(**config)
+        built = config_of(DenoiserConfig, config)
         with torch.device("meta"):
             model = build_denoiser(built)
         model.load_state_dict(state, assign=True)

@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from bunraku.diffusion.features import FEATURE_SIZE, feature_weights
 from bunraku.errors import WeightsError
 from bunraku.language.encoders import MiniLMEncoder, TextBatch, TextEncoder
-from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import config_of, fitted_network, load_checkpoint, save_checkpoint
 
 __all__ = [
     "RADIUS",
@@ -239,8 +239,8 @@ def load_extractor(path: str | Path, device: str | torch.device = "cpu", kind: s
     state, config = load_checkpoint(path, kind)
     notes = config.pop("notes", None)
     try:
-        model = Extractor(ExtractorConfig(**config))
-        model.load_state_dict(state)
+        shape = config_of(ExtractorConfig, config)
+        model = fitted_network(lambda: Extractor(shape), state)
         model.notes = dict(notes or {})
     except Exception as error:
         raise WeightsError(

@@ -18,7 +18,7 @@ from torch import nn
 
 from bunraku.geometry.axes import right_angle_rotations
 from bunraku.handles.graph import farthest_points
-from bunraku.nn.checkpoints import load_network, save_network
+from bunraku.nn.checkpoints import config_of, load_network, save_network
 
 __all__ = [
     "OrientationConfig",
@@ -179,5 +179,5 @@ def load_orientation_predictor(path: str | Path) -> OrientationPredictor:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     return load_network(
-        path, "orientation", lambda shape: OrientationPredictor(OrientationConfig(**shape)), key="predictor"
+        path, "orientation", lambda shape: OrientationPredictor(config_of(OrientationConfig, shape)), key="predictor"
     )

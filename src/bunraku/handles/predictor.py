@@ -14,7 +14,7 @@ from torch import nn
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.errors import WeightsError
 from bunraku.handles.graph import GraphLayer, MeshGraph
-from bunraku.nn.checkpoints import load_checkpoint, load_network, save_network
+from bunraku.nn.checkpoints import config_of, load_checkpoint, load_network, save_network
 
 __all__ = [
     "HandlePrediction",
@@ -24,6 +24,10 @@ __all__ = [
     "load_predictor",
     "save_predictor",
 ]
+
+
+LEAST_VERTICES = 100
+"""Of a network mesh that has room for all handles."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,13 @@ def load_predictor(path: str | Path) -> HandlePredictor:
     """
 
     def build(shape: dict[str, Any]) -> HandlePredictor:
-        settings: dict[str, Any] = {k: tuple(value) if isinstance(value, list) else value for k, value in shape.items()}
-        return HandlePredictor(PredictorConfig(**settings))
+        found = config_of(PredictorConfig, shape)
+        if found.handles != HANDLE_COUNT or found.mesh_vertices < LEAST_VERTICES or found.anchors < 1:
+            raise ValueError(
+                f"it is of {found.handles} handles on meshes of {found.mesh_vertices} vertices with {found.anchors} "
+                f"anchors, not of {HANDLE_COUNT} on {LEAST_VERTICES} or more"
+            )
+        return HandlePredictor(found)
 
     return load_network(path, "handles", build, key="predictor")
 

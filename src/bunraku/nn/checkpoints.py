@@ -18,13 +18,16 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save
 
-from bunraku.errors import FormatError, WeightsError
+from bunraku.core.request.json_form import from_json
+from bunraku.errors import FormatError, OptionError, WeightsError
 from bunraku.formats.files import atomic_write, weights_folder
 from bunraku.nn.threads import one_thread
 
 __all__ = [
     "TrainingState",
+    "config_of",
     "dated_checkpoint",
+    "fitted_network",
     "fitting_config",
     "load_checkpoint",
     "load_network",
@@ -37,8 +40,11 @@ __all__ = [
 
 _FORMAT = "bunraku-1"
 _LARGE = 1024
+_LARGEST = 1_000_000
+"""More than any size, rate or count in a config."""
 
 Network = TypeVar("Network", bound=torch.nn.Module)
+Config = TypeVar("Config")
 
 
 def _write(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
@@ -142,10 +148,53 @@ def fitting_config(path: str | Path) -> Iterator[None]:
     """
     try:
         yield
-    except (ArithmeticError, AttributeError, LookupError, TypeError, RuntimeError, ValueError) as error:
+    except WeightsError:
+        raise
+    except Exception as error:
+        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
         raise WeightsError(
-            f"{path}: the weights do not fit their config ({str(error).splitlines()[0]}); train or copy them again"
+            f"{path}: the weights do not fit their config ({reason}); train or copy them again"
         ) from error
+
+
+def config_of(kind: type[Config], data: object) -> Config:
+    """The config of a network from what a checkpoint carries.
+
+    Args:
+        kind: A dataclass, which says the type of each value.
+        data: The JSON object of the checkpoint.
+
+    Raises:
+        OptionError: A value is missing or unknown, of another type, or no size that a network has.
+    """
+    config = from_json(kind, data, "the config")
+    for name, value in vars(config).items():
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, int | float) and not 0 <= one <= _LARGEST:
+                raise OptionError(f"{name} must be from 0 to {_LARGEST}, not {one:g}")
+    return config
+
+
+def fitted_network(build: Callable[[], Network], state: Mapping[str, torch.Tensor]) -> Network:
+    """A network with its weights. Its sizes are compared with those of the weights before it takes any memory, as a
+    config may ask for more than there is.
+
+    Args:
+        build: Makes the network of its config.
+        state: The weights by name.
+
+    Raises:
+        ValueError: A weight is missing, or has another size.
+    """
+    with torch.device("meta"):
+        sizes = {name: tuple(value.shape) for name, value in build().state_dict().items()}
+    for name, size in sizes.items():
+        if name not in state or tuple(state[name].shape) != size:
+            found = f"the file has {list(state[name].shape)}" if name in state else "the file has none"
+            raise ValueError(f"its config makes '{name}' of size {list(size)}, and {found}")
+    model = build()
+    model.load_state_dict(state)
+    return model
 
 
 def save_network(
@@ -187,8 +236,7 @@ def load_network(
     """
     state, config = load_checkpoint(path, kind)
     with fitting_config(path):
-        model = build(config[key])
-        model.load_state_dict(state)
+        model = fitted_network(lambda: build(config[key]), state)
     return model.eval().requires_grad_(False)
 
 

@@ -13,7 +13,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.graph import EdgeBlock, NodeGraph
 from bunraku.body.layout import JOINT_COUNT
-from bunraku.nn.checkpoints import load_network, save_network
+from bunraku.nn.checkpoints import config_of, load_network, save_network
 
 __all__ = ["BodyConfig", "BodyNetwork", "load_body", "save_body"]
 
@@ -135,4 +135,4 @@ def load_body(path: str | Path) -> BodyNetwork:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    return load_network(path, "apparel-body", lambda shape: BodyNetwork(BodyConfig(**shape)))
+    return load_network(path, "apparel-body", lambda shape: BodyNetwork(config_of(BodyConfig, shape)))

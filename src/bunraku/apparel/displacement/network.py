@@ -11,7 +11,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.anchor import AnchorHead
 from bunraku.apparel.displacement.recurrent import RecurrentPart
-from bunraku.nn.checkpoints import load_network, save_network
+from bunraku.nn.checkpoints import config_of, load_network, save_network
 
 __all__ = ["DisplacementConfig", "DisplacementNetwork", "load_displacement", "save_displacement"]
 
@@ -70,7 +70,7 @@ def load_displacement(path: str | Path) -> DisplacementNetwork:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    return load_network(path, "apparel", lambda shape: DisplacementNetwork(DisplacementConfig(**shape)))
+    return load_network(path, "apparel", lambda shape: DisplacementNetwork(config_of(DisplacementConfig, shape)))
 
 
 def normalize_inputs(model: DisplacementNetwork, nodes: torch.Tensor) -> None:

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from bunraku.apparel.refinement.seam import BASIS, INPUTS, Seam
-from bunraku.nn.checkpoints import load_network, save_network
+from bunraku.nn.checkpoints import config_of, load_network, save_network
 
 __all__ = ["RefinementConfig", "RefinementNetwork", "load_refinement", "refined", "save_refinement"]
 
@@ -94,4 +94,4 @@ def load_refinement(path: str | Path) -> RefinementNetwork:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    return load_network(path, "apparel-refinement", lambda shape: RefinementNetwork(RefinementConfig(**shape)))
+    return load_network(path, "apparel-refinement", lambda shape: RefinementNetwork(config_of(RefinementConfig, shape)))

@@ -16,7 +16,7 @@ from torch import nn
 
 from bunraku.apparel.displacement.graph import EdgeBlock, NodeGraph, node_graph
 from bunraku.apparel.sampled_mesh import POINT_FEATURES, SampledMesh
-from bunraku.nn.checkpoints import load_network, save_network
+from bunraku.nn.checkpoints import config_of, load_network, save_network
 
 __all__ = [
     "SegmentationConfig", "SegmentationNetwork", "load_segmentation", "mesh_block", "save_segmentation",
@@ -97,4 +97,4 @@ def load_segmentation(path: str | Path) -> SegmentationNetwork:
     Raises:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
-    return load_network(path, "apparel-mask", lambda shape: SegmentationNetwork(SegmentationConfig(**shape)))
+    return load_network(path, "apparel-mask", lambda shape: SegmentationNetwork(config_of(SegmentationConfig, shape)))

@@ -15,7 +15,7 @@ from bunraku.cli.options.sampling import ApparelOptions
 from bunraku.cli.output.alone import alone
 from bunraku.cli.output.checks import check_folder, check_input, check_mask, written_path
 from bunraku.cli.output.ledger import begin, note, still_to_do
-from bunraku.cli.output.outputs import PreviewOption, WithoutOption, check_outputs, check_stages, save_all
+from bunraku.cli.output.outputs import OutputOption, PreviewOption, WithoutOption, check_outputs, check_stages, save_all
 from bunraku.cli.output.progress import stages
 from bunraku.cli.output.report import wrote
 from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, holds_character, marks_of, pairs_of
@@ -42,9 +42,9 @@ class Transfer:
     """Characters and motions, in any order."""
     motions: tuple[Path, ...] = ()
     """Motions; with this, all other files are characters."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH", help_behavior_hint="")] = None
-    """File to write, by its suffix, or the folder of several. Default: CHARACTER-MOTION.glb in this folder, or the
-    folder transfer.
+    output: OutputOption = ()
+    """File to write, by its suffix, or the folder of several. May be given more than once for a single pair.
+    Default: CHARACTER-MOTION.glb in this folder, or the folder transfer.
     """
     onto: Literal["auto", "handles", "rig"] = "auto"
     """What is moved: the "handles" of the character, the bones of its own "rig", or by "auto" the rig of a humanoid and
@@ -109,8 +109,8 @@ class Transfer:
         return self._many(characters, motions, bad, settings, jobs, suffix)
 
     def _folder(self) -> bool:
-        """Whether the output is named as a folder."""
-        return self.output is not None and (self.output.is_dir() or not self.output.suffix)
+        """Whether an output is named as a folder."""
+        return any(path.is_dir() or not path.suffix for path in self.output)
 
     def _sorted(self) -> tuple[list[Path], list[Path], dict[Path, str]]:
         """Characters, motions, and files that are neither with the reason; the last only beside others, so that one
@@ -146,12 +146,12 @@ class Transfer:
         return characters, motions, bad
 
     def _one(self, character: Path, motion: Path, settings: Settings, suffix: str) -> None:
-        output = self.output or Path(f"{character.stem}-{motion.stem}{suffix}")
+        outputs = self.output or (Path(f"{character.stem}-{motion.stem}{suffix}"),)
         inputs = [character] if motion.is_dir() else [character, motion]
-        with alone(written_path(path) for path in (output, *self.preview)), stages() as report:
-            check_outputs([output], self.preview, inputs, _outputs(), overwrite=self.overwrite)
-            animation = animation_of(Pair(character, motion, output), settings, report)
-            save_all(animation, [output], self.preview, self.fps, report, settings.saving)
+        with alone(written_path(path) for path in (*outputs, *self.preview)), stages() as report:
+            check_outputs(outputs, self.preview, inputs, _outputs(), overwrite=self.overwrite)
+            animation = animation_of(Pair(character, motion, outputs[0]), settings, report)
+            save_all(animation, outputs, self.preview, self.fps, report, settings.saving)
 
     def _many(
         self,
@@ -164,7 +164,9 @@ class Transfer:
     ) -> int:
         from bunraku.io.registry import check_writer
 
-        folder = self.output or Path("transfer")
+        if len(self.output) > 1:
+            raise OptionError("several files go into one folder; name it with a single -o")
+        folder = self.output[0] if self.output else Path("transfer")
         if folder.suffix and not folder.is_dir():
             if len(characters) == len(motions) == 1 and bad:  # a file was meant, and one input is no good
                 path, reason = next(iter(bad.items()))

@@ -9,8 +9,10 @@ from typing import Annotated, Literal
 import tyro
 
 from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes, stand_up
-from bunraku.cli.output.checks import check_input, check_output, make_folder
+from bunraku.cli.output.alone import alone
+from bunraku.cli.output.checks import check_different, check_input, check_output, make_folder
 from bunraku.cli.output.ledger import check_free, note_written
+from bunraku.cli.output.outputs import OutputOption
 from bunraku.cli.output.progress import stages
 from bunraku.cli.output.report import wrote
 
@@ -28,8 +30,8 @@ class Rig:
 
     character: tyro.conf.Positional[Path]
     """The mesh to rig."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH", help_behavior_hint="")] = None
-    """GLB to write. Default: CHARACTER-rigged.glb in this folder."""
+    output: OutputOption = ()
+    """GLB to write. May be given more than once. Default: CHARACTER-rigged.glb in this folder."""
     preview: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Also make a page (.png) that shows what was decided: the front and the back coloured by handle, how the character
     stands, which parts were found and how clearly, and what such a body cannot do.
@@ -50,15 +52,22 @@ class Rig:
     def run(self) -> None:
         check_axes(self.up, self.front)
         check_input(self.character)
-        output = self.output or Path(f"{self.character.stem}-rigged.glb")
-        check_output(output, (".glb",), [self.character])
-        if self.preview is not None:
-            check_output(self.preview, (".png",), [self.character])
-        written = [output] if self.preview is None else [output, self.preview]
-        check_free(written, self.overwrite)
+        outputs = self.output or (Path(f"{self.character.stem}-rigged.glb"),)
+        previews = () if self.preview is None else (self.preview,)
+        with alone((*outputs, *previews)):
+            for path in outputs:
+                check_output(path, (".glb",), [self.character])
+            for path in previews:
+                check_output(path, (".png",), [self.character])
+            check_different((*outputs, *previews))
+            check_free((*outputs, *previews), self.overwrite)
+            self._make(outputs)
 
+    def _make(self, outputs: tuple[Path, ...]) -> None:
+        """Make the handles and write the files."""
         from bunraku.io import load_character, save_character
 
+        written: list[Path] = []
         with stages() as report:
             report("load", 0.0)
             given = load_character(self.character, unit="m")
@@ -71,17 +80,20 @@ class Rig:
 
             handles = rig(character, handles=self.handles, progress=report)
             facts = body_facts(Anatomy.of(character, handles))
-            report("write", 0.0)
-            save_character(character, output, handles=handles)
-            report("write", 1.0)
-            if self.preview is not None:
-                from bunraku.cli.options.orientation import stands_line
-                from bunraku.render import save_still
+            try:
+                for number, path in enumerate(outputs):
+                    report("write", number / len(outputs))
+                    written.append(save_character(character, path, handles=handles))
+                report("write", 1.0)
+                if self.preview is not None:
+                    from bunraku.cli.options.orientation import stands_line
+                    from bunraku.render import save_still
 
-                make_folder(self.preview)
-                lines = [stands_line(given, self.up, self.front), f"height: {character.height:.3g} m", *facts.lines]
-                save_still(character, self.preview, handles, views=2, lines=lines)
-        wrote(output, f"{len(handles.positions)} handles, {facts.plan.words}")
-        if self.preview is not None:
-            wrote(self.preview)
-        note_written(written)
+                    make_folder(self.preview)
+                    lines = [stands_line(given, self.up, self.front), f"height: {character.height:.3g} m", *facts.lines]
+                    written.append(save_still(character, self.preview, handles, views=2, lines=lines))
+            finally:  # what is whole stays
+                note = f"{len(handles.positions)} handles, {facts.plan.words}"
+                for path in written:
+                    wrote(path, note if path in outputs else "")
+                note_written(written)

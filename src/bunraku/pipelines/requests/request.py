@@ -82,7 +82,8 @@ class Request:
     force: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "constraints", Constraints(self.constraints))
+        if not isinstance(self.constraints, Constraints):
+            object.__setattr__(self, "constraints", Constraints(self.constraints))
 
     @property
     def prompt(self) -> str:
@@ -135,7 +136,7 @@ class Request:
         form = from_json(_Form, data, "the request")
         stages = None
         if form.stages is not None:
-            from bunraku.retarget.fit import Stages
+            from bunraku.retarget.stages.switches import Stages
 
             stages = from_json(Stages, form.stages, "stages")
         constraints = Constraints.from_json(form.constraints)

@@ -120,9 +120,12 @@ def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]
 
 
 def _check_extensions(document: Document) -> None:
-    required = document.tree.get("extensionsRequired", [])
-    for name in required if isinstance(required, list) else []:
-        name = str(name)[:80]
+    for key in ("extensionsUsed", "extensionsRequired"):
+        names = document.tree.get(key, [])
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            document.fail(f"its '{key}' is no list of names; export it again")
+    for name in document.tree.get("extensionsRequired", []):
+        name = name[:80]
         if not name.startswith(_UNDERSTOOD):
             document.fail(
                 f"it needs the glTF extension {name}, which is not read; export it again without that extension"
