@@ -128,10 +128,10 @@ def test_two_runs_at_once_into_one_folder_make_it_whole(good, tmp_path):
     assert main([str(word) for word in words]) == 0
 
 
-def test_options_of_which_one_counts_are_not_taken_twice(fails, good, tmp_path):
-    assert "--seed is given 2 times" in fails("animate", good, "walks", "--seed", 1, "--seed=2")
+def test_files_of_which_one_counts_are_not_named_twice(fails, good, tmp_path):
     assert "is given 2 times" in fails("render", good, "-o", tmp_path / "a.png", "--output", tmp_path / "b.png")
-    assert "--apparel is given 2 times" in fails("animate", good, "walks", "--apparel", "none", "--apparel", "learn")
+    assert "--after is given 2 times" in fails("animate", good, "walks", "--after", good, f"--after={good}")
+    assert "--seed must be" in fails("animate", good, "walks", "--seed", 1, "--seed", -2)  # the last counts
 
 
 def test_rig_writes_every_file_that_it_is_told(good, tmp_path):

@@ -162,18 +162,20 @@ def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> An
 
 
 def _check_once(kind: type, words: Sequence[str]) -> None:
-    """Raise OptionError where an option is given several times of which only the last would count."""
+    """Raise OptionError where a file or folder is named several times of which only the last would count; of other
+    options the last counts, as ever in a shell.
+    """
     given = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("-")]
     if len(set(given)) == len(given) and not {"-o", "--output"} <= set(given):
         return
-    for names in _single_options(kind):
+    for names in _single_paths(kind):
         found = [name for name in given if name in names]
         if len(found) > 1:
             raise OptionError(f"{found[-1]} is given {len(found)} times, and one is taken; leave the others out")
 
 
-def _single_options(kind: Any) -> list[set[str]]:
-    """The names of each option that takes one value, those of the dataclasses that a verb holds among them."""
+def _single_paths(kind: Any) -> list[set[str]]:
+    """The names of each option that takes one path, those of the dataclasses that a verb holds among them."""
     import tyro
 
     out: list[set[str]] = []
@@ -182,8 +184,8 @@ def _single_options(kind: Any) -> list[set[str]]:
         hint = hints[field.name]
         notes = getattr(hint, "__metadata__", ())
         if is_dataclass(getattr(hint, "__origin__", hint)):
-            out += _single_options(getattr(hint, "__origin__", hint))
-        elif tyro.conf.UseAppendAction not in notes and hint is not bool:
+            out += _single_paths(getattr(hint, "__origin__", hint))
+        elif "Path" in str(hint) and tyro.conf.UseAppendAction not in notes:
             names = {f"--{field.name.replace('_', '-')}"}
             for note in notes:
                 names = {f"--{name}" for name in [getattr(note, "name", None)] if name} or names
