@@ -151,6 +151,8 @@ class AnchorBlock(nn.Module):
 
     def __init__(self, width: int, heads: int, quiet: bool = False):
         super().__init__()
+        if heads < 1 or width % heads:
+            raise ValueError(f"{width} channels cannot be shared by {heads} heads")
         self.heads = heads
         self.norm_attention = nn.LayerNorm(width)
         self.attention = nn.Linear(width, 3 * width)

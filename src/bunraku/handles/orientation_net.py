@@ -103,6 +103,8 @@ class _Layer(nn.Module):
 
     def __init__(self, width: int, heads: int):
         super().__init__()
+        if heads < 1 or width % heads:
+            raise ValueError(f"{width} channels cannot be shared by {heads} heads")
         self.heads = heads
         self.norm = nn.LayerNorm(width)
         self.attention = nn.Linear(width, 3 * width)
