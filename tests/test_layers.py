@@ -22,7 +22,7 @@ LAYERS = (
 """Rooms of what a user runs, from the ground up. "bunraku" is the package's own face."""
 LABORATORY = ("description", "synthetic", "baselines", "datasets", "training", "evaluation", "cli", "bunraku_lab")
 """Rooms of the laboratory, which stands on all of the other house."""
-TANGLED = {"bunraku.diffusion", "bunraku.language"}
+TANGLED = {"bunraku.diffusion"}
 """Rooms whose folders and own files still import each other; the list only shrinks."""
 MOST = 16
 """Modules of one folder."""

@@ -5,7 +5,7 @@ import pytest
 from moving_people import kick, person, ramp
 
 from bunraku.diffusion.features import decode, encode, mirror
-from bunraku.language.captions import mirror_words
+from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.description import agreement as described
 from bunraku.language.parse import clause_of
 

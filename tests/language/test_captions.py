@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bunraku.language.captions import (
+from bunraku.language.captions.phrases import (
     caption,
     caption_clauses,
     caption_group,

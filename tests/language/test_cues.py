@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.language.captions import mirror_words
+from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import CuedEncoder
 from bunraku.language.lexicon.cues import CUES, said_cues, sentence_cues
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bunraku.errors import OptionError
-from bunraku.language.captions import known_clauses
+from bunraku.language.captions.phrases import known_clauses
 from bunraku.language.known.spelling import corrected, slips
 from bunraku.language.understood import check_understood, english_of, understood
 

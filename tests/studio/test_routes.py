@@ -3,6 +3,8 @@ import zipfile
 
 import pytest
 
+from bunraku.language.parse import parse
+from bunraku.studio.routes.takes import _script
 from bunraku.studio.uploads import plain_name
 
 
@@ -257,3 +259,10 @@ def test_the_stiffness_of_an_address_is_checked(client, ready, stiffness):
     )
     assert answer.status_code == 400 and "stiffness must be" in answer.json()["error"]
     assert client.get(f"/api/characters/{ready}/takes").json()["takes"] == []
+
+
+def test_a_sequence_typed_as_one_text_is_that_of_the_command_line():
+    typed = "walks:4; jumps:2; waves:3"
+    script, seconds = _script({"script": [{"text": typed, "seconds": 5}]})
+    assert seconds == 9 and parse(script).clauses == parse(typed).clauses
+    assert _script({"script": [{"text": "walks; jumps:2", "seconds": 5}]}) == ("walks:5; jumps:2", 7)

@@ -1,16 +1,17 @@
 """Sentences on bodies that are no person's: what each does in place of what is said, and what it cannot do at all.
 
-One table says it: a row for a way of moving and the kinds of body that do something else then. A snake that is told to
-run slithers fast, a spider walks fast, and a dog that is told to crawl walks slowly.
+One table of the lexicon says it, `otherwise`: a row for ways of moving and the kinds of body that do something else.
+A snake that is told to run slithers fast, a spider walks fast, and a dog that is told to crawl walks slowly.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from bunraku.language.clauses import of_creature, subject_of, with_subject
 from bunraku.language.lexicon.reading import said_otherwise
+from bunraku.language.lexicon.tables import Otherwise, lexicon
 from bunraku.language.parse import clause_of
 from bunraku.language.sentence import Clause, Sentence
 
@@ -20,48 +21,9 @@ KINDS = ("person", "two legs", "four legs", "many legs", "no legs", "snake", "fi
 """What bodies stand and move with: arms and two legs, legs alone, none; a long tail on the ground, one in water."""
 
 
-@dataclass(frozen=True)
-class _Otherwise:
-    """What some kinds of body do in place of a way of moving.
-
-    Args:
-        locomotions: Ways of moving.
-        kinds: Of body.
-        verb: What is said in place of the verb, in the third person; "" for nothing else.
-        moves: How the body then moves, as `Clause.moves`.
-        note: Why, where somebody should be told; "{clause}" stands for what was said.
-    """
-
-    locomotions: tuple[str, ...]
-    kinds: tuple[str, ...]
-    verb: str = ""
-    moves: str = ""
-    note: str = ""
-
-
-_NO_LEGS = "'{clause}' moves legs, and none are found on this body; it "
-_LEGLESS = "'{clause}' needs a body without legs; this one "
-_OTHERWISE = (
-    _Otherwise(("walk", "crawl"), ("snake",), "slithers", "slither"),
-    _Otherwise(("run",), ("snake",), "slithers fast", "slither"),
-    _Otherwise(("walk", "crawl"), ("fish",), "swims", "swim"),
-    _Otherwise(("run",), ("fish",), "swims fast", "swim"),
-    _Otherwise(("swim",), ("snake", "fish", "no legs"), moves="swim"),
-    _Otherwise(("slither",), ("snake", "fish", "no legs"), moves="slither"),
-    _Otherwise(("crawl",), ("no legs",), moves="slither"),
-    _Otherwise(("slither",), ("person",), "crawls", note=_LEGLESS + "crawls instead"),
-    _Otherwise(("slither",), ("two legs", "four legs", "many legs"), "walks slowly",
-               note=_LEGLESS + "walks slowly instead"),
-    _Otherwise(("swim",), ("two legs", "four legs", "many legs"), "walks", note=_LEGLESS + "paddles as it walks"),
-    _Otherwise(("crawl",), ("two legs",), "walks slowly",
-               note="'{clause}' needs forelegs or arms, and none are found on this body; it walks slowly instead"),
-    _Otherwise(("crawl",), ("four legs",), "walks slowly"),
-    _Otherwise(("crawl",), ("many legs",), "walks"),
-    _Otherwise(("run",), ("many legs",), "walks fast"),  # in a gallop of four legs it would throw its legs about
-)  # fmt: skip
+_NO_LEGS = "'{clause}' moves legs, and none are found on this body; it {instead} instead"
 INSTEAD = {"snake": "slithers", "fish": "swims", "no legs": "glides, bends and bobs"}
 """What bodies without legs do that are told to walk."""
-_GROUNDED = {"walk": "step", "crawl": "step", "run": "run"}
 
 
 def for_body(sentence: Sentence, kind: str, parts: Collection[str] = (), as_people: bool = True) -> Sentence:
@@ -81,8 +43,8 @@ def for_body(sentence: Sentence, kind: str, parts: Collection[str] = (), as_peop
     return replace(sentence, clauses=clauses, cannot=tuple(cannot))
 
 
-def _row(locomotion: str, kind: str) -> _Otherwise | None:
-    return next((row for row in _OTHERWISE if locomotion in row.locomotions and kind in row.kinds), None)
+def _row(locomotion: str, kind: str) -> Otherwise | None:
+    return next((row for row in lexicon().otherwise if locomotion in row.locomotion and kind in row.bodies), None)
 
 
 def _done(clause: Clause, kind: str, wings: bool, as_people: bool) -> Clause:
@@ -112,7 +74,7 @@ def _on_ground(clause: Clause) -> str:
     """
     if clause.locomotion in ("fly", "swim") or "off the ground" in clause.traits:
         return ""
-    return "stay" if "leaps" in clause.traits else _GROUNDED.get(clause.locomotion, "stay")
+    return "stay" if "leaps" in clause.traits else lexicon().ground.get(clause.locomotion, "stay")
 
 
 def _of_kind(clause: Clause) -> str:
@@ -133,7 +95,7 @@ def _in_vain(clause: Clause, kind: str, parts: Collection[str]) -> str:
     """What a clause asks for that a body cannot do; "" for nothing."""
     instead = INSTEAD.get(kind)
     if instead and (clause.part == "legs" or clause.locomotion in ("walk", "run")):
-        return (_NO_LEGS + f"{instead} instead").format(clause=clause.text)
+        return _NO_LEGS.format(clause=clause.text, instead=instead)
     row, note = _row(clause.locomotion, kind), ""
     if clause.part == "arms" and "forelegs" in parts:
         note = "'{clause}' moves arms, and this body stands on them; it lifts a foreleg shortly, if at all"

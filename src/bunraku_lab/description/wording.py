@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bunraku.language.captions import (
+from bunraku.language.captions.grammar import conjugate, fill, is_stative, sentence_forms
+from bunraku.language.captions.phrases import (
     caption_clauses,
     caption_variants,
     creature_clauses,
@@ -17,7 +18,6 @@ from bunraku.language.captions import (
     mirror_words,
     person_phrases,
 )
-from bunraku.language.captions.grammar import conjugate, fill, is_stative, sentence_forms
 from bunraku_lab.description.describe import Phrase, joined
 
 __all__ = ["all_variants", "borrowed_sentence", "can_do", "clauses", "computed_sentence", "creature_subjects", "verbs"]

@@ -36,7 +36,7 @@ from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
 from bunraku.diffusion.matching import RADIUS, Extractor, embed_motions, embed_sentences
 from bunraku.diffusion.ranking import load_ranker
 from bunraku.errors import OptionError
-from bunraku.language.captions import mirror_words
+from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon.reading import main_actions
 from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint

@@ -15,7 +15,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import encode
 from bunraku.errors import CharacterError, FormatError
 from bunraku.handles.from_rig import rig_handles
-from bunraku.language.captions import mirror_words
+from bunraku.language.captions.phrases import mirror_words
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.samples import sample_character
 from bunraku_lab.datasets.characters.build import HELD_OUT

@@ -6,7 +6,7 @@ import pytest
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.diffusion.features import ROOT_SIZE, FeatureStatistics, mirror
 from bunraku.errors import FormatError
-from bunraku.language.captions import creature_variants
+from bunraku.language.captions.phrases import creature_variants
 from bunraku_lab.training.diffusion.clip_data import load_clips
 from bunraku_lab.training.diffusion.clip_rows import ClipSet
 from bunraku_lab.training.diffusion.training_clip import TrainingClip

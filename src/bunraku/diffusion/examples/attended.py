@@ -18,7 +18,7 @@ from bunraku.diffusion.features import FeatureStatistics, mirror
 from bunraku.diffusion.matching import RADIUS, Extractor
 from bunraku.diffusion.ranking import load_ranker
 from bunraku.errors import WeightsError
-from bunraku.language.captions import mirror_words
+from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextBatch, TextEncoder, text_encoder
 
 __all__ = ["ExampleBank", "example_bank", "take_of"]

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bunraku.diffusion.examples.pack import ExamplePack
-from bunraku.language.captions import mirror_words
+from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.lexicon.cues import said_cues
-from bunraku.language.lexicon.reading import main_actions, said_traits
+from bunraku.language.lexicon.reading import goes_ahead, main_actions, said_traits
 from bunraku.language.sentence import Clause
 
 __all__ = ["Found", "retrieve"]
@@ -35,7 +35,6 @@ is what its words say: the ranker has never seen it, and takes sit-ups for sitti
 """
 _PACE = {"slow", "fast"}
 """What an example must not say that was not asked for."""
-_GOES = {"walk", "run", "jump", "long jump", "hop", "skip", "march", "sneak", "crawl"}
 _NOTHING = frozenset(main_actions([]))
 _TURNS = {"turn", "turn around", "spin", "circle"}
 _SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in ("arm", "leg", "turn", "go")) | {
@@ -109,7 +108,7 @@ class _Asked(NamedTuple):
     @property
     def shown(self) -> frozenset[str]:
         """Cues that an example must say too: "forward" of who goes, "around" of who turns."""
-        idle = frozenset[str]() if self.actions & _GOES else {"forward"}
+        idle = frozenset[str]() if goes_ahead(self.actions) else {"forward"}
         return (self.cues & _SIDED) - idle - (frozenset[str]() if self.actions & _TURNS else {"half", "full"})
 
 

@@ -7,8 +7,8 @@ import re
 import zlib
 from collections.abc import Sequence
 
-from bunraku.language.captions import caption_clauses, caption_variants, mirror_words
 from bunraku.language.captions.grammar import sentence_forms
+from bunraku.language.captions.phrases import caption_clauses, caption_variants, mirror_words
 from bunraku.language.lexicon.tables import lexicon
 
 __all__ = ["agreeing", "stretch_phrases", "stretch_variants"]

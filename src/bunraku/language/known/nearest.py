@@ -8,8 +8,8 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from bunraku.language.captions import known_phrases
 from bunraku.language.captions.grammar import conjugate
+from bunraku.language.captions.phrases import known_phrases
 from bunraku.language.known.spelling import slips
 from bunraku.language.known.vocabulary import FUNCTION_WORDS, stem
 

@@ -13,7 +13,7 @@ import re
 from importlib import resources
 from typing import Any, NamedTuple
 
-from bunraku.language.captions import creature_words, known_phrases
+from bunraku.language.captions.phrases import creature_words, known_phrases
 from bunraku.language.foreign.table import table
 from bunraku.language.lexicon.reading import actions_of
 from bunraku.language.lexicon.tables import lexicon

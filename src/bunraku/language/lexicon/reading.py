@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from bunraku.language.lexicon.tables import Phrase, lexicon
 from bunraku.language.lexicon.tokens import words_of
 
 __all__ = [
-    "actions_of", "in_known_words", "is_cyclic", "locomotion_of", "main_actions", "said_otherwise",
+    "actions_of", "goes_ahead", "in_known_words", "is_cyclic", "locomotion_of", "main_actions", "said_otherwise",
     "said_phrases", "said_traits",
 ]  # fmt: skip
 
@@ -73,6 +73,12 @@ def main_actions(texts: Sequence[str]) -> tuple[str, ...]:
         if found:
             return found
     return ("other",)
+
+
+def goes_ahead(actions: Iterable[str]) -> bool:
+    """Whether who does any of some actions goes somewhere."""
+    rows = lexicon().actions
+    return any(action in rows and rows[action].ahead for action in actions)
 
 
 def is_cyclic(action: str) -> bool:

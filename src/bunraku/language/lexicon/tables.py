@@ -6,6 +6,8 @@
 | `classes` | a name and words that stand for each other; `going` is all verbs that walk or run, `verb` all |
 | `actions` | a canonical word and what is known of it (see `Action`), the more special first |
 | `locomotion`, `parts` | verbs that move, or move a part of the body, otherwise than the action that they say |
+| `ground` | how somebody who moves so is on the ground, as `Clause.moves`; "stay" is for all others |
+| `otherwise` | what some kinds of body do in place of a way of moving (see `Otherwise`); the first that fits counts |
 | `cues` | what `cues.sentence_cues` counts and the network is conditioned on: training knows it, it stays as it is |
 | `places` | what a "left" or "right" may be the side of |
 | `traits` | what else is told of a clause (`Clause.traits`) |
@@ -31,7 +33,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any, NamedTuple
 
-__all__ = ["Action", "Lexicon", "Phrase", "lexicon"]
+__all__ = ["Action", "Lexicon", "Otherwise", "Phrase", "lexicon"]
 
 GESTURES_COVER = ("idle", "raise arm", "talk", "twist", "put down", "reach", "stretch")
 """What a sentence that says a gesture says no more than that."""
@@ -54,6 +56,7 @@ class Action:
         alone: Nobody does anything else meanwhile but what is `turning`: turning, getting up.
         turning: It goes together with a turn.
         halts: People who go stop for it, if it is not said that they do both at once.
+        ahead: Who does it goes somewhere, so that "forward" says something of it.
     """
 
     said: tuple[str, ...]
@@ -66,6 +69,26 @@ class Action:
     alone: bool = False
     turning: bool = False
     halts: bool = False
+    ahead: bool = False
+
+
+@dataclass(frozen=True)
+class Otherwise:
+    """A row of `otherwise`.
+
+    Args:
+        locomotion: Ways of moving.
+        bodies: Kinds of body (`language.bodies.KINDS`).
+        verb: What is said in place of the verb, in the third person; "" for nothing else.
+        moves: How the body then moves, as `Clause.moves`.
+        note: What somebody is told then; "{clause}" stands for what was said.
+    """
+
+    locomotion: tuple[str, ...]
+    bodies: tuple[str, ...]
+    verb: str = ""
+    moves: str = ""
+    note: str = ""
 
 
 class Phrase(NamedTuple):
@@ -110,6 +133,8 @@ class Lexicon:
         names: Names of the rows of each section.
         places: What a side may be the side of, and the words that say it.
         synonyms: What is read in place of each synonym, by its name.
+        ground: How somebody who moves so is on the ground.
+        otherwise: What some kinds of body do in place of a way of moving.
         words: All words of the phrases, and of the rows' names.
     """
 
@@ -124,6 +149,8 @@ class Lexicon:
     names: dict[str, tuple[str, ...]]
     places: dict[str, frozenset[str]]
     synonyms: dict[str, str]
+    ground: dict[str, str]
+    otherwise: tuple[Otherwise, ...]
     words: frozenset[str]
 
 
@@ -167,6 +194,9 @@ def lexicon() -> Lexicon:
     data["classes"]["verb"] = " ".join("{" + verb + "}" for verb in verbs)
     data["classes"]["going"] = " ".join("{" + verb + "+}" for verb, way in moving.items() if way in _LEGS)
     phrases, words = _phrases(data, verbs)
+    otherwise = []
+    for row in data["otherwise"]:
+        otherwise.append(Otherwise(**{**row, "locomotion": tuple(row["locomotion"]), "bodies": tuple(row["bodies"])}))
     places: dict[str, frozenset[str]] = {}
     for starting in phrases.values():
         for one in starting:
@@ -175,7 +205,7 @@ def lexicon() -> Lexicon:
     return Lexicon(
         verbs, frozenset(third), frozenset(gerund), lemmas, actions, by_form[0], by_form[1], phrases,
         {section: tuple(data[section]) for section in ("actions", "cues", "traits")}, places,
-        dict(data["synonyms"]), words,
+        dict(data["synonyms"]), data["ground"], tuple(otherwise), words,
     )  # fmt: skip
 
 

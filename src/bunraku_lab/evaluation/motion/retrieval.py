@@ -20,7 +20,7 @@ from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
 from bunraku.diffusion.sampling.schedule import add_noise, alphas_cumprod
 from bunraku.errors import OptionError
-from bunraku.language.captions import caption_group, caption_variants
+from bunraku.language.captions.phrases import caption_group, caption_variants
 from bunraku.language.encoders import TextEncoder
 from bunraku.nn.threads import fitting_threads
 from bunraku_lab.training.diffusion.clip_data import load_clips

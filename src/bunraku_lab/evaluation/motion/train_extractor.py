@@ -27,7 +27,7 @@ from bunraku.diffusion.matching import (
     embed_sentences,
 )
 from bunraku.errors import OptionError
-from bunraku.language.captions import caption_variants
+from bunraku.language.captions.phrases import caption_variants
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku_lab.evaluation.motion.metrics import r_precision
 from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features

@@ -16,7 +16,7 @@ import numpy as np
 
 from bunraku.diffusion.features import mirror
 from bunraku.errors import OptionError
-from bunraku.language.captions import caption_group, caption_variants, mirror_words, normalise_label
+from bunraku.language.captions.phrases import caption_group, caption_variants, mirror_words, normalise_label
 
 __all__ = ["LENGTHS", "SHORTEST", "Window", "candidate_sentences", "draw_windows", "window_features", "window_meaning"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FeatureStatistics, decode, feature_weights, mirror
 from bunraku.diffusion.splicing import join_point, splice
-from bunraku.language.captions import caption_group, mirror_words
+from bunraku.language.captions.phrases import caption_group, mirror_words
 from bunraku.language.captions.stretches import goes_on, joined_sentence
 from bunraku.language.description.track import Phrase
 from bunraku_lab.description.describe import describe, inside

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
-from bunraku.language.captions import mirror_words
+from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.description.track import Phrase, Track
 from bunraku_lab.description.events import find_punches, find_seats
 from bunraku_lab.training.diffusion.training_clip import TrainingClip

@@ -10,7 +10,7 @@ import numpy as np
 
 from bunraku.diffusion.features import FeatureStatistics, feature_weights, is_rotation
 from bunraku.diffusion.splicing import END, held, join_point, played, rests
-from bunraku.language.captions import caption_group
+from bunraku.language.captions.phrases import caption_group
 from bunraku.language.captions.stretches import agreeing, stretch_phrases, stretch_variants
 from bunraku.language.lexicon.reading import is_cyclic, main_actions
 from bunraku_lab.description.wording import all_variants, clauses

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from bunraku.diffusion.features import FeatureStatistics, mirror
 from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, ExtractorConfig
-from bunraku.language.captions import mirror_words
+from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon.reading import actions_of
 from bunraku_lab.training.diffusion.clip_data import load_clips

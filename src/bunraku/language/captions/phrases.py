@@ -1,0 +1,268 @@
+"""Captions: short motion labels as sentences that people type.
+
+`captions.json` groups the labels of the motion archive that mean the same and gives each group phrases with their verbs
+in braces, such as "{walk} forward and {turn}"; `creature_captions.json` does the same for what creatures do, with verbs
+of their
+own: a bird flaps, a snake slithers. `grammar` makes sentences of the phrases.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import random
+import re
+import zlib
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+from bunraku.language.captions.grammar import conjugate, fill, is_stative, sentence_forms
+
+__all__ = [
+    "CaptionGroup", "caption", "caption_clauses", "caption_group", "caption_variants",
+    "creature_clauses", "creature_names", "creature_variants", "creature_words", "is_known_clause", "known_clauses",
+    "known_phrases",
+    "known_verbs", "mirror_words", "normalise_label", "person_phrases",
+]  # fmt: skip
+
+_MIRRORED = {
+    "left": "right",
+    "lefthand": "righthand",
+    "leftward": "rightward",
+    "leftwards": "rightwards",
+    "clockwise": "counterclockwise",
+    "anticlockwise": "clockwise",
+}
+_MIRRORED = {value: key for key, value in _MIRRORED.items() if key != "anticlockwise"} | _MIRRORED
+_SIDE = re.compile(r"\b(" + "|".join(sorted(_MIRRORED, key=len, reverse=True)) + r")\b", re.IGNORECASE)
+_BRACED = re.compile(r"\{(\w+)\}")
+_HUMAN = re.compile(r"^(a|the|one) (person|human|man|woman|figure|character|persons|humans)\b|^someone\b")
+
+
+@dataclass(frozen=True)
+class CaptionGroup:
+    """Labels of one meaning.
+
+    Args:
+        name: The first label, which names the group.
+        phrases: Rewordings with verbs in braces; none for a label that the file does not know.
+        weight: How often to draw its clips, 1 for most, less where a label says little.
+    """
+
+    name: str
+    phrases: tuple[str, ...]
+    weight: float = 1.0
+
+
+def normalise_label(label: str) -> str:
+    """A label in lower case with single spaces and no full stop."""
+    return " ".join(label.lower().replace("_", " ").split()).rstrip(" .")
+
+
+@functools.cache
+def _table(name: str) -> dict[str, Any]:
+    table: dict[str, Any] = json.loads(resources.files("bunraku.language").joinpath(name).read_text(encoding="utf-8"))
+    return table
+
+
+@functools.cache
+def _groups() -> dict[str, CaptionGroup]:
+    found: dict[str, CaptionGroup] = {}
+    for entry in _table("captions.json")["groups"]:
+        group = CaptionGroup(entry["labels"][0], tuple(entry["phrases"]), float(entry["weight"]))
+        found.update(dict.fromkeys(entry["labels"], group))
+    return found
+
+
+def caption_group(label: str) -> CaptionGroup:
+    """The group of a label; a label that the file does not know is a group of its own."""
+    label = normalise_label(label)
+    return _groups().get(label) or CaptionGroup(label, ())
+
+
+@functools.cache
+def known_verbs() -> frozenset[str]:
+    """All verbs of the phrases, plain: "walk", "gallop"."""
+    return frozenset(
+        verb for name in ("captions.json", "creature_captions.json") for verb in _BRACED.findall(str(_table(name)))
+    )
+
+
+@functools.cache
+def known_phrases() -> tuple[str, ...]:
+    """All phrases for people's motions with their verbs in braces, in the order of the file."""
+    return tuple(dict.fromkeys(phrase for group in _groups().values() for phrase in group.phrases))
+
+
+@functools.cache
+def creature_words() -> frozenset[str]:
+    """Names of creatures and the phrases for what they do: all that sentences about them are made of."""
+    table = _table("creature_captions.json")
+    kinds = table["kinds"]
+    names = [*table["called"], *(name for called in table["called"].values() for name in called), *table["aliases"]]
+    names += [name for kind in kinds for name in (*kind["species"], kind.get("name", ""))]
+    phrases = [*table["actions"].values(), *(own for kind in kinds for own in kind["phrases"].values())]
+    return frozenset([*names, *table["actions"], *(phrase for some in phrases for phrase in some)])
+
+
+@functools.cache
+def known_clauses() -> frozenset[str]:
+    """All phrases for people's motions without a subject, in the third person, as gerunds and plain: what sentences of
+    training are made of.
+    """
+    return frozenset(conjugate(phrase, form) for phrase in known_phrases() for form in ("third", "gerund", "plain"))
+
+
+def is_known_clause(clause: str) -> bool:
+    """Whether `known_clauses` has a clause, without making them all."""
+    spaces, begin = clause.count(" "), clause[:2]
+    for group in _table("captions.json")["groups"]:
+        for phrase in group["phrases"]:
+            if phrase.count(" ") != spaces or phrase[phrase[0] == "{" :][:2] != begin:
+                continue
+            if any(conjugate(phrase, form) == clause for form in ("third", "gerund", "plain")):
+                return True
+    return False
+
+
+def mirror_words(sentence: str) -> str:
+    """The sentence of the mirrored motion: left and right, clockwise and counterclockwise change places, as whole
+    words.
+    """
+
+    def swap(match: re.Match[str]) -> str:
+        word = match.group(0)
+        other = _MIRRORED[word.lower()]
+        return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
+
+    return _SIDE.sub(swap, sentence)
+
+
+def _distinct(sentences: list[str], mirrored: bool) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(map(mirror_words, sentences) if mirrored else sentences))
+
+
+@functools.lru_cache(maxsize=4096)
+def caption_variants(label: str, mirrored: bool = False) -> tuple[str, ...]:
+    """All sentences for a label, always in the same order, never empty.
+
+    Args:
+        label: A caption as the archive has it.
+        mirrored: For the mirror image of the clip.
+    """
+    group = caption_group(label)
+    if group.phrases:
+        found = [sentence for phrase in group.phrases for sentence in sentence_forms(phrase)]
+    else:
+        found = [group.name] if _HUMAN.match(group.name) else [group.name, f"a person: {group.name}"]
+    return _distinct(found, mirrored)
+
+
+@functools.lru_cache(maxsize=8192)
+def caption_clauses(label: str, mirrored: bool = False, form: str = "third") -> tuple[str, ...]:
+    """What a label says without its subject, to be joined with others; nothing for a label that the file does not know.
+
+    Args:
+        label: A caption as the archive has it.
+        mirrored: For the mirror image of the clip.
+        form: "plain", "third" or "gerund", as `grammar.conjugate` has them, or "braces" for the phrase itself.
+    """
+    return _clauses(caption_group(label).phrases, mirrored, form)
+
+
+def _clauses(phrases: tuple[str, ...], mirrored: bool, form: str) -> tuple[str, ...]:
+    return _distinct([phrase if form == "braces" else conjugate(phrase, form) for phrase in phrases], mirrored)
+
+
+def caption(label: str, seed: int, mirrored: bool = False) -> str:
+    """One sentence for a label, the same for the same seed."""
+    return random.Random(seed).choice(caption_variants(label, mirrored))
+
+
+def _creature_phrases(species: str, action: str) -> tuple[str, ...]:
+    """Phrases of the species' own kind first, then those of any creature."""
+    table = _table("creature_captions.json")
+    action = table["aliases"].get(action, action)
+    own = [kind["phrases"].get(action, []) for kind in table["kinds"] if species in kind["species"]]
+    only = any(action in kind.get("only", []) for kind in table["kinds"] if species in kind["species"])
+    general = [] if only else table["actions"].get(action, [])
+    found = [*(phrase for phrases in own for phrase in phrases), *general]
+    first, _, rest = action.partition(" ")
+    return tuple(found) or (f"{{{first}}} {rest}".strip() if first.isalpha() else f"{{do}} {action}",)
+
+
+def person_phrases(species: str, action: str) -> tuple[str, ...]:
+    """What a person would be doing whose part a creature takes by this: a fish that swims walks. With verbs in braces,
+    often none.
+    """
+    table, species, action = _table("creature_captions.json"), normalise_label(species), normalise_label(action)
+    action = table["aliases"].get(action, action)
+    return tuple(
+        phrase
+        for kind in table["kinds"]
+        if species in kind["species"]
+        for phrase in kind.get("person", {}).get(action, [])
+    )
+
+
+@functools.lru_cache(maxsize=8192)
+def creature_clauses(species: str, action: str, mirrored: bool = False, form: str = "third") -> tuple[str, ...]:
+    """What a creature does without its name, to be joined with others; arguments as for `creature_variants` and
+    `caption_clauses`.
+    """
+    return _clauses(_creature_phrases(normalise_label(species), normalise_label(action)), mirrored, form)
+
+
+@functools.lru_cache(maxsize=4096)
+def creature_names(species: str) -> tuple[str, ...]:
+    """What a creature may be called, its species first: "husky", "dog"."""
+    species = normalise_label(species)
+    table = _table("creature_captions.json")
+    kinds = [kind["name"] for kind in table["kinds"] if species in kind["species"] and "name" in kind]
+    return tuple(dict.fromkeys([species, *table["called"].get(species, kinds)]))
+
+
+def _article(name: str) -> str:
+    return ("an " if name[0] in "aeiou" else "a ") + name
+
+
+@functools.lru_cache(maxsize=4096)
+def creature_variants(species: str, action: str, mirrored: bool = False) -> tuple[str, ...]:
+    """All sentences for what a creature does: by its name, as "it", and as a person or character would be told.
+
+    Args:
+        species: What it is: "horse", "shiba inu".
+        action: What it does in one or two canonical words: "walk", "hit reaction". Words that the file does not know
+            are taken for a verb.
+        mirrored: For the mirror image of the clip.
+    """
+    species = normalise_label(species)
+    phrases = _creature_phrases(species, normalise_label(action))
+    names = creature_names(species)
+    named = [f"the {names[0]} {{third}}", f"{_article(names[0])} is {{gerund}}", f"the {names[0]} is {{gerund}}"]
+    named += [
+        frame for name in names[1:] for frame in (f"{_article(name)} {{third}}", f"{_article(name)} is {{gerund}}")
+    ]
+    found = []
+    for phrase in phrases:
+        # two sentences name the species: all of them for every phrase and species would be tens of thousands to encode
+        drawn = named[zlib.crc32(f"{species} {phrase}".encode()) % len(named)]
+        frames = [
+            f"{_article(names[0])} {{third}}",
+            drawn,
+            "it {third}",
+            "it is {gerund}",
+            "the creature {third}",
+            "{plain}",
+            "{third}",
+            "{gerund}",
+        ]
+        found += [fill(frame, phrase) for frame in frames if not (is_stative(phrase) and "{gerund}" in frame)]
+    human = [*phrases[:3], *person_phrases(species, action)]
+    found += [
+        fill(frame, phrase)
+        for phrase in dict.fromkeys(human)
+        for frame in ("a person {third}", "the character {third}")
+    ]
+    return _distinct(found, mirrored)
