@@ -97,7 +97,7 @@ class Waves(torch.nn.Module):
         self.curve = alphas_cumprod().float()
         self.register_buffer("mean", torch.zeros(config.features))
 
-    def condition(self, text, mask, pooled, mesh, keep_text, keep_mesh):
+    def condition(self, text, mask, pooled, mesh, keep_text, keep_mesh, examples=None):
         return text, mask, pooled
 
     def forward(self, x, step, lengths, condition):
