@@ -21,15 +21,21 @@ def said_phrases(text: str) -> dict[str, dict[str, int]]:
     words = words_of(text)[0]
     found: dict[str, dict[str, int]] = {"actions": {}, "cues": {}, "traits": {}, "places": {}, "synonyms": {}}
     for start, word in enumerate(words):
+        after = words[start + 1] if start + 1 < len(words) else ""
         for phrase in phrases.get(word, ()):
-            if phrase.name not in found[phrase.section] and _end(phrase, words, start):
+            if phrase.name in found[phrase.section]:
+                continue
+            second = phrase.words[1] if len(phrase.words) > 1 else None
+            if second is not None and not phrase.gap and after not in second:
+                continue  # as nearly all, and told without a call
+            if phrase.alone or _end(phrase, words, start):
                 found[phrase.section][phrase.name] = start
     return found
 
 
 def _end(phrase: Phrase, words: Sequence[str], start: int) -> int:
     """The number of the word after a phrase whose first word stands here; 0 where it does not stand here."""
-    _, _, sets, before, after, ahead, first, last, gap = phrase
+    _, _, sets, before, after, ahead, first, last, gap, _ = phrase
     if (first and start) or (start and words[start - 1] in before):
         return 0
     stop = start + len(sets)

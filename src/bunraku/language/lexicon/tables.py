@@ -104,6 +104,7 @@ class Phrase(NamedTuple):
         first: Whether the text must begin with it.
         last: Whether the text must end with it.
         gap: Whether its last word may stand anywhere later.
+        alone: Whether it is one word, whatever stands around it.
     """
 
     section: str
@@ -115,6 +116,7 @@ class Phrase(NamedTuple):
     first: bool
     last: bool
     gap: bool
+    alone: bool
 
 
 @dataclass(frozen=True)
@@ -264,7 +266,8 @@ def _phrases(data: dict[str, Any], verbs: dict[str, tuple[str, ...]]) -> tuple[d
                                 longer.append([*row, *(frozenset((one,)) for one in word.split("_"))])
                     variants = longer
             for row in variants:
-                phrase = Phrase(section, name, tuple(row), before, tuple(after), ahead, first, last, gap)
+                alone = len(row) == 1 and not (before or after or first or last or gap)
+                phrase = Phrase(section, name, tuple(row), before, tuple(after), ahead, first, last, gap, alone)
                 for word in row[0] or ():
                     index.setdefault(word, []).append(phrase)
     for name in data["actions"]:
