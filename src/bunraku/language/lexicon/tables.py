@@ -177,8 +177,8 @@ def lexicon() -> Lexicon:
         row["covers"] = frozenset((*row.get("covers", ()), *(GESTURES_COVER if row.get("gesture") else ())))
         actions[name] = action = Action(**row)
         for phrase in action.said:
-            first, *others = phrase.split()
-            if all(other[0] in "!$" for other in others):
+            first, _, others = phrase.partition(" ")
+            if not others or (" " not in others and others[0] in "!$"):
                 for word in first.split("/"):
                     if word[0] == "{" and action.locomotion:
                         moving[word.strip("{+}")] = action.locomotion
