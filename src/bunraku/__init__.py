@@ -39,7 +39,9 @@ if TYPE_CHECKING:
     from bunraku.handles.orientation import Orientation, guess_orientation, upright
     from bunraku.io import load_character, load_motion, save_character
     from bunraku.pipelines.animate import animate, generate, rig
+    from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.edit import edit
+    from bunraku.pipelines.requests.request import Request
     from bunraku.pipelines.transfer import transfer
     from bunraku.retarget.stages.switches import Stages
     from bunraku.samples import sample_character
@@ -49,6 +51,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AnimatedCharacter",
     "Animation",
+    "Animator",
     "BunrakuError",
     "Character",
     "CharacterError",
@@ -59,6 +62,7 @@ __all__ = [
     "MotionError",
     "OptionError",
     "Orientation",
+    "Request",
     "Rig",
     "RigAnimation",
     "SkeletalMotion",
@@ -82,10 +86,12 @@ __all__ = [
 _HOME = {
     "AnimatedCharacter": "bunraku.core.animated",
     "Animation": "bunraku.core.animation",
+    "Animator": "bunraku.pipelines.animator",
     "Character": "bunraku.core.character",
     "HandleMotion": "bunraku.core.motion",
     "Handles": "bunraku.core.character",
     "Orientation": "bunraku.handles.orientation",
+    "Request": "bunraku.pipelines.requests.request",
     "Rig": "bunraku.core.character",
     "RigAnimation": "bunraku.core.rig_animation",
     "SkeletalMotion": "bunraku.core.motion",

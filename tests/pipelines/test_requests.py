@@ -162,3 +162,19 @@ def test_what_is_an_array_has_no_form():
 def test_transfers_that_cannot_be(how, part):
     with pytest.raises(OptionError, match=part):
         TransferRequest(**how).check()
+
+
+def test_requests_of_one_pass_differ_in_sentence_and_seed_alone():
+    from bunraku.pipelines.animator import _common
+
+    same = [Request("walks"), Request("runs", Sampling(seed=4)), Request("waves").with_seed(7)]
+    assert _common(same) is same[0]
+    assert _common([Request("walks", stages=Stages(feet=False)), Request("runs", stages=Stages(feet=False))])
+    for other in (
+        Request("runs", Sampling(seconds=3)), Request("runs", constraints=Constraints([Loop()])),
+        Request("runs", apparel=Apparel("learn")), Request("runs", handles="rig"), Request("runs", stages=Stages()),
+    ):  # fmt: skip
+        with pytest.raises(OptionError, match="differ in sentence and seed alone"):
+            _common([Request("walks"), other])
+    with pytest.raises(OptionError, match="nothing to generate"):
+        _common([])

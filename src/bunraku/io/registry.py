@@ -17,7 +17,7 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError
-from bunraku.formats.files import check_input, check_output_folder, read_bounded
+from bunraku.formats.files import check_input, check_output_folder
 from bunraku.geometry.axes import axis_name, default_orientation
 from bunraku.io.table import FORMATS, Format
 from bunraku.io.units import check_unit, in_metres
@@ -90,26 +90,27 @@ def _read(path: str | Path, ability: str, **options: Any) -> Any:
     path = Path(path)
     size = check_input(path)
     try:
-        with path.open("rb") as file:
-            start = file.read(64)
+        with path.open("rb") as file:  # once, so that what is told apart is what is read
+            found = detect(path, file.read(64), ability)
+            if size > found.largest:
+                raise FormatError(
+                    path,
+                    f"{size >> 20} MiB are too many for a {found.title} file, at most {found.largest >> 20} are read; "
+                    "cut it into parts",
+                )
+            file.seek(0)
+            data = file.read(size)  # a larger number would be set aside in memory first
     except OSError as error:
         raise FormatError(
             path, f"the file cannot be read ({(error.strerror or str(error)).lower()}); check its permissions"
         ) from None
-    found = detect(path, start, ability)
-    if size > found.largest:
-        raise FormatError(
-            path,
-            f"{size >> 20} MiB are too many for a {found.title} file, at most {found.largest >> 20} are read; cut it "
-            "into parts",
-        )
+    except MemoryError:
+        raise FormatError(path, "it does not fit into memory; simplify the mesh first") from None
     function = _resolve(getattr(found, ability))
     try:
         with np.errstate(all="ignore"):  # broken numbers are found by what they lead to
             known = _parameters(function)
-            return function(
-                path, read_bounded(path), **{name: value for name, value in options.items() if name in known}
-            )
+            return function(path, data, **{name: value for name, value in options.items() if name in known})
     except CharacterError as error:
         raise CharacterError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
     except MotionError as error:

@@ -27,6 +27,7 @@ from bunraku.pipelines.bodies import as_bodies_do, moved_ways
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints
 from bunraku.pipelines.requests.request import Request, check_handles
+from bunraku.retarget.stages.switches import Stages
 
 __all__ = ["AT_ONCE", "Animator", "Body", "moved_by"]
 
@@ -297,7 +298,16 @@ def _common(requests: Sequence[Request]) -> Request:
     first = requests[0]
     for one in requests[1:]:
         same = ("constraints", "apparel", "stages", "handles", "force")
-        alike = all(getattr(one, name) is getattr(first, name) for name in same)
+        alike = all(_alike(getattr(one, name), getattr(first, name)) for name in same)
         if not alike or replace(one.sampling, seed=first.sampling.seed) != first.sampling:
             raise OptionError("requests of one pass differ in sentence and seed alone; make the others apart")
     return first
+
+
+def _alike(one: object, other: object) -> bool:
+    """Whether two parts of requests are one object, or equal ones; arrays are not compared."""
+    if one is other:
+        return True
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    return isinstance(one, str | bool | Apparel | Stages) and one == other

@@ -78,29 +78,32 @@ def holds_character(path: Path) -> bool:
     Raises:
         FormatError: The file is missing, or its kind is unknown.
     """
-    from bunraku.formats.files import check_input, read_bounded
+    from bunraku.formats.files import check_input
     from bunraku.io.registry import detect
 
     if path.is_dir():
         return False
-    check_input(path)
+    size = check_input(path)
     with path.open("rb") as file:
         start = file.read(64)
-    try:
-        detect(path, start, "character")
-    except FormatError:
-        if path.suffix.lower() != ".vmd":
-            detect(path, start, "motion")
-        return False
-    if start.startswith(b"glTF") or path.suffix.lower() == ".gltf":
+        try:
+            detect(path, start, "character")
+        except FormatError:
+            if path.suffix.lower() != ".vmd":
+                detect(path, start, "motion")
+            return False
+        gltf, fbx = start.startswith(b"glTF") or path.suffix.lower() == ".gltf", path.suffix.lower() == ".fbx"
+        if not gltf and not fbx:
+            return True
+        file.seek(0)
+        data = file.read(size)
+    if gltf:
         from bunraku.formats.gltf.container.open import open_document
 
-        return bool(open_document(path, read_bounded(path)).items("meshes"))
-    if path.suffix.lower() == ".fbx":
-        from bunraku.formats.fbx.read import fbx_facts
+        return bool(open_document(path, data).items("meshes"))
+    from bunraku.formats.fbx.read import fbx_facts
 
-        return bool(fbx_facts(path, read_bounded(path))["meshes"])
-    return True
+    return bool(fbx_facts(path, data)["meshes"])
 
 
 def pairs_of(characters: Iterable[Path], motions: Iterable[Path], folder: Path, suffix: str = ".glb") -> list[Pair]:
