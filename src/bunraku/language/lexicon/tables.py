@@ -263,7 +263,7 @@ def _phrases(data: dict[str, Any], verbs: dict[str, tuple[str, ...]]) -> tuple[d
                         longer.append([*row, sets[plain]])
                         for word in sets[plain]:
                             if "_" in word:
-                                longer.append([*row, *(frozenset((one,)) for one in word.split("_"))])
+                                longer.append([*row, *map(frozenset, zip(word.split("_")))])
                     variants = longer
             for row in variants:
                 alone = len(row) == 1 and not (before or after or first or last or gap)
