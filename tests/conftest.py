@@ -1,3 +1,4 @@
+import functools
 import json
 from pathlib import Path
 
@@ -5,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+import bunraku.samples
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.denoiser import Denoiser
@@ -12,6 +14,9 @@ from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import decode, encode
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
 from bunraku.language.encoders import TextBatch
+
+# Characters are read-only, so tests share those that are made by code; tests/samples makes its own.
+bunraku.samples.sample_character = functools.cache(bunraku.samples.sample_character)
 
 
 class WordEncoder:
