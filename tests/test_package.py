@@ -118,3 +118,11 @@ def test_every_import_is_a_declared_dependency():
     }
     assert packages - declared <= optional  # used inside functions that say what is missing
     assert not declared - packages
+
+
+def test_the_api_page_has_every_public_name():
+    page = set(
+        re.findall(r"^::: bunraku\.(\w+)$", (ROOT / "docs" / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
+    )
+    errors = {name for name in bunraku.__all__ if name.endswith("Error")}
+    assert page - {"errors"} == {name for name in bunraku.__all__ if name != "__version__"} - errors
