@@ -4,7 +4,7 @@ import zipfile
 import pytest
 
 from bunraku.language.parse import parse
-from bunraku.studio.routes.takes import _script
+from bunraku.studio.forms import Part, read_script
 from bunraku.studio.uploads import plain_name
 
 
@@ -263,6 +263,6 @@ def test_the_stiffness_of_an_address_is_checked(client, ready, stiffness):
 
 def test_a_sequence_typed_as_one_text_is_that_of_the_command_line():
     typed = "walks:4; jumps:2; waves:3"
-    script, seconds = _script({"script": [{"text": typed, "seconds": 5}]})
+    script, seconds = read_script([Part(typed, 5)])
     assert seconds == 9 and parse(script).clauses == parse(typed).clauses
-    assert _script({"script": [{"text": "walks; jumps:2", "seconds": 5}]}) == ("walks:5; jumps:2", 7)
+    assert read_script([Part("walks; jumps:2", 5)]) == ("walks:5; jumps:2", 7)
