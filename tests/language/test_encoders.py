@@ -117,6 +117,15 @@ def test_a_sentence_encodes_the_same_alone_in_a_batch_and_from_the_cache(encoder
     assert torch.equal(encoder.encode(["a person kicks"]).tokens, alone.tokens)
 
 
+def test_a_sentence_has_the_same_bits_whoever_it_is_encoded_with(encoder):
+    fresh = [text_encoder("all-MiniLM-L6-v2") for _ in range(2)]
+    alone = fresh[0].encode(["a person waves"])
+    beside = fresh[1].encode(["a person walks forward and then turns around to the left", "a person waves", "runs"])
+    assert torch.equal(beside.tokens[1][beside.mask[1]], alone.tokens[0]) and torch.equal(
+        beside.pooled[1], alone.pooled[0]
+    )
+
+
 def test_left_and_right_differ_more_in_tokens_than_in_the_pooled_vector(encoder):
     pair = encoder.encode(["a person waves with the left hand", "a person waves with the right hand"])
     cosine = torch.nn.functional.cosine_similarity

@@ -78,8 +78,8 @@ class _Cache:
     def encode(self, sentences: Sequence[str], compute: Any) -> TextBatch:
         new = [sentence for sentence in dict.fromkeys(sentences) if sentence not in self.rows]
         rows = dict(self.rows) if new else self.rows
-        for start in range(0, len(new), 64):
-            rows.update(zip(new[start : start + 64], compute(new[start : start + 64]), strict=True))
+        for sentence in new:  # alone, since beside others its sums are rounded otherwise
+            rows[sentence] = compute([sentence])[0]
         found = [rows[sentence] for sentence in sentences]
         for sentence in sentences:
             self.rows[sentence] = rows[sentence]
