@@ -125,7 +125,7 @@ def transfer(
     clip: int | str = 0,
     progress: Progress | None = None,
 ) -> AnimatedCharacter:
-    """Put a motion on a character: F(V, J, T) of [MMDMC 1].
+    """Put a motion on a character: F(V, J, T), Eq. 1 of MMDMC.
 
     Args:
         character: Any mesh, +Y up and facing +Z.
