@@ -8,7 +8,7 @@ from bunraku.samples import sample_character, sample_names
 from bunraku_lab.datasets.characters.build import build_characters, rigged_files
 from bunraku_lab.datasets.characters.training_character import TrainingCharacter
 
-DATA = Path(__file__).parents[1] / "formats" / "data"
+DATA = Path(__file__).parents[2] / "formats" / "data"
 
 
 def put_rignet(folder: Path) -> None:

@@ -43,7 +43,7 @@ def test_two_processes_are_one_with_both_batches(swings, tmp_path, config, encod
         sys.executable,
         "-c",
         SCRIPT,
-        str(Path(__file__).parents[1] / "conftest.py"),
+        str(Path(__file__).parents[2] / "conftest.py"),
         str(swings),
         str(tmp_path / "run"),
     ]

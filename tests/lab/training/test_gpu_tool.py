@@ -11,7 +11,7 @@ import pytest
 
 from bunraku.diffusion.checkpoint import load_denoiser
 
-TOOL = Path(__file__).parents[2] / "tools" / "gpu.py"
+TOOL = Path(__file__).parents[3] / "tools" / "gpu.py"
 
 
 def call(tool, folder, *words, status=0):
