@@ -6,6 +6,7 @@ bent by two-bone inverse kinematics, and a body that only stands sways and breat
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from collections.abc import Callable
 from typing import Any
@@ -34,6 +35,7 @@ _PARENTS = np.array(JOINT_PARENTS)
 _CARRIES = {"head": _AT["head"], "chest": _AT["spine3"], "hips": _AT["pelvis"]}
 
 
+@functools.cache  # gestures are constants of the catalogue, and half a second each
 def gesture_motion(gesture: Gesture, fps: float = FPS) -> SkeletalMotion:
     """The motion of a gesture, which begins and ends where its keys say; feet stand on y = 0.
 
