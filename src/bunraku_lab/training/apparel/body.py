@@ -165,7 +165,7 @@ def train_body(config: BodyTrainConfig, report: Report | None = None, progress: 
     Args:
         config: Settings.
         report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage\'s name and the share done.
+        progress: Called with a stage's name and the share done.
 
     Returns:
         The checkpoint.

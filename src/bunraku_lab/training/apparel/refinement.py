@@ -210,7 +210,7 @@ def train_refinement(
     Args:
         config: Settings.
         report: Called at each validation with its figures (the row of log.csv).
-        progress: Called with a stage\'s name and the share done.
+        progress: Called with a stage's name and the share done.
 
     Returns:
         The checkpoint.

@@ -289,7 +289,7 @@ def train_handles(config: HandleTrainConfig, report: Report | None = None, progr
     Args:
         config: Settings.
         report: Called after each epoch with its figures (the row of log.csv).
-        progress: Called with a stage\'s name and the share done.
+        progress: Called with a stage's name and the share done.
 
     Returns:
         The checkpoint.
