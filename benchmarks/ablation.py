@@ -23,12 +23,12 @@ from bunraku.handles.graph import mesh_graph
 from bunraku.handles.predictor import load_predictor
 from bunraku_lab.datasets.characters.build import load_characters, reference_characters
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter
-from bunraku_lab.training.handles.damage import DamageConfig
+from bunraku_lab.training.handles.mesh_augmentation import MeshAugmentation
 from bunraku_lab.training.handles.train import HandleTrainConfig, HandleTrainer, validate_handles
 from bunraku_lab.training.losses.handle_losses import LossConfig
 
 LOSS = LossConfig(smoothness=0.1)  # every loss that was ever tried is on
-NONE = DamageConfig(slide_rate=0, coarse_rate=0, hole_rate=0, split_rate=0, noise=0, normal_noise=0)
+NONE = MeshAugmentation(slide_rate=0, coarse_rate=0, hole_rate=0, split_rate=0, noise=0, normal_noise=0)
 VARIANTS: dict[str, dict[str, object]] = {
     "all": {"loss": LOSS},
     "the paper's three losses alone": {
@@ -41,7 +41,7 @@ VARIANTS: dict[str, dict[str, object]] = {
     "without mirror": {"loss": replace(LOSS, mirror=0.0)},
     "without smoothness": {"loss": replace(LOSS, smoothness=0.0)},
     "without other rest poses": {"loss": LOSS, "augment": AugmentConfig(rest_rate=0.0)},
-    "without damage": {"loss": LOSS, "damage": NONE},
+    "without augmentation": {"loss": LOSS, "mesh_augmentation": NONE},
 }
 COLUMNS = (
     "held_accuracy",

@@ -40,7 +40,7 @@ def measure(seed: int, frames: int) -> dict[str, Any]:
 
     from bunraku.apparel.displacement.player import ApparelPlayer
     from bunraku.apparel.unified import UnifiedBody
-    from bunraku.physics.worn import wearer_of_file
+    from bunraku.physics.clothed import clothed_from_file
     from bunraku.pipelines.apparel import shipped_displacement
     from bunraku_lab.datasets.apparel.build import body_animation
     from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
@@ -49,7 +49,7 @@ def measure(seed: int, frames: int) -> dict[str, Any]:
     character = wardrobe_character(seed)
     body = UnifiedBody.of(character)
     poses = body.transforms(body_animation(body, stock_motion("dance", 4.0, 30.0))).astype(np.float32)
-    player: Any = ApparelPlayer(wearer_of_file(character, body), shipped_displacement())
+    player: Any = ApparelPlayer(clothed_from_file(character, body), shipped_displacement())
     player.start(poses[0])
     player.advance(poses[0])
     out: dict[str, list[tuple[float, float]]] = {stage: [] for stage in STAGES}

@@ -14,11 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 import bunraku
+from bunraku.apparel.clothed import LEGS
 from bunraku.apparel.displacement.player import ApparelPlayer
 from bunraku.apparel.fitting import eased_border
 from bunraku.apparel.layers import LEG, Layers
-from bunraku.apparel.wearer import LEGS
-from bunraku.pipelines.apparel import animated_wearer, shipped_displacement
+from bunraku.pipelines.apparel import animated_clothed, shipped_displacement
 from bunraku.render import render_frames
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
@@ -43,38 +43,38 @@ def measured(seed: int) -> dict[str, dict[str, float]] | None:
     """The figures of one character; None for one without a skirt."""
     character = replace(wardrobe_character(seed), name="a bare mesh", rig=None, source=None)
     animation = bunraku.animate(character, PROMPTS[seed % len(PROMPTS)], seconds=3.0, seed=1)
-    wearer, transforms, moved = animated_wearer(animation)
-    if not wearer.apparel.any():
+    clothed, transforms, moved = animated_clothed(animation)
+    if not clothed.apparel.any():
         return None
-    player = ApparelPlayer(wearer, shipped_displacement())
+    player = ApparelPlayer(clothed, shipped_displacement())
     chosen = player.carrier.vertices
-    layers = Layers(wearer, chosen)
+    layers = Layers(clothed, chosen)
     if len(layers.skirt.rows) < FEW:
         return None
     skinned = moved.vertices()
     player.start(transforms[0])
     learned = np.stack([player.advance(pose) for pose in transforms])
-    hem = np.quantile(wearer.rest[chosen[layers.skirt.rows], 1], 0.05) + 0.02
-    height = wearer.rest[:, 1]
-    legs = ~wearer.apparel & (wearer.weights[:, LEGS].sum(axis=1) > LEG) & (height > hem)
-    legs &= height < wearer.joints[list(LEGS[:2]), 1].mean()
-    inside = wearer.faces[np.isin(wearer.faces, chosen).all(axis=1)]
-    number = np.zeros(len(wearer.rest), np.int64)
+    hem = np.quantile(clothed.rest[chosen[layers.skirt.rows], 1], 0.05) + 0.02
+    height = clothed.rest[:, 1]
+    legs = ~clothed.apparel & (clothed.weights[:, LEGS].sum(axis=1) > LEG) & (height > hem)
+    legs &= height < clothed.joints[list(LEGS[:2]), 1].mean()
+    inside = clothed.faces[np.isin(clothed.faces, chosen).all(axis=1)]
+    number = np.zeros(len(clothed.rest), np.int64)
     number[chosen] = np.arange(len(chosen))
     edges = number[np.concatenate([inside[:, :2], inside[:, 1:]])]
-    length = np.linalg.norm(np.diff(wearer.rest[chosen][edges], axis=1)[:, 0], axis=1) + 1e-6
-    ease = eased_border(wearer)[chosen, None]
-    out = {"rest": {"legs": shown(wearer.rest[None].astype(np.float32), wearer.faces, legs)}}
+    length = np.linalg.norm(np.diff(clothed.rest[chosen][edges], axis=1)[:, 0], axis=1) + 1e-6
+    ease = eased_border(clothed)[chosen, None]
+    out = {"rest": {"legs": shown(clothed.rest[None].astype(np.float32), clothed.faces, legs)}}
     rows = {"skinned": skinned[:, chosen], "learned": learned, "laid": layers.clip(learned, skinned)}
-    for name, places in rows.items():
-        places = skinned[:, chosen] + ease * (places - skinned[:, chosen])
+    for name, positions in rows.items():
+        positions = skinned[:, chosen] + ease * (positions - skinned[:, chosen])
         whole = np.array(skinned[MOMENTS], np.float32)
-        whole[:, chosen] = places[MOMENTS]
-        now = np.linalg.norm(np.diff(places[MOMENTS][:, edges], axis=2)[:, :, 0], axis=-1)
+        whole[:, chosen] = positions[MOMENTS]
+        now = np.linalg.norm(np.diff(positions[MOMENTS][:, edges], axis=2)[:, :, 0], axis=-1)
         out[name] = {
-            "legs": shown(whole, wearer.faces, legs),
+            "legs": shown(whole, clothed.faces, legs),
             "els": float(np.clip(1 - np.abs(now / length - 1), 0, None).mean()),
-            "jitter": float(np.linalg.norm(np.diff(places, 3, axis=0), axis=-1).mean()),
+            "jitter": float(np.linalg.norm(np.diff(positions, 3, axis=0), axis=-1).mean()),
         }
     return out
 

@@ -33,9 +33,9 @@ def main() -> None:
     import numpy as np
 
     from bunraku.diffusion.features import encode
-    from bunraku.diffusion.generate import generate_motions
+    from bunraku.diffusion.generation.generate import generate_motions
+    from bunraku.diffusion.generation.networks import load_generator
     from bunraku.diffusion.matching import embed_motions, embed_sentences, load_extractor
-    from bunraku.diffusion.networks import load_generator
     from bunraku.language.parse import clauses_of, parse
     from bunraku.nn.checkpoints import shipped_checkpoint
 

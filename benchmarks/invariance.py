@@ -37,11 +37,11 @@ def variants(character: Character) -> dict[str, tuple[Character, float, np.ndarr
     shift = height * np.array([3, 2, -4], np.float32)
     found["moved"] = (dataclasses.replace(character, vertices=character.vertices + shift, **plain), 1.0, shift, same)
     order, faces = rng.permutation(count), rng.permutation(len(character.faces))
-    place = np.argsort(order)
+    index = np.argsort(order)
     mixed = dataclasses.replace(
-        character, vertices=character.vertices[order], faces=place[character.faces[faces]], **plain
+        character, vertices=character.vertices[order], faces=index[character.faces[faces]], **plain
     )
-    found["re-ordered"] = (mixed, 1.0, none, place)
+    found["re-ordered"] = (mixed, 1.0, none, index)
     soup = dataclasses.replace(
         character,
         vertices=character.vertices[character.faces].reshape(-1, 3),
@@ -63,12 +63,12 @@ def main() -> None:
         used = np.unique(character.faces)  # vertices without a surface have no place in a soup
         want = bunraku.animate(character, PROMPT, seconds=2.0).vertices()
         row = []
-        for name, (changed, scale, shift, place) in variants(character).items():
+        for name, (changed, scale, shift, position) in variants(character).items():
             got = (bunraku.animate(changed, PROMPT, seconds=2.0).vertices() - shift) / scale
             if name == "seams open":
                 difference = got - want[:, character.faces.ravel()]
             else:
-                difference = (got[:, place] - want)[:, used]
+                difference = (got[:, position] - want)[:, used]
             value = float(np.linalg.norm(difference, axis=-1).max()) / character.height
             worst.setdefault(name, []).append(value)
             row.append(f"{name} {value:.1e}")

@@ -53,8 +53,8 @@ def main() -> None:
     import torch
 
     from bunraku.diffusion.features import FeatureStatistics, decode
-    from bunraku.diffusion.networks import load_generator
-    from bunraku.diffusion.sampling.sampler import sample
+    from bunraku.diffusion.generation.networks import load_generator
+    from bunraku.diffusion.sampling.sampler import Solver, sample
     from bunraku.nn.threads import fitting_threads
     from bunraku_lab.evaluation.motion.seams import posed_positions
 
@@ -74,14 +74,14 @@ def main() -> None:
         with fitting_threads(model):
             for first in range(0, len(prompts), BATCH):
                 text = encoder.encode(prompts[first : first + BATCH])
-                found = sample(model, text, frames, steps=steps, guidance=args.guidance, seed=first, method=method)
+                found = sample(model, text, frames, Solver(steps, guidance=args.guidance, method=method), seed=first)
                 out.append(found.values.cpu().numpy())
         return np.concatenate(out), (time.process_time() - start) / len(prompts)
 
     def alone(steps: int) -> float:
         text, start = encoder.encode(prompts[:1]), time.process_time()
         with fitting_threads(model):
-            sample(model, text, frames, steps=steps, guidance=args.guidance)
+            sample(model, text, frames, Solver(steps, guidance=args.guidance))
         return time.process_time() - start
 
     def jerk(values: np.ndarray) -> float:
@@ -104,7 +104,7 @@ def main() -> None:
 
         return np.asarray(embed_motions(load_extractor(args.extractor), [statistics.restore(row) for row in values]))
 
-    sample(model, encoder.encode(prompts[:1]), frames, steps=1)  # warm
+    sample(model, encoder.encode(prompts[:1]), frames, Solver(1))  # warm
     wanted, slow = draw(args.reference)
     vectors, reference_jerk = embedded(wanted), jerk(wanted)
     ancestral = draw(1000, "ddpm") if args.ancestral else None

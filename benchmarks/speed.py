@@ -93,7 +93,7 @@ def sampling_step() -> tuple[float, float]:
     """Seconds of one guided prediction of x0, ours and the reference's."""
     import torch
 
-    from bunraku.diffusion.networks import load_generator
+    from bunraku.diffusion.generation.networks import load_generator
     from bunraku.nn.threads import fitting_threads
 
     model, encoder = load_generator()
@@ -155,9 +155,10 @@ def time_size(size: int) -> dict[str, float]:
     from bunraku.core.animation import Animation
     from bunraku.core.skinning import skin, skin_basis, skin_reference
     from bunraku.geometry.simplify import network_mesh
-    from bunraku.handles.graph import EdgeConv, edge_conv_reference, mesh_graph
+    from bunraku.handles.graph import mesh_graph
     from bunraku.handles.predict import _model, predict_handles
     from bunraku.nn.checkpoints import shipped_checkpoint
+    from bunraku.nn.edge_conv import EdgeConv, edge_conv_reference
 
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -261,11 +262,11 @@ def export_reference(animation: object, path: Path) -> None:
     times = add((np.arange(len(motion)) / motion.fps).astype(np.float32), gl.FLOAT, "SCALAR")
     for handle in range(count):
         rotation = motion.rotations[:, handle] if handle else motion.root_rotation
-        place = handles.positions[handle] + (
+        index = handles.positions[handle] + (
             motion.translations[:, handle] - handles.positions[0] if handle else motion.root_translation
         )
         for what, values, kind in (
-            ("translation", place.astype(np.float32), "VEC3"),
+            ("translation", index.astype(np.float32), "VEC3"),
             ("rotation", quaternion_from_matrix(rotation).astype(np.float32), "VEC4"),
         ):
             clip.samplers.append(gl.AnimationSampler(input=times, output=add(values, gl.FLOAT, kind)))

@@ -8,19 +8,17 @@ The two are timed in turns, so that what else the machine does falls on both, by
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import sys
 import tempfile
 import time
-import urllib.request
 from dataclasses import dataclass
 from pathlib import Path
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.character import Character, Handles
-from bunraku.diffusion.drawing import GUIDANCE, STEPS
+from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
 from bunraku.io import load_character
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.apply import apply_motion
@@ -31,6 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "studio")
 from conftest import Studio
 
 PROMPT, SECONDS = "walks forward and waves", 4.0
+PAUSE = 0.02
+"""Seconds between two questions."""
 
 
 def resident(process: int) -> float:
@@ -56,7 +56,7 @@ class Times:
 
 
 def studio_times(studio: Studio, character: str, seed: int) -> Times:
-    """From the request to the clips of the draft and of the full take, by listening to what happens, as a page does."""
+    """From the request to the clips of the draft and of the full take, by asking what has changed, as a page does."""
     worker = studio.get("/api/about")["worker"]["process"]
     event = studio.get("/api/about")["event"]
     start, work = time.perf_counter(), processor(worker) + processor(studio.process.pid)
@@ -65,20 +65,15 @@ def studio_times(studio: Studio, character: str, seed: int) -> Times:
         {"script": [{"text": PROMPT, "seconds": SECONDS}], "seeds": [seed], "steps": STEPS, "guidance": GUIDANCE},
     )
     found: dict[str, tuple[float, float]] = {}
-    asked = urllib.request.Request(f"{studio.base}/api/events?after={event}")
-    asked.add_header("authorization", f"Bearer {studio.token}")
-    with urllib.request.urlopen(asked, timeout=600) as lines:
-        for line in lines:
-            if not line.startswith(b"data: "):
-                continue
-            said = json.loads(line[6:])
-            if said.get("id") != made["takes"][0] or said["state"] not in ("draft", "done"):
-                continue
-            studio.ask("GET", f"/api/takes/{said['id']}/clip")
-            spent = processor(worker) + processor(studio.process.pid) - work
-            found.setdefault(said["state"], (time.perf_counter() - start, spent))
-            if said["state"] == "done":
-                break
+    while "done" not in found:
+        answer = studio.get(f"/api/changes?after={event}")
+        event = answer["event"]
+        for what, said in answer["changes"]:
+            if what == "take" and said["id"] == made["takes"][0] and said["state"] in ("draft", "done"):
+                studio.ask("GET", f"/api/takes/{said['id']}/clip")
+                spent = processor(worker) + processor(studio.process.pid) - work
+                found.setdefault(said["state"], (time.perf_counter() - start, spent))
+        time.sleep(PAUSE)
     return Times(found["draft"][0], found["done"][0], found["draft"][1], found["done"][1])
 
 

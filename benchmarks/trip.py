@@ -13,7 +13,9 @@ of a generator, but no bodies of modules and classes.
 | hops | calls whose caller stands in another file of the packages |
 | language | share of the calls that stand in `bunraku/language/` |
 | character, prompt | climbs back to a higher folder on the way of each, as told below |
-| twice | how often each of a named list of functions was called, and each file of the user opened |
+| bodies | what a run works with: a transfer has two, the one that the motion is of and the character |
+| worked out | calls of each of a named list of functions, once a body at most; `find_joints` also takes the reference |
+| opened | how often each file of the user was opened |
 
 The way of a value is the rooms (`LAYERS` in `tests/test_layers.py`) that it comes to: all calls that are given the
 value as an argument, in their order, its own methods apart. A climb is a step to a room that stands higher in the list
@@ -45,7 +47,7 @@ from typing import Any
 HERE = Path(__file__).resolve()
 PROMPT = "walks forward, then waves with the left hand"
 BARS = {
-    "files": 110, "calls": 20_000, "hops": 3_000, "language": 0.10, "character": 8, "prompt": 4, "twice": 1,
+    "files": 110, "calls": 20_000, "hops": 3_000, "language": 0.10, "character": 8, "prompt": 4,
     "long functions": 6, "bags of Any": 60, "regular expressions": 80, "lists of verbs": 1,
     "lines of runtime": 50_000, "lines of laboratory": 25_000,
 }  # fmt: skip
@@ -112,8 +114,8 @@ class Trip:
     def _walk(self, frame: FrameType, code: CodeType) -> None:
         for way in self.climbs:
             if any(self._is(way, value) for value in _arguments(frame, code)):
-                place = self._place(code)
-                self.climbs[way].append((place.split("/")[0].removesuffix(".py"), f"{place}:{code.co_qualname}"))
+                position = self._place(code)
+                self.climbs[way].append((position.split("/")[0].removesuffix(".py"), f"{position}:{code.co_qualname}"))
 
     def _is(self, way: str, value: object) -> bool:
         name = type(value).__name__
@@ -147,12 +149,12 @@ class Trip:
         }  # fmt: skip
 
     def _steps_up(self, way: str) -> list[str]:
-        place = {room: number for number, room in enumerate(self.layers)}
+        position = {room: number for number, room in enumerate(self.layers)}
         steps = self.climbs[way]
         return [
             f"{before} -> {after}"
             for (one, before), (other, after) in zip(steps, steps[1:], strict=False)
-            if place.get(other, 99) < place.get(one, 99)
+            if position.get(other, 99) < position.get(one, 99)
         ]
 
 
@@ -189,6 +191,7 @@ def prepare(folder: Path, play: Callable[..., None]) -> dict[str, dict[str, Any]
     play("data", "wardrobe", "-o", folder / "wardrobe", "--count", 1)
     person, dog, dancer, walk = (folder / name for name in ("person.glb", "dog.glb", "dancer.glb", "walk.bvh"))
     dressed = next((folder / "wardrobe").rglob("*.pmx"))
+    bodies = {"animate-person": 1, "animate-dog": 1, "transfer": 2, "transfer-simulate": 2}
     runs: dict[str, tuple[list[Path], list[object], str]] = {
         "animate-person": ([person], ["animate", person, PROMPT], PROMPT),
         "animate-dog": ([dog], ["animate", dog, "walks forward, then jumps"], "walks forward, then jumps"),
@@ -200,6 +203,7 @@ def prepare(folder: Path, play: Callable[..., None]) -> dict[str, dict[str, Any]
             "words": [*map(str, words), "-o", str(folder / f"{name}.glb")],
             "prompt": prompt,
             "files": [str(path) for path in files],
+            "bodies": bodies[name],
         }
         for name, (files, words, prompt) in runs.items()
     }
@@ -224,6 +228,7 @@ def measure(tree: Path, chosen: list[str]) -> dict[str, Any]:
                 start = time.perf_counter()
                 _play([sys.executable, str(HERE), "--watch", json.dumps(told)], environment)
                 found[run] = json.loads(report.read_text(encoding="utf-8"))
+                found[run]["bodies"] = told["bodies"]
                 found[run]["seconds"] = round(time.perf_counter() - start, 1)
     return found
 
@@ -323,18 +328,20 @@ def lists_of_verbs(body: ast.Module) -> Iterator[int]:
 
 def table(found: dict[str, Any], sources: dict[str, Any]) -> str:
     """Figures as Markdown."""
-    rows = ["| run | files | calls | hops | language | climbs of character | of prompt | worked out | opened |"]
-    rows.append("| --- | ---: | ---: | ---: | ---: | ---: | ---: | --- | --- |")
+    rows = [
+        "| run | files | calls | hops | language | climbs of character | of prompt | bodies | worked out | opened |"
+    ]
+    rows.append("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- | --- |")
     for run, row in found.items():
         more = ", ".join(f"`{name}` {count}" for name, count in row["worked out"].items())
         opened = ", ".join(f"{name} {count}" for name, count in row["opened"].items())
         rows.append(
             f"| {run} | {row['files']} | {row['calls']:,} | {row['hops']:,} | {row['language']:.1%}"
-            f" | {row['character']} | {row['prompt']} | {more} | {opened} |"
+            f" | {row['character']} | {row['prompt']} | {row['bodies']} | {more} | {opened} |"
         )
     rows.append(
         f"| bar (animate-person) | {BARS['files']} | {BARS['calls']:,} | {BARS['hops']:,} | {BARS['language']:.0%}"
-        f" | {BARS['character']} | {BARS['prompt']} | 1 each | 1 each |"
+        f" | {BARS['character']} | {BARS['prompt']} | 1 | 1 a body | 1 each |"
     )
     rows += ["", "| sources | figure | bar |", "| --- | ---: | ---: |"]
     for name, value in sources.items():

@@ -23,6 +23,7 @@ function licences() {
 export default defineConfig({
   base: "./",
   plugins: [licences()],
+  test: { environment: "happy-dom", include: ["tests/*.test.ts", "tests/*.test.tsx"] },
   build: {
     outDir: "../src/bunraku/studio/static",
     emptyOutDir: true,

@@ -1,6 +1,16 @@
 import functools
 import json
+import os
+import sys
 from pathlib import Path
+
+# Before torch is loaded, here and in every process that tests start. Threads spin while they wait for each other, which
+# was a fifth of the processor time of tests/pipelines; tests of threads set their own number.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+if sys.dont_write_bytecode:  # else each process compiles torch's Python anew, which takes longer than all else it does
+    sys.dont_write_bytecode = False
+    del os.environ["PYTHONDONTWRITEBYTECODE"]
+    sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parents[1] / "build" / "bytecode")
 
 import numpy as np
 import pytest
@@ -149,7 +159,7 @@ def bank_path(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def bank(bank_path):
-    from bunraku.retarget.character_bank import load_character_bank
+    from bunraku_lab.datasets.characters.bank_file import load_character_bank
 
     return load_character_bank(bank_path)
 

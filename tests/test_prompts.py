@@ -8,7 +8,7 @@ import pytest
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
-from bunraku.geometry.heading import heading
+from bunraku.geometry.rotations import heading
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.pipelines.animate import animate
 

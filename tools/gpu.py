@@ -40,12 +40,12 @@ def pack(options: argparse.Namespace) -> None:
     out.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(out / "src", ignore_errors=True)
     for path in sorted(SOURCES.rglob("*")):
-        place = path.relative_to(SOURCES)
-        left = "__pycache__" in place.parts or "static" in place.parts
+        position = path.relative_to(SOURCES)
+        left = "__pycache__" in position.parts or "static" in position.parts
         small = path.suffix == ".py" or path.stat().st_size <= LARGEST
-        if path.is_file() and not left and (("weights" not in place.parts and small) or place == TEXT):
-            (out / "src" / place).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path, out / "src" / place)
+        if path.is_file() and not left and (("weights" not in position.parts and small) or position == TEXT):
+            (out / "src" / position).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, out / "src" / position)
     shutil.copyfile(__file__, out / "gpu.py")
     if options.bundle is not None:
         shutil.copyfile(options.bundle, out / BUNDLE)

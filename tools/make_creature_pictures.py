@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.cli import main as bunraku_command
 from bunraku.core.animation import Animation
 from bunraku.io import save_character
@@ -98,11 +99,12 @@ def support(characters: Path) -> None:
     """A dog that is told to bow, without the stage and with it."""
     dog = sample_character("dog")
     handles = rig(dog)
+    anatomy = Anatomy.of(dog, handles)
     bow = animate(dog, "bows", seconds=3, seed=1, handles=handles, candidates=1)
     assert bow.reference is not None
     images: list[np.ndarray] = []
     for stages in (Stages(shape=True, support=False), Stages(shape=True)):
-        images += frames(apply_motion(bow.reference, dog, handles, stages=stages), 5)
+        images += frames(apply_motion(bow.reference, anatomy, stages=stages), 5)
     labels = ["without support"] + [""] * 4 + ["with support"] + [""] * 4
     contact_sheet(images, labels, OUT / "creatures-support.png", columns=5, title="a dog is told to bow")
 

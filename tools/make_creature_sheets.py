@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.decisions import body_facts
 from bunraku.pipelines.requests.request import Request, Sampling
 from bunraku.render import contact_sheet, render_animation
 from bunraku_lab.evaluation.transfer.character import facing_character
@@ -68,7 +68,7 @@ def told(name: str, folder: Path, work: Path | None) -> tuple[list[np.ndarray], 
             return list(data["pictures"]), off, str(data["words"]), bool(data["floats"])
     character = creature(name, folder)
     handles = rig(character)
-    plan = body_facts(character, handles).plan
+    plan = Anatomy.of(character, handles).plan
     floats = plan.swims or (plan.wings and not plan.legs)
     pictures: list[np.ndarray] = []
     off = {}

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.pipelines.animate import rig
@@ -33,9 +34,10 @@ def main() -> None:
     for pose in poses:
         character = Character("person", posed_limbs(one.truth, pose), one.character.faces, colors=one.character.colors)
         handles = rig(character)
+        anatomy = Anatomy.of(character, handles)
         rows[0].append(render_still(character, handles, size=SIZE))
         for row, (name, moment) in zip(rows[1:], FRAMES, strict=True):
-            animation = Animation(character, handles, fit_motion(motions[name], character, handles))
+            animation = Animation(character, handles, fit_motion(motions[name], anatomy))
             row.extend(render_animation(animation, size=SIZE, times=np.array([moment])))
     labels = [f"rest pose: {pose}" for pose in poses] + [name for name, _ in FRAMES for _ in poses]
     contact_sheet([picture for row in rows for picture in row], labels, OUT, columns=len(poses))

@@ -136,9 +136,9 @@ def study(browser: object) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         methods = {name: folder / name for name in ("one", "two", "three")}
-        for seed, place in enumerate(methods.values()):
-            place.mkdir()
-            animate(character, "jumps high", seconds=3, seed=seed, handles=handles).save(place / "1.glb")
+        for seed, position in enumerate(methods.values()):
+            position.mkdir()
+            animate(character, "jumps high", seconds=3, seed=seed, handles=handles).save(position / "1.glb")
         make_study(methods, [Line("dragon.glb", "jumps high")], folder / "study")
         shown = Studio(folder / "studio", "--study", str(folder / "study"))
         try:

@@ -32,7 +32,7 @@ def main() -> None:
         file = f"source/{NAME}.glb"
         fresh = {"name": NAME, "file": file, "settings": settings, "state": "opening", "error": "", "version": 1}
         character = store.new("characters", fresh)
-        source = store.place("characters", character["id"]) / file
+        source = store.folder_of("characters", character["id"]) / file
         source.parent.mkdir()
         save_character(sample_character(NAME), source)
 

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from bunraku.core.rig_animation import RigAnimation
     from bunraku.handles.orientation import Orientation, guess_orientation, upright
     from bunraku.io import load_character, load_motion, save_character
-    from bunraku.pipelines.animate import animate, generate, rig
+    from bunraku.io.save_clips import save_clips
+    from bunraku.pipelines.animate import animate, generate, rig, with_skeleton
     from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.edit import edit
     from bunraku.pipelines.requests.request import Request
@@ -79,8 +80,10 @@ __all__ = [
     "rig",
     "sample_character",
     "save_character",
+    "save_clips",
     "transfer",
     "upright",
+    "with_skeleton",
 ]
 
 _HOME = {
@@ -106,16 +109,14 @@ _HOME = {
     "rig": "bunraku.pipelines.animate",
     "sample_character": "bunraku.samples",
     "save_character": "bunraku.io",
+    "save_clips": "bunraku.io.save_clips",
     "transfer": "bunraku.pipelines.transfer",
     "upright": "bunraku.handles.orientation",
+    "with_skeleton": "bunraku.pipelines.animate",
 }
 
 
-def _write(thing: Any, path: Any, **options: Any) -> Any:
-    return import_module("bunraku.io.registry").save(thing, path, **options)
-
-
-set_writer(_write)
+set_writer("bunraku.io.registry:save")
 
 
 def __getattr__(name: str) -> Any:

@@ -16,7 +16,7 @@ __all__ = [
 
 
 class BunrakuError(Exception):
-    """Base of all errors that a user can mend; the command line prints it without a traceback and exits with 2."""
+    """Base of all errors that a user can fix; the command line prints it without a traceback and exits with 2."""
 
 
 class FormatError(BunrakuError):

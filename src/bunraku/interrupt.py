@@ -44,7 +44,7 @@ def leave(number: int, frame: FrameType | None) -> NoReturn:
 
 def interrupt(number: int, frame: FrameType | None) -> None:
     """Raise `KeyboardInterrupt`. While torch is being loaded leave at once: its C++ calls Python in places where any
-    exception ends the process with an abort, and what a command has half done then is mended by its next run.
+    exception ends the process with an abort, and what a command has half done then is repaired by its next run.
     """
     if getattr(getattr(sys.modules.get("torch"), "__spec__", None), "_initializing", False):
         leave(number, frame)

@@ -85,7 +85,7 @@ def _leave() -> None:
 
 def _open_libraries() -> None:
     """Load torch's libraries, for which `import torch` would hold up all of Python. As a foreign function, `dlopen`
-    does not; whatever goes wrong goes wrong again, and is told, where torch is imported.
+    does not; whatever goes wrong goes wrong again, and is reported, where torch is imported.
     """
     import ctypes
     import os

@@ -1,15 +1,19 @@
 // What the user does: open files, make takes, change them, choose, delete; each can be undone.
 
 import { bytes, send, upload } from "./api";
+import { EMPTY, MOST_LETTERS, readView, writeReplay, type Replay } from "./schema";
+import { scriptOf, tooLong, wrongWith } from "./script";
 import {
-  about, attempt, change, character, characters, comparing, doc, ended, ownTakes, remember, say, take, takes, time,
-  uploading,
+  about, attempt, change, character, characters, comparing, doc, ended, ownTakes, pause, remember, say, take, takes,
+  time, uploading,
 } from "./state";
-import type { Character, Doc, Settings, Take } from "./types";
+import type { Character, Doc, Sentence, Settings, Take } from "./types";
 
 interface Made {
   job: string;
   takes: string[];
+  /** The sentences as the server took them: those of a sequence in one text one by one. */
+  script?: Sentence[];
 }
 
 /** What generating is told, of the document. */
@@ -29,11 +33,12 @@ export function asked(now: Doc): Record<string, unknown> {
   };
 }
 
-/** Takes that were made: shown, and undone by giving them up. */
-function settle(name: string, made: Made): void {
+/** Takes that were made: shown with their sentences, and undone by giving them up. */
+function settle(name: string, made: Made, script: Sentence[]): void {
   const before = doc.value;
   const first = made.takes[0] ?? null;
-  doc.value = { ...doc.value, take: first };
+  const sentence = script.length === before.script.length ? before.sentence : 0;
+  doc.value = { ...before, take: first, script, sentence };
   comparing.value = made.takes.length > 1;
   const after = doc.value;
   remember({
@@ -50,15 +55,20 @@ function settle(name: string, made: Made): void {
   });
 }
 
-export async function generate(anyway = false): Promise<void> {
+export async function generate(force = false): Promise<void> {
   const now = doc.value;
   if (!now.character) {
     say("drop a character first, or choose a sample", true);
     return;
   }
+  const wrong = wrongWith(now.script);
+  if (wrong) {
+    say(wrong, true);
+    return;
+  }
   await attempt(async () => {
-    const made = await send<Made>("POST", `/characters/${now.character}/takes`, { ...asked(now), anyway });
-    settle("generate", made);
+    const made = await send<Made>("POST", `/characters/${now.character}/takes`, { ...asked(now), force });
+    settle("generate", made, made.script ?? now.script);
     time.value = 0;
   });
 }
@@ -66,12 +76,17 @@ export async function generate(anyway = false): Promise<void> {
 /** Generate a part of the take anew: a span, what is not kept, what is between poses. */
 export async function regenerate(prompt: string): Promise<void> {
   const now = doc.value;
-  if (!now.take) {
+  const parent = take.value;
+  if (!parent) {
+    return;
+  }
+  if (!prompt.trim() || prompt.length > MOST_LETTERS) {
+    say(prompt.trim() ? tooLong(prompt) : "type what is done instead, such as: waves with both hands", true);
     return;
   }
   const seeds = Array.from({ length: now.count }, (_, number) => now.seed + number);
   await attempt(async () => {
-    const made = await send<Made>("POST", `/takes/${now.take}/change`, {
+    const made = await send<Made>("POST", `/takes/${parent.id}/change`, {
       prompt,
       seeds,
       steps: now.steps,
@@ -81,7 +96,7 @@ export async function regenerate(prompt: string): Promise<void> {
       poses: now.poses,
       pins: now.pins,
     });
-    settle("change a part", made);
+    settle("change a part", made, scriptOf(parent));
   });
 }
 
@@ -95,7 +110,7 @@ export async function bend(): Promise<void> {
   const parent = one.how === "bend" && one.parent ? one.parent : one.id;
   await attempt(async () => {
     const made = await send<Made>("POST", `/takes/${parent}/change`, { prompt: "", pins: now.pins });
-    settle("bend to the pins", made);
+    settle("bend to the pins", made, scriptOf(one));
     if (one.how === "bend") {
       await send("DELETE", `/takes/${one.id}`);
     }
@@ -111,7 +126,8 @@ export async function dress(): Promise<void> {
   const { apparel, stiffness } = doc.value;
   const parent = one.how === "dress" && one.parent ? one.parent : one.id;
   await attempt(async () => {
-    settle("dress the take", await send<Made>("POST", `/takes/${parent}/change`, { prompt: "", apparel, stiffness }));
+    const made = await send<Made>("POST", `/takes/${parent}/change`, { prompt: "", apparel, stiffness });
+    settle("dress the take", made, scriptOf(one));
     if (one.how === "dress") {
       await send("DELETE", `/takes/${one.id}`);
     }
@@ -120,8 +136,15 @@ export async function dress(): Promise<void> {
 
 export function choose(id: string): void {
   if (id !== doc.value.take) {
-    change("", { take: id });
+    change("choose a take", { take: id, ...sentencesOf(id) });
+    pause();
   }
+}
+
+/** The box and the timeline show the sentences of the take that is chosen. */
+function sentencesOf(id: string | null): Pick<Doc, "script" | "sentence"> {
+  const one = takes.value.find((each) => each.id === id);
+  return one ? { script: scriptOf(one), sentence: 0 } : { script: doc.value.script, sentence: doc.value.sentence };
 }
 
 export async function star(one: Take): Promise<void> {
@@ -137,7 +160,8 @@ async function giveUp(kind: "takes" | "characters", id: string, name: string): P
   await attempt(async () => {
     await send("DELETE", `/${kind}/${id}`);
     if (kind === "takes" && doc.value.take === id) {
-      doc.value = { ...doc.value, take: ownTakes.value.find((one) => one.id !== id)?.id ?? null };
+      const next = ownTakes.value.find((one) => one.id !== id)?.id ?? null;
+      doc.value = { ...doc.value, take: next, ...sentencesOf(next) };
     }
     if (kind === "characters" && doc.value.character === id) {
       switchTo(characters.value.find((one) => one.id !== id)?.id ?? null);
@@ -162,7 +186,7 @@ export const deleteCharacter = (id: string): Promise<void> => giveUp("characters
 
 function switchTo(id: string | null): void {
   const first = takes.value.filter((one) => one.character === id).sort((one, other) => other.created - one.created)[0];
-  doc.value = { ...doc.value, character: id, take: first?.id ?? null, pins: [], poses: [], path: [], span: null, apparel: "rigid" };
+  doc.value = { ...doc.value, character: id, take: first?.id ?? null, ...sentencesOf(first?.id ?? null), pins: [], poses: [], path: [], span: null, apparel: "rigid" };
   comparing.value = false;
   time.value = 0;
 }
@@ -178,12 +202,12 @@ export function select(id: string): void {
 }
 
 /** Turn a character, change its unit or where its handles come from. */
-export async function mend(one: Character, values: Partial<Settings>): Promise<void> {
+export async function repair(one: Character, values: Partial<Settings>): Promise<void> {
   const before = one.settings;
   const set = (settings: Partial<Settings>): Promise<unknown> => send("PATCH", `/characters/${one.id}`, settings);
   await attempt(async () => {
     await set(values);
-    remember({ name: "mend a character", undo: () => set(before), redo: () => set({ ...before, ...values }) });
+    remember({ name: "repair a character", undo: () => set(before), redo: () => set({ ...before, ...values }) });
   });
 }
 
@@ -195,6 +219,9 @@ interface Opened {
 async function opened(made: Opened): Promise<void> {
   characters.value = [...characters.value.filter((one) => one.id !== made.character.id), made.character];
   select(made.character.id);
+  if (wrongWith(doc.value.script)) {
+    doc.value = { ...doc.value, script: EMPTY.script, sentence: 0 }; // what is opened moves by itself
+  }
   await ended(made.job);
 }
 
@@ -229,11 +256,11 @@ export async function open(file: File): Promise<void> {
   told(0);
   await attempt(async () => {
     if (known.projects.includes(suffix)) {
-      const found = await upload<{ character: string; takes: Record<string, string>; view: Partial<Doc> }>(
+      const found = await upload<{ character: string; takes: Record<string, string>; view: unknown }>(
         `/project-files?name=${name}`, file, told,
       );
       uploading.value = null;
-      const view = found.view;
+      const view = readView(found.view);
       change("open a project", {
         ...view,
         character: found.character,
@@ -246,7 +273,7 @@ export async function open(file: File): Promise<void> {
       }
       const made = await upload<Made>(`/characters/${character.value.id}/transfer?name=${name}${worn()}`, file, told);
       uploading.value = null;
-      settle("transfer a motion", made);
+      settle("transfer a motion", made, [{ text: "", seconds: 4 }]);
       await ended(made.job);
     } else if (known.characters.includes(suffix) || suffix === ".zip") {
       const made = await upload<Opened>(`/characters?name=${name}`, file, told);
@@ -271,7 +298,7 @@ export async function openAsMotion(file: File): Promise<void> {
   }
   await attempt(async () => {
     const made = await upload<Made>(`/characters/${one.id}/transfer?name=${encodeURIComponent(file.name)}${worn()}`, file, () => undefined);
-    settle("transfer a motion", made);
+    settle("transfer a motion", made, [{ text: "", seconds: 4 }]);
     await ended(made.job);
   });
 }
@@ -310,55 +337,35 @@ export function hand(file: Blob, name: string): void {
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
-interface Replay {
-  sample?: string;
-  character: string;
-  script: Doc["script"];
-  seed: number;
-  steps: number;
-  guidance: number;
-  loop: boolean;
-  inPlace: boolean;
-  path: Doc["path"];
-  apparel?: Doc["apparel"];
-  stiffness?: number;
-}
-
 /** The address that makes a take again from its sentences and its seed. */
 export function replayLink(one: Take): string {
-  const told = one.asked ?? {};
-  const replay: Replay = {
+  const told = readView(one.asked ?? {});
+  const text = writeReplay({
     character: characters.value.find((each) => each.id === one.character)?.name ?? "",
-    script: one.script,
+    script: scriptOf(one),
     seed: one.seed,
-    steps: Number(told["steps"] ?? 20),
-    guidance: Number(told["guidance"] ?? 3.5),
-    loop: Boolean(told["loop"]),
-    inPlace: Boolean(told["in_place"]),
-    path: (told["path"] as Doc["path"] | null) ?? [],
-    apparel: (told["apparel"] as Doc["apparel"] | null) ?? "rigid",
-    stiffness: Number(told["stiffness"] ?? 1),
-  };
-  const text = btoa(String.fromCharCode(...new TextEncoder().encode(JSON.stringify(replay))));
-  return `${location.origin}/#replay=${text.replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "")}`;
+    steps: told.steps ?? 20,
+    guidance: told.guidance ?? 3.5,
+    loop: told.loop ?? false,
+    inPlace: Boolean(one.asked?.["in_place"]),
+    path: told.path ?? [],
+    apparel: told.apparel ?? "rigid",
+    stiffness: told.stiffness ?? 1,
+  });
+  return `${location.origin}/#replay=${text}`;
 }
 
 /** Make the take of a link: on the character of its name, on a sample of it, or on the one that is shown. */
-export async function replay(text: string): Promise<void> {
+export async function replay(link: Replay): Promise<void> {
   await attempt(async () => {
-    const raw = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
-    const told = JSON.parse(new TextDecoder().decode(Uint8Array.from(raw, (letter) => letter.charCodeAt(0)))) as Replay;
-    const own = characters.value.find((one) => one.name === told.character && one.state === "ready");
+    const { character: name, ...told } = link;
+    const own = characters.value.find((one) => one.name === name && one.state === "ready");
     if (own) {
       select(own.id);
-    } else if (about.value?.samples.includes(told.character)) {
-      await opened(await send<Opened>("POST", `/characters?sample=${encodeURIComponent(told.character)}`));
+    } else if (about.value?.samples.includes(name)) {
+      await opened(await send<Opened>("POST", `/characters?sample=${encodeURIComponent(name)}`));
     }
-    change("replay a link", {
-      script: told.script.map((part) => ({ text: String(part.text), seconds: Number(part.seconds) })),
-      seed: told.seed, count: 1, steps: told.steps, guidance: told.guidance, loop: told.loop, inPlace: told.inPlace,
-      path: told.path, apparel: told.apparel ?? "rigid", stiffness: told.stiffness ?? 1, pins: [], poses: [], sentence: 0,
-    });
+    change("replay a link", { ...told, count: 1, pins: [], poses: [], sentence: 0 });
     await generate();
   });
 }

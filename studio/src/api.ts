@@ -1,4 +1,4 @@
-// Talking to the studio's server: the token, requests, uploads with progress, and what happens as it happens.
+// Talking to the studio's server: the token, requests, uploads with progress, and asking what has changed.
 
 const KEY = "bunraku-token";
 
@@ -65,7 +65,9 @@ export async function send<T>(method: string, path: string, body?: unknown): Pro
   if (body !== undefined) {
     options.body = JSON.stringify(body);
   }
-  return (await asked(path, options)).json() as Promise<T>;
+  const answer = (await (await asked(path, options)).json()) as T;
+  poke();
+  return answer;
 }
 
 export async function bytes(path: string, options: RequestInit = {}): Promise<ArrayBuffer> {
@@ -85,6 +87,7 @@ export function upload<T>(path: string, file: Blob, told: (done: number) => void
         const body = JSON.parse(request.responseText) as T & { error?: string };
         if (request.status < 300) {
           resolve(body);
+          poke();
         } else {
           reject(new ServerError(body.error ?? `the server answered ${request.status}`, request.status));
         }
@@ -96,48 +99,53 @@ export function upload<T>(path: string, file: Blob, told: (done: number) => void
   });
 }
 
-/** Listen to server-sent events from number `after` on, for good; `open` says whether the line is up. */
-export async function listen(
-  after: number,
-  heard: (what: string, data: unknown) => void,
-  open: (up: boolean) => void,
-): Promise<void> {
+interface Changes {
+  event: number;
+  missed: boolean;
+  changes: [string, unknown][];
+}
+
+const BUSY = 250; // milliseconds between two questions while something is being made
+const IDLE = 1500;
+const HIDDEN = 5000;
+
+let poke = (): void => undefined;
+
+function pause(length: number): Promise<void> {
+  return new Promise((resolve) => {
+    const timer = setTimeout(resolve, length);
+    poke = () => {
+      clearTimeout(timer);
+      resolve();
+    };
+  });
+}
+
+export interface Listener {
+  heard: (what: string, data: unknown) => void;
+  /** More has happened than is remembered: all is to be fetched anew, and the number comes back from which on it is known. */
+  missed: () => Promise<number>;
+  open: (up: boolean) => void;
+  busy: () => boolean;
+}
+
+/** Ask what has changed after number `after`, for good. A question holds no line, so any number of tabs get their answers. */
+export async function listen(after: number, one: Listener): Promise<void> {
   let last = after;
   for (;;) {
     try {
-      const response = await asked(`/events?after=${last}`);
-      const reader = response.body?.pipeThrough(new TextDecoderStream()).getReader();
-      if (!reader) {
-        return;
+      const found = await get<Changes>(`/changes?after=${last}`);
+      last = found.missed ? await one.missed() : found.event;
+      for (const [what, data] of found.changes) {
+        one.heard(what, data);
       }
-      open(true);
-      let rest = "";
-      for (;;) {
-        const { value, done } = await reader.read();
-        if (done) {
-          break;
-        }
-        rest += value;
-        const parts = rest.split("\n\n");
-        rest = parts.pop() ?? "";
-        for (const part of parts) {
-          const fields = new Map(
-            part.split("\n").map((line) => [line.slice(0, line.indexOf(":")), line.slice(line.indexOf(":") + 2)]),
-          );
-          const data = fields.get("data");
-          if (data !== undefined) {
-            last = Number(fields.get("id") ?? last);
-            heard(fields.get("event") ?? "message", JSON.parse(data));
-          }
-        }
-      }
+      one.open(true);
     } catch (error) {
+      one.open(false);
       if (error instanceof ServerError && error.status === 401) {
-        open(false);
         return;
       }
     }
-    open(false);
-    await new Promise((resolve) => setTimeout(resolve, 1500));
+    await pause(document.hidden ? HIDDEN : one.busy() ? BUSY : IDLE);
   }
 }

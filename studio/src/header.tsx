@@ -2,6 +2,7 @@
 
 import { signal } from "@preact/signals";
 import { download, hand, saveProject } from "./actions";
+import { Menu } from "./menu";
 import { filming, holder, seconds, viewer } from "./stage";
 import { about, attempt, canRedo, canUndo, character, online, playing, redo, running, say, take, time, undo } from "./state";
 
@@ -10,7 +11,6 @@ const system = matchMedia("(prefers-color-scheme: dark)");
 const stored = localStorage.getItem("bunraku-theme") as Theme | null;
 export const theme = signal<Theme>(stored ?? (system.matches ? "dark" : "light"));
 export const help = signal(false);
-const menu = signal(false);
 const film = signal<{ done: number; name: string } | null>(null);
 let stop = false;
 
@@ -88,12 +88,9 @@ export function Header() {
         </span>
       )}
       {!online.value && <span class="bad">not connected</span>}
-      <div class="menu">
-        <button aria-haspopup="menu" aria-expanded={menu.value} id="export" disabled={!ready} onClick={() => (menu.value = !menu.value)}>
-          Export ▾
-        </button>
-        {menu.value && ready && one && (
-          <div role="menu" onClick={() => (menu.value = false)}>
+      <Menu id="export" label="Export ▾" disabled={!ready}>
+        {one && (
+          <>
             {about.value?.writes
               .filter((format) => format !== "vmd" || character.value?.mmd)
               .map((format) => (
@@ -110,9 +107,9 @@ export function Header() {
             <button role="menuitem" onClick={() => void saveProject()}>
               .bunraku — character and takes as one project file
             </button>
-          </div>
+          </>
         )}
-      </div>
+      </Menu>
       <button
         class="icon"
         aria-label={theme.value === "dark" ? "light colours" : "dark colours"}

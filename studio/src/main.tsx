@@ -1,18 +1,20 @@
 // The page of the studio.
 
-import { batch, effect } from "@preact/signals";
+import { batch, effect, signal } from "@preact/signals";
 import { render } from "preact";
 import { useEffect } from "preact/hooks";
 import { choose, replay, star } from "./actions";
 import { hashOf, send, setToken } from "./api";
+import { Boundary } from "./boundary";
 import { dropped } from "./drop";
 import { Header, Help, help, theme } from "./header";
 import { Characters, Takes } from "./panels";
 import { changing, Prompt } from "./prompt";
+import { EMPTY, readReplay, type Replay } from "./schema";
 import { Stage, viewer } from "./stage";
 import {
-  about, attempt, change, character, characters, colouring, comparing, doc, drawing, EMPTY, follow, locked, notice, online,
-  ownTakes, playing, redo, start, take, takes, time, undo, warm,
+  about, aside, attempt, change, character, characters, colouring, comparing, doc, drawing, follow, locked, notice, online,
+  ownTakes, playing, redo, start, take, takes, time, trouble, undo, warm,
 } from "./state";
 import { Study } from "./study";
 import { pinPose, Timeline } from "./timeline";
@@ -46,7 +48,7 @@ function keys(event: KeyboardEvent): void {
     f: () => (follow.value = !follow.value),
     s: () => void (take.value && star(take.value)),
     "?": () => (help.value = !help.value),
-    Escape: () => ((help.value = false), (drawing.value = false), (notice.value = null)),
+    Escape: () => ((help.value = false), (asking.value = null), (drawing.value = false), (notice.value = null)),
   };
   const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (event.key === " " && target.matches("button, summary, [role=slider]")) {
@@ -102,6 +104,49 @@ function Notice() {
   ) : null;
 }
 
+/** What the studio cannot do at the moment, and what it could not read. */
+function Warnings() {
+  const all = [...(trouble.value ? [trouble.value] : []), ...aside.value];
+  return all.length ? (
+    <div class="warnings" role="status">
+      {all.map((text) => (
+        <p key={text}>{text}</p>
+      ))}
+      {aside.value.length > 0 && (
+        <button class="link" onClick={() => (aside.value = [])}>
+          understood
+        </button>
+      )}
+    </div>
+  ) : null;
+}
+
+const asking = signal<Replay | null>(null);
+
+/** What a link wants to be made: nothing of it happens before it is agreed to. */
+function Asking() {
+  const link = asking.value;
+  return link ? (
+    <dialog open class="help" aria-label="a link">
+      <h2>A link asks for a take</h2>
+      <p>
+        Of {link.character || "the character that is shown"}: {link.script.map((part) => `${part.text} (${part.seconds} s)`).join("; ")}
+      </p>
+      <button
+        class="main"
+        id="replay"
+        onClick={() => {
+          asking.value = null;
+          void replay(link);
+        }}
+      >
+        Make it
+      </button>{" "}
+      <button onClick={() => (asking.value = null)}>Leave it</button>
+    </dialog>
+  ) : null;
+}
+
 function App() {
   useEffect(() => {
     const over = (event: DragEvent): void => {
@@ -144,26 +189,42 @@ function App() {
   }
   return (
     <>
-      <Header />
+      <div>
+        <Boundary name="the header">
+          <Header />
+        </Boundary>
+        <Warnings />
+      </div>
       <main>
         <aside class="left">
-          <Characters />
+          <Boundary name="characters">
+            <Characters />
+          </Boundary>
         </aside>
-        <Stage>
-          {!character.value && about.value && (
-            <p class="empty">Drop a character here, or choose a sample.</p>
-          )}
-          {character.value?.state === "opening" && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
-          {drawing.value && <p class="badge">drag on the floor where it goes; the sentence says how</p>}
-        </Stage>
+        <Boundary name="the view">
+          <Stage>
+            {!character.value && about.value && (
+              <p class="empty">Drop a character here, or choose a sample.</p>
+            )}
+            {character.value?.state === "opening" && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
+            {drawing.value && <p class="badge">drag on the floor where it goes; the sentence says how</p>}
+          </Stage>
+        </Boundary>
         <aside class="right">
-          <Takes />
+          <Boundary name="takes">
+            <Takes />
+          </Boundary>
         </aside>
       </main>
       <footer>
-        <Prompt />
-        <Timeline />
+        <Boundary name="the sentence">
+          <Prompt />
+        </Boundary>
+        <Boundary name="the timeline">
+          <Timeline />
+        </Boundary>
       </footer>
+      <Asking />
       <Help />
       <Notice />
       <div class="veil" aria-hidden="true">
@@ -189,7 +250,7 @@ if (root) {
     await start();
     viewer?.theme(theme.value === "dark");
     if (wanted) {
-      await replay(wanted);
+      asking.value = readReplay(wanted);
     }
   });
 }

@@ -1,7 +1,7 @@
 // What stands beside the view: characters with what was guessed of them, takes, and how they are made.
 
 import { useRef } from "preact/hooks";
-import { choose, deleteCharacter, deleteTake, dress, mend, openAsMotion, replayLink, sample, select, star } from "./actions";
+import { choose, deleteCharacter, deleteTake, dress, repair, openAsMotion, replayLink, sample, select, star } from "./actions";
 import { send } from "./api";
 import { openAll } from "./drop";
 import { changing } from "./prompt";
@@ -22,7 +22,7 @@ function axis(name: string): string {
   return name.toUpperCase().replace("-", "−");
 }
 
-/** What was guessed, each with what mends it. */
+/** What was guessed, each with what repairs it. */
 function Chips({ one }: { one: Character }) {
   const chips: preact.ComponentChildren[] = [];
   const { axes, unit, settings } = one;
@@ -30,20 +30,20 @@ function Chips({ one }: { one: Character }) {
   if (axes?.other && (axes.sure < 0.97 || settings.up !== "auto")) {
     const [up, front] = axes.other;
     chips.push(
-      <button key="axes" class="chip" disabled={!free} onClick={() => void mend(one, { up, front })} title="turn it">
+      <button key="axes" class="chip" disabled={!free} onClick={() => void repair(one, { up, front })} title="turn it">
         {settings.up === "auto" ? `${axis(axes.up)} up, facing ${axis(axes.front)}? ` : ""}turn to {axis(up)} up, facing {axis(front)}
       </button>,
     );
   }
   if (unit && unit.likely && unit.likely !== unit.unit) {
     chips.push(
-      <button key="unit" class="chip" disabled={!free} onClick={() => void mend(one, { unit: unit.likely })}>
+      <button key="unit" class="chip" disabled={!free} onClick={() => void repair(one, { unit: unit.likely })}>
         {one.height?.toPrecision(3)} m tall: {UNITS[unit.likely] ?? unit.likely}?
       </button>,
     );
   } else if (unit && unit.unit !== "m") {
     chips.push(
-      <button key="metres" class="chip" disabled={!free} onClick={() => void mend(one, { unit: "m" })}>
+      <button key="metres" class="chip" disabled={!free} onClick={() => void repair(one, { unit: "m" })}>
         read as {UNITS[unit.unit] ?? unit.unit}; take as metres
       </button>,
     );
@@ -51,7 +51,7 @@ function Chips({ one }: { one: Character }) {
   if (one.rig) {
     const to = settings.handles === "rig" ? "predict" : "rig";
     chips.push(
-      <button key="handles" class="chip" disabled={!free} onClick={() => void mend(one, { handles: to })}>
+      <button key="handles" class="chip" disabled={!free} onClick={() => void repair(one, { handles: to })}>
         handles {settings.handles === "rig" ? "of the file's bones; predict them" : "predicted; take the file's bones"}
       </button>,
     );
@@ -67,7 +67,7 @@ function Fit({ one }: { one: Character }) {
       <select
         value={one.settings[name]}
         disabled={!free}
-        onChange={(event) => void mend(one, { [name]: event.currentTarget.value })}
+        onChange={(event) => void repair(one, { [name]: event.currentTarget.value })}
       >
         {options.map((option) => (
           <option key={option}>{option}</option>

@@ -4,6 +4,8 @@ import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import { generate, regenerate } from "./actions";
 import { send } from "./api";
+import { MOST_LETTERS } from "./schema";
+import { fromFile, tooLong } from "./script";
 import { change, character, doc, pause, say, take } from "./state";
 import type { Understanding } from "./types";
 
@@ -14,7 +16,7 @@ export const instead = signal("waves with both hands");
 let timer = 0;
 function look(text: string): void {
   clearTimeout(timer);
-  if (!text.trim()) {
+  if (!text.trim() || text.length > MOST_LETTERS) {
     understanding.value = null;
     return;
   }
@@ -83,12 +85,15 @@ export function Prompt() {
           ref={box}
           id="sentence"
           value={text}
-          maxLength={1000}
           autocomplete="off"
           spellcheck={false}
           aria-label={changing.value ? "what is done instead" : "what the character does"}
           aria-describedby="understood"
-          placeholder="walks forward, then waves with the left hand"
+          placeholder={
+            fromFile(take.value, now)
+              ? `${take.value.script[0]?.text}: type what is done instead of it`
+              : "walks forward, then waves with the left hand"
+          }
           onInput={(event) =>
             changing.value ? (instead.value = event.currentTarget.value) : sentence(event.currentTarget.value)
           }
@@ -158,6 +163,7 @@ export function Prompt() {
         {changing.value ? "Generate anew" : "Animate"}
       </button>
       <p id="understood" class="understood" role="status">
+        {text.length > MOST_LETTERS && <b>{tooLong(text)}. </b>}
         {known && !known.ok && <b>No movement is understood. </b>}
         {known?.unknown.length ? `not understood: ${known.unknown.map((one) => one.word).join(", ")}. ` : ""}
         {known && known.english !== text && known.language !== "" ? `read as: ${known.english}. ` : ""}

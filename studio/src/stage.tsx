@@ -2,7 +2,7 @@
 
 import { effect } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { bend } from "./actions";
+import { bend, choose } from "./actions";
 import { bytes } from "./api";
 import { parseClip, type Clip } from "./clip";
 import { colour, dispose, forget, handleColour, loadModel, type Model } from "./model";
@@ -148,7 +148,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
     view.chosen = (pane) => {
       const label = view.panes[pane]?.label;
       if (label) {
-        change("choose a take", { take: label });
+        choose(label);
       }
     };
     const stops = [
@@ -175,7 +175,6 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
                   place: owner.positions?.[joint] ?? [0, 0, 0],
                   colour: handleColour(joint),
                 })),
-          ghosts: [],
         };
         view.directing = !playing.value && one?.state === "done" && one.skin !== "bones" && !comparing.value;
         view.drawing = drawing.value;

@@ -2,7 +2,9 @@
 
 import { batch, computed, effect, signal } from "@preact/signals";
 import { get, listen, send, ServerError } from "./api";
-import type { About, Character, Doc, Job, Take } from "./types";
+import { EMPTY, readDoc } from "./schema";
+import { scriptOf } from "./script";
+import type { About, Character, Doc, Job, Project, Take } from "./types";
 
 export const about = signal<About | null>(null);
 export const characters = signal<Character[]>([]);
@@ -10,6 +12,9 @@ export const takes = signal<Take[]>([]);
 export const jobs = signal<Job[]>([]);
 export const online = signal(false);
 export const warm = signal(false);
+/** Why nothing can be kept at the moment, and what could not be read. */
+export const trouble = signal("");
+export const aside = signal<string[]>([]);
 export const locked = signal(false);
 export const notice = signal<{ text: string; bad: boolean } | null>(null);
 export const uploading = signal<{ name: string; done: number } | null>(null);
@@ -22,28 +27,7 @@ export const colouring = signal<"none" | "handles" | "weights">("none");
 export const weightOf = signal(0);
 export const comparing = signal(false);
 export const drawing = signal(false);
-export const ghosts = signal(false);
 
-/** What a page that was never used holds. */
-export const EMPTY: Doc = {
-  character: null,
-  take: null,
-  script: [{ text: "walks forward, then waves with the left hand", seconds: 4 }],
-  sentence: 0,
-  seed: 0,
-  count: 1,
-  loop: false,
-  inPlace: false,
-  apparel: "rigid",
-  stiffness: 1,
-  guidance: 3.5,
-  steps: 20,
-  pins: [],
-  poses: [],
-  path: [],
-  span: null,
-  keep: [],
-};
 export const doc = signal<Doc>(EMPTY);
 
 export const character = computed(() => characters.value.find((one) => one.id === doc.value.character) ?? null);
@@ -153,6 +137,8 @@ function heard(what: string, data: unknown): void {
       } else if (kind === "characters") {
         characters.value = characters.value.filter((one) => one.id !== id);
       }
+    } else if (what === "trouble") {
+      trouble.value = (data as { text: string }).text;
     } else if (what === "worker") {
       warm.value = (data as { warm: boolean }).warm;
     } else if (what === "job") {
@@ -186,33 +172,69 @@ export function ended(id: string): Promise<Job> {
   });
 }
 
-let project = "";
-let saved = "";
-
-/** Fetch all that there is, go where the user was, and listen from there on. */
-export async function start(): Promise<void> {
-  const found = await get<About>("/about");
+function known(found: About): void {
   batch(() => {
     about.value = found;
     characters.value = found.characters;
     takes.value = found.takes;
     jobs.value = found.jobs;
+    trouble.value = found.trouble;
+    aside.value = found.set_aside;
     locked.value = false;
     warm.value = found.worker.warm;
   });
-  const latest = found.projects.at(-1);
-  if (latest) {
-    project = latest.id;
-    doc.value = { ...EMPTY, ...latest.view };
-  } else {
-    project = (await send<{ id: string }>("POST", "/projects", { view: {} })).id;
+}
+
+/** Where this tab's view is kept; it outlives a reload and no more. */
+const PROJECT = "bunraku-project";
+let project: Project | null = null;
+let saved = "";
+let keeping: Promise<void> = Promise.resolve();
+
+/** Keep how the page stands; in a project of this tab's own where it has none yet, or where another tab took it. */
+export function keep(view: Doc): Promise<void> {
+  keeping = keeping.catch(() => undefined).then(() => put(view));
+  return keeping;
+}
+
+async function put(view: Doc): Promise<void> {
+  if (project) {
+    try {
+      project = await send<Project>("PUT", `/projects/${project.id}`, { view, revision: project.revision });
+      return;
+    } catch (error) {
+      if (!(error instanceof ServerError) || ![404, 409].includes(error.status)) {
+        throw error;
+      }
+    }
   }
+  project = await send<Project>("POST", "/projects", { view });
+  sessionStorage.setItem(PROJECT, project.id);
+}
+
+/** The view of this tab, or that which was kept last; the project that is this tab's own, if it is there. */
+export function viewOf(projects: Project[], own: string | null): { view: unknown; project: Project | null } {
+  const mine = projects.find((one) => one.id === own) ?? null;
+  const latest = [...projects].sort((one, other) => (other.saved ?? 0) - (one.saved ?? 0))[0];
+  return { view: (mine ?? latest)?.view, project: mine };
+}
+
+/** Fetch all that there is, go where the user was, and listen from there on. */
+export async function start(): Promise<void> {
+  const found = await get<About>("/about");
+  known(found);
+  const before = viewOf(found.projects, sessionStorage.getItem(PROJECT));
+  project = before.project;
+  doc.value = readDoc(before.view);
   if (!character.value || character.value.deleted) {
     const first = found.characters[0];
     doc.value = { ...doc.value, character: first?.id ?? null, take: null };
   }
   if (!take.value) {
     doc.value = { ...doc.value, take: ownTakes.value[0]?.id ?? null };
+    if (!before.view) {
+      doc.value = { ...doc.value, script: scriptOf(take.value) };
+    }
   }
   saved = JSON.stringify(doc.value);
   let timer = 0;
@@ -222,9 +244,21 @@ export async function start(): Promise<void> {
     if (now !== saved) {
       timer = window.setTimeout(() => {
         saved = now;
-        void attempt(() => send("PUT", `/projects/${project}`, { view: JSON.parse(now) as Doc }));
+        void attempt(() => keep(JSON.parse(now) as Doc));
       }, 400);
     }
   });
-  void listen(found.event, heard, (up) => (online.value = up));
+  void listen(found.event, {
+    heard,
+    missed: async () => {
+      const all = await get<About>("/about");
+      known(all);
+      for (const id of waiters.keys()) {
+        waiters.get(id)?.(await get<Job>(`/jobs/${id}`));
+      }
+      return all.event;
+    },
+    open: (up) => (online.value = up),
+    busy: () => running.value.length > 0,
+  });
 }

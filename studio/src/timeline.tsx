@@ -3,6 +3,7 @@
 import { useRef } from "preact/hooks";
 import { bend } from "./actions";
 import { changing } from "./prompt";
+import { blocksOf, fromFile, inRange } from "./script";
 import { seconds as shownSeconds } from "./stage";
 import { change, character, doc, drawing, follow, playing, speed, take, time, total } from "./state";
 
@@ -14,7 +15,8 @@ const PARTS: Record<string, string> = {
 };
 
 /** How long the line is [s]: the sentences, or the take where that is longer. */
-const length = (): number => Math.max(total.value, take.value?.seconds ?? 0, 0.5);
+const length = (): number =>
+  Math.max(fromFile(take.value, doc.value) ? 0 : total.value, take.value?.seconds ?? 0, 0.5);
 const percent = (seconds: number): string => `${(100 * seconds) / length()}%`;
 const snapped = (seconds: number): number => Math.round(seconds * 20) / 20;
 
@@ -43,14 +45,21 @@ function track(event: PointerEvent, row: HTMLElement, moved: (seconds: number) =
 function Sentences() {
   const row = useRef<HTMLDivElement>(null);
   const { script, sentence } = doc.value;
-  let start = 0;
   return (
     <div class="row" ref={row}>
-      {script.map((part, number) => {
-        const from = start;
-        start += part.seconds;
-        const set = (seconds: number): void => {
-          const limit = Math.min(Math.max(snapped(seconds), 0.5), 120);
+      {blocksOf(doc.value, take.value).map(({ text, from, seconds, number }) => {
+        if (number === null) {
+          return (
+            <div key="file" class="block chosen file" style={{ left: percent(from), width: percent(seconds) }}>
+              <span class="words">
+                {text} <small>{seconds.toFixed(1)} s</small>
+              </span>
+            </div>
+          );
+        }
+        const part = { text, seconds };
+        const set = (length: number): void => {
+          const limit = inRange(snapped(length));
           change("length", {
             script: doc.value.script.map((one, place) => (place === number ? { ...one, seconds: limit } : one)),
           });

@@ -92,8 +92,20 @@ export interface About {
   event: number;
   characters: Character[];
   takes: Take[];
-  projects: { id: string; created: number; view: Partial<Doc> }[];
+  /** Why nothing can be kept at the moment, "" where it can. */
+  trouble: string;
+  /** What could not be read and is kept aside, a sentence each. */
+  set_aside: string[];
+  projects: Project[];
   jobs: Job[];
+}
+
+/** How a page stood. */
+export interface Project {
+  id: string;
+  revision: number;
+  saved?: number;
+  view: unknown;
 }
 
 export interface Understanding {

@@ -41,7 +41,6 @@ export interface Marks {
   pins: Pin[];
   path: [number, number][];
   handles: { place: [number, number, number]; joint: number; colour: Color }[];
-  ghosts: number[];
 }
 
 const ACCENT = 0xd9622b;
@@ -55,7 +54,7 @@ export class Viewer {
   readonly controls: OrbitControls;
   readonly canvas: HTMLCanvasElement;
   panes: Pane[] = [];
-  marks: Marks = { ends: [], pins: [], path: [], handles: [], ghosts: [] };
+  marks: Marks = { ends: [], pins: [], path: [], handles: [] };
   time = 0;
   follow = true;
   dragged: ((part: string, place: [number, number, number]) => void) | null = null;

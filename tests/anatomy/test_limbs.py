@@ -6,12 +6,11 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.limbs import by_limb, limb_views
-from bunraku.body.layout import HANDLE_NAMES
+from bunraku.body.layout import HANDLE_NAMES, handle_names
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.formats.handle_names import handle_names
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.skeletons.bone_names import handle_of_joints

@@ -11,7 +11,7 @@ from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import SkeletalMotion
-from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.surface import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.evaluation.handles.rest_pose_transfer import code_made_motions
 

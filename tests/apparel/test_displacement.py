@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from bunraku.apparel.body_depth import Unposed
+from bunraku.apparel.clothed import NORMAL_STIFFNESS, SOFTEST, ClothedCharacter, part_stiffness
 from bunraku.apparel.displacement.anchor import AnchorHead, Inputs
 from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
 from bunraku.apparel.displacement.carry import Carrier, node_turns, polar_rotation
@@ -33,7 +34,6 @@ from bunraku.apparel.displacement.recurrent import KEEP, MOST, Past, RecurrentPa
 from bunraku.apparel.displacement.safety import Safety, SafetySettings, known_share
 from bunraku.apparel.nodes import apparel_nodes, part_neighbours
 from bunraku.apparel.skinning import eq4_transforms
-from bunraku.apparel.wearer import NORMAL_STIFFNESS, SOFTEST, Wearer, part_stiffness
 from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import line_up
@@ -53,21 +53,21 @@ def curtain(rows=7, columns=4):
     own = np.zeros((len(cloth), JOINT_COUNT), np.float32)
     own[:, 0] = 1
     apparel = np.arange(len(body.vertices) + len(cloth)) >= len(body.vertices)
-    return Wearer(
+    return ClothedCharacter(
         np.concatenate([body.vertices, cloth]).astype(np.float32), np.concatenate([body.faces, faces]),
         np.asarray(body.joints), np.concatenate([body.joint_weights, own]).astype(np.float32), apparel,
         np.where(apparel, 0, -1), np.array([-1.0], np.float32), np.array([0.9], np.float32),
     )  # fmt: skip
 
 
-def still(wearer, frames):
+def still(clothed, frames):
     """The rest pose, for so many frames, shape (F, 22, 3, 4)."""
-    pose = np.concatenate([np.tile(np.eye(3), (JOINT_COUNT, 1, 1)), wearer.joints[..., None]], axis=2)
+    pose = np.concatenate([np.tile(np.eye(3), (JOINT_COUNT, 1, 1)), clothed.joints[..., None]], axis=2)
     return np.tile(pose, (frames, 1, 1, 1)).astype(np.float32)
 
 
-def inputs_of(wearer, nodes, frame):
-    vectors, scalars = static_features(wearer, nodes)
+def inputs_of(clothed, nodes, frame):
+    vectors, scalars = static_features(clothed, nodes)
     graph = node_graph([nodes.neighbours], [nodes.part])
     moving = (torch.from_numpy(value) for value in (frame.vectors, frame.scalars))
     return Inputs(
@@ -76,10 +76,10 @@ def inputs_of(wearer, nodes, frame):
 
 
 def test_nodes_hang_where_their_part_is_held():
-    wearer = curtain()
-    nodes = apparel_nodes(wearer, 12)
-    assert len(nodes) == 12 and (wearer.part[nodes.vertex] == 0).all() and (nodes.joint == 0).all()
-    top = wearer.rest[wearer.apparel][:, 1].max()
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    assert len(nodes) == 12 and (clothed.part[nodes.vertex] == 0).all() and (nodes.joint == 0).all()
+    top = clothed.rest[clothed.apparel][:, 1].max()
     # the nearest end to the body is where it is held: the distance of a node is its way along the cloth from there
     assert nodes.distance.max() <= nodes.length[0] + 1e-6 and nodes.distance.min() >= 0
     assert nodes.length[0] >= 0.2 and top > 0
@@ -121,10 +121,10 @@ def test_filters_forget():
 
 def test_pendulums_keep_their_lengths_and_come_to_hang_as_forces_balance():
     held = np.array([[0.3, 0, 0], [0, -0.4, 0]], np.float32)
-    places, turns = held + [0, 1, 0], np.repeat(np.eye(3)[None], 2, axis=0)
-    hung = Pendulums(places, held, turns, 1.0)
+    positions, turns = held + [0, 1, 0], np.repeat(np.eye(3)[None], 2, axis=0)
+    hung = Pendulums(positions, held, turns, 1.0)
     for _ in range(600):
-        away = hung.advance(places, turns) + held
+        away = hung.advance(positions, turns) + held
         np.testing.assert_allclose(np.linalg.norm(away, axis=2), [[0.3, 0.4]] * len(PENDULUMS), rtol=1e-4)
     for (spring, _), sideways, down in zip(PENDULUMS, away[:, 0], away[:, 1], strict=True):
         # gravity and the spring's pull to (0.3, 0, 0) leave nothing across the rod
@@ -144,11 +144,11 @@ def test_a_small_swing_has_the_period_of_a_pendulum(monkeypatch):
 
 
 def test_at_rest_nothing_is_felt():
-    wearer = curtain()
-    nodes = apparel_nodes(wearer, 12)
-    frame = clip_features(wearer, nodes, still(wearer, 3))[-1]
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    frame = clip_features(clothed, nodes, still(clothed, 3))[-1]
     assert np.abs(frame.vectors[:, :BASIS]).max() < 1e-5
-    np.testing.assert_allclose(frame.places, nodes.rest, atol=1e-5)
+    np.testing.assert_allclose(frame.positions, nodes.rest, atol=1e-5)
 
 
 def test_a_mirrored_pose_has_mirrored_features():
@@ -166,18 +166,18 @@ def test_a_mirrored_pose_has_mirrored_features():
 
 
 def test_the_lead_in_goes_from_rest_to_the_first_frame():
-    wearer = curtain()
-    first = still(wearer, 1)[0].copy()
+    clothed = curtain()
+    first = still(clothed, 1)[0].copy()
     first[:, :, :3] = matrix_from_axis_angle(np.array([0.0, 1.0, 0.0])) @ first[:, :, :3]
     first[:, :, 3] = first[:, :, 3] @ matrix_from_axis_angle(np.array([0.0, 1.0, 0.0])).T + [1, 0, 2]
-    way = lead_in_transforms(wearer.joints, first, 20)
-    np.testing.assert_allclose(way[0], rest_transforms(wearer.joints, first), atol=1e-5)
+    way = lead_in_transforms(clothed.joints, first, 20)
+    np.testing.assert_allclose(way[0], rest_transforms(clothed.joints, first), atol=1e-5)
     np.testing.assert_allclose(way[-1], first, atol=1e-5)
 
 
 def test_signed_distance_by_hand():
-    places, normals = np.array([[0.0, 0, 0], [0, 5, 0]]), np.array([[0.0, 1, 0], [0, 0, 1]])
-    gap, normal = nearest_point(np.array([[0.3, -0.2, 0], [0, 5, 0.4]]), places, normals)
+    positions, normals = np.array([[0.0, 0, 0], [0, 5, 0]]), np.array([[0.0, 1, 0], [0, 0, 1]])
+    gap, normal = nearest_point(np.array([[0.3, -0.2, 0], [0, 5, 0.4]]), positions, normals)
     np.testing.assert_allclose(gap, [-0.2, 0.4])
     np.testing.assert_allclose(normal, normals)
 
@@ -226,10 +226,10 @@ def test_state_velocity_and_acceleration_by_hand():
 def test_the_recurrent_part_adds_to_the_last_state():
     """With a decoder that says nothing but its bias: the formula of `RecurrentPart.forward` by hand."""
     part = RecurrentPart(8, 1)
-    wearer = curtain()
-    nodes = apparel_nodes(wearer, 12)
-    frame = clip_features(wearer, nodes, still(wearer, 1))[0]
-    inputs = inputs_of(wearer, nodes, frame)
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    frame = clip_features(clothed, nodes, still(clothed, 1))[0]
+    inputs = inputs_of(clothed, nodes, frame)
     with torch.no_grad():
         part.decoder[-1].weight.zero_()
         part.decoder[-1].bias.copy_(torch.tensor([0.4, -0.3, 0.2, 0.7, 0.01, -0.02, 0.03]))
@@ -240,9 +240,9 @@ def test_the_recurrent_part_adds_to_the_last_state():
 
     # the head said 0.08 and 0.07, what was given out is 0.13 and 0.10; now it says 0.1
     past = Past(all_of([0.05, 0.03, 0.02]), all_of([0.13, 0.10]), all_of([0.53, 0.51]))
-    turns, places = torch.eye(3).expand(count, 3, 3), torch.full((count, 3), 0.35)
+    turns, positions = torch.eye(3).expand(count, 3, 3), torch.full((count, 3), 0.35)
     with torch.no_grad():
-        moved, after = part(inputs, past, torch.full((count, 3), 0.1), turns, places)
+        moved, after = part(inputs, past, torch.full((count, 3), 0.1), turns, positions)
     keep = KEEP / (1 + math.exp(-0.4))
     whole = math.exp(-0.3) + math.exp(0.2) + 1
     swing, gate, followed = math.exp(-0.3) / whole, math.exp(0.2) / whole, 1 / (1 + math.exp(-0.7))
@@ -252,7 +252,7 @@ def test_the_recurrent_part_adds_to_the_last_state():
     assert moved[0].tolist() == pytest.approx(wanted, rel=1e-4)
     assert torch.allclose(after.rest[0] + 0.1, moved) and torch.equal(after.rest[1:], past.rest[:2])
     assert torch.equal(after.whole[0], moved) and torch.equal(after.whole[1], past.whole[0])
-    assert torch.allclose(after.places[0], moved + 0.35)
+    assert torch.allclose(after.positions[0], moved + 0.35)
 
 
 def test_what_it_remembers_fades():
@@ -267,27 +267,27 @@ def test_the_papers_form_is_positions_in_the_world():
     with torch.no_grad():
         part.decoder[-1].weight.zero_()
         part.decoder[-1].bias.copy_(torch.tensor([0.5, 0.0, 0.0]))
-    wearer = curtain()
-    nodes = apparel_nodes(wearer, 12)
-    inputs = inputs_of(wearer, nodes, clip_features(wearer, nodes, still(wearer, 1))[0])
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    inputs = inputs_of(clothed, nodes, clip_features(clothed, nodes, still(clothed, 1))[0])
     count = len(nodes)
     turn = torch.from_numpy(matrix_from_axis_angle(np.array([0.0, 0, math.pi / 2]))).float().expand(count, 3, 3)
-    places = torch.ones(count, 3)
+    positions = torch.ones(count, 3)
     states = torch.zeros(3, count, 3)
-    past = past_of_states(part, states, states, turn.expand(3, -1, -1, -1), places.expand(3, -1, -1))
+    past = past_of_states(part, states, states, turn.expand(3, -1, -1, -1), positions.expand(3, -1, -1))
     assert past.whole.shape == (2, count, 3)
-    assert torch.allclose(past.rest[0], places)
+    assert torch.allclose(past.rest[0], positions)
     with torch.no_grad():
-        moved, _ = part(inputs, past, states[0], turn, places)
+        moved, _ = part(inputs, past, states[0], turn, positions)
     # the node went by 0.5 along the world's x, which is minus y of a frame that is turned by 90 degrees about z
     assert moved[0].tolist() == pytest.approx([0, -0.5, 0], abs=1e-6)
 
 
 def test_the_head_mixes_its_basis_by_hand():
     head = AnchorHead(8, 1)
-    wearer = curtain()
-    nodes = apparel_nodes(wearer, 12)
-    inputs = inputs_of(wearer, nodes, clip_features(wearer, nodes, still(wearer, 1))[0])
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
+    inputs = inputs_of(clothed, nodes, clip_features(clothed, nodes, still(clothed, 1))[0])
     inputs.vectors = torch.zeros(len(nodes), VECTORS, 3)
     inputs.vectors[:, 2] = torch.tensor([1.0, 2.0, 3.0])
     with torch.no_grad():
@@ -318,13 +318,13 @@ def test_the_nearest_rotation():
 
 def test_vertices_turn_with_their_nodes():
     """Nodes of a rigid turn about the place where the cloth is held take all vertices along, nearly."""
-    wearer = curtain(14, 8)
-    nodes = apparel_nodes(wearer, 40)
-    carrier = Carrier(wearer, nodes)
+    clothed = curtain(14, 8)
+    nodes = apparel_nodes(clothed, 40)
+    carrier = Carrier(clothed, nodes)
     turn = matrix_from_axis_angle(np.array([0.5, 0, 0]))
-    pivot = wearer.joints[0]
+    pivot = clothed.joints[0]
     moved = ((nodes.rest - pivot) @ turn.T + pivot - nodes.rest).astype(np.float32)
-    rest = wearer.rest[carrier.vertices]
+    rest = clothed.rest[carrier.vertices]
     wanted = (rest - pivot) @ turn.T + pivot - rest
     assert np.abs(carrier.displacements(moved) - wanted).max() < 2e-3
     assert np.abs(carrier.displacements(np.zeros_like(moved))).max() < 1e-6
@@ -334,22 +334,22 @@ def test_vertices_by_the_plain_formula():
     """Sum of shares of `m_i + T_i a - a` over the nodes around, in the frame of the vertex' joint, on what its skin
     says.
     """
-    wearer = curtain(14, 8)
+    clothed = curtain(14, 8)
     chest = JOINT_NAMES.index("spine3")
-    weights = np.array(wearer.weights)
-    weights[np.flatnonzero(wearer.apparel)[::3], [[0], [chest]]] = [[0.3], [0.7]]  # a third goes with another joint
-    wearer = replace(wearer, weights=weights)
-    nodes = apparel_nodes(wearer, 30)
-    carrier, random = Carrier(wearer, nodes), np.random.default_rng(0)
+    weights = np.array(clothed.weights)
+    weights[np.flatnonzero(clothed.apparel)[::3], [[0], [chest]]] = [[0.3], [0.7]]  # a third goes with another joint
+    clothed = replace(clothed, weights=weights)
+    nodes = apparel_nodes(clothed, 30)
+    carrier, random = Carrier(clothed, nodes), np.random.default_rng(0)
     moved = random.normal(0, 0.05, (len(nodes), 3)).astype(np.float32)
     affine = np.concatenate([
         matrix_from_axis_angle(random.normal(0, 0.5, (JOINT_COUNT, 3))), random.normal(0, 0.3, (JOINT_COUNT, 3, 1))
     ], axis=2).astype(np.float32)  # fmt: skip
     turns = node_turns(nodes, carrier.spokes, carrier.prior, moved)
-    places, swung = carrier.places(moved, affine), carrier.displacements(moved)
+    positions, swung = carrier.positions(moved, affine), carrier.displacements(moved)
     for row in range(0, len(carrier.vertices), 7):
         vertex = carrier.vertices[row]
-        rest, own = wearer.rest[vertex].astype(np.float64), wearer.weights[vertex]
+        rest, own = clothed.rest[vertex].astype(np.float64), clothed.weights[vertex]
         wanted = np.zeros(3)
         for node, share in zip(carrier.index[row], carrier.share[row], strict=True):
             away = rest - nodes.rest[node]
@@ -357,24 +357,24 @@ def test_vertices_by_the_plain_formula():
         np.testing.assert_allclose(swung[row], wanted, atol=1e-5)
         blend = np.einsum("j,jab->ab", own, affine)
         skinned = blend[:, :3] @ rest + blend[:, 3]
-        np.testing.assert_allclose(places[row], skinned + affine[own.argmax(), :, :3] @ wanted, atol=1e-5)
+        np.testing.assert_allclose(positions[row], skinned + affine[own.argmax(), :, :3] @ wanted, atol=1e-5)
 
 
 def test_safety_by_hand():
-    wearer = curtain()
-    nodes = apparel_nodes(wearer, 12)
+    clothed = curtain()
+    nodes = apparel_nodes(clothed, 12)
     empty = np.zeros((0, 3), np.float32)
     nothing = BodyPoints(empty, empty, np.zeros((0, JOINT_COUNT), np.float32), np.zeros(0, np.int64))
-    carrier = Carrier(wearer, nodes)
-    safety = Safety(wearer, nodes, nothing, carrier, SafetySettings(passes=200))
+    carrier = Carrier(clothed, nodes)
+    safety = Safety(clothed, nodes, nothing, carrier, SafetySettings(passes=200))
     affine = np.tile(np.eye(4)[:3], (JOINT_COUNT, 1, 1)).astype(np.float32)
     random = np.random.default_rng(0)
     far = nodes.rest + random.normal(0, 0.05, nodes.rest.shape)
     a, b = safety.edges.T
     free = (safety.free[a, 0] + safety.free[b, 0]) > 0
 
-    def worst(places):
-        ratio = np.linalg.norm(places[a] - places[b], axis=1) / safety.lengths
+    def worst(positions):
+        ratio = np.linalg.norm(positions[a] - positions[b], axis=1) / safety.lengths
         return max((ratio[free] - 1.15).max(), (0.85 - ratio[free]).max())
 
     done = safety(far, affine)[0]
@@ -385,10 +385,10 @@ def test_safety_by_hand():
 
 def test_safety_pushes_out_of_the_body():
     """A curtain that is blown against the thighs comes to lie on them, all of its neighbourhood with it."""
-    wearer = curtain(13, 9)
-    nodes = apparel_nodes(wearer, 64)
-    carrier = Carrier(wearer, nodes)
-    safety = Safety(wearer, nodes, body_points(wearer, 1500), carrier, SafetySettings(shortest=0.0, longest=9.0))
+    clothed = curtain(13, 9)
+    nodes = apparel_nodes(clothed, 64)
+    carrier = Carrier(clothed, nodes)
+    safety = Safety(clothed, nodes, body_points(clothed, 1500), carrier, SafetySettings(shortest=0.0, longest=9.0))
     affine = np.tile(np.eye(4)[:3], (JOINT_COUNT, 1, 1)).astype(np.float32)
     rest, unposed = safety(nodes.rest, affine)
     np.testing.assert_allclose(rest, nodes.rest, atol=1e-6)
@@ -397,51 +397,51 @@ def test_safety_pushes_out_of_the_body():
     before = safety.depth.at(blown)[0][loose]
     after = safety.depth.at(safety(blown, affine)[0])[0][loose]
     assert before.min() < -0.012 and after.min() > -0.006
-    vertices = wearer.rest[carrier.vertices] - np.array([0, 0, 0.16], np.float32)
+    vertices = clothed.rest[carrier.vertices] - np.array([0, 0, 0.16], np.float32)
     assert safety.depth.at(vertices)[0].min() < -0.05
     assert safety.depth.at(safety.vertices(vertices, unposed))[0].min() > -0.01
 
 
 def test_vertices_between_two_limbs_are_asked_for_both():
     """A vertex whose first node is beside another limb than its second, in whose limb it is."""
-    wearer = curtain()
-    nodes, points = apparel_nodes(wearer, 12), body_points(wearer, 300)
-    safety = Safety(wearer, nodes, points, Carrier(wearer, nodes))
+    clothed = curtain()
+    nodes, points = apparel_nodes(clothed, 12), body_points(clothed, 300)
+    safety = Safety(clothed, nodes, points, Carrier(clothed, nodes))
     assert safety.depth is not None
     inside = points.rest - 0.02 * points.normals
-    places = inside[np.abs(safety.depth.at(inside)[0] + 0.02).argmin()][None]
+    indices = inside[np.abs(safety.depth.at(inside)[0] + 0.02).argmin()][None]
     safety.node, safety.second, safety.third = np.array([0]), np.array([1]), np.array([1])
     safety.vertex_gap, safety.deep_gap = np.array([-0.005], np.float32), np.array([-0.006], np.float32)
     away = np.array([[5.0, 0, 0], [0, 0, 0]], np.float32)  # by the first node it is far outside
     turns = np.tile(np.eye(3, dtype=np.float32), (2, 1, 1))
-    moved = safety.vertices(places, Unposed(turns, away, np.array([0, 1])))
+    moved = safety.vertices(indices, Unposed(turns, away, np.array([0, 1])))
     assert safety.depth.at(moved)[0] == pytest.approx(-0.005, abs=2e-3)
-    same = safety.vertices(places, Unposed(turns, away, np.array([1, 1])))
-    np.testing.assert_array_equal(same, places)
+    same = safety.vertices(indices, Unposed(turns, away, np.array([1, 1])))
+    np.testing.assert_array_equal(same, indices)
     safety.second = np.array([0])  # now only its third node is near the limb that it is in: it may stay a little
-    moved = safety.vertices(places, Unposed(turns, away, np.array([0, 1])))
+    moved = safety.vertices(indices, Unposed(turns, away, np.array([0, 1])))
     assert safety.depth.at(moved)[0] == pytest.approx(-0.006, abs=2e-3)
 
 
 def test_safety_lays_a_skirt_over_a_lifted_leg():
     """A thigh lifted through the curtain has it behind it, in nothing; the stage brings it in front again."""
-    wearer = curtain(13, 9)
-    nodes = apparel_nodes(wearer, 64)
-    points = body_points(wearer, 1500)
-    safety = Safety(wearer, nodes, points, Carrier(wearer, nodes))
-    pose = still(wearer, 1)[0]
+    clothed = curtain(13, 9)
+    nodes = apparel_nodes(clothed, 64)
+    points = body_points(clothed, 1500)
+    safety = Safety(clothed, nodes, points, Carrier(clothed, nodes))
+    pose = still(clothed, 1)[0]
     hip, turn = JOINT_NAMES.index("left_hip"), matrix_from_axis_angle(np.array([-0.8, 0, 0]))
     for joint in range(JOINT_COUNT):
         if hip in line_up(joint, JOINT_PARENTS):
             pose[joint, :, :3] = turn
-            pose[joint, :, 3] = wearer.joints[hip] + turn @ (wearer.joints[joint] - wearer.joints[hip])
-    affine = eq4_transforms(pose[None], wearer.joints)[0]
+            pose[joint, :, 3] = clothed.joints[hip] + turn @ (clothed.joints[joint] - clothed.joints[hip])
+    affine = eq4_transforms(pose[None], clothed.joints)[0]
     body = points.posed(affine)[0]
 
-    def behind(places):
+    def behind(positions):
         """Nodes with a point of the body before them, 2 cm to the side at most."""
-        beside = np.linalg.norm(body[None, :, :2] - places[:, None, :2], axis=-1) < 0.02
-        return int((beside & (body[None, :, 2] > places[:, None, 2] + 0.02)).any(axis=1).sum())
+        beside = np.linalg.norm(body[None, :, :2] - positions[:, None, :2], axis=-1) < 0.02
+        return int((beside & (body[None, :, 2] > positions[:, None, 2] + 0.02)).any(axis=1).sum())
 
     assert behind(nodes.rest) > 3
     assert behind(safety(nodes.rest, affine)[0]) < 0.4 * behind(nodes.rest)
@@ -463,52 +463,52 @@ def test_stiffness_by_hand():
 def test_a_player_gives_every_frame_alike():
     """Frame by frame or as a clip, and the same again after a minute elsewhere: the head has no memory."""
     torch.manual_seed(0)
-    wearer = curtain()
+    clothed = curtain()
     network = DisplacementNetwork(DisplacementConfig(16, 1, recurrent=0)).eval()
     for value in network.anchor.decoder[-1].parameters():
         torch.nn.init.normal_(value, 0, 0.05)
-    poses = still(wearer, 8)
+    poses = still(clothed, 8)
     poses[:, :, :3, :3] = matrix_from_axis_angle(np.linspace(0, 1, 8)[:, None] * [0.0, 1, 0])[:, None]
-    player = ApparelPlayer(wearer, network, nodes=16)
+    player = ApparelPlayer(clothed, network, nodes=16)
     clip = player.clip(poses)
-    again = ApparelPlayer(wearer, network, nodes=16)
+    again = ApparelPlayer(clothed, network, nodes=16)
     again.start(poses[0])
     np.testing.assert_array_equal(np.stack([again.advance(pose) for pose in poses]), clip)
-    assert clip.shape == (8, int(wearer.apparel.sum()), 3) and np.isfinite(clip).all()
+    assert clip.shape == (8, int(clothed.apparel.sum()), 3) and np.isfinite(clip).all()
 
 
 @pytest.mark.parametrize("frame", ["joint", "world"])
 def test_the_folded_network_says_what_the_layers_say(frame):
     """Frame after frame, each network with its own past: the matrices of the player against the modules of training."""
     torch.manual_seed(0)
-    wearer = curtain(13, 9)
-    half = (wearer.part == 0) & (wearer.rest[:, 0] > 0.01)  # two parts
+    clothed = curtain(13, 9)
+    half = (clothed.part == 0) & (clothed.rest[:, 0] > 0.01)  # two parts
     two = np.array([-1.0, 0.0], np.float32)
-    wearer = replace(wearer, part=np.where(half, 1, wearer.part), stiffness=two, damping=np.full(2, 0.9, np.float32))
-    nodes = apparel_nodes(wearer, 40)
+    clothed = replace(clothed, part=np.where(half, 1, clothed.part), stiffness=two, damping=np.full(2, 0.9, np.float32))
+    nodes = apparel_nodes(clothed, 40)
     network = DisplacementNetwork(DisplacementConfig(16, 2, 8, frame)).eval()
     for part in (network.anchor, network.recurrent):
         torch.nn.init.normal_(part.encoder.mean, 0, 0.1)
         torch.nn.init.uniform_(part.encoder.std, 0.2, 1.0)
         torch.nn.init.normal_(part.decoder[-1].weight, 0, 0.05)
-    poses = still(wearer, 6)
+    poses = still(clothed, 6)
     poses[:, :, :3, :3] = matrix_from_axis_angle(np.linspace(0, 1, 6)[:, None] * [0.3, 1, 0])[:, None]
-    folded = FoldedNetwork(network, *static_features(wearer, nodes), node_graph([nodes.neighbours], [nodes.part]))
+    folded = FoldedNetwork(network, *static_features(clothed, nodes), node_graph([nodes.neighbours], [nodes.part]))
     start = torch.zeros(3, len(nodes), 3)
     past = past_of_states(network.recurrent, start, start, torch.eye(3).expand(3, len(nodes), 3, 3), start + 0.1)
-    arrays = past.rest.numpy(), past.whole.numpy(), past.places.numpy()
-    for one in clip_features(wearer, nodes, poses):
-        inputs = inputs_of(wearer, nodes, one)
-        turns, places = torch.from_numpy(one.turns), torch.from_numpy(one.places)
+    arrays = past.rest.numpy(), past.whole.numpy(), past.positions.numpy()
+    for one in clip_features(clothed, nodes, poses):
+        inputs = inputs_of(clothed, nodes, one)
+        turns, positions = torch.from_numpy(one.turns), torch.from_numpy(one.positions)
         with torch.no_grad():
             anchor = network.anchor(inputs)
-            moved, past = network.recurrent(inputs, past, anchor, turns, places)
+            moved, past = network.recurrent(inputs, past, anchor, turns, positions)
         told = np.ascontiguousarray(one.vectors), one.scalars, one.whole
         head = folded.anchor(*told)
-        fast, arrays = folded.recurrent(*told, arrays, head, one.turns, one.places)
+        fast, arrays = folded.recurrent(*told, arrays, head, one.turns, one.positions)
         np.testing.assert_allclose(head, anchor.numpy(), atol=2e-6)
         np.testing.assert_allclose(fast, moved.numpy(), atol=5e-6)
-        for array, tensor in zip(arrays, (past.rest, past.whole, past.places), strict=True):
+        for array, tensor in zip(arrays, (past.rest, past.whole, past.positions), strict=True):
             np.testing.assert_allclose(array, tensor.numpy(), atol=5e-6)
     assert np.abs(fast).max() > 1e-3
 
@@ -516,17 +516,17 @@ def test_the_folded_network_says_what_the_layers_say(frame):
 def test_a_known_difference_fades():
     """Three true frames, then the head with nine tenths of what it missed, then with nine tenths of that."""
     torch.manual_seed(0)
-    wearer = curtain()
+    clothed = curtain()
     network = DisplacementNetwork(DisplacementConfig(16, 1, recurrent=0)).eval()
-    poses = still(wearer, 8)
-    plain, told = (ApparelPlayer(wearer, network, nodes=16, safe=False) for _ in range(2))
+    poses = still(clothed, 8)
+    plain, told = (ApparelPlayer(clothed, network, nodes=16, safe=False) for _ in range(2))
     rest = plain.clip(poses)
     told.start(poses[0])
     states = np.zeros((3, len(told.nodes), 3), np.float32)
     states[..., 2] = 0.1  # over the size
     told.know(states, poses[:3])
     first, second = told.advance(poses[3]) - rest[3], told.advance(poses[4]) - rest[4]
-    np.testing.assert_allclose(first[:, 2], 0.9 * 0.1 * wearer.scale, rtol=0.05)
+    np.testing.assert_allclose(first[:, 2], 0.9 * 0.1 * clothed.scale, rtol=0.05)
     np.testing.assert_allclose(second, 0.9 * first, atol=1e-4)
 
 
@@ -541,10 +541,11 @@ def test_a_network_comes_back_from_its_checkpoint(tmp_path):
         load_displacement(tmp_path / "none.safetensors")
 
 
-def test_a_wearer_is_of_one_character():
-    wearer = curtain()
+def test_a_clothed_character_is_of_one_character():
+    clothed = curtain()
     with pytest.raises(CharacterError):
-        Wearer(wearer.rest, wearer.faces, wearer.joints, wearer.weights[:-1], wearer.apparel, wearer.part,
-               wearer.stiffness, wearer.damping)  # fmt: skip
-    assert STATIC_VECTORS == 3 and static_features(wearer, apparel_nodes(wearer, 5))[1].shape[1] == STATIC_SCALARS
+        ClothedCharacter(clothed.rest, clothed.faces, clothed.joints, clothed.weights[:-1], clothed.apparel,
+            clothed.part,
+               clothed.stiffness, clothed.damping)  # fmt: skip
+    assert STATIC_VECTORS == 3 and static_features(clothed, apparel_nodes(clothed, 5))[1].shape[1] == STATIC_SCALARS
     assert SCALARS == 2

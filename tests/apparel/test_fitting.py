@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bunraku.apparel.fitting import fitted_wearer
+from bunraku.apparel.fitting import fitted_clothes
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 
@@ -26,7 +26,7 @@ def worn(joint, *radii):
     weights[:, JOINT_NAMES.index(joint)] = 1
     blank = np.zeros(len(vertices), np.float32)
     joints = np.array(reference_body().joints[:22], np.float32)
-    return fitted_wearer(vertices, faces, joints, weights, np.arange(len(vertices)) >= count, blank, blank)
+    return fitted_clothes(vertices, faces, joints, weights, np.arange(len(vertices)) >= count, blank, blank)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def worn(joint, *radii):
     ],
 )
 def test_layers_of_a_skirt_are_one_part(joint, radii, parts):
-    wearer = worn(joint, *radii)
-    assert set(np.unique(wearer.part)) == {-1, *range(parts)}
-    assert len(wearer.stiffness) == len(wearer.damping) == parts
-    assert (wearer.weights[wearer.part >= 0].argmax(axis=1) == JOINT_NAMES.index(joint)).all()
+    clothed = worn(joint, *radii)
+    assert set(np.unique(clothed.part)) == {-1, *range(parts)}
+    assert len(clothed.stiffness) == len(clothed.damping) == parts
+    assert (clothed.weights[clothed.part >= 0].argmax(axis=1) == JOINT_NAMES.index(joint)).all()

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.layers import Layers
-from bunraku.apparel.wearer import Wearer
 from bunraku.body.layout import JOINT_NAMES
 from bunraku.body.reference import reference_body
 
@@ -23,7 +23,7 @@ LEG, SKIRT, HAIR = (slice(number * AROUND * len(HEIGHTS), (number + 1) * AROUND 
 
 
 @pytest.fixture(scope="module")
-def wearer():
+def clothed():
     """One leg in a skirt, and something carried by the head around both."""
     tubes = [tube(radius) for radius in (0.08, 0.16, 0.2)]
     rest = np.concatenate([points for points, _ in tubes]).astype(np.float32)
@@ -35,19 +35,19 @@ def wearer():
     joints = np.array(reference_body().joints[:22], np.float32)
     joints[1:3, 1] = 0.9
     blank = np.zeros(2, np.float32)
-    return Wearer(rest, faces, joints, weights, part >= 0, part, blank, blank)
+    return ClothedCharacter(rest, faces, joints, weights, part >= 0, part, blank, blank)
 
 
 @pytest.fixture(scope="module")
-def layers(wearer):
-    return Layers(wearer, np.flatnonzero(wearer.part >= 0))
+def layers(clothed):
+    return Layers(clothed, np.flatnonzero(clothed.part >= 0))
 
 
-def pose(wearer, forward):
+def pose(clothed, forward):
     """The leg goes forward, and with it the front of what hangs over it, as its skin says."""
-    out = wearer.rest.copy()
+    out = clothed.rest.copy()
     out[LEG, 2] += forward
-    front = np.clip(wearer.rest[SKIRT.start :, 2] / 0.16, 0, 1)
+    front = np.clip(clothed.rest[SKIRT.start :, 2] / 0.16, 0, 1)
     out[SKIRT.start :, 2] += forward * front
     return out
 
@@ -58,43 +58,50 @@ def front_of(points, rest):
     return np.array([points[near & (np.abs(rest[:, 1] - height) < 1e-5), 2].max() for height in HEIGHTS])
 
 
-def test_a_leg_that_has_come_through_is_covered_again_and_the_back_stays(wearer, layers):
-    skinned = pose(wearer, 0.25)
-    places = wearer.rest[SKIRT.start :]
-    laid = np.concatenate([skinned[LEG], layers(places, skinned)])
-    assert front_of(places, wearer.rest[SKIRT.start :])[12] < 0.08 + 0.25  # it had come through
-    fronts = [front_of(laid[rows], wearer.rest[rows]) for rows in (LEG, SKIRT, HAIR)]
+def test_a_leg_that_has_come_through_is_covered_again_and_the_back_stays(clothed, layers):
+    skinned = pose(clothed, 0.25)
+    positions = clothed.rest[SKIRT.start :]
+    laid = np.concatenate([skinned[LEG], layers(positions, skinned)])
+    assert front_of(positions, clothed.rest[SKIRT.start :])[12] < 0.08 + 0.25  # it had come through
+    fronts = [front_of(laid[rows], clothed.rest[rows]) for rows in (LEG, SKIRT, HAIR)]
     inner = slice(2, -2)
     assert (fronts[1] > fronts[0])[inner].all()
     assert (fronts[2] > fronts[1])[inner].all()  # and what lay over the skirt lies over it
-    back = wearer.rest[:, 2] < -0.1
+    back = clothed.rest[:, 2] < -0.1
     np.testing.assert_allclose(
-        laid[back & (np.arange(len(laid)) >= SKIRT.start)], wearer.rest[SKIRT.start :][back[SKIRT.start :]], atol=1e-6
+        laid[back & (np.arange(len(laid)) >= SKIRT.start)], clothed.rest[SKIRT.start :][back[SKIRT.start :]], atol=1e-6
     )
 
 
-def test_what_lies_right_stays_where_it_is(wearer, layers):
-    np.testing.assert_array_equal(layers(wearer.rest[SKIRT.start :], wearer.rest), wearer.rest[SKIRT.start :])
-    along = pose(wearer, 0.02)  # the leg stays under the skirt
-    np.testing.assert_array_equal(layers(wearer.rest[SKIRT.start :], along), wearer.rest[SKIRT.start :])
+def test_what_lies_right_stays_where_it_is(clothed, layers):
+    np.testing.assert_array_equal(layers(clothed.rest[SKIRT.start :], clothed.rest), clothed.rest[SKIRT.start :])
+    along = pose(clothed, 0.02)  # the leg stays under the skirt
+    np.testing.assert_array_equal(layers(clothed.rest[SKIRT.start :], along), clothed.rest[SKIRT.start :])
 
 
-def test_in_a_clip_the_skirt_goes_over_the_leg_without_a_jump(wearer, layers):
+def test_in_a_clip_the_skirt_goes_over_the_leg_without_a_jump(clothed, layers):
     frames = 24
-    skinned = np.stack([pose(wearer, forward) for forward in np.linspace(0, 0.25, frames)])
-    places = np.repeat(wearer.rest[None, SKIRT.start :], frames, axis=0)
+    skinned = np.stack([pose(clothed, forward) for forward in np.linspace(0, 0.25, frames)])
+    positions = np.repeat(clothed.rest[None, SKIRT.start :], frames, axis=0)
     told = []
-    laid = layers.clip(places, skinned, told.append)
+    laid = layers.clip(positions, skinned, told.append)
     steps = np.linalg.norm(np.diff(laid, axis=0), axis=-1).max(axis=1)
     assert steps.max() < 3 * 0.25 / frames
     assert told[0] == 0 and all(0 <= share < 1 for share in told)
 
 
-def test_apparel_that_does_not_hang_over_legs_is_left_alone(wearer):
-    weights = wearer.weights.copy()
+def test_apparel_that_does_not_hang_over_legs_is_left_alone(clothed):
+    weights = clothed.weights.copy()
     weights[LEG] = np.eye(22)[JOINT_NAMES.index("spine1")]
-    other = Wearer(
-        wearer.rest, wearer.faces, wearer.joints, weights, wearer.apparel, wearer.part, wearer.stiffness, wearer.damping
+    other = ClothedCharacter(
+        clothed.rest,
+        clothed.faces,
+        clothed.joints,
+        weights,
+        clothed.apparel,
+        clothed.part,
+        clothed.stiffness,
+        clothed.damping,
     )
-    places = wearer.rest[SKIRT.start :] + 0.1
-    assert Layers(other, np.flatnonzero(wearer.part >= 0))(places, wearer.rest) is places
+    positions = clothed.rest[SKIRT.start :] + 0.1
+    assert Layers(other, np.flatnonzero(clothed.part >= 0))(positions, clothed.rest) is positions

@@ -80,14 +80,14 @@ def test_places_that_do_not_meet_are_free(holder, tmp_path):
 def test_another_process_with_the_number_of_a_dead_one_holds_nothing(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    place = module._place()
+    position = module._place()
     run = {"process": os.getppid(), "born": "1", "files": [str(tmp_path / "out.glb")], "folders": []}
-    (place / "old.json").write_text(json.dumps(run))
+    (position / "old.json").write_text(json.dumps(run))
     for number, broken in enumerate(("{", "[]", '{"process": "x"}', "\0")):
-        (place / f"{number}.json").write_text(broken)
+        (position / f"{number}.json").write_text(broken)
     with alone([tmp_path / "out.glb"]):
-        assert len(list(place.glob("*.json"))) == 1
-    assert list(place.iterdir()) == []
+        assert len(list(position.glob("*.json"))) == 1
+    assert list(position.iterdir()) == []
 
 
 def test_a_guard_that_was_left_is_taken_away(tmp_path, monkeypatch):
@@ -105,6 +105,11 @@ def test_a_run_of_the_command_line_is_refused_and_leaves_what_is_there(holder, g
     holder("files", tmp_path / "out.glb")
     for words in (["animate", good, "walks"], ["rig", good]):
         assert "another run of Bunraku" in fails(*words, "-o", tmp_path / "out.glb")
+    for suffix in ("png", "mp4"):
+        holder("files", tmp_path / f"picture.{suffix}")
+        assert "another run of Bunraku" in fails("render", good, "-o", tmp_path / f"picture.{suffix}")
+    holder("files", tmp_path / "mushroom.glb")
+    assert "another run of Bunraku" in fails("samples", "person", "mushroom", "-o", tmp_path)
     holder("folders", tmp_path / "clips")
     (tmp_path / "prompts.txt").write_text("walks\n")
     assert "another run of Bunraku" in fails(

@@ -11,7 +11,7 @@ import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import _explain, all_verbs
 from bunraku.cli.output.checks import slug
-from bunraku.cli.output.report import size_text
+from bunraku.cli.output.outputs import size_text
 from bunraku.cli.verbs.samples import Samples
 
 

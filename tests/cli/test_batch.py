@@ -24,7 +24,7 @@ def test_clips_of_a_pass_stay_together():
     prompts = [f"walks {number}" for number in range(5)]
     clips = clips_of(Path("out"), Path("c.glb"), prompts, 2, lambda character, prompt: f"{character} {prompt}")
     assert [clip.path.name for clip in clips[:2]] == ["001-walks-0.glb", "002-walks-1.glb"]
-    assert [(clip.place, clip.beside[clip.place]) for clip in clips] == [
+    assert [(clip.number, clip.beside[clip.number]) for clip in clips] == [
         (number % 2, prompt) for number, prompt in enumerate(prompts)
     ]
     assert [len(some) for some in passes(clips)] == [2, 2, 1]

@@ -153,7 +153,7 @@ def test_a_file_of_prompts_goes_on_where_it_stopped(folder, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["animate", "{}", "walks:100; runs:100"], "200 seconds in all"),
+        (["animate", "{}", "walks:20000; runs:20000"], "40000 seconds in all"),
         (["animate", "{}", "walks;;runs"], "part 2"),
         (["animate", "{}", ""], "prompt is empty"),
         (["animate", "{}", "walks", "--loop", "--after", "{}"], "do not go together"),

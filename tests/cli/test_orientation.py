@@ -8,12 +8,12 @@ import pytest
 
 from bunraku.cli import main
 from bunraku.cli.app import _joined
-from bunraku.cli.options.orientation import said_axes, settle_file
+from bunraku.cli.options.orientation import resolve_file, said_axes
 from bunraku.cli.verbs.inspect import describe
 from bunraku.core.character import Character
 from bunraku.errors import WeightsError
 from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
-from bunraku.handles.orientation import Orientation, Settled, settled_axes
+from bunraku.handles.orientation import Orientation, ResolvedAxes, resolved_axes
 from bunraku.io import load_character, save_character
 from bunraku.io.registry import read_motion
 from bunraku.nn.checkpoints import shipped_checkpoint
@@ -125,21 +125,21 @@ def guess(up, front, up_sure, front_sure):
 
 def test_what_is_said_about_a_guess():
     lies = guess("+z", "-y", 0.99, 0.98)
-    assert said_axes(Settled("+z", "-y", lies)) == (
-        "taken as +Z up (99 % sure), facing -Y (98 % sure): turned. To settle it, type --up +z --front -y, or else "
+    assert said_axes(ResolvedAxes("+z", "-y", lies)) == (
+        "taken as +Z up (99 % sure), facing -Y (98 % sure): turned. To set it, type --up +z --front -y, or else "
         "--up +y --front +z."
     )
     cow = guess("+y", "+x", 0.86, 0.98)
-    assert said_axes(Settled("+y", "+x", cow)) == (
-        "taken as +Y up (86 % sure), facing +X (98 % sure): a guess. To settle it, type --up +y --front +x, or else "
+    assert said_axes(ResolvedAxes("+y", "+x", cow)) == (
+        "taken as +Y up (86 % sure), facing +X (98 % sure): a guess. To set it, type --up +y --front +x, or else "
         "--up +x --front +y."
     )
-    assert said_axes(Settled("+z", "+x", guess("+z", "+x", 1, 0.97)), up="z") == (
-        "taken as facing +X (97 % sure): turned. To settle it, type --front +x, or else --front -x."
+    assert said_axes(ResolvedAxes("+z", "+x", guess("+z", "+x", 1, 0.97)), up="z") == (
+        "taken as facing +X (97 % sure): turned. To set it, type --front +x, or else --front -x."
     )
-    assert said_axes(Settled("+y", "+z", guess("+y", "+z", 0.99, 0.99))) == ""
-    assert said_axes(Settled("+z", "-y", guess("+z", "-y", 1, 0.97)), up="z") == ""
-    assert said_axes(Settled("+z", "-y", None)) == ""
+    assert said_axes(ResolvedAxes("+y", "+z", guess("+y", "+z", 0.99, 0.99))) == ""
+    assert said_axes(ResolvedAxes("+z", "-y", guess("+z", "-y", 1, 0.97)), up="z") == ""
+    assert said_axes(ResolvedAxes("+z", "-y", None)) == ""
 
 
 @pytest.mark.parametrize("rule", [True, False])
@@ -148,8 +148,8 @@ def test_no_guess_below_nine_tenths_is_silent(rule):
     for _ in range(300):
         chances = rng.dirichlet(np.full(24, rng.uniform(0.02, 2)))
         found = Orientation.of(chances)
-        up, front = settled_axes(found, rule)
-        line = said_axes(Settled(up, front, found), rule=rule)
+        up, front = resolved_axes(found, rule)
+        line = said_axes(ResolvedAxes(up, front, found), rule=rule)
         if not found.sure:
             assert f"% sure), facing {found.front.upper()}" in line and "type --up " in line
         else:
@@ -160,9 +160,9 @@ def test_no_guess_below_nine_tenths_is_silent(rule):
 def test_an_stl_is_turned_unasked(stls, capsys):
     need_weights("orientation")
     standing, lying = (load_character(path) for path in stls)
-    turned, line = settle_file(lying)
+    turned, line = resolve_file(lying)
     assert (turned.up, turned.front) == ("+z", "-y") and "taken as +Z up" in line and "--up +z --front -y" in line
-    settled, line = settle_file(standing)
+    settled, line = resolve_file(standing)
     assert (settled.up, settled.front, line) == ("+y", "+z", "")
 
 
@@ -170,14 +170,14 @@ def test_a_glb_stands_unless_the_evidence_is_overwhelming(stls, tmp_path, capsys
     need_weights("handles", "orientation")
     standing, lying = (load_character(path) for path in stls)
     path = save_character(lying, tmp_path / "lying.glb")
-    found, line = settle_file(load_character(path))  # shape, mirror plane and ground all say so
+    found, line = resolve_file(load_character(path))  # shape, mirror plane and ground all say so
     assert (found.up, found.front) == ("+z", "-y") and "turned, against the rule of its format" in line
     hovering = Character("hovering", lying.vertices + np.float32([0.3, 0.7, 2.1]), lying.faces)
-    kept, line = settle_file(load_character(save_character(hovering, tmp_path / "hovering.glb")))
+    kept, line = resolve_file(load_character(save_character(hovering, tmp_path / "hovering.glb")))
     assert (kept.up, kept.front) == ("+y", "+z") and line  # the shape alone does not do
-    kept, line = settle_file(load_character(save_character(standing, tmp_path / "standing.glb")))
+    kept, line = resolve_file(load_character(save_character(standing, tmp_path / "standing.glb")))
     assert (kept.up, kept.front, line) == ("+y", "+z", "")
-    asked, line = settle_file(load_character(path), up="z")
+    asked, line = resolve_file(load_character(path), up="z")
     assert (asked.up, asked.front) == ("+z", "-y")
     assert main(["rig", str(path), "-o", str(tmp_path / "rigged.glb"), "--up", "z", "--front=-y"]) == 0
     assert load_character(tmp_path / "rigged.glb").height == pytest.approx(standing.height, rel=1e-5)

@@ -14,7 +14,7 @@ import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import all_verbs
 from bunraku.cli.verbs.inspect import describe
-from bunraku.core.request.limits import SECONDS
+from bunraku.core.request.limits import WHOLE
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.samples import sample_names
 
@@ -222,10 +222,10 @@ def test_what_is_whole_is_named_when_the_rest_fails(tmp_path, monkeypatch, capsy
 
 def test_limits_and_defaults_agree_with_the_library():
     sequence, generate = (
-        importlib.import_module("bunraku.language.sequence"),
-        importlib.import_module("bunraku.diffusion.generate"),
+        importlib.import_module("bunraku.language.prompts"),
+        importlib.import_module("bunraku.diffusion.generation.generate"),
     )
-    assert (SECONDS.low, SECONDS.high) == (sequence.SHORTEST, sequence.LONGEST)
+    assert (WHOLE.low, WHOLE.high) == (sequence.SHORTEST, sequence.LONGEST)
     text = (ROOT / "docs" / "cli.md").read_text()
     assert f"{generate.STEPS} by default" in text and f"{generate.GUIDANCE} by default" in text
 

@@ -15,8 +15,7 @@ from bunraku.diffusion.features import (
     standing_legs,
 )
 from bunraku.errors import MotionError
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.geometry.rotations import heading, matrix_from_axis_angle, matrix_y
 
 
 def smooth_motion(frames=60, seed=0, fps=20.0, canonical=False):
@@ -33,16 +32,16 @@ def smooth_motion(frames=60, seed=0, fps=20.0, canonical=False):
     translations, vectors = wave(HANDLE_COUNT, 3), wave(HANDLE_COUNT, 3)
     translations[:, 0], vectors[:, 0] = 0, 0
     root = matrix_y(3 * time + 2.5) @ matrix_from_axis_angle(wave(3))
-    place = np.cumsum(wave(3) * 0.1, axis=0) + [4, 0, -7]
-    motion = HandleMotion(translations, matrix_from_axis_angle(vectors), place, root, fps)
+    position = np.cumsum(wave(3) * 0.1, axis=0) + [4, 0, -7]
+    motion = HandleMotion(translations, matrix_from_axis_angle(vectors), position, root, fps)
     return _canonical(motion) if canonical else motion
 
 
 def _canonical(motion):
     """The same motion moved to x = z = 0 and turned to face +Z at its first frame."""
     turn = matrix_y(-heading(motion.root_rotation, motion.fps)[:1])[0]
-    place = (motion.root_translation - motion.root_translation[0] * [1, 0, 1]) @ turn.T
-    return HandleMotion(motion.translations, motion.rotations, place, turn @ motion.root_rotation, motion.fps)
+    position = (motion.root_translation - motion.root_translation[0] * [1, 0, 1]) @ turn.T
+    return HandleMotion(motion.translations, motion.rotations, position, turn @ motion.root_rotation, motion.fps)
 
 
 @pytest.mark.parametrize("fps", [20.0, 30.0])

@@ -8,7 +8,7 @@ from bunraku.diffusion.checkpoint import build_denoiser, load_denoiser, save_den
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import PRESETS
 from bunraku.diffusion.mdm_denoiser import EncoderDenoiser
-from bunraku.diffusion.sampling.sampler import sample
+from bunraku.diffusion.sampling.sampler import Solver, sample
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def test_it_is_saved_built_and_sampled_like_the_other(model, encoder, tmp_path):
     again = load_denoiser(path)
     assert isinstance(again, EncoderDenoiser) and isinstance(build_denoiser(model.config), EncoderDenoiser)
     text = encoder.encode(["walk", "jump up"])
-    first, second = (sample(one, text, 40, steps=3, seed=4) for one in (model, again))
+    first, second = (sample(one, text, 40, Solver(3), seed=4) for one in (model, again))
     assert first.values.shape == (2, 40, 271) and first.adaptation.shape == (2, 40, 30, 3)
     assert torch.allclose(first.values, second.values, atol=1e-4)
 

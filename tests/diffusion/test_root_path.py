@@ -29,7 +29,7 @@ def walk(frames=61, turn=0.0, speed=1.0, sway=0.05, period=20):
     return HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), matrix_from_axis_angle(bend), way, matrix_y(angle), FPS)
 
 
-def places(root):
+def positions(root):
     """Where root velocities lead, by `decode`, with a frame before them."""
     features = np.zeros((len(root) + 1, FEATURE_SIZE))
     features[:, [4, 8]] = 1
@@ -42,8 +42,8 @@ def places(root):
 @pytest.mark.parametrize(("turn", "travel"), [(0.0, (0.0, 0.0)), (1.2, (0.5, -1.0)), (-2.0, (3.0, 0.1))])
 def test_velocities_lead_where_they_should(turn, travel):
     root = torch.randn(30, 3, generator=torch.Generator().manual_seed(0))
-    place, rotation = places(arrive(root, FPS, turn, travel).numpy())
-    np.testing.assert_allclose(place, travel, atol=1e-4)
+    position, rotation = positions(arrive(root, FPS, turn, travel).numpy())
+    np.testing.assert_allclose(position, travel, atol=1e-4)
     np.testing.assert_allclose(rotation, matrix_y(np.array([turn]))[0], atol=1e-4)
 
 
@@ -56,13 +56,13 @@ def test_who_is_there_already_is_left_alone():
 def test_a_loop_ends_facing_as_it_starts_and_travels_only_on_purpose():
     slow, fast = torch.zeros(40, 3), torch.zeros(40, 3)
     slow[:, 0], slow[:, 2], fast[:, 0], fast[:, 2] = 0.1, 0.1, 3.0, 2.0
-    place, rotation = places(arrive(slow, FPS, None, None).numpy())
-    np.testing.assert_allclose(place, 0, atol=1e-5)
+    position, rotation = positions(arrive(slow, FPS, None, None).numpy())
+    np.testing.assert_allclose(position, 0, atol=1e-5)
     np.testing.assert_allclose(rotation, np.eye(3), atol=1e-5)
     slow[:, 2] = 1.0
-    place, rotation = places(arrive(slow, FPS, None, None).numpy())
-    assert place[1] > 1.9
-    _, rotation = places(arrive(fast, FPS, None, None).numpy())  # 6 rad become one whole turn
+    position, rotation = positions(arrive(slow, FPS, None, None).numpy())
+    assert position[1] > 1.9
+    _, rotation = positions(arrive(fast, FPS, None, None).numpy())  # 6 rad become one whole turn
     np.testing.assert_allclose(rotation, np.eye(3), atol=1e-5)
 
 

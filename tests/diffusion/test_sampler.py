@@ -7,6 +7,8 @@ from bunraku.diffusion.sampling.sampler import (
     GUIDED_FROM,
     LED_UNTIL,
     Known,
+    Solver,
+    Steering,
     Window,
     guided,
     sample,
@@ -14,8 +16,7 @@ from bunraku.diffusion.sampling.sampler import (
     starting_noise,
     token_share,
 )
-from bunraku.diffusion.sampling.schedule import alphas_cumprod, sampling_steps
-from bunraku.diffusion.sampling.solvers import ancestral, dpm_solver
+from bunraku.diffusion.sampling.solvers import alphas_cumprod, ancestral, dpm_solver, sampling_steps
 
 FEATURES = 6
 
@@ -94,9 +95,10 @@ def test_guidance():
 
 def test_guidance_of_one_is_the_conditional_model(model, encoder):
     text = encoder.encode(["a figure walks"])
-    near = sample(model, text, 24, guidance=1.0 + 1e-7, steps=4)  # still both passes
-    torch.testing.assert_close(sample(model, text, 24, guidance=1.0, steps=4).values, near.values, atol=1e-4, rtol=1e-4)
-    assert (sample(model, text, 24, guidance=3.0, steps=4).values - near.values).abs().max() > 1e-2
+    near = sample(model, text, 24, Solver(4, guidance=1.0 + 1e-7))  # still both passes
+    alone = sample(model, text, 24, Solver(4, guidance=1.0)).values
+    torch.testing.assert_close(alone, near.values, atol=1e-4, rtol=1e-4)
+    assert (sample(model, text, 24, Solver(4, guidance=3.0)).values - near.values).abs().max() > 1e-2
 
 
 def test_guidance_acts_in_the_noisy_steps_alone(model, encoder):
@@ -105,7 +107,7 @@ def test_guidance_acts_in_the_noisy_steps_alone(model, encoder):
         lambda _, given, __: seen.update({(int(given[1][0]), given[0].shape[1]): len(given[0])})
     )
     try:
-        sample(model, encoder.encode(["a person walks"]), 24, guidance=3.0, steps=8)
+        sample(model, encoder.encode(["a person walks"]), 24, Solver(8, guidance=3.0))
     finally:
         hook.remove()
     assert {step >= GUIDED_FROM for step, _ in seen} == {True, False}
@@ -115,17 +117,17 @@ def test_guidance_acts_in_the_noisy_steps_alone(model, encoder):
 
 def test_seeds_batches_and_prompts(model, encoder):
     text = encoder.encode(["a figure walks", "a figure jumps over the fence"])
-    one, again, other = (sample(model, text, 30, steps=5, seed=seed).values for seed in (4, 4, 5))
+    one, again, other = (sample(model, text, 30, Solver(5), seed=seed).values for seed in (4, 4, 5))
     assert torch.equal(one, again) and (one - other).abs().max() > 1e-2
-    alone = sample(model, encoder.encode(["a figure walks"]), 30, steps=5, seed=4).values
+    alone = sample(model, encoder.encode(["a figure walks"]), 30, Solver(5), seed=4).values
     torch.testing.assert_close(one[:1], alone, atol=1e-4, rtol=1e-4)
-    swapped = sample(model, encoder.encode(["a figure runs"]), 30, steps=5, seed=4).values
+    swapped = sample(model, encoder.encode(["a figure runs"]), 30, Solver(5), seed=4).values
     assert (swapped - alone).abs().max() > 1e-2
 
 
 def test_a_mesh_feature_reaches_the_motion_and_the_adaptation(model, encoder):
     text = encoder.encode(["a figure walks"])
-    plain, meshed = sample(model, text, 20, steps=3), sample(model, text, 20, steps=3, mesh_features=torch.ones(1, 12))
+    plain, meshed = (sample(model, text, 20, Solver(3), mesh_features=mesh) for mesh in (None, torch.ones(1, 12)))
     assert plain.adaptation.shape == (1, 20, 3, 3)
     assert (plain.values - meshed.values).abs().max() > 1e-3 and (
         plain.adaptation - meshed.adaptation
@@ -137,7 +139,7 @@ def test_known_frames_are_kept(model, encoder, method):
     values = torch.randn(1, 24, FEATURES)
     share = torch.zeros(24)
     share[:6] = share[20:] = 1
-    found = sample(model, encoder.encode(["walks"]), 24, steps=6, known=Known(values, share), method=method).values
+    found = sample(model, encoder.encode(["walks"]), 24, Solver(6, method=method), known=Known(values, share)).values
     torch.testing.assert_close(found[:, :6], values[:, :6])
     torch.testing.assert_close(found[:, 20:], values[:, 20:])
     assert (found[:, 6:20] - values[:, 6:20]).abs().max() > 0.1
@@ -154,29 +156,28 @@ def test_tokens_are_trusted_least_at_their_edges():
 def test_known_features_are_kept(model, encoder, method):
     values, share = torch.randn(2, 24, FEATURES), torch.zeros(24, FEATURES)
     share[:, :2] = share[5, 3] = 1
-    found = sample(
-        model, encoder.encode(["walks", "runs"]), 24, steps=6, known=Known(values, share), method=method
-    ).values
+    text, known = encoder.encode(["walks", "runs"]), Known(values, share)
+    found = sample(model, text, 24, Solver(6, method=method), known=known).values
     kept = share.bool().expand(2, -1, -1)
     torch.testing.assert_close(found[kept], values[kept])
     assert (found - values)[~kept].abs().max() > 0.1
-    free = sample(model, encoder.encode(["walks", "runs"]), 24, steps=6, method=method).values
+    free = sample(model, encoder.encode(["walks", "runs"]), 24, Solver(6, method=method)).values
     assert (found - free)[~kept].abs().max() > 0.01  # the rest is made to fit
 
 
 def test_lengths_of_a_batch_are_padded(model, encoder):
     text = encoder.encode(["walks", "runs", "waves"])
-    found = sample(model, text, [24, 40, 10], steps=4)
+    found = sample(model, text, [24, 40, 10], Solver(4))
     assert found.values.shape == (3, 40, FEATURES) and not found.values[0, 24:].any() and not found.values[2, 10:].any()
     assert not found.adaptation[0, 24:].any()
-    alone = sample(model, encoder.encode(["walks"]), 24, steps=4).values
+    alone = sample(model, encoder.encode(["walks"]), 24, Solver(4)).values
     torch.testing.assert_close(found.values[:1, :24], alone, atol=1e-4, rtol=1e-4)
 
 
 def test_padding_does_not_count_in_rescaling(model, encoder):
     text = encoder.encode(["walks", "runs"])
-    found = sample(model, text, [24, 40], steps=4, guidance=4.0, rescale=0.7).values
-    alone = sample(model, encoder.encode(["walks"]), 24, steps=4, guidance=4.0, rescale=0.7).values
+    found = sample(model, text, [24, 40], Solver(4, guidance=4.0, rescale=0.7)).values
+    alone = sample(model, encoder.encode(["walks"]), 24, Solver(4, guidance=4.0, rescale=0.7)).values
     torch.testing.assert_close(found[:1, :24], alone, atol=1e-4, rtol=1e-4)
 
 
@@ -189,10 +190,10 @@ def test_a_guide_is_where_the_motion_starts_from_and_others_beside_it_are_as_wit
     until = torch.full((80, 1), LED_UNTIL)
 
     def draw(share, until=until):
-        return sample_windows(model, text, windows, noise, steps=20, guide=(truth, share, until)).values
+        return sample_windows(model, text, windows, noise, Solver(20), Steering(guide=(truth, share, until))).values
 
     led, beside = draw(share).split(40)
-    _, alone = sample_windows(model, text, windows, noise, steps=20).values.split(40)
+    _, alone = sample_windows(model, text, windows, noise, Solver(20)).values.split(40)
     torch.testing.assert_close(beside, alone, atol=1e-4, rtol=1e-4)
     asked, _ = draw(share * (1 - 1e-6)).split(40)  # here the network is asked at each step, and overwritten
     torch.testing.assert_close(led, asked, atol=1e-3, rtol=1e-3)
@@ -212,13 +213,7 @@ def test_a_guide_is_where_the_motion_starts_from_and_others_beside_it_are_as_wit
         return watched(x, *rest, **options)
 
     model.forward = watch
-    sample_windows(
-        model,
-        text,
-        windows[:1],
-        noise[:40],
-        steps=20,
-        guide=(truth[:40], share[:40], until[:40]),
-    )
+    guide = (truth[:40], share[:40], until[:40])
+    sample_windows(model, text, windows[:1], noise[:40], Solver(20), Steering(guide=guide))
     start = level.sqrt() * truth[:40] + (1 - level).sqrt() * noise[:40]
     torch.testing.assert_close(seen[0][0], start.float(), atol=1e-4, rtol=1e-4)

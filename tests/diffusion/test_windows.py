@@ -1,7 +1,8 @@
 import pytest
 import torch
 
-from bunraku.diffusion.sampling.schedule import alphas_cumprod
+from bunraku.diffusion.sampling.sampler import Solver
+from bunraku.diffusion.sampling.solvers import alphas_cumprod
 from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
 
 FEATURES = 6
@@ -56,7 +57,7 @@ def test_short_parts_are_seen_with_some_of_their_neighbours():
 @pytest.mark.parametrize("frames", [1, 10, 59, 60, 61, 200])
 def test_any_length_can_be_made(model, encoder, frames):
     plans = [plan_windows([frames], 60), plan_windows([frames], 60)]
-    for found in sample_plans(model, encoder.encode(["walks", "runs"]), plans, steps=2):
+    for found in sample_plans(model, encoder.encode(["walks", "runs"]), plans, Solver(2)):
         assert found.values.shape[1] == FEATURES and len(found.values) == len(found.adaptation) >= frames
         assert bool(torch.isfinite(found.values).all())
 
@@ -66,10 +67,10 @@ def test_a_batch_of_plans_is_what_each_is_alone(model, encoder):
         [plan_windows([50, 30], 60), plan_windows([20], 60), plan_windows([130], 60, loop=True)],
         ["a b", "c", "d e f", "g"],
     )
-    found = sample_plans(model, encoder.encode(texts), plans, seeds=[3, 4, 5], steps=3)
+    found = sample_plans(model, encoder.encode(texts), plans, Solver(3), seeds=[3, 4, 5])
     rows = [texts[:2], texts[2:3], texts[3:]]
     for part, plan, some, seed in zip(found, plans, rows, (3, 4, 5), strict=True):
-        alone = sample_plans(model, encoder.encode(some), [plan], seeds=seed, steps=3)[0]
+        alone = sample_plans(model, encoder.encode(some), [plan], Solver(3), seeds=seed)[0]
         torch.testing.assert_close(part.values, alone.values, atol=2e-4, rtol=1e-4)
         torch.testing.assert_close(part.adaptation, alone.adaptation, atol=2e-4, rtol=1e-4)
 
@@ -80,8 +81,7 @@ def test_progress_counts_every_step(model, encoder):
         model,
         encoder.encode(["walks"]),
         [plan_windows([100], 60)],
-        steps=3,
-        progress=lambda done, total: calls.append((done, total)),
+        Solver(3, progress=lambda done, total: calls.append((done, total))),
     )
     assert calls == [(1, 3), (2, 3), (3, 3)]
 
@@ -115,7 +115,7 @@ def test_long_motions_have_no_jump_where_windows_meet(config, encoder, lengths, 
     model = Waves(config(features=FEATURES, frames=196, handles=3))
     plan = plan_windows(lengths, 196, loop=loop)
     text = encoder.encode(["walks"] * len(lengths))
-    values = sample_plans(model, text, [plan], seeds=2, steps=20, guidance=1.0)[0].values
+    values = sample_plans(model, text, [plan], Solver(20, guidance=1.0), seeds=2)[0].values
     frames = len(values)
     if loop:
         values = torch.cat([values, values[:2]])

@@ -176,8 +176,8 @@ def rest_rotation(rest, joint):
 
 def bvh_text(motion, dialect):
     """The file as text."""
-    world, places = motion.world()
-    world, places = world.astype(float), places.astype(float)
+    world, positions = motion.world()
+    world, positions = world.astype(float), positions.astype(float)
     frames, turned = len(motion), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) if dialect.z_up else np.eye(3)
     names = [name for name, *_ in dialect.joints]
     rotations, offsets = {}, {}
@@ -192,14 +192,14 @@ def bvh_text(motion, dialect):
         rest = rest_rotation(dialect.rest, JOINT_NAMES[own]).as_matrix()
         rotations[name] = world[:, own] @ rest.T
         parent = max(int(motion.skeleton.parents[index]), 0)
-        place = (
-            places[:, parent] + share * (places[:, index] - places[:, parent])
+        position = (
+            positions[:, parent] + share * (positions[:, index] - positions[:, parent])
             if share <= 1
-            else places[:, index] + 0.05 * world[:, index, :, 0]
+            else positions[:, index] + 0.05 * world[:, index, :, 0]
         )
         if index == 0:
-            place = places[:, 0]
-        offsets[name] = place
+            position = positions[:, 0]
+        offsets[name] = position
     lines, columns = ["HIERARCHY"], []
 
     def joint(name, depth):

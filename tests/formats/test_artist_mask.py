@@ -9,9 +9,9 @@ from bunraku.apparel.artist_mask import artist_mask_file, read_artist_mask
 from bunraku.apparel.mask import apparel_mask
 from bunraku.core.character import Character
 from bunraku.errors import FormatError
-from bunraku.formats.mmd.pmx_write import save_pmx
 from bunraku.io import load_character
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
+from bunraku_lab.synthetic.wardrobe.kit.pmx_write import save_pmx
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_red_paint_counts_whatever_the_order_of_vertices(loaded, tmp_path):
     used = np.flatnonzero(loaded.surface)
     red = loaded.vertices[:, 1] < np.median(loaded.vertices[:, 1])
     order = np.random.default_rng(0).permutation(len(loaded.vertices))
-    place = np.argsort(order)
+    index = np.argsort(order)
     shades = np.where(red[:, None], [230, 20, 20], [200, 190, 60])[order]
     lines = ["ply", "format ascii 1.0", f"element vertex {len(order)}", *(f"property float {axis}" for axis in "xyz")]
     lines += [*(f"property uchar {shade}" for shade in ("red", "green", "blue")), f"element face {len(loaded.faces)}"]
@@ -52,7 +52,7 @@ def test_red_paint_counts_whatever_the_order_of_vertices(loaded, tmp_path):
         f"{x:.7f} {y:.7f} {z:.7f} {r} {g} {b}"
         for (x, y, z), (r, g, b) in zip(loaded.vertices[order], shades, strict=True)
     ]
-    lines += [f"3 {a} {b} {c}" for a, b, c in place[loaded.faces]]
+    lines += [f"3 {a} {b} {c}" for a, b, c in index[loaded.faces]]
     (tmp_path / "doll.apparel.ply").write_text("\n".join(lines))
     mask = apparel_mask(loaded)
     assert mask is not None

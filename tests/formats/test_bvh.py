@@ -87,8 +87,8 @@ def test_every_order_of_channels(tmp_path, order):
     head += "MOTION\nFrames: 6\nFrame Time: 0.1\n"
     motion = read(tmp_path, head + "\n".join(" ".join(f"{x:.8f}" for x in row) for row in angles))
     want = Rotation.identity()
-    for place, axis in enumerate(order):
-        want = want * Rotation.from_rotvec(np.radians(angles[:, place, None]) * np.eye(3)["XYZ".index(axis)])
+    for index, axis in enumerate(order):
+        want = want * Rotation.from_rotvec(np.radians(angles[:, index, None]) * np.eye(3)["XYZ".index(axis)])
     assert same(motion.rotations[:, 0], want.as_matrix()) < 1e-3
 
 
@@ -173,15 +173,15 @@ def test_written_and_read_again(tmp_path, up, order, unit):
     truth = walk_about(2100, seed=4, size=1.5)
     rotations = truth.rotations.copy()
     rotations[:50] = Rotation.random(50 * 22, random_state=rng).as_matrix().reshape(50, 22, 3, 3)
-    for place, angle in enumerate((90, -90)):  # where angles are not unique
-        rotations[50 + place] = Rotation.from_euler("ZXY", [30, angle, 40], degrees=True).as_matrix()
+    for index, angle in enumerate((90, -90)):  # where angles are not unique
+        rotations[50 + index] = Rotation.from_euler("ZXY", [30, angle, 40], degrees=True).as_matrix()
     truth = SkeletalMotion(truth.skeleton, rotations, truth.root_translation, 120.0)
     path = write_bvh(truth, tmp_path / "again.bvh", up=up, order=order, unit=unit)
     motion = load_bvh(path, up=up, unit=unit)
-    place = [motion.skeleton.names.index(name) for name in JOINT_NAMES]
-    assert motion.fps == 120 and same(motion.rotations[:, place], truth.rotations) < 0.01
+    index = [motion.skeleton.names.index(name) for name in JOINT_NAMES]
+    assert motion.fps == 120 and same(motion.rotations[:, index], truth.rotations) < 0.01
     assert np.abs(motion.root_translation - truth.root_translation).max() < 1e-5
-    assert np.abs(motion.world()[1][:, place] - truth.world()[1]).max() < 1e-4
+    assert np.abs(motion.world()[1][:, index] - truth.world()[1]).max() < 1e-4
 
 
 def test_angles_do_not_jump(tmp_path):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bunraku.formats.files import STALE, atomic_write, sweep
+from bunraku.formats.files import STALE, atomic_write, open_input, open_once, sweep
 
 KILLED = """
 import os, signal, sys
@@ -58,3 +58,19 @@ def test_what_another_machine_gave_up_is_removed_after_an_hour(tmp_path):
 
 def test_a_folder_that_is_not_there_holds_nothing(tmp_path):
     assert sweep(tmp_path / "none") == 0
+
+
+def test_what_is_told_apart_is_what_is_read_within_one_opening(tmp_path):
+    path, other = tmp_path / "a.bin", tmp_path / "b.bin"
+    path.write_bytes(b"first")
+    with open_once():
+        with open_input(path) as file:
+            assert file.read(2) == b"fi"
+        other.write_bytes(b"second")
+        other.replace(path)
+        with open_input(path) as again:
+            assert again.read() == b"first" and again is file
+    assert file.closed
+    with open_input(path) as file:
+        assert file.read() == b"second"
+    assert file.closed

@@ -183,9 +183,9 @@ def test_broken_draco_is_refused(how):
 def test_damaged_draco_ends_in_one_sentence():
     """Whatever a flipped byte makes of it, the reader itself lives on."""
     packed = bytearray(draco.encode(POINTS, faces=FACES, quantization_bits=16, preserve_order=True))
-    for place in (11, 12, 13, 14, 20, len(packed) // 2):
+    for position in (11, 12, 13, 14, 20, len(packed) // 2):
         changed = packed.copy()
-        changed[place] ^= 0x7F
+        changed[position] ^= 0x7F
         try:
             got = read(draco_glb(data=bytes(changed)))
         except FormatError as error:

@@ -55,7 +55,7 @@ def text(tree):
 
 def one_buffer_often(folder, names):
     (folder / "big.bin").write_bytes(bytes(4 << 20))
-    return text({"buffers": [{"uri": name, "byteLength": (4 << 20) - place} for place, name in enumerate(names)]})
+    return text({"buffers": [{"uri": name, "byteLength": (4 << 20) - index} for index, name in enumerate(names)]})
 
 
 def one_image_often(folder):
@@ -114,18 +114,18 @@ def skins_of_the_same_joints(folder):
 
 def morph_targets(folder):
     maker = Maker()
-    place = maker.add(np.random.default_rng(0).random((50_000, 3)).astype(np.float32))
-    primitive = {"attributes": {"POSITION": place}, "targets": [{"POSITION": place}] * 20_000}
+    position = maker.add(np.random.default_rng(0).random((50_000, 3)).astype(np.float32))
+    primitive = {"attributes": {"POSITION": position}, "targets": [{"POSITION": position}] * 20_000}
     return maker.glb(nodes=[{"mesh": 0, "weights": [0.001] * 20_000}], meshes=[{"primitives": [primitive]}])
 
 
 def colours_of_shared_vertices(folder):
     maker = Maker()
     count = 90_000
-    place = maker.add(np.random.default_rng(0).random((count, 3)).astype(np.float32))
+    position = maker.add(np.random.default_rng(0).random((count, 3)).astype(np.float32))
     shade = maker.add(np.zeros((count, 4), np.uint8), normalized=True)
     primitive = {
-        "attributes": {"POSITION": place, "COLOR_0": shade},
+        "attributes": {"POSITION": position, "COLOR_0": shade},
         "indices": maker.add(np.arange(3, dtype=np.uint8)),
     }
     return maker.glb(nodes=[{"mesh": 0}], meshes=[{"primitives": [primitive] * 4000}])
@@ -134,13 +134,13 @@ def colours_of_shared_vertices(folder):
 def skins_of_shared_vertices(folder):
     maker = Maker()
     count = 90_000
-    place = maker.add(np.random.default_rng(0).random((count, 3)).astype(np.float32))
+    position = maker.add(np.random.default_rng(0).random((count, 3)).astype(np.float32))
     joints, weights = maker.add(np.zeros((count, 4), np.uint8)), maker.add(np.ones((count, 4), np.float32))
     indices = maker.add(np.arange(3, dtype=np.uint8))
     again = len(maker.accessors)
     maker.accessors += [dict(maker.accessors[joints]) for _ in range(1000)]
     primitives = [
-        {"attributes": {"POSITION": place, "JOINTS_0": again + number, "WEIGHTS_0": weights}, "indices": indices}
+        {"attributes": {"POSITION": position, "JOINTS_0": again + number, "WEIGHTS_0": weights}, "indices": indices}
         for number in range(1000)
     ]
     nodes = [{"mesh": 0, "skin": 0}, {}]

@@ -5,12 +5,12 @@ import pytest
 from gltf_files import CUBE, CUBE_FACES, Maker, made_up_handles, made_up_motion, textured_glb
 from gltf_player import Player
 
+from bunraku.body.layout import handle_names
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import MotionError, OptionError
 from bunraku.formats.gltf.morph_targets import key_shapes, mixed_shapes
-from bunraku.formats.handle_names import handle_names
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character
 

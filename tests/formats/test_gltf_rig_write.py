@@ -15,6 +15,7 @@ from bunraku.formats.gltf.turning import turned
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character
 from bunraku.io.play import load_animation
+from bunraku.io.save_clips import save_clips
 
 
 def swinging(character, frames=5, seed=0):
@@ -43,7 +44,32 @@ def test_the_file_keeps_its_nodes_materials_and_skins(textured, tmp_path):
     )
     assert new["meshes"][0]["extras"] == {"maker": "us"} and new["nodes"][0]["extras"] == {"part": "body"}
     assert new["skins"][0]["joints"] == old["skins"][0]["joints"]
-    assert [clip["name"] for clip in new["animations"]] == ["swing"]
+    assert [clip.get("name") for clip in new["animations"]] == ["swing", old["animations"][0].get("name")]
+
+
+def test_the_clips_of_the_file_keep_their_keys(textured, tmp_path):
+    document = textured.source.document
+    path = swinging(textured).save(tmp_path / "out.glb", name="swing")
+    written = open_document(path, path.read_bytes())
+    old, new = document.tree["animations"][0], written.tree["animations"][1]
+    assert [channel["target"] for channel in new["channels"]] == [channel["target"] for channel in old["channels"]]
+    for before, after in zip(old["samplers"], new["samplers"], strict=True):
+        for key in ("input", "output"):
+            kinds = ("SCALAR", "VEC3", "VEC4")
+            assert np.array_equal(
+                document.accessor(before[key], kinds, raw=True), written.accessor(after[key], kinds, raw=True)
+            )
+        assert after.get("interpolation", "LINEAR") == before.get("interpolation", "LINEAR")
+
+
+def test_several_clips_go_into_one_file(textured, tmp_path):
+    clips = {"swing": swinging(textured), "sway": swinging(textured, frames=9, seed=1)}
+    path = save_clips(clips, tmp_path / "out.glb")
+    for number, clip in enumerate(clips.values()):
+        played = load_animation(path, number, 20.0)
+        assert np.abs(played.vertices() - clip.vertices()).max() < 1e-5 * textured.height
+    names = [clip.get("name") for clip in open_document(path, path.read_bytes()).tree["animations"]]
+    assert names[:2] == ["swing", "sway"] and len(names) == 3
 
 
 @pytest.mark.parametrize("kind", ["own", "turned", "plain"])

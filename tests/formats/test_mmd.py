@@ -132,7 +132,7 @@ def test_apparel_is_what_physics_move(tmp_path):
 
 
 def test_a_pmd(tmp_path):
-    places = {
+    positions = {
         "センター": (0, 8, 0),
         "左足": (1, 10, 0),
         "左ひざ": (1, 5, 0),
@@ -143,8 +143,8 @@ def test_a_pmd(tmp_path):
     }
     above = (-1, 0, 1, 2, 0, 0, 0)
     bones = [
-        Bone(name, tuple(map(float, place)), parent)
-        for (name, place), parent in zip(places.items(), above, strict=True)
+        Bone(name, tuple(map(float, position)), parent)
+        for (name, position), parent in zip(positions.items(), above, strict=True)
     ]
     model = plank(bones=bones, materials=[("", (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 0, 0, 6)])
     kinds = {4: (2, 0, 0), 5: (5, 0, 1), 6: (8, 1, 0), 0: (9, 2, 50)}

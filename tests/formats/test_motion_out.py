@@ -133,11 +133,11 @@ def test_nodes_turned_at_rest_say_the_same(tmp_path, turn):
     read = read_motion(tmp_path / "bend.vrma")
     assert set(read.skeleton.names) == {"hips", "leftUpperLeg", "rightUpperLeg", "leftLowerLeg", "rightLowerLeg"}
     assert read.fps == 2 and len(read) == 2 and np.allclose(read.root_translation, [0, 0.9, 0], atol=1e-6)
-    world, places = read.world()
+    world, positions = read.world()
     leg, knee = matched(read, ("leftUpperLeg", "leftLowerLeg"))
     assert np.allclose(world[0], np.eye(3), atol=1e-6)
     assert np.allclose(world[1, [leg, knee]], Rotation.from_rotvec([0.8, 0, 0]).as_matrix(), atol=1e-6)
-    assert np.allclose(places[1, knee], [0.1, 0.85 - 0.4 * np.cos(0.8), -0.4 * np.sin(0.8)], atol=1e-6)
+    assert np.allclose(positions[1, knee], [0.1, 0.85 - 0.4 * np.cos(0.8), -0.4 * np.sin(0.8)], atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character
+from bunraku.io.save_clips import save_clips
 from bunraku.retarget.rig_motion import handle_animation
 
 FPS, FRAMES = 20.0, [3, 7, 11]
@@ -55,6 +56,32 @@ def compare(made, shown):
         assert found.shape == known.shape, kind
         assert np.isfinite(found).mean() > 0.99
         assert np.nanmax(np.linalg.norm(found - known, axis=-1)) < 0.001 * height, kind
+
+
+@pytest.fixture(scope="module")
+def several(made, tmp_path_factory):
+    """A file of four clips of one rig, and what each shows."""
+    character = load_character(made["rig"][0])
+    bones = len(character.rig.names)
+    clips = {}
+    for number, name in enumerate(("idle", "walk", "run", "attack")):
+        swing = np.linspace(0, 1, 12)[:, None, None]
+        turns = matrix_from_axis_angle(swing * np.random.default_rng(number).normal(size=(1, bones, 3)))
+        clips[name] = RigAnimation(character, turns, np.zeros((12, bones, 3)), FPS)
+    path = save_clips(clips, tmp_path_factory.mktemp("clips") / "four.glb")
+    return path, [clip.vertices(FRAMES) for clip in clips.values()]
+
+
+@pytest.mark.skipif(bool(three_missing()), reason=three_missing())
+def test_three_js_shows_each_clip_of_a_file(several):
+    for number, known in enumerate(several[1]):
+        compare({number: (several[0], known)}, three_vertices([(several[0], np.array(FRAMES) / FPS)], number))
+
+
+@pytest.mark.skipif(bool(blender_missing()), reason=blender_missing())
+def test_blender_shows_each_clip_of_a_file(several):
+    for number, known in enumerate(several[1]):
+        compare({number: (several[0], known)}, blender_vertices([(several[0], np.array(FRAMES) / FPS)], FPS, number))
 
 
 @pytest.mark.skipif(bool(three_missing()), reason=three_missing())

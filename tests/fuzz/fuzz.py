@@ -52,8 +52,8 @@ def _watch(event: str, words: tuple[object, ...]) -> None:
 def seeds() -> list[tuple[str, bytes]]:
     """Good files of every kind that is read, small and made here, but for one FBX of the tests."""
     maker = Maker()
-    place, corners = maker.add(CUBE), maker.add(CUBE_FACES.reshape(-1).astype(np.uint16))
-    mesh = {"primitives": [{"attributes": {"POSITION": place}, "indices": corners}]}
+    position, corners = maker.add(CUBE), maker.add(CUBE_FACES.reshape(-1).astype(np.uint16))
+    mesh = {"primitives": [{"attributes": {"POSITION": position}, "indices": corners}]}
     tree = maker.tree(nodes=[{"mesh": 0}], meshes=[mesh])
     tree["buffers"][0]["uri"] = "data:;base64," + base64.b64encode(maker.binary).decode()
     vrm = json.loads(json.dumps(tree))
@@ -169,17 +169,17 @@ def _json_changed(rng: random.Random, data: bytes, corpus: object) -> bytes:
         tree = json.loads(data[20 : 20 + length] if glb else data)
     except (ValueError, RecursionError):
         return _numbered(rng, data, corpus)
-    places = []
+    positions = []
     stack = [tree]
     while stack:
         owner = stack.pop()
         keys = list(owner) if isinstance(owner, dict) else range(len(owner)) if isinstance(owner, list) else ()
         for key in keys:
-            places.append((owner, key))
+            positions.append((owner, key))
             stack.append(owner[key])
-    if not places:
+    if not positions:
         return data
-    owner, key = rng.choice(places)
+    owner, key = rng.choice(positions)
     value = owner[key]
     choice = rng.randrange(5)
     if choice == 0 and type(value) in (int, float):
@@ -187,7 +187,7 @@ def _json_changed(rng: random.Random, data: bytes, corpus: object) -> bytes:
     elif choice == 1 and isinstance(value, list) and value:
         owner[key] = value * rng.choice((2, 300))
     elif choice == 2:
-        other, name = rng.choice(places)
+        other, name = rng.choice(positions)
         owner[key] = json.loads(json.dumps(other[name]))
     else:
         owner[key] = rng.choice(STRANGE)
@@ -236,8 +236,8 @@ def check(path: Path) -> set[str]:
     if _peak() - resting > PER_BYTE * size + BASE:
         faults.add("large")
     for name in _opened:
-        place = str(Path(name).resolve())
-        if not place.startswith((str(path.parent.resolve()), "/proc", "/dev", "/sys", *INSIDES)):
+        opened = str(Path(name).resolve())
+        if not opened.startswith((str(path.parent.resolve()), "/proc", "/dev", "/sys", *INSIDES)):
             faults.add("outside")
             print(f"{path.name}: opened {name}", file=sys.stderr)
     return faults

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.graph import unique_edges
 from bunraku.geometry.subdivision import split_estimate, split_long_edges
+from bunraku.geometry.surface import vertex_areas
 
 
 @pytest.mark.parametrize(

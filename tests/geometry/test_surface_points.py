@@ -3,7 +3,7 @@
 import numpy as np
 
 from bunraku.geometry.axes import right_angle_rotations
-from bunraku.geometry.surface_points import surface_points
+from bunraku.geometry.surface import surface_points
 
 SQUARES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [3, 0, 6], [0, 0, 6]], np.float32)
 FACES = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])

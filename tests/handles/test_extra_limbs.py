@@ -38,11 +38,11 @@ def tube(
     return vertices, np.array(faces)
 
 
-def crawler(places: tuple[float, ...], boots: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def crawler(positions: tuple[float, ...], boots: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """A body along +Z with a leg a side at each of these places; boots are loose tubes around the shins."""
     pieces = [tube(np.array([0, 0.5, -0.8]), np.array([0, 0.5, 0.8]), 0.2, 24, 16)]
     for _, s in SIDES:
-        for z in places:
+        for z in positions:
             root, knee, tip = (
                 np.array([s * 0.15, 0.5, z]),
                 np.array([s * 0.5, 0.65, 1.2 * z]),

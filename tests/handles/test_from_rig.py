@@ -8,13 +8,13 @@ import pytest
 import bunraku
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.errors import CharacterError, OptionError
-from bunraku.handles.from_rig import rig_handles, settle_joints
+from bunraku.handles.from_rig import resolve_joints, rig_handles
 from bunraku.samples import sample_character
 
 
 def test_joints_without_a_name_join_their_nearest_known_ancestor():
     handles, parents = np.array([-1, 0, 16, -1, -1, 15]), np.array([-1, 0, 1, 2, 3, -1])
-    np.testing.assert_array_equal(settle_joints(handles, parents), [0, 0, 16, 16, 16, 15])
+    np.testing.assert_array_equal(resolve_joints(handles, parents), [0, 0, 16, 16, 16, 15])
 
 
 def test_handles_from_bone_names_hold_every_vertex():

@@ -24,17 +24,17 @@ def dressed():
     return mesh, mesh.vertices * mesh.scale + mesh.center, mesh.clean.vertices * mesh.scale + mesh.center
 
 
-def weights_of(place):
+def weights_of(position):
     """The body turns from handle 0 to handle 1 along its height; the button is said to be split, the hand all of handle
     3.
     """
-    up = np.clip(0.5 + place[:, 1], 0, 1)
+    up = np.clip(0.5 + position[:, 1], 0, 1)
     weights = np.stack([1 - up, up, 0 * up, 0 * up], axis=1)
-    on_button = np.linalg.norm(place - BUTTON, axis=1) < 0.04
-    weights[on_button] = np.where(place[on_button, 1:2] > 0.5, [0, 0, 0.4, 0.6], [0, 0, 1, 0])
-    weights[place[:, 0] > 0.505] = [0, 0, 1, 0]
-    weights[place[:, 0] > 0.9] = [0, 0, 0, 1]
-    hand = (place[:, 0] > 0.505) & (place[:, 1] < 0)
+    on_button = np.linalg.norm(position - BUTTON, axis=1) < 0.04
+    weights[on_button] = np.where(position[on_button, 1:2] > 0.5, [0, 0, 0.4, 0.6], [0, 0, 1, 0])
+    weights[position[:, 0] > 0.505] = [0, 0, 1, 0]
+    weights[position[:, 0] > 0.9] = [0, 0, 0, 1]
+    hand = (position[:, 0] > 0.505) & (position[:, 1] < 0)
     weights[hand] = [0, 0, 0.1, 0.9]
     return weights.astype(np.float32)
 
@@ -49,8 +49,8 @@ def test_how_parts_lie_on_others(dressed):
 
 
 def test_a_button_moves_with_what_it_sits_on(dressed):
-    mesh, place, clean = dressed
-    weights = weights_of(place)
+    mesh, position, clean = dressed
+    weights = weights_of(position)
     full = seat_parts(mesh, weights)
     button = np.abs(np.linalg.norm(clean - BUTTON, axis=1) - 0.03) < 0.002
     assert button.sum() > 100 and (full[button] == full[button][0]).all()
@@ -58,8 +58,8 @@ def test_a_button_moves_with_what_it_sits_on(dressed):
 
 
 def test_a_hand_keeps_its_own_and_a_sleeve_bends(dressed):
-    mesh, place, clean = dressed
-    weights = weights_of(place)
+    mesh, position, clean = dressed
+    weights = weights_of(position)
     full = seat_parts(mesh, weights)
     hand = (clean[:, 0] > 0.52) & (clean[:, 1] < 0)
     assert (full[hand] == full[hand][0]).all() and full[hand][0].argmax() == 3 and full[hand][0, 3] > 0.95
@@ -90,12 +90,12 @@ def arrows():
 def test_a_chain_of_pieces_follows_what_it_sticks_in():
     whole = arrows()
     mesh = network_mesh(whole.vertices, whole.faces, 1500)
-    place = mesh.vertices * mesh.scale + mesh.center
-    weights = np.zeros((len(place), HANDLE_COUNT), np.float32)
-    behind = place[:, 2] < -0.48
+    position = mesh.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(position), HANDLE_COUNT), np.float32)
+    behind = position[:, 2] < -0.48
     weights[:, H["spine3"]] = 1
-    weights[behind & (place[:, 1] > 0.88)] = np.eye(HANDLE_COUNT)[H["left_wrist"]]  # the arrow flies with a hand
-    weights[behind & (place[:, 1] > 1.34)] = np.eye(HANDLE_COUNT)[H["right_knee"]]  # and its feather with a leg
+    weights[behind & (position[:, 1] > 0.88)] = np.eye(HANDLE_COUNT)[H["left_wrist"]]  # the arrow flies with a hand
+    weights[behind & (position[:, 1] > 1.34)] = np.eye(HANDLE_COUNT)[H["right_knee"]]  # and its feather with a leg
     full = seat_parts(mesh, weights)
     clean = mesh.clean.vertices * mesh.scale + mesh.center
     for piece in (clean[:, 1] > 1.34, (clean[:, 2] < -0.55) & (clean[:, 1] > 0.9) & (np.abs(clean[:, 0]) < 0.03)):
@@ -108,10 +108,10 @@ def test_hair_that_the_head_s_handles_share_is_one_with_the_head():
     hair = trimesh.creation.box((0.8, 0.5, 0.5)).subdivide().subdivide().apply_translation([0, 2.0, 0])
     whole = trimesh.util.concatenate([body, hair])
     mesh = network_mesh(whole.vertices, whole.faces, 1500)
-    place = mesh.vertices * mesh.scale + mesh.center
-    weights = np.zeros((len(place), HANDLE_COUNT), np.float32)
+    position = mesh.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(position), HANDLE_COUNT), np.float32)
     weights[:, H["spine3"]] = 1
-    on = place[:, 1] > 1.6
+    on = position[:, 1] > 1.6
     weights[on] = 0.5 * np.eye(HANDLE_COUNT)[H["head"]] + 0.4 * np.eye(HANDLE_COUNT)[H["head_top"]]
     weights[on, H["neck"]] = 0.1
     full = seat_parts(mesh, weights)

@@ -9,7 +9,7 @@ from gltf_files import CUBE_FACES
 from bunraku.core.character import Character
 from bunraku.errors import OptionError, WeightsError
 from bunraku.geometry.axes import ORIENTATIONS, default_orientation, upright_rotation
-from bunraku.handles.orientation import SURE, Orientation, guess_orientation, settle, settled_axes, upright
+from bunraku.handles.orientation import SURE, Orientation, guess_orientation, resolve_axes, resolved_axes, upright
 from bunraku.handles.orientation_evidence import combined, format_weights
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.samples import sample_character, sample_names
@@ -99,8 +99,8 @@ def test_a_cow_keeps_its_sure_front_though_its_up_is_unsure():
         seen[ORIENTATIONS.index(axes)] = chance
     guess = Orientation.of(seen)
     assert guess.up_confidence == pytest.approx(0.86) and guess.front_confidence == pytest.approx(0.98)
-    assert settled_axes(guess) == ("+y", "+x") and not guess.sure
-    assert settled_axes(guess, rule=True) == ("+y", "+z")  # a glTF stands unless the guess is sure
+    assert resolved_axes(guess) == ("+y", "+x") and not guess.sure
+    assert resolved_axes(guess, rule=True) == ("+y", "+z")  # a glTF stands unless the guess is sure
 
 
 def test_a_dragon_below_a_half_keeps_its_front():
@@ -112,7 +112,7 @@ def test_a_dragon_below_a_half_keeps_its_front():
     seen[rest] = 0.62 / len(rest)
     guess = Orientation.of(seen)
     assert guess.up_confidence == pytest.approx(0.38) and guess.front_confidence == pytest.approx(0.91)
-    assert settled_axes(guess) == ("+y", "+x") and not guess.sure
+    assert resolved_axes(guess) == ("+y", "+x") and not guess.sure
 
 
 def scorpion():
@@ -143,15 +143,16 @@ def test_a_scorpion_with_its_lowest_point_at_0_does_not_stand_on_its_tail():
 def test_what_is_said_is_not_guessed():
     character = sample_character("robot")
     lying = laid(character, "+z", "-y")
-    assert settle(lying, "+z", "-y").guess is None
-    assert {(s.up, s.front) for s in (settle(lying, "Z"), settle(lying, front="-y"), settle(lying, "z", "-Y"))} == {
-        ("+z", "-y")
-    }
+    assert resolve_axes(lying, "+z", "-y").guess is None
+    assert {
+        (s.up, s.front)
+        for s in (resolve_axes(lying, "Z"), resolve_axes(lying, front="-y"), resolve_axes(lying, "z", "-Y"))
+    } == {("+z", "-y")}
     assert np.array_equal(upright(lying, "+z", "-y").vertices, character.vertices)
     assert upright(lying, "+x").vertices[:, 1] == pytest.approx(lying.vertices[:, 0])
     for up, front in (("+y", "-y"), ("z", "z"), ("up", "auto"), ("auto", "w")):
         with pytest.raises(OptionError):
-            settle(character, up, front)
+            resolve_axes(character, up, front)
 
 
 def test_what_nobody_says_and_no_guess_decides_is_usual():
@@ -166,7 +167,7 @@ def test_what_nobody_says_and_no_guess_decides_is_usual():
 def test_a_shape_that_tells_nothing_is_left_alone():
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
     cube = Character("cube", corners, CUBE_FACES)
-    settled = settle(cube)
+    settled = resolve_axes(cube)
     assert settled.guess.confidence < SURE and (settled.up, settled.front) == ("+y", "+z") and upright(cube) is cube
     flat = Character("flat", [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])
     assert upright(flat).name == "flat"

@@ -34,41 +34,41 @@ def box_body(tail: bool = False):
 
 def hard(mesh, *rules):
     """The trunk's weights, and 1 for a handle where a rule says so."""
-    place = mesh.vertices * mesh.scale + mesh.center
-    weights = np.zeros((len(place), HANDLE_COUNT), np.float32)
+    position = mesh.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(position), HANDLE_COUNT), np.float32)
     weights[:, H["spine2"]] = 1
     for name, rule in rules:
-        where = rule(place)
+        where = rule(position)
         weights[where] = 0
         weights[where, H[name]] = 1
-    return place, weights
+    return position, weights
 
 
-def arms(place, side):
-    return (side * place[:, 0] > 0.25) & (np.abs(place[:, 1] - 0.2) < 0.12)
+def arms(position, side):
+    return (side * position[:, 0] > 0.25) & (np.abs(position[:, 1] - 0.2) < 0.12)
 
 
-def ear(place):
-    return place[:, 1] > 0.55
+def ear(position):
+    return position[:, 1] > 0.55
 
 
 def test_an_ear_that_was_called_a_hand_goes_back_to_the_trunk():
     mesh = box_body()
-    place, weights = hard(
+    position, weights = hard(
         mesh,
         ("left_wrist", lambda p: arms(p, 1)),
         ("right_wrist", lambda p: arms(p, -1)),
         ("left_wrist", ear),
     )
     out = reunited(mesh, weights)
-    assert (out[ear(place)].argmax(axis=1) == H["spine2"]).all()
-    kept = ~ear(place)
+    assert (out[ear(position)].argmax(axis=1) == H["spine2"]).all()
+    kept = ~ear(position)
     np.testing.assert_allclose(out[kept], weights[kept], atol=1e-6)
 
 
 def test_a_tail_that_played_a_leg_becomes_a_tail():
     mesh = box_body(tail=True)
-    place, weights = hard(
+    position, weights = hard(
         mesh,
         ("pelvis", lambda p: (np.abs(p[:, 0]) < 0.21) & (p[:, 1] < 0)),
         ("right_hip", lambda p: (p[:, 1] < -0.52) & (p[:, 0] < 0)),
@@ -76,9 +76,9 @@ def test_a_tail_that_played_a_leg_becomes_a_tail():
         ("right_hip", lambda p: p[:, 2] < -0.25),
     )
     out = reunited(mesh, weights)
-    behind = place[:, 2] < -0.25
+    behind = position[:, 2] < -0.25
     assert (out[behind].argmax(axis=1) == H["tail"]).all()
-    legs = place[:, 1] < -0.52
+    legs = position[:, 1] < -0.52
     np.testing.assert_allclose(out[legs], weights[legs], atol=1e-6)
 
 
@@ -101,8 +101,8 @@ def test_the_reference_body_stays_as_it_is():
 def test_strain_is_what_a_turn_does_to_an_edge():
     """Against edges that are really turned, about the joint between trunk and arm."""
     mesh = box_body()
-    place, weights = hard(mesh)
-    share = np.clip((mesh.vertices[:, 0] - 0.15) / 0.1, 0, 1) * arms(place, 1)
+    position, weights = hard(mesh)
+    share = np.clip((mesh.vertices[:, 0] - 0.15) / 0.1, 0, 1) * arms(position, 1)
     weights[:, H["left_elbow"]], weights[:, H["spine2"]] = share, 1 - share
     overlap = mesh.areas * share * (1 - share)
     joint = overlap @ mesh.vertices / overlap.sum()
@@ -119,9 +119,9 @@ def test_a_step_far_from_the_joint_is_softened():
     """An arm whose skin is one with the side of the body: its share falls from 1 to 0 over an edge."""
     trunk = trimesh.creation.box((1, 2, 0.3)).subdivide().subdivide().subdivide().subdivide()
     mesh = network_mesh(trunk.vertices, trunk.faces, 2500)
-    place = mesh.vertices * mesh.scale + mesh.center
-    weights = np.zeros((len(place), HANDLE_COUNT), np.float32)
-    weights[:, H["left_shoulder"]] = place[:, 0] > 0.2  # an arm glued to the side of the body over its whole length
+    position = mesh.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(position), HANDLE_COUNT), np.float32)
+    weights[:, H["left_shoulder"]] = position[:, 0] > 0.2  # an arm glued to the side of the body over its whole length
     weights[:, H["spine2"]] = 1 - weights[:, H["left_shoulder"]]
     before, after = edge_strain(mesh, weights), edge_strain(mesh, eased(mesh, weights))
     assert before.max() > 2 * MOST and after.max() < 0.6 * before.max()

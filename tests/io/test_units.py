@@ -11,7 +11,7 @@ from bunraku.core.character import Character
 from bunraku.errors import OptionError
 from bunraku.formats.frames import likely_unit
 from bunraku.io import load_character, save_character
-from bunraku.io.units import in_metres, settle_unit
+from bunraku.io.units import in_metres, resolve_unit
 from bunraku.samples import sample_character
 
 
@@ -31,13 +31,13 @@ def test_the_unit_that_makes_a_height_a_characters(height, unit):
 
 
 def test_only_formats_without_a_unit_are_scaled():
-    dragon = settle_unit(145.9, ".stl")
+    dragon = resolve_unit(145.9, ".stl")
     assert dragon.unit == "cm" and dragon.note == "145.9 tall: probably centimetres; taken as 1.46 m"
     assert (
-        settle_unit(145.9, ".glb").unit == "m" and "against the unit of its format" in settle_unit(145.9, ".glb").note
+        resolve_unit(145.9, ".glb").unit == "m" and "against the unit of its format" in resolve_unit(145.9, ".glb").note
     )
-    assert settle_unit(145.9, ".stl", "in").unit == "in" and settle_unit(1.7, ".obj").note == ""
-    tiny = settle_unit(0.0178, ".obj")
+    assert resolve_unit(145.9, ".stl", "in").unit == "in" and resolve_unit(1.7, ".obj").note == ""
+    tiny = resolve_unit(0.0178, ".obj")
     assert tiny.unit == "m" and "left as it is" in tiny.note
 
 

@@ -35,8 +35,8 @@ def person(frames, speed=0.0, course=0.0, heading=None, height=None, steps=0.0, 
     lift = np.zeros(frames) if lift is None else np.asarray(lift, float)
     way = heading + course
     step = np.broadcast_to(speed, frames) / FPS
-    place = np.cumsum(np.stack([step * np.sin(way), 0 * way, step * np.cos(way)], 1), axis=0)
-    place[:, 1] = height + lift
+    position = np.cumsum(np.stack([step * np.sin(way), 0 * way, step * np.cos(way)], 1), axis=0)
+    position[:, 1] = height + lift
     local = np.zeros((frames, HANDLE_COUNT, 3))
     for side, sign in (("left", 1), ("right", -1)):
         for part, offset in HANG.items():
@@ -51,7 +51,7 @@ def person(frames, speed=0.0, course=0.0, heading=None, height=None, steps=0.0, 
         for part in ("ankle", "foot"):
             local[:, number(f"{side}_{part}")] = offsets
     turns = np.broadcast_to(np.eye(3), (frames, HANDLE_COUNT, 3, 3))
-    return HandleMotion(local, turns, place, matrix_y(heading), FPS)
+    return HandleMotion(local, turns, position, matrix_y(heading), FPS)
 
 
 def ramp(frames, start, stop, amount):

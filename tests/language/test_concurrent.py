@@ -5,8 +5,8 @@ import torch
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.parts import PARTS
 from bunraku.body.reference import reference_body
-from bunraku.diffusion.composition import PartTrack
-from bunraku.diffusion.generate import generate_motions
+from bunraku.diffusion.generation.composition import PartTrack
+from bunraku.diffusion.generation.generate import generate_motions
 from bunraku.language.parse import clause_of, clauses_of
 from bunraku.nn.checkpoints import shipped_checkpoint
 

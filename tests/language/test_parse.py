@@ -6,8 +6,8 @@ import pytest
 
 from bunraku.errors import OptionError
 from bunraku.language.bodies import for_body
+from bunraku.language.lexicon.reading import words_of
 from bunraku.language.lexicon.tables import lexicon
-from bunraku.language.lexicon.tokens import words_of
 from bunraku.language.parse import clause_of, parse
 
 
@@ -69,7 +69,7 @@ def test_a_strafe_is_a_sidestep():
 def test_what_is_not_done_is_beyond_it(prompt):
     with pytest.raises(OptionError, match="what is not done"):
         parse(prompt)
-    assert parse(prompt, anyway=True).clauses
+    assert parse(prompt, force=True).clauses
 
 
 def test_what_else_is_not_done_is_told():

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bunraku.language.encoders import TEXT_LENGTH
-from bunraku.language.known.pieces import encoder_file, read_header
-from bunraku.language.known.tokenizer import WordPieces
+from bunraku.language.known.tokenizer import WordPieces, encoder_file, read_header
 
 TEXT = read_header(encoder_file())["tokenizer"]
 MINE = WordPieces(TEXT)

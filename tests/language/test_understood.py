@@ -1,7 +1,6 @@
 """What is understood of sentences that people type, and what is said of the rest."""
 
 import json
-import logging
 import re
 import subprocess
 import sys
@@ -13,7 +12,7 @@ import pytest
 from bunraku.errors import OptionError
 from bunraku.language.captions.phrases import known_clauses
 from bunraku.language.known.spelling import corrected, slips
-from bunraku.language.understood import check_understood, english_of, understood
+from bunraku.language.understood import check_understood, understood
 
 ROOT = Path(__file__).resolve().parents[2]
 WATCHED = ROOT / "runs" / "data" / "source" / "captions_watched.json"
@@ -67,8 +66,8 @@ def test_what_says_no_movement_is_refused_with_sentences_that_do(sentence):
     with pytest.raises(OptionError, match="no movement is understood") as refused:
         check_understood(sentence)
     said = str(refused.value)
-    assert found.nearest[0] in said and "--anyway" in said and (found.unknown[0].word in said or sentence in said)
-    assert check_understood(sentence, anyway=True) is found
+    assert found.nearest[0] in said and "--force" in said and (found.unknown[0].word in said or sentence in said)
+    assert check_understood(sentence, force=True) is found
 
 
 @pytest.mark.parametrize(
@@ -118,17 +117,13 @@ def test_other_languages_are_put_into_english_with_places_in_the_sentence():
     assert found.ok and found.english == "a person dances, then opens a door" and not found.unknown
 
 
-def test_notes_are_logged_and_the_english_is_given(caplog):
-    with caplog.at_level(logging.WARNING):
-        assert english_of("a person walks forward.") == "a person walks forward"
-    assert not caplog.records
-    with caplog.at_level(logging.WARNING):
-        assert english_of("salta dos veces") == "a person jumps twice"
-        assert english_of("qqq zzz", anyway=True) == "qqq zzz"
-    assert [record.message for record in caplog.records] == [
-        "read as: a person jumps twice",
-        "not understood: 'qqq', 'zzz'",
-    ]
+def test_the_english_is_given_with_notes():
+    found = check_understood("a person walks forward.")
+    assert found.english == "a person walks forward" and not found.notes
+    found = check_understood("salta dos veces")
+    assert found.english == "a person jumps twice" and found.notes == ("read as: a person jumps twice",)
+    found = check_understood("qqq zzz", force=True)
+    assert found.english == "qqq zzz" and found.notes == ("not understood: 'qqq', 'zzz'",)
 
 
 @pytest.mark.parametrize("sentence", ["", "  ", "...", "x" * 2000])

@@ -60,5 +60,5 @@ def test_verbs_are_replaced_where_they_stand(clause, verb, said):
     ],
 )
 def test_how_long_somebody_is_in_the_air_is_told_by_what_is_said(clause, way):
-    (done,) = for_body(parse(clause, anyway=True), "person").clauses
+    (done,) = for_body(parse(clause, force=True), "person").clauses
     assert done.moves == way

@@ -22,8 +22,8 @@ def test_the_shortest_way_from_a_bone_and_loops():
     assert links == {1: (-1, 0), 2: (1, -1), 3: (-1, 0)}
     assert [link.turned for link in forest.links if link.body == 2] == [True]  # it is A of its joint
     assert [(loop.a, loop.b) for loop in forest.loops] == [(2, 3)]
-    places = [link.body for link in forest.links]
-    assert places.index(1) < places.index(2)  # each after what it hangs on
+    positions = [link.body for link in forest.links]
+    assert positions.index(1) < positions.index(2)  # each after what it hangs on
 
 
 def test_joints_that_let_go_are_the_last_choice():

@@ -1,5 +1,6 @@
 """Learned apparel in use: on bones and on handles, by a mask or by what is found, and refused where it cannot be."""
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -7,18 +8,21 @@ import pytest
 import torch
 
 from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, save_displacement
-from bunraku.apparel.fitting import BORDER, eased_border, fitted_wearer, joints_of_handles
+from bunraku.apparel.fitting import BORDER, eased_border, fitted_clothes, joints_of_handles
 from bunraku.apparel.segmentation.network import SegmentationConfig, SegmentationNetwork, save_segmentation
 from bunraku.body.reference import reference_body
+from bunraku.cli.options.sampling import ApparelOptions
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.point_animation import PointAnimation
 from bunraku.errors import CharacterError, OptionError
-from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.surface import vertex_areas
+from bunraku.pipelines.animate import animate
 from bunraku.pipelines.apparel import dressed, learned
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints, Loop
 from bunraku.pipelines.requests.request import Request
+from bunraku.pipelines.transfer import transfer
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 
 MOTION = stock_motion("walk", 1.0, 20.0)
@@ -81,6 +85,12 @@ def test_a_mask_file_is_taken(animation, weights, tmp_path):
     assert dressed(animation, "none") is animation and dressed(animation, "rigid") is animation
 
 
+def test_the_command_and_python_move_apparel_alike_where_nothing_is_said():
+    said = {inspect.signature(function).parameters["apparel"].default for function in (animate, transfer)}
+    assert said == {Apparel().motion} == {ApparelOptions().motion}
+    assert not Apparel().moves and not Apparel("rigid").moves
+
+
 def test_no_apparel_is_said(animation, weights):
     with pytest.raises(CharacterError, match="no apparel was found"):
         learned(animation, np.zeros(len(animation.character.vertices), bool))
@@ -104,10 +114,10 @@ def test_parts_hang_on_what_they_touch(animation):
     character: Character = animation.character
     weights = np.concatenate([body.joint_weights, np.eye(22, dtype=np.float32)[np.full(30, 1)]])
     flat = np.zeros(len(mask), np.float32)
-    wearer = fitted_wearer(character.vertices, character.faces, body.joints, weights, mask, flat - 1, flat + 0.9)
-    assert wearer.part.max() == 0 and (wearer.weights[mask].argmax(axis=1) == 0).all()
-    assert wearer.stiffness.tolist() == [-1] and wearer.damping[0] == pytest.approx(0.9)
-    np.testing.assert_array_equal(wearer.weights[~mask], weights[~mask])
+    clothed = fitted_clothes(character.vertices, character.faces, body.joints, weights, mask, flat - 1, flat + 0.9)
+    assert clothed.part.max() == 0 and (clothed.weights[mask].argmax(axis=1) == 0).all()
+    assert clothed.stiffness.tolist() == [-1] and clothed.damping[0] == pytest.approx(0.9)
+    np.testing.assert_array_equal(clothed.weights[~mask], weights[~mask])
 
 
 def test_a_sheet_is_not_torn_where_its_mask_has_an_edge(animation):
@@ -116,14 +126,14 @@ def test_a_sheet_is_not_torn_where_its_mask_has_an_edge(animation):
     flat = np.zeros(len(weights), np.float32)
 
     def eased(mask):
-        wearer = fitted_wearer(character.vertices, character.faces, body.joints, weights, mask, flat - 1, flat + 0.9)
-        return wearer, eased_border(wearer)
+        clothed = fitted_clothes(character.vertices, character.faces, body.joints, weights, mask, flat - 1, flat + 0.9)
+        return clothed, eased_border(clothed)
 
     apron = apron_of(animation)
     np.testing.assert_array_equal(eased(apron)[1], apron)  # a piece of its own goes whole
     edge = float(np.median(character.vertices[~apron, 1]))
-    wearer, share = eased((character.vertices[:, 1] > edge) & ~apron)
-    up = (character.vertices[:, 1] - edge) / wearer.scale
+    clothed, share = eased((character.vertices[:, 1] > edge) & ~apron)
+    up = (character.vertices[:, 1] - edge) / clothed.scale
     assert (share[up <= 0] == 0).all() and (share[(up > BORDER) & ~apron] == 1).all()
     near = (up > 0) & (up < 0.3 * BORDER) & ~apron
     assert near.sum() > 20 and share[near].mean() < 0.5  # not 0: border vertices are a few centimetres apart

@@ -10,7 +10,7 @@ from bunraku.core.ground_path import GroundPath
 from bunraku.errors import OptionError
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.edit import edit
-from bunraku.retarget.stages.pins import Pin, end_places, limb_ends
+from bunraku.retarget.stages.pins import Pin, end_positions, limb_ends
 from bunraku.samples import sample_character
 
 pytestmark = pytest.mark.skipif(
@@ -28,34 +28,34 @@ def walk(request):
 
 def test_the_root_follows_the_path_in_time(walk):
     root = walk.motion.root_translation[:, [0, 2]]
-    away = np.linalg.norm(root - PATH.places(len(root), 20), axis=1)
+    away = np.linalg.norm(root - PATH.positions(len(root), 20), axis=1)
     assert away.max() * 1.7 / walk.character.height < 0.10
 
 
 def test_the_generated_motion_itself_follows_it():
     motion = generate("walks forward", seconds=4, path=PATH, **HOW)
-    away = np.linalg.norm(motion.root_translation[:, [0, 2]] - PATH.places(80, 20), axis=1)
+    away = np.linalg.norm(motion.root_translation[:, [0, 2]] - PATH.positions(80, 20), axis=1)
     assert away.max() < 0.01
 
 
 def test_several_sentences_one_path_and_gestures_on_the_way():
     motion = generate("walks while waving:3; runs:2", path=PATH, **HOW)
-    away = np.linalg.norm(motion.root_translation[:, [0, 2]] - PATH.places(100, 20), axis=1)
+    away = np.linalg.norm(motion.root_translation[:, [0, 2]] - PATH.positions(100, 20), axis=1)
     assert away.max() < 0.01
 
 
 def test_poses_stay_and_pins_are_met(walk):
     ends = limb_ends(Anatomy.of(walk.character, walk.handles))
     size = walk.character.height / 1.7
-    goal = end_places(walk.motion, walk.handles, ends)[50, 0] + np.array([0, 0.15, 0.1]) * size
+    goal = end_positions(walk.motion, walk.handles, ends)[50, 0] + np.array([0, 0.15, 0.1]) * size
     made = edit(walk, "jumps", poses=[1.0, 4.0], pins=[Pin("left_hand", 2.5, tuple(goal))], steps=6)
     for frame in (20, 80):
         for name in ("translations", "rotations", "root_translation", "root_rotation"):
             np.testing.assert_array_equal(getattr(made.motion, name)[frame], getattr(walk.motion, name)[frame])
             np.testing.assert_array_equal(getattr(made.reference, name)[frame], getattr(walk.reference, name)[frame])
     assert np.abs(made.motion.rotations[40:60] - walk.motion.rotations[40:60]).max() > 0.1
-    place = end_places(made.motion, made.handles, ends)[50, 0]
-    assert np.linalg.norm(place - goal) / size < 0.01
+    position = end_positions(made.motion, made.handles, ends)[50, 0]
+    assert np.linalg.norm(position - goal) / size < 0.01
     vertices = made.vertices()[:, ::40]
     jerk = np.linalg.norm(np.diff(vertices, 2, axis=0), axis=-1).max(axis=1) / size
     assert jerk[[18, 19, 78, 79]].max() < 0.12  # no jump at a pinned pose: a frame's change of speed [m]

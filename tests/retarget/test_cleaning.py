@@ -1,15 +1,16 @@
 """The stages that clean a motion: standing feet, the ground, jitter."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from gltf_files import CUBE_FACES
 from scipy.spatial.transform import Rotation
 
-from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.anatomy.anatomy import Anatomy, decimated, reference_anatomy
 from bunraku.anatomy.bending import move_feet
-from bunraku.anatomy.decimate import decimated
 from bunraku.anatomy.joints import find_joints, reference_joints
 from bunraku.anatomy.legs import find_arms, find_legs, foot_points
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
@@ -17,13 +18,13 @@ from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.surface import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku.retarget.stages.feet import Feet
-from bunraku.retarget.stages.floor import enough
-from bunraku.retarget.stages.ground import Ground
+from bunraku.retarget.stages.ground import Ground, enough
 from bunraku.retarget.stages.smooth import Smooth
+from bunraku_lab.datasets.motions.clips import load_clip
 
 LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 
@@ -90,7 +91,7 @@ def table():
             boxes += [
                 (f"{side}_{part}", (x, y, z), (0.1, 0.3, 0.1)) for part, y in zip(parts, (0.6, 0.3, 0), strict=True)
             ]
-    vertices = np.concatenate([corners * size + place for _, place, size in boxes])
+    vertices = np.concatenate([corners * size + position for _, position, size in boxes])
     faces = np.concatenate([CUBE_FACES + 8 * number for number in range(len(boxes))])
     weights = np.zeros((len(vertices), HANDLE_COUNT))
     weights[np.arange(len(vertices)), np.repeat([HANDLE_NAMES.index(name) for name, _, _ in boxes], 8)] = 1
@@ -143,16 +144,17 @@ def test_a_moved_foot_is_where_it_should_be_and_bones_keep_their_length(person):
     np.testing.assert_allclose(np.median(after[0] - before[0], axis=1), shift[:, 0], atol=0.001)
     np.testing.assert_allclose(after[1], before[1], atol=1e-6)
 
-    def joint(motion, handle, place):
+    def joint(motion, handle, position):
         transform = motion.transforms(handles.positions)[:, handle]
-        return transform[..., :3] @ place + transform[..., 3]
+        return transform[..., :3] @ position + transform[..., 3]
 
-    for upper, lower, place in (
+    for upper, lower, position in (
         (legs[0].upper, legs[0].lower, legs[0].joints[1]),
         (legs[0].lower, legs[0].end, legs[0].joints[2]),
     ):
         gaps = [
-            np.linalg.norm(joint(some, upper, place) - joint(some, lower, place), axis=1) for some in (motion, moved)
+            np.linalg.norm(joint(some, upper, position) - joint(some, lower, position), axis=1)
+            for some in (motion, moved)
         ]
         np.testing.assert_allclose(gaps[1], gaps[0], atol=2e-4)  # still joined as they were
     np.testing.assert_allclose(
@@ -287,8 +289,8 @@ def test_a_lighter_mesh_gives_the_same_motion(monkeypatch):
     assert decimated(character, handles)[0] is character  # few enough
     motion = posed(20, left_hip=-30 + 20 * np.sin(np.linspace(0, 9, 20)), left_knee=40)
     full, joints = fit_motion(motion, Anatomy.of(character, handles)), Anatomy.of(character, handles).joints
-    monkeypatch.setattr("bunraku.anatomy.decimate.MANY", 8000)
-    monkeypatch.setattr("bunraku.anatomy.decimate.CELLS", 4000)
+    monkeypatch.setattr("bunraku.anatomy.anatomy.MANY", 8000)
+    monkeypatch.setattr("bunraku.anatomy.anatomy.CELLS", 4000)
     light, lighter_handles = decimated(character, handles)
     assert len(light.vertices) < 0.7 * len(character.vertices)
     fast, found = fit_motion(motion, Anatomy.of(character, handles)), Anatomy.of(light, lighter_handles).joints
@@ -309,12 +311,71 @@ def test_what_hovers_is_set_down_and_what_jumps_or_flies_is_not():
     path[:, 1] = height
     still = np.tile(np.eye(3), (frames, 30, 1, 1))
     motion = HandleMotion(np.zeros((frames, 30, 3)), still, path, np.tile(np.eye(3), (frames, 1, 1)), 20.0)
-    settled = Ground().settled(motion, reference_anatomy()).root_translation[:, 1]
+    settled = Ground().grounded(motion, reference_anatomy()).root_translation[:, 1]
     assert np.abs(np.delete(settled, np.arange(40, 50))).max() < 0.01
     assert settled[40:50].max() == pytest.approx(0.3, abs=0.03)
     flying = replace(motion, root_translation=path + [0, 0.5, 0])
     np.testing.assert_allclose(
-        Ground().settled(flying, reference_anatomy()).root_translation[:, 1], height + 0.5, atol=1e-6
+        Ground().grounded(flying, reference_anatomy()).root_translation[:, 1], height + 0.5, atol=1e-6
     )
-    grounded = Ground().settled(flying, reference_anatomy(), flies=False).root_translation[:, 1]
+    grounded = Ground().grounded(flying, reference_anatomy(), flies=False).root_translation[:, 1]
     assert np.abs(np.delete(grounded, np.arange(40, 50))).max() < 0.01
+
+
+def bowed(frames, lift):
+    """Somebody who bows so deeply for a second that the stretched hands go under the ground; the feet stay on it."""
+    body = reference_body()
+    share = np.sin(np.clip(np.linspace(-0.5, 1.5, frames), 0, 1) * np.pi)[:, None]
+    rotations = np.tile(np.eye(3), (frames, JOINT_COUNT, 1, 1))
+    rotations[:, JOINT_NAMES.index("spine1")] = Rotation.from_rotvec(np.radians(160) * share * [1, 0, 0]).as_matrix()
+    for side, turn in (("left", -90), ("right", 90)):
+        ahead = Rotation.from_euler("yx", [turn, -70], degrees=True).as_rotvec()
+        rotations[:, JOINT_NAMES.index(f"{side}_shoulder")] = Rotation.from_rotvec(share * ahead).as_matrix()
+    motion = handle_motion_of_body(SkeletalMotion(body.skeleton, rotations, np.tile(body.joints[0], (frames, 1))))
+    return replace(motion, root_translation=motion.root_translation + [0, lift, 0])
+
+
+@pytest.mark.parametrize("lift", [0.0, 0.12])
+def test_hands_under_the_ground_lift_no_feet(person, lift):
+    motion = bowed(60, lift)
+    character, handles = person[:2]
+    stood = soles(motion, person)[0][..., 1].min()
+    assert Animation(character, handles, motion).vertices()[..., 1].min() < stood - 0.05  # the hands
+    fitted = fit_motion(motion, reference_anatomy())
+    heights = [points[..., 1].min(axis=1) for points in soles(fitted, person)]
+    assert np.abs(heights).max() < 0.02
+    assert Animation(character, handles, fitted).vertices()[..., 1].min() > -0.01
+
+
+def test_who_stands_on_the_hands_is_not_let_down_to_the_head(person):
+    upside_down = np.tile(np.diag([1.0, -1, -1]), (80, 1, 1))
+    body = reference_body()
+    skeletal = np.tile(np.eye(3), (80, JOINT_COUNT, 1, 1))
+    skeletal[:, 0] = upside_down
+    for name, degrees in (("left_shoulder", 90), ("right_shoulder", -90)):
+        skeletal[:, JOINT_NAMES.index(name)] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    motion = handle_motion_of_body(SkeletalMotion(body.skeleton, skeletal, np.tile(body.joints[0], (80, 1))))
+    lowest = Animation(body.character(), body.handles, motion).vertices()[..., 1].min()
+    motion = replace(motion, root_translation=motion.root_translation - [0, lowest, 0])
+    fitted = fit_motion(motion, reference_anatomy())
+    found = Animation(person[0], person[1], fitted).vertices()[40]
+    assert abs(found[:, 1].min()) < 0.02
+    head = person[1].weights[:, HANDLE_NAMES.index("head")] > 0.5
+    before = Animation(person[0], person[1], motion).vertices()[40]
+    assert found[head, 1].min() == pytest.approx(before[head, 1].min(), abs=0.02)
+
+
+DATA = Path(os.environ.get("BUNRAKU_DATA", "runs/data"), "motions")
+
+
+@pytest.mark.parametrize(("name", "share"), [("cmu_02_06", 0.01), ("snu_Physics_Raise01", 0.06), ("cmu_140_03", 0.06)])
+def test_who_scoops_or_lies_is_on_the_ground(person, name, share):
+    """A scooping figure hovered by 17 cm, and those who lie began 35 cm in the air."""
+    path = DATA / f"{name}.npz"
+    if not path.is_file():
+        pytest.skip(f"{name} was not built into {DATA}")
+    motion = load_clip(path)
+    fitted = fit_motion(motion, reference_anatomy())
+    lowest = Animation(person[0], person[1], fitted).vertices()[..., 1].min(axis=1)
+    assert np.percentile(lowest, 95) < share * person[0].height
+    assert lowest[0] < 0.02 and lowest.min() > -0.02

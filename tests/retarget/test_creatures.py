@@ -13,7 +13,7 @@ from bunraku.anatomy.joints import attach_joints
 from bunraku.anatomy.plan import BodyPlan, check_plans
 from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.body.reference import reference_body
-from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
+from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, line_up, local_rotations
 from bunraku.errors import CharacterError
 from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y, rotation_between
 from bunraku.pipelines.to_reference import creature_motion
@@ -92,8 +92,8 @@ def limb(animation, dog, handle_name: str) -> np.ndarray:
     vertices = animation.vertices()
     upper, lower = (HANDLE_NAMES.index(name) for name in handle_name.split(">"))
     weights = parts.handles.weights * dog.areas[:, None]
-    place = [np.einsum("v,nvi->ni", weights[:, some] / weights[:, some].sum(), vertices) for some in (upper, lower)]
-    return place[1] - place[0]
+    position = [np.einsum("v,nvi->ni", weights[:, some] / weights[:, some].sum(), vertices) for some in (upper, lower)]
+    return position[1] - position[0]
 
 
 @pytest.mark.parametrize("flat", [False, True])
@@ -244,3 +244,42 @@ def test_a_clip_that_ends_amid_a_stride_has_the_same_stance_on_both_sides(dog):
                 mirrored = stance.positions[other] * [-1, 1, 1]
                 np.testing.assert_allclose(stance.positions[one], mirrored, atol=0.01)
     np.testing.assert_allclose(stances[0][0].positions, stances[1][0].positions, atol=0.03)
+
+
+def sitting(dog, frames: int = 90) -> SkeletalMotion:
+    """The dog sits for two thirds of a clip, its rump down, and stands up: its spine is no steeper than that of a body
+    that stands may be, and the rest pose has all bones along +X.
+    """
+    motion = trot(dog, frames=frames, flat=True)
+    names, parents = motion.skeleton.names, motion.skeleton.parents
+    world = motion.world()[0].astype(np.float64)
+    sits = np.radians(np.clip((62 - np.arange(frames)) / 8, 0, 1))[:, None]
+    tip, fold = (np.array(matrix_from_axis_angle(angle * sits * [1.0, 0, 0])) for angle in (-26, -36))
+    out = tip[:, None] @ world
+    for joint in range(1, len(names)):
+        line = [names[above] for above in line_up(joint, parents)]
+        if {"LeftArm", "RightArm"} & set(line):
+            out[:, joint] = world[:, joint]  # upright under the chest
+        elif {"LeftUpLeg", "RightUpLeg"} & set(line):
+            out[:, joint] = (fold if "UpLeg" in names[joint] else np.swapaxes(fold, -1, -2)) @ world[:, joint]
+    return SkeletalMotion(motion.skeleton, local_rotations(out, parents), motion.root_translation, motion.fps)
+
+
+def test_a_captured_dog_that_sits_first_stands_as_it_does_later(dog):
+    motion = sitting(dog)
+    parts = handle_of_joints(motion.skeleton.names, motion.skeleton.parents)
+    limbs = find_limbs(parts, motion.skeleton.parents)
+    chest = parts.tolist().index(HANDLE_NAMES.index("spine3"))
+    angles = []
+    for clip in (motion, trot(dog, frames=41, flat=True)):
+        ahead = find_stance(clip, limbs, parts).positions[chest]
+        angles.append(np.degrees(np.arctan2(ahead[1], ahead[2])))
+    assert angles[0] == pytest.approx(angles[1], abs=3)
+    moved = bunraku.transfer(dog, motion, onto="rig", stages=BARE)
+    bones = moved.world()[1]
+    names = dog.rig.names
+    trunk = bones[:, names.index("Neck")] - bones[:, 0]
+    slope = np.degrees(np.arctan2(trunk[:, 1], np.hypot(trunk[:, 0], trunk[:, 2])))
+    rest = dog.rig.positions[names.index("Neck")] - dog.rig.positions[0]
+    assert slope[-10:].mean() == pytest.approx(np.degrees(np.arctan2(rest[1], rest[2])), abs=4)
+    assert slope[:30].mean() > slope[-10:].mean() + 15  # it sits first

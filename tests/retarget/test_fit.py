@@ -12,7 +12,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import SkeletalMotion
 from bunraku.errors import CharacterError
-from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.surface import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku.retarget.reference import motion_to_reference

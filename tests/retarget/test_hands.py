@@ -8,8 +8,8 @@ from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import SkeletalMotion
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.geometry.surface import vertex_areas
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku.retarget.fit import Stages, fit_motion
 

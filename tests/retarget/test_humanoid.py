@@ -11,7 +11,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
-from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.surface import vertex_areas
 from bunraku.handles.from_rig import rig_handles
 from bunraku.io import load_motion
 from bunraku.io.humanoid import humanoid_motion
@@ -77,10 +77,10 @@ def test_it_has_the_characters_size(child):
 
 def test_joints_are_in_the_limbs(source, child):
     found = humanoid_motion(child)
-    places, posed = found.world()[1], child.vertices()
+    positions, posed = found.world()[1], child.vertices()
     for joint in (4, 5, 7, 8, 18, 19):
         own = child.handles.weights[:, joint] > 0.2
-        gap = np.linalg.norm(posed[:, own] - places[:, None, joint], axis=-1).min(axis=1)
+        gap = np.linalg.norm(posed[:, own] - positions[:, None, joint], axis=-1).min(axis=1)
         assert gap.max() < 0.08 * child.character.height
 
 

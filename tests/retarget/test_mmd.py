@@ -96,7 +96,9 @@ def legs(frames=40, seed=0):
         for mark in "左右"
     }
     turns = Rotation.from_rotvec(0.3 * np.sin(time * [1.0, 0.7, 0.4])).as_matrix()
-    tracks = {f"{mark}足ＩＫ": (places, np.broadcast_to(np.eye(3), (frames, 3, 3))) for mark, places in feet.items()}
+    tracks = {
+        f"{mark}足ＩＫ": (positions, np.broadcast_to(np.eye(3), (frames, 3, 3))) for mark, positions in feet.items()
+    }
     return tracks | {"下半身": (np.zeros((frames, 3)), turns)}
 
 
@@ -146,20 +148,20 @@ def test_bones_that_follow_legs_take_what_inverse_kinematics_did():
 def test_chains_of_free_and_of_limited_links():
     chain = [
         bone("0", (0, 0, 0)),
-        *(bone(str(place), (0, place, 0), place - 1) for place in (1, 2, 3)),
+        *(bone(str(position), (0, position, 0), position - 1) for position in (1, 2, 3)),
         bone("end", (0, 4, 0), 3),
     ]
-    goal = MmdIk(4, 60, 1.0, tuple(MmdIkLink(place) for place in (3, 2, 1, 0)))
+    goal = MmdIk(4, 60, 1.0, tuple(MmdIkLink(position) for position in (3, 2, 1, 0)))
     free = model_of(*chain, bone("goal", (0, 4, 0), ik=goal, layer=1))
     poses = pose_mmd(free, {"goal": track(position=(1.5, -2.0, 1.0))})
     assert np.linalg.norm(poses.positions[0, 4] - [1.5, 2, 1]) < 1e-3
     limits = (np.radians([-20.0, -15, -10]), np.radians([20.0, 15, 10]))
-    tight = replace(goal, links=tuple(MmdIkLink(place, *limits) for place in (3, 2, 1, 0)))
+    tight = replace(goal, links=tuple(MmdIkLink(position, *limits) for position in (3, 2, 1, 0)))
     poses = pose_mmd(
         model_of(*chain, bone("goal", (0, 4, 0), ik=tight, layer=1)), {"goal": track(position=(3.0, -4.0, 1.0))}
     )
-    for place, parent in ((3, 2), (2, 1), (1, 0)):
-        y, x, z = Rotation.from_matrix(poses.rotations[0, parent].T @ poses.rotations[0, place]).as_euler(
+    for position, parent in ((3, 2), (2, 1), (1, 0)):
+        y, x, z = Rotation.from_matrix(poses.rotations[0, parent].T @ poses.rotations[0, position]).as_euler(
             "YXZ", degrees=True
         )
         assert abs(x) <= 20.01 and abs(y) <= 15.01 and abs(z) <= 10.01
@@ -286,8 +288,8 @@ def test_an_animation_of_the_rig_as_keys_and_played_again(tmp_path):
     double = bone("左足D", plain.positions[hip], plain.bone("下半身"), layer=2, append=MmdAppend(hip, 1.0, True, False))
     character = rigged(tmp_path, replace(plain, bones=(*(replace(some, ik=None) for some in plain.bones), double)))
     solved = pose_mmd(plain, legs())
-    tracks = {name: (np.zeros((40, 3)), np.swapaxes(solved.rotations[:, parent], -1, -2) @ solved.rotations[:, place])
-              for place, (name, parent) in enumerate(zip(plain.names, plain.parents,
+    tracks = {name: (np.zeros((40, 3)), np.swapaxes(solved.rotations[:, parent], -1, -2) @ solved.rotations[:, index])
+              for index, (name, parent) in enumerate(zip(plain.names, plain.parents,
               strict=True)) if parent >= 0}  # fmt: skip
     from bunraku.core.rig_animation import RigAnimation
 
@@ -344,15 +346,15 @@ def test_models_that_ask_for_hours_are_refused_before_they_are_posed():
     plain = standard_model()
     assert pose_work(plain) < 2_000
     length = 600  # one chain, and half of it are goals of inverse kinematics that turn all above them, a thousand times
-    chain = [bone(str(place), (0, place, 0), place - 1) for place in range(length)]
-    greedy = MmdIk(length - 1, 1000, 1.0, tuple(MmdIkLink(place) for place in range(length - 2, length - 258, -1)))
+    chain = [bone(str(index), (0, index, 0), index - 1) for index in range(length)]
+    greedy = MmdIk(length - 1, 1000, 1.0, tuple(MmdIkLink(index) for index in range(length - 2, length - 258, -1)))
     start = time.perf_counter()
     with pytest.raises(MotionError, match="too many"):
         pose_mmd(
             model_of(*chain, *(bone(f"goal {number}", (1, 1, 1), ik=greedy, layer=1) for number in range(300))), {}
         )
     takers = [
-        bone(str(place), (0, place, 0), place - 1, append=MmdAppend(0, 1.0, True, False)) for place in range(3000)
+        bone(str(index), (0, index, 0), index - 1, append=MmdAppend(0, 1.0, True, False)) for index in range(3000)
     ]
     with pytest.raises(MotionError, match="too many"):
         pose_mmd(model_of(*takers), {})

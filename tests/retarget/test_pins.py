@@ -13,7 +13,7 @@ from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.from_rig import rig_handles
 from bunraku.pipelines.animate import rig
 from bunraku.retarget.fit import fit_motion
-from bunraku.retarget.stages.pins import PINNED, Pin, end_places, limb_ends, meet_pins, spread
+from bunraku.retarget.stages.pins import PINNED, Pin, end_positions, limb_ends, meet_pins, spread
 from bunraku.samples import sample_character
 
 HUMAN = 1.7
@@ -42,10 +42,13 @@ def swing():
     return make
 
 
-def places(moving, motion):
+def positions(moving, motion):
     character, handles, _ = moving
     ends = limb_ends(Anatomy.of(character, handles))
-    return {end.part: place for end, place in zip(ends, end_places(motion, handles, ends).swapaxes(0, 1), strict=True)}
+    return {
+        end.part: position
+        for end, position in zip(ends, end_positions(motion, handles, ends).swapaxes(0, 1), strict=True)
+    }
 
 
 def test_people_and_beasts_have_four_ends(moving):
@@ -57,9 +60,9 @@ def test_people_and_beasts_have_four_ends(moving):
 def test_a_pin_is_met_while_it_holds(moving, part, off):
     character, handles, motion = moving
     size = character.height / HUMAN
-    goal = places(moving, motion)[part][40] + np.array(off) * size
+    goal = positions(moving, motion)[part][40] + np.array(off) * size
     met = meet_pins(motion, Anatomy.of(character, handles), [Pin(part, 2.0, tuple(goal), hold=0.25)])
-    away = np.linalg.norm(places(moving, met)[part][40:46] - goal, axis=1)
+    away = np.linalg.norm(positions(moving, met)[part][40:46] - goal, axis=1)
     assert away.max() / size < 0.01
     for name in HandleMotion.arrays:
         np.testing.assert_array_equal(getattr(met, name)[:20], getattr(motion, name)[:20])
@@ -69,33 +72,33 @@ def test_a_pin_is_met_while_it_holds(moving, part, off):
 def test_a_turn_is_met(moving):
     character, handles, motion = moving
     ends = {end.part: end for end in limb_ends(Anatomy.of(character, handles))}
-    goal = places(moving, motion)["right_hand"][40]
+    goal = positions(moving, motion)["right_hand"][40]
     turn = matrix_from_axis_angle(np.array([[0.3, -0.8, 0.2]]))[0]
     met = meet_pins(motion, Anatomy.of(character, handles), [Pin("right_hand", 2.0, tuple(goal), turn)])
     now = met.transforms(handles.positions)[40, ends["right_hand"].handle, :, :3].astype(float)
     angle = np.rad2deg(np.arccos(np.clip((np.trace(now @ turn.T) - 1) / 2, -1, 1)))
     assert angle < 2
-    assert np.linalg.norm(places(moving, met)["right_hand"][40] - goal) < 0.01
+    assert np.linalg.norm(positions(moving, met)["right_hand"][40] - goal) < 0.01
 
 
 def test_several_pins_at_one_time_and_after_another(moving):
     character, handles, motion = moving
-    size, here = character.height / HUMAN, places(moving, motion)
+    size, here = character.height / HUMAN, positions(moving, motion)
     pins = [
         Pin("left_hand", 1.0, tuple(here["left_hand"][20] + np.array([0, 0.1, 0.1]) * size)),
         Pin("right_foot", 1.0, tuple(here["right_foot"][20] + np.array([0, 0.1, 0.0]) * size)),
         Pin("left_hand", 1.3, tuple(here["left_hand"][26] + np.array([0, 0.0, 0.2]) * size)),
     ]
-    found = places(moving, meet_pins(motion, Anatomy.of(character, handles), pins))
+    found = positions(moving, meet_pins(motion, Anatomy.of(character, handles), pins))
     for pin in pins:
         assert np.linalg.norm(found[pin.part][round(pin.time * 20)] - pin.position) / size < 0.01
 
 
 def test_standing_feet_stay_where_the_root_goes_to_reach(moving):
     character, handles, motion = moving
-    size, here = character.height / HUMAN, places(moving, motion)
+    size, here = character.height / HUMAN, positions(moving, motion)
     goal = here["left_hand"][40] + np.array([0, 0, 0.1]) * size
-    found = places(moving, meet_pins(motion, Anatomy.of(character, handles), [Pin("left_hand", 2.0, tuple(goal))]))
+    found = positions(moving, meet_pins(motion, Anatomy.of(character, handles), [Pin("left_hand", 2.0, tuple(goal))]))
     for foot in ("left_foot", "right_foot"):
         assert np.linalg.norm(found[foot] - here[foot], axis=1).max() / size < 0.02
 

@@ -46,18 +46,18 @@ def rested(scale=1.0, arms=0.0):
     turns = np.zeros((1, 22, 3))
     for side, sign in (("left", -1), ("right", 1)):
         turns[0, _J[f"{side}_shoulder"], 2] = sign * arms
-    rotations, places = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), body.joints[:1]).world()
+    rotations, positions = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), body.joints[:1]).world()
     affine = np.concatenate(
-        [rotations, (places - np.einsum("njab,jb->nja", rotations, body.joints))[..., None]], axis=-1
+        [rotations, (positions - np.einsum("njab,jb->nja", rotations, body.joints))[..., None]], axis=-1
     )
     plain, transforms = body.character(), np.tile(np.eye(4), (22, 1, 1))
-    transforms[:, :3, 3] = places[0] * scale
+    transforms[:, :3, 3] = positions[0] * scale
     rig = Rig(JOINT_NAMES, plain.rig.parents, transforms, plain.rig.indices, plain.rig.weights)
     return Character("rested", skin(body.vertices, body.joint_weights, affine)[0] * np.float32(scale), body.faces, rig)
 
 
-def limbs(places):
-    bones = np.stack([places[:, child] - places[:, joint] for joint, child in LIMB_CHILD.items()], axis=1)
+def limbs(positions):
+    bones = np.stack([positions[:, child] - positions[:, joint] for joint, child in LIMB_CHILD.items()], axis=1)
     return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
 
 

@@ -150,10 +150,10 @@ def test_the_rig_follows_the_body(name):
     assert rig is not None and np.array_equal(bare.vertices, character.vertices)
     joints = dict(zip(rig.names, rig.positions, strict=True))
     assert {"Hips", "Spine", "Head", "LeftArm", "RightArm", "LeftFoot", "RightFoot"} <= set(joints)
-    for joint, place in joints.items():
+    for joint, position in joints.items():
         if joint.startswith("Left"):
-            assert place[0] > 0.02
-            np.testing.assert_allclose(joints[joint.replace("Left", "Right")], place * [-1, 1, 1], atol=1e-9)
+            assert position[0] > 0.02
+            np.testing.assert_allclose(joints[joint.replace("Left", "Right")], position * [-1, 1, 1], atol=1e-9)
     assert (rig.parents < np.arange(len(rig.names))).all() and (rig.parents == -1).sum() == 1
     np.testing.assert_allclose(rig.weights.sum(axis=1), 1, atol=1e-5)
     # every joint's vertices gather around it, and those of a left joint are on the left

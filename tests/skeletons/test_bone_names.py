@@ -182,3 +182,10 @@ def test_smpl_names_are_their_own_handles():
     from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
 
     assert handle_of_joints(JOINT_NAMES, JOINT_PARENTS).tolist() == list(range(22))
+
+
+def test_an_upper_arm_that_no_word_tells_of_is_the_bone_between():
+    names = ["pelvis", "spine", "neck", "head", "collar.L", "bicep.L", "forearm.L", "hand.L", "thigh.L", "shin.L"]
+    parents = [-1, 0, 1, 2, 1, 4, 5, 6, 0, 8]
+    found = handle_of_joints(names, parents)
+    assert HANDLE_NAMES[found[5]] == "left_shoulder" and HANDLE_NAMES[found[4]] == "left_collar"

@@ -1,5 +1,8 @@
+import contextlib
+import ctypes
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -130,16 +133,45 @@ def own_studio(tmp_path):
 
 
 @pytest.fixture
-def client(tmp_path):
-    """The application without its worker: what is queued stays queued."""
+def app_client(tmp_path):
+    """The application without its worker, on the same folder at each call."""
     pytest.importorskip("httpx2", reason="Starlette's test client needs httpx2")
     from starlette.testclient import TestClient
 
     from bunraku.studio.server.app import studio_app
     from bunraku.studio.server.safety import Keys
 
-    app = studio_app(tmp_path / "folder", Keys(token="secret"), warm=False)
-    with TestClient(app, base_url="http://localhost:8734", headers={"authorization": "Bearer secret"}) as found:
+    def start():
+        app = studio_app(tmp_path / "folder", Keys(token="secret"), warm=False)
+        return TestClient(app, base_url="http://localhost:8734", headers={"authorization": "Bearer secret"})
+
+    return start
+
+
+@contextlib.contextmanager
+def no_space(process=0):
+    """No file of a process may grow: the system refuses as it does on a full disk."""
+    before = resource.prlimit(process, resource.RLIMIT_FSIZE)
+    resource.prlimit(process, resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.prlimit(process, resource.RLIMIT_FSIZE, before)
+
+
+def as_somebody():
+    """Give up the right to write where files forbid it, which root has; for `preexec_fn`."""
+    if os.geteuid() == 0:
+        libc = ctypes.CDLL(None, use_errno=True)
+        for capability in (1, 2):  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
+            if libc.prctl(24, capability, 0, 0, 0):  # PR_CAPBSET_DROP
+                raise OSError(ctypes.get_errno(), "capabilities cannot be given up")
+
+
+@pytest.fixture
+def client(app_client):
+    """The application without its worker: what is queued stays queued."""
+    with app_client() as found:
         yield found
 
 

@@ -81,6 +81,6 @@ def test_it_makes_an_action_in_blender(studio, tmp_path):
     assert "start it with: bunraku studio" in said["said"]
     assert said["action"] == "waves" and said["bones"] == 30 and 20 <= said["groups"] <= 30
     assert len(said["new"]) == 1  # the armature alone
-    places, rest = np.array(said["places"]), np.array(said["rest"])
-    assert 0.05 < np.abs(places[1] - rest).max() < 1.5  # it moves, and nothing is torn away
-    assert np.abs(np.ptp(places[1], axis=0)[2] - np.ptp(rest, axis=0)[2]) < 0.5
+    positions, rest = np.array(said["places"]), np.array(said["rest"])
+    assert 0.05 < np.abs(positions[1] - rest).max() < 1.5  # it moves, and nothing is torn away
+    assert np.abs(np.ptp(positions[1], axis=0)[2] - np.ptp(rest, axis=0)[2]) < 0.5

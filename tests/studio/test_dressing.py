@@ -37,7 +37,7 @@ from bunraku.studio.clips import (
     unpacked_apparel,
     unpacked_clip,
 )
-from bunraku.studio.dressing import check_fits, dressed_anew, is_worn
+from bunraku.studio.dressing import check_fits, dressed_anew, has_apparel
 from bunraku.studio.opened import Settings, opened_character
 from bunraku.studio.tasks import run_task
 from bunraku.studio.workspace import Workspace
@@ -55,7 +55,7 @@ def quiet(stage, done):
 def file(tmp_path_factory):
     """A character as the studio keeps it."""
     path = tmp_path_factory.mktemp("dressing") / "dragon.glb"
-    save_character(sample_character("dragon"), path)
+    save_character(sample_character("dragon", 0.4), path)
     return path
 
 
@@ -118,18 +118,18 @@ def test_the_mesh_the_tracks_and_the_apparel_make_the_animation(waving, tmp_path
 
 
 @pytest.fixture(scope="module")
-def places(tmp_path_factory):
+def positions(tmp_path_factory):
     """The page's own code, packed so that node runs it without a browser."""
     if shutil.which("node") is None or not (STUDIO / "node_modules" / ".bin" / "rolldown").exists():
         pytest.skip("the page's tools are not installed: make studio")
-    out = tmp_path_factory.mktemp("places") / "places.mjs"
+    out = tmp_path_factory.mktemp("positions") / "places.mjs"
     packer = ["node_modules/.bin/rolldown", str(Path(__file__).with_name("places.ts")), "--platform", "node"]
     subprocess.run([*packer, "--format", "esm", "-o", str(out)], cwd=STUDIO, check=True, capture_output=True)
     return out
 
 
 @pytest.mark.parametrize("kind", ["body", "apparel"])
-def test_the_pages_own_code_puts_the_mesh_where_the_library_has_it(body, waving, places, tmp_path, kind):
+def test_the_pages_own_code_puts_the_mesh_where_the_library_has_it(body, waving, positions, tmp_path, kind):
     take = waving if kind == "apparel" else body
     shown = waving.points if kind == "apparel" else body
     save_character(shown.character, tmp_path / "mesh.glb", shown.handles)
@@ -137,7 +137,7 @@ def test_the_pages_own_code_puts_the_mesh_where_the_library_has_it(body, waving,
     frames = [0, 7, len(shown.motion) - 1]
     times = [str(frame / shown.fps) for frame in frames]
     told = subprocess.run(
-        ["node", str(places), str(tmp_path / "mesh.glb"), str(tmp_path / "clip.bin"), *times],
+        ["node", str(positions), str(tmp_path / "mesh.glb"), str(tmp_path / "clip.bin"), *times],
         check=True, capture_output=True, text=True,
     )  # fmt: skip
     for found, wanted in zip(json.loads(told.stdout), shown.vertices(frames), strict=True):
@@ -180,12 +180,12 @@ def test_a_dressed_take_of_bones_comes_back_with_what_it_was_fitted_from(tmp_pat
 
 def test_what_is_worn_is_found(file):
     dragon, _ = opened_character(file, Settings())
-    assert is_worn(dragon, rig(dragon))
+    assert has_apparel(dragon, rig(dragon))
     girl = wardrobe_character(3)
-    assert is_worn(girl, rig(girl))
+    assert has_apparel(girl, rig(girl))
     bare = replace(girl, rig=None, source=None)  # neither physics nor a network that could look
     handles = rig(bare)
-    assert not is_worn(
+    assert not has_apparel(
         bare,
         replace(
             handles,
@@ -197,12 +197,13 @@ def test_what_is_worn_is_found(file):
     )
 
 
-def test_too_many_places_are_refused_before_the_work(body, monkeypatch):
+def test_too_many_places_are_refused_before_the_work(monkeypatch):
+    dragon = sample_character("dragon")
     monkeypatch.setattr(dressing, "MOST_PLACES", 100_000)
     with pytest.raises(OptionError, match="take at most 0.4"):
-        check_fits(Apparel("learn"), body.character, 4.0)
-    check_fits(Apparel("learn"), body.character, 0.2)
-    check_fits(Apparel("rigid"), body.character, 120.0)
+        check_fits(Apparel("learn"), dragon, 4.0)
+    check_fits(Apparel("learn"), dragon, 0.2)
+    check_fits(Apparel("rigid"), dragon, 120.0)
 
 
 def test_a_take_is_dressed_anew_and_its_motion_stays(body):
@@ -221,15 +222,15 @@ def test_a_take_is_dressed_anew_and_its_motion_stays(body):
 
 def test_the_worker_makes_and_dresses_and_writes(file, tmp_path):
     """The tasks of the worker in this process: a sentence with learned apparel, dressed anew, as files."""
-    place = tmp_path / "characters" / "one"
-    (place / "source").mkdir(parents=True)
-    (place / "source" / "dragon.glb").write_bytes(file.read_bytes())
+    position = tmp_path / "characters" / "one"
+    (position / "source").mkdir(parents=True)
+    (position / "source" / "dragon.glb").write_bytes(file.read_bytes())
     for name in ("a", "b", "c"):
         (tmp_path / "takes" / name).mkdir(parents=True)
     (tmp_path / "exports" / "e").mkdir(parents=True)
     settings = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"}
     record = {"name": "dragon", "file": "source/dragon.glb", "settings": settings}
-    (place / "record.json").write_text(json.dumps(record))
+    (position / "record.json").write_text(json.dumps(record))
     workspace = Workspace(str(tmp_path))
     told = []
     asked = Request("walks:1", Sampling(1.0, steps=2, candidates=1), apparel=Apparel("learn", 0.2))

@@ -15,11 +15,11 @@ from scipy.spatial import cKDTree
 
 from bunraku import load_character, save_character
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.diffusion.drawing import GUIDANCE
+from bunraku.diffusion.generation.drawing import GUIDANCE
 from bunraku.io.clips import load_clip_animation
 from bunraku.render.camera import Camera
 from bunraku.render.loops import kernels
-from bunraku.retarget.stages.pins import end_places, limb_ends
+from bunraku.retarget.stages.pins import end_positions, limb_ends
 from bunraku.samples import sample_character
 from bunraku.studio.clips import load_handles, load_take
 
@@ -97,6 +97,58 @@ def test_a_sentence_four_takes_and_undo(page):
     page.until(f"studio.takes.value.length === {before + 4}")
 
 
+def test_a_sequence_in_the_box_makes_three_parts(page):
+    page.type("walks:1; jumps:0.5; waves:0.5")
+    assert page.value("studio.doc.value.script.map((one) => [one.text, one.seconds])") == [
+        ["walks", 1], ["jumps", 0.5], ["waves", 0.5],
+    ]  # fmt: skip
+    assert page.page.locator(".block").count() == 3 and page.page.input_value("#sentence") == "walks"
+    assert page.value("studio.take.value.seconds") == 2
+
+
+def test_an_empty_and_a_long_sentence_are_answered_in_words_of_the_page(page):
+    before = page.value("studio.takes.value.length")
+    for text, said in (("", "type what the character does"), ("walks " * 200, "1,200 letters, at most 1,000")):
+        page.page.fill("#sentence", text)
+        assert page.page.input_value("#sentence") == text  # nothing is cut off
+        page.page.press("#sentence", "Enter")
+        page.until("studio.notice.value?.bad")
+        assert said in page.page.inner_text("[role=alert]")
+        page.value("studio.notice.value = null")
+    assert page.value("studio.takes.value.length") == before
+
+
+def test_the_menu_closes_on_escape_and_on_a_click_outside(page):
+    menu = page.page.locator("[role=menu]")
+    for close in (lambda: page.page.keyboard.press("Escape"), lambda: page.page.mouse.click(640, 300)):
+        page.page.click("#export")
+        assert menu.count() == 1
+        close()
+        page.until("!document.querySelector('[role=menu]')")
+
+
+def test_twelve_tabs_of_one_browser_are_served_and_each_has_its_view(shared):
+    tabs = [shared.context.new_page() for _ in range(12)]
+    try:
+        for number, tab in enumerate(tabs):
+            tab.goto(shared.studio.address)
+            tab.wait_for_selector(".takes li.chosen")
+            tab.evaluate(f"studio.change('', {{ seed: {700 + number} }})")
+        shared.studio.until(
+            lambda: (
+                {700 + number for number in range(12)}
+                <= {one["view"].get("seed") for one in shared.studio.get("/api/about")["projects"]}
+            ),
+            "twelve views",
+        )
+        tabs[3].reload()
+        tabs[3].wait_for_selector(".takes li.chosen")
+        assert tabs[3].evaluate("studio.doc.value.seed") == 703
+    finally:
+        for tab in tabs:
+            tab.close()
+
+
 def stl(character, scale):
     """A binary STL, as a printer's program writes it: millimetres, +Z up."""
     corners = character.vertices[character.faces] @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32) * scale
@@ -115,8 +167,8 @@ def test_characters_are_dropped(page, tmp_path, kind):
     elif kind == "fbx":
         path.write_bytes(gzip.decompress((FILES / "boxman_y_up_m.fbx.gz").read_bytes()))
     elif kind == "pmx":
-        from bunraku.formats.mmd.pmx_write import save_pmx
         from bunraku_lab.synthetic.wardrobe import wardrobe_character
+        from bunraku_lab.synthetic.wardrobe.kit.pmx_write import save_pmx
 
         save_pmx(wardrobe_character(3), path)
     else:
@@ -133,7 +185,7 @@ def test_characters_are_dropped(page, tmp_path, kind):
     assert 0.5 < record["height"] < 3
     if kind == "stl":
         assert record["unit"]["unit"] == "mm" and record["axes"]["up"] == "+z"
-        page.page.click("text=/take as metres/")  # a chip mends a guess
+        page.page.click("text=/take as metres/")  # a chip repairs a guess
         page.until("studio.character.value.state === 'ready' && studio.character.value.height > 100")
         page.page.click("[aria-label=undo]")
         page.until("studio.character.value.state === 'ready' && studio.character.value.height < 3")
@@ -160,6 +212,12 @@ def test_a_motion_is_dropped(page, tmp_path, kind):
     page.until(f"studio.take.value.id !== '{before}' && studio.take.value.state === 'done'")
     assert page.value("studio.take.value.how") == "transfer"
     page.shown()
+    length = page.value("studio.take.value.seconds")
+    assert page.page.inner_text(".block").split() == [path.name, f"{length:.1f}", "s"]
+    assert page.page.input_value("#sentence") == ""
+    page.page.click(".takes li:last-child .name")  # the first of all, that of the sample
+    page.until("studio.take.value.how === 'animate'")
+    assert page.page.input_value("#sentence") == page.value("studio.take.value.script[0].text")
 
 
 def test_what_cannot_be_opened_is_said(page, tmp_path):
@@ -172,9 +230,9 @@ def test_what_cannot_be_opened_is_said(page, tmp_path):
 
 def take_of(studio, owner, take):
     """The animation of a take, from the studio's own files."""
-    place = studio.folder / "characters" / owner
-    character = load_character(next((place / "source").iterdir()))
-    return load_take(studio.folder / "takes" / take / "motion.npz", character, load_handles(place / "handles.npz"))
+    path = studio.folder / "characters" / owner
+    character = load_character(next((path / "source").iterdir()))
+    return load_take(studio.folder / "takes" / take / "motion.npz", character, load_handles(path / "handles.npz"))
 
 
 PLACES = """(() => {
@@ -194,9 +252,9 @@ PLACES = """(() => {
 
 def away(page, posed, height):
     """How far the page's vertices are from the nearest of the library's, at human size [m]."""
-    places = np.array(page.value(PLACES))
-    off, _ = cKDTree(posed).query(places)
-    assert len(places) > 50
+    positions = np.array(page.value(PLACES))
+    off, _ = cKDTree(posed).query(positions)
+    assert len(positions) > 50
     return off.max() * 1.7 / height
 
 
@@ -302,9 +360,9 @@ def test_a_pin_is_dragged_and_a_span_is_made_anew(page):
     take, owner = page.value("[studio.take.value.id, studio.character.value.id]")
     animation = take_of(page.studio, owner, take)
     ends = limb_ends(Anatomy.of(animation.character, animation.handles))
-    place = end_places(animation.motion, animation.handles, ends)[round(pin["time"] * 20)]
+    position = end_positions(animation.motion, animation.handles, ends)[round(pin["time"] * 20)]
     number = [end.part for end in ends].index(pin["part"])
-    assert pin["part"] == "left_hand" and np.linalg.norm(place[number] - pin["position"]) < 0.01
+    assert pin["part"] == "left_hand" and np.linalg.norm(position[number] - pin["position"]) < 0.01
 
     page.set(0.2)  # or the line of the present would be under the pointer
     row = page.page.locator(".span-row").bounding_box()
@@ -403,7 +461,8 @@ def saved(page):
     """Wait until the server knows how the page stands."""
     wanted = page.value("studio.doc.value.script")
     page.studio.until(
-        lambda: page.studio.get("/api/about")["projects"][-1]["view"].get("script") == wanted, "the project"
+        lambda: any(one["view"].get("script") == wanted for one in page.studio.get("/api/about")["projects"]),
+        "the project",
     )
 
 
@@ -443,6 +502,11 @@ def test_a_link_replays_a_take(browser, studio, page):
             "seed": 0, "steps": 2, "guidance": GUIDANCE, "loop": False, "inPlace": False, "path": []}  # fmt: skip
     text = base64.urlsafe_b64encode(json.dumps(told).encode()).decode().rstrip("=")
     with Page(browser, studio, path=f"replay={text}") as other:
+        other.ready()
+        before = len(studio.get(f"/api/characters/{first[1]}/takes")["takes"])
+        assert "waves (1 s)" in other.page.inner_text("dialog")  # it asks first
+        assert len(studio.get(f"/api/characters/{first[1]}/takes")["takes"]) == before
+        other.page.click("#replay")
         other.until("window.studio?.take.value?.state === 'done' && studio.take.value.script[0].text === 'waves'")
         other.until(f"studio.take.value.id !== '{first[0]}' && studio.take.value.state === 'done'")
         second = other.value("[studio.take.value.id, studio.character.value.id]")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bunraku.diffusion.drawing import GUIDANCE
+from bunraku.diffusion.generation.drawing import GUIDANCE
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = ROOT / "src" / "bunraku" / "studio" / "static"
@@ -26,8 +26,8 @@ def test_the_page_names_no_other_host():
 
 
 def test_the_page_asks_for_the_guidance_that_the_library_takes():
-    texts = [(ROOT / "studio" / "src" / name).read_text(encoding="utf-8") for name in ("state.ts", "actions.ts")]
-    pattern = r'guidance(?:: |"] \?\? )([0-9.]+)'
+    texts = [(ROOT / "studio" / "src" / name).read_text(encoding="utf-8") for name in ("schema.ts", "actions.ts")]
+    pattern = r"guidance(?:: | \?\? )([0-9.]+)"
     found = [float(value) for text in texts for value in re.findall(pattern, text)]
     assert found == [GUIDANCE] * 2
 

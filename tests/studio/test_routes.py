@@ -4,7 +4,7 @@ import zipfile
 import pytest
 
 from bunraku.language.parse import parse
-from bunraku.studio.forms import Part, read_script
+from bunraku.studio.forms import Part, TakeForm, read_script
 from bunraku.studio.uploads import plain_name
 
 
@@ -143,8 +143,8 @@ def test_a_zip_is_a_character_with_its_textures(client, tmp_path):
     data = packed(**{"model__tex__skin.png": b"png", "model__girl.pmx": b"PMX ", "model__readme.txt": b"no"})
     made = client.post("/api/characters?name=girl.zip", content=data).json()["character"]
     assert made["file"] == "source/model/girl.pmx"
-    place = tmp_path / "folder" / "characters" / made["id"] / "source"
-    found = sorted(path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file())
+    folder = tmp_path / "folder" / "characters" / made["id"] / "source"
+    found = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     assert found == ["model/girl.pmx", "model/tex/skin.png"]
 
 
@@ -263,6 +263,13 @@ def test_the_stiffness_of_an_address_is_checked(client, ready, stiffness):
 
 def test_a_sequence_typed_as_one_text_is_that_of_the_command_line():
     typed = "walks:4; jumps:2; waves:3"
-    script, seconds = read_script([Part(typed, 5)])
-    assert seconds == 9 and parse(script).clauses == parse(typed).clauses
-    assert read_script([Part("walks; jumps:2", 5)]) == ("walks:5; jumps:2", 7)
+    found = TakeForm(script=(Part(typed, 5),)).request()
+    assert found.sampling.seconds == 9 and found.parsed.clauses == parse(typed).clauses
+    assert read_script([Part("walks; jumps:2", 5)]) == (Part("walks", 5), Part("jumps", 2))
+
+
+def test_a_sequence_typed_as_one_text_makes_a_take_of_its_parts(client, ready):
+    parts = [{"text": "walks", "seconds": 4}, {"text": "jumps", "seconds": 2}, {"text": "waves", "seconds": 3}]
+    made = take(client, ready, script=[{"text": "walks:4; jumps:2; waves:3", "seconds": 5}]).json()
+    assert made["script"] == parts
+    assert client.get(f"/api/takes/{made['takes'][0]}").json()["script"] == parts

@@ -6,12 +6,17 @@ from bunraku.errors import FormatError
 from bunraku.studio.store import NotThere, Store
 
 
+def take(text="walks"):
+    """The record of a take that waits."""
+    return {"character": "0" * 16, "state": "waiting", "script": [{"text": text, "seconds": 2}]}
+
+
 def test_what_is_kept_is_found_again(tmp_path):
     one = Store(tmp_path / "deep" / "folder")
-    made = one.new("takes", {"script": "läuft"})
+    made = one.new("takes", take("läuft"))
     one.change("takes", made["id"], star=True)
     again = Store(tmp_path / "deep" / "folder")
-    assert again.get("takes", made["id"])["script"] == "läuft" and again.get("takes", made["id"])["star"]
+    assert again.get("takes", made["id"])["script"][0]["text"] == "läuft" and again.get("takes", made["id"])["star"]
     assert [record["id"] for record in again.all("takes")] == [made["id"]]
 
 
@@ -29,12 +34,12 @@ def test_what_was_given_up_is_gone_after_a_restart(tmp_path):
 @pytest.mark.parametrize("name", ["../../etc", "..", "", "a" * 16 + "/", "0" * 15, "0" * 16, None, 3])
 def test_names_that_it_did_not_give_are_nothing(tmp_path, name):
     with pytest.raises(NotThere):
-        Store(tmp_path).place("characters", name)
+        Store(tmp_path).folder_of("characters", name)
 
 
 def test_broken_records_are_left_out(tmp_path):
     one = Store(tmp_path)
-    good, broken = one.new("takes", {}), one.new("takes", {})
+    good, broken = one.new("takes", take()), one.new("takes", take())
     (tmp_path / "takes" / broken["id"] / "record.json").write_text('{"half')
     (tmp_path / "takes" / "0123456789abcdef").mkdir()
     (tmp_path / "takes" / "notes.txt").write_text("mine")

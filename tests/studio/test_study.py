@@ -130,7 +130,7 @@ def test_who_turns_a_repeated_trial_round_is_left_out(tmp_path, study):
     lines = []
     for trial in (first, again):
         clips = sorted(found.trial(trial)["clips"], key=lambda clip: found.methods[clip], reverse=trial == again)
-        ranks = {question: {clip: place + 1 for place, clip in enumerate(clips)} for question in QUESTIONS}
+        ranks = {question: {clip: index + 1 for index, clip in enumerate(clips)} for question in QUESTIONS}
         lines.append(json.dumps({"participant": "p0", "trial": trial, "ranks": ranks}))
     for name in ("study.json", "key.json"):
         (tmp_path / name).write_text((study / name).read_text())
@@ -143,7 +143,7 @@ def test_answers_that_are_none_are_refused(study):
     session = Session(study)
     found = session.next("")
     name, trial = found["participant"], found["trial"]
-    whole = {question: {clip: place + 1 for place, clip in enumerate(trial["clips"])} for question in QUESTIONS}
+    whole = {question: {clip: index + 1 for index, clip in enumerate(trial["clips"])} for question in QUESTIONS}
     same = {question: dict.fromkeys(trial["clips"], 1) for question in QUESTIONS}
     for ranks in ({}, same, {"overall": whole["overall"]}, None, {question: [1, 2, 3] for question in QUESTIONS}):
         with pytest.raises(OptionError):

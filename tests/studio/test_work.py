@@ -6,7 +6,6 @@ import resource
 import signal
 import socket
 import struct
-import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from bunraku.core.skinning import skin
 from bunraku.formats.gltf.read import read_gltf
 from bunraku.geometry.rotations import matrix_from_quaternion
 from bunraku.io.clips import load_clip_animation
+from bunraku.io.play import load_animation
 from bunraku.studio.clips import load_handles, unpacked_clip
 
 FILES = Path(__file__).parents[1] / "formats" / "data"
@@ -85,8 +85,8 @@ def posed(positions, weights, vertices, translations, rotations):
 
 def test_the_mesh_and_the_tracks_make_the_animation(studio, character, take):
     """The GLB that the page gets, its skin as a viewer reads it, and the take's tracks; `animation.vertices()`."""
-    place = studio.folder / "characters" / character["id"]
-    mesh = read_gltf(place / "mesh.glb", (place / "mesh.glb").read_bytes())
+    path = studio.folder / "characters" / character["id"]
+    mesh = read_gltf(path / "mesh.glb", (path / "mesh.glb").read_bytes())
     _, data = studio.ask("GET", f"/api/takes/{take['id']}/clip")
     _, translations, rotations = unpacked_clip(data)
     made = studio.post(f"/api/takes/{take['id']}/exports", {"format": "glb", "fps": 20})
@@ -107,6 +107,27 @@ def test_downloads(studio, take, format):
     content = str(data).encode() if isinstance(data, dict) else data
     assert content.startswith({"bvh": b"HIERARCHY", "vrma": b"glTF", "npz": b"PK", "glb": b"glTF"}[format])
     assert made["title"] == f"mushroom-waves.{format}"
+
+
+def test_takes_become_the_clips_of_one_file(studio, character, take):
+    second = studio.animate(character["id"], "jumps", seconds=2, seeds=[3], steps=4, candidates=1)
+    studio.done(second["job"])
+    asked = {"takes": [take["id"], second["takes"][0]], "fps": 20}
+    made = studio.post(f"/api/characters/{character['id']}/exports", asked)
+    assert made["clips"] == ["waves", "jumps"] and made["title"] == "mushroom-clips.glb"
+    studio.done(made["job"])
+    file = studio.folder / "exports" / made["export"] / "clips.glb"
+    known = load_clip_animation(file)
+    assert [len(load_animation(file, name, 20).motion) for name in ("waves", "jumps")] == [40, 40]
+    played = load_animation(file, "waves", 20).vertices()
+    assert np.abs(played - known.vertices()).max() < 1e-3 * known.character.height
+
+
+@pytest.mark.parametrize("takes", [[], ["0123456789abcdef"], ["twice", "twice"]])
+def test_what_is_no_set_of_takes_is_refused(studio, character, take, takes):
+    names = [take["id"] if name == "twice" else name for name in takes]
+    status, answer = studio.ask("POST", f"/api/characters/{character['id']}/exports", {"takes": names})
+    assert status in (400, 404) and answer["error"]
 
 
 def test_a_format_that_cannot_be_says_why(studio, take):
@@ -158,8 +179,8 @@ def test_a_hand_is_pinned(studio):
         np.array(end["point"]) - positions[handle]
     )
     root = matrix_from_quaternion(rotations[20, [0]].astype(float))[0]
-    place = root @ (local + translations[20, handle]) + translations[20, 0]
-    assert np.linalg.norm(place - goal) < 0.01
+    position = root @ (local + translations[20, handle]) + translations[20, 0]
+    assert np.linalg.norm(position - goal) < 0.01
 
 
 def test_a_motion_is_carried_over(studio, character, take, tmp_path):
@@ -227,21 +248,15 @@ def test_a_worker_that_is_killed_comes_back(studio, character, take):
     studio.ended(again["id"])
 
 
-def test_events_tell_what_happens_and_what_was_missed(studio, character):
-    before = studio.get("/api/about")["event"]
+def test_changes_tell_what_happens_and_what_was_missed(studio, character):
+    before = studio.get("/api/changes")["event"]
     made = studio.animate(character["id"], "waves")
     studio.done(made["job"])
-    asked = urllib.request.Request(f"{studio.base}/api/events", headers={
-        "authorization": f"Bearer {studio.token}", "last-event-id": str(before)})  # fmt: skip
-    seen = []
-    with urllib.request.urlopen(asked, timeout=30) as stream:
-        assert stream.headers["content-type"].startswith("text/event-stream")
-        for line in stream:
-            if line.startswith(b"event: "):
-                seen.append(line[7:].strip().decode())
-            if line.startswith(b"data: ") and made["job"].encode() in line and b'"state": "done"' in line:
-                break
-    assert "take" in seen and "job" in seen
+    found = studio.get(f"/api/changes?after={before}")
+    seen = {(what, record.get("id")): record for what, record in found["changes"]}
+    assert found["event"] > before and not found["missed"]
+    assert seen["take", made["takes"][0]]["state"] == seen["job", made["job"]]["state"] == "done"
+    assert studio.get(f"/api/changes?after={found['event']}")["changes"] == []
 
 
 def test_a_restart_finds_all_and_offers_what_was_interrupted(own_studio, tmp_path):
@@ -290,8 +305,8 @@ def test_a_disk_that_fills_while_a_take_is_made_is_said_and_the_next_take_is_mad
     ended = full.ended(long["job"])
     assert ended["state"] == "failed" and "free some space" in ended["error"]
     assert full.get(f"/api/takes/{long['takes'][0]}")["state"] == "failed"
-    place = full.folder / "takes" / long["takes"][0]
-    assert sorted(path.name for path in place.iterdir()) == ["record.json"]  # nothing half-written
+    folder = full.folder / "takes" / long["takes"][0]
+    assert sorted(path.name for path in folder.iterdir()) == ["record.json"]  # nothing half-written
     short = full.animate(owner, "walks", seconds=1, steps=1, draft=False)
     full.done(short["job"])
     assert full.get(f"/api/takes/{short['takes'][0]}")["state"] == "done"

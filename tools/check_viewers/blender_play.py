@@ -2,8 +2,9 @@
 
 blender --background --factory-startup --python blender_play.py -- JOBS
 
-JOBS is a JSON file: [{"glb": ..., "times": [s, ...], "fps": ..., "out": ...}]. OUT gets 32-bit floats: for each time,
-for each mesh object, x, y and z of each vertex in the world, turned back to glTF's axes; OUT.json lists the objects.
+JOBS is a JSON file: [{"glb": ..., "times": [s, ...], "fps": ..., "out": ..., "clip": N}]. OUT gets 32-bit floats: for
+each time, for each mesh object, x, y and z of each vertex in the world, turned back to glTF's axes; OUT.json lists the
+objects.
 """
 
 import json
@@ -11,6 +12,7 @@ import sys
 
 import bpy
 import numpy as np
+from io_scene_gltf2.blender.imp.animation_utils import restore_animation_on_object
 from io_scene_gltf2.blender.imp.blender_gltf import BlenderGlTF
 
 imported = []
@@ -38,12 +40,20 @@ def places(thing, graph):
     return np.stack([world[:, 0], world[:, 2], -world[:, 1]], axis=-1)
 
 
+def alone(number, clips):
+    """Let one clip play: the importer lays each on a muted track of its own, named after it."""
+    if len(clips) > 1:
+        for thing in bpy.data.objects:
+            restore_animation_on_object(thing, clips[number].track_name)
+
+
 def play(job):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.fps = max(round(job["fps"]), 1)
     scene.render.fps_base = scene.render.fps / job["fps"]
     bpy.ops.import_scene.gltf(filepath=job["glb"])
+    alone(job.get("clip", 0), imported[0].data.animations or [])
     nodes = {}
     for node in imported[0].vnodes.values():
         thing = getattr(node, "blender_object", None)

@@ -1,6 +1,6 @@
 // Opens GLBs with three.js as a web page would, but for textures, and writes where their vertices are at some times.
 //
-// node three_play.mjs THREE < JOBS     with THREE the folder of the package, and JOBS JSON: [{"glb": ..., "times": [s, ...], "out": ...}]
+// node three_play.mjs THREE < JOBS     with THREE the folder of the package, and JOBS JSON: [{"glb": ..., "times": [s, ...], "out": ..., "clip": N}]
 //
 // OUT gets little-endian 32-bit floats: for each time, for each mesh, x, y and z of each vertex in the world; OUT.json lists the meshes.
 
@@ -24,7 +24,7 @@ for (const job of JSON.parse(fs.readFileSync(0, 'utf8'))) {
   const meshes = [];
   gltf.scene.traverse((thing) => { if (thing.isMesh) meshes.push(thing); });
   const mixer = new THREE.AnimationMixer(gltf.scene);
-  for (const clip of gltf.animations.slice(0, 1)) {
+  for (const clip of gltf.animations.slice(job.clip ?? 0, (job.clip ?? 0) + 1)) {
     const action = mixer.clipAction(clip);
     action.setLoop(THREE.LoopOnce);
     action.clampWhenFinished = true; // the last frame is no first one

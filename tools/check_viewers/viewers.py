@@ -46,27 +46,39 @@ def blender_missing() -> str:
     return ""
 
 
-def three_vertices(shots: Shots) -> list[np.ndarray]:
-    """Vertices of GLBs at times [s], one array for each file of shape (T, V, 3), in the order of the file's nodes."""
+def three_vertices(shots: Shots, clip: int = 0) -> list[np.ndarray]:
+    """Vertices of GLBs at times [s], one array for each file of shape (T, V, 3), in the order of the file's nodes.
+
+    Args:
+        shots: Files and times [s].
+        clip: Which clip of the files is played.
+    """
     with tempfile.TemporaryDirectory() as folder:
         jobs = [
-            {"glb": str(Path(glb).resolve()), "times": list(map(float, times)), "out": f"{folder}/{k}"}
+            {"glb": str(Path(glb).resolve()), "times": list(map(float, times)), "out": f"{folder}/{k}", "clip": clip}
             for k, (glb, times) in enumerate(shots)
         ]
         _run(["node", str(HERE / "three_play.mjs"), str(THREE)], json.dumps(jobs))
         return [_three_order(Path(job["glb"]), Path(job["out"]), len(job["times"])) for job in jobs]
 
 
-def blender_vertices(shots: Shots, fps: float) -> list[np.ndarray]:
+def blender_vertices(shots: Shots, fps: float, clip: int = 0) -> list[np.ndarray]:
     """The same of Blender, which drops vertices that no triangle uses: those are not numbers here.
 
     Args:
         shots: Files and times [s].
         fps: Frames a second of the scene; between frames Blender's turns are a little off the shortest way.
+        clip: Which clip of the files is played.
     """
     with tempfile.TemporaryDirectory() as folder:
         jobs = [
-            {"glb": str(Path(glb).resolve()), "times": list(map(float, times)), "fps": fps, "out": f"{folder}/{k}"}
+            {
+                "glb": str(Path(glb).resolve()),
+                "times": list(map(float, times)),
+                "fps": fps,
+                "out": f"{folder}/{k}",
+                "clip": clip,
+            }
             for k, (glb, times) in enumerate(shots)
         ]
         Path(folder, "jobs.json").write_text(json.dumps(jobs))

@@ -10,23 +10,76 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
-from bunraku.anatomy.decimate import decimated
+from bunraku.anatomy.blocks import block_rest
 from bunraku.anatomy.ground import standing, stride_scale
 from bunraku.anatomy.joints import Joints, find_joints, reference_joints, refined_joints
-from bunraku.anatomy.legs import Leg, find_arms, find_legs
+from bunraku.anatomy.legs import Leg, find_arms, find_legs, find_stumps
 from bunraku.anatomy.limbs import LimbView, by_limb, further_limbs, limb_views
 from bunraku.anatomy.plan import BodyPlan, plan_of
-from bunraku.anatomy.rest_pose import upright
-from bunraku.anatomy.stance import rest_of_limbs, stance_of
+from bunraku.anatomy.rest_pose import rest_of_limbs, stance_of, upright
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
-from bunraku.geometry.extremes import extreme_points
+from bunraku.geometry.extremes import extreme_points, part_extremes
+from bunraku.geometry.surface import vertex_areas
 
-__all__ = ["Anatomy", "reference_anatomy"]
+__all__ = ["Anatomy", "decimated", "reference_anatomy"]
+
+
+CELLS = 8000  # about how many vertices the surface is left with
+MANY = 12000  # characters with fewer vertices are left as they are
+SPREAD = 1.5  # cells of a grid that a surface goes through, over its area in faces of them
+
+
+def decimated(character: Character, handles: Handles) -> tuple[Character, Handles]:
+    """The character and its handles on fewer vertices; both as they are where there are few.
+
+    Vertices in one cell of a grid that one handle moves the most become one, at the mean of their positions and
+    weights. The extreme points of every part stay themselves, so feet stand where they stood. Handle positions and
+    roles stay.
+    """
+    if len(character.vertices) <= MANY:
+        return character, handles
+    vertices, used = character.vertices, np.flatnonzero(character.surface)
+    low = vertices[used].min(axis=0)
+    some = character.faces[:: max(1, len(character.faces) // MANY)]
+    area = (
+        float(vertex_areas(vertices[some.ravel()], np.arange(some.size).reshape(-1, 3)).sum())
+        * len(character.faces)
+        / len(some)
+    )
+    cell = max(float(np.sqrt(SPREAD * area / CELLS)), 1e-4 * float(np.ptp(vertices[used], axis=0).max()))
+    corner = ((vertices[used] - low) / cell).astype(np.int64)
+    wide = corner.max(axis=0) + 1
+    weights = handles.weights[used]
+    key = ((corner[:, 0] * wide[1] + corner[:, 1]) * wide[2] + corner[:, 2]) * weights.shape[1] + weights.argmax(axis=1)
+    own = part_extremes(vertices[used], weights)
+    key[own] = -1 - np.arange(len(own))
+    label = np.unique(key, return_inverse=True)[1]
+    count = int(label.max()) + 1
+    mean = csr_matrix((np.ones(len(used), np.float32), (label, np.arange(len(used)))), shape=(count, len(used)))
+    total = np.bincount(label, minlength=count)[:, None]
+    index = np.zeros(len(vertices), np.int64)
+    index[used] = label
+    faces = index[character.faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    ordered = np.sort(faces, axis=1)
+    first = np.unique((ordered[:, 0] * count + ordered[:, 1]) * count + ordered[:, 2], return_index=True)[1]
+    kept = np.unique(faces[first])
+    if len(kept) < 100:  # nothing but crumbs
+        return character, handles
+    again = np.full(count, -1)
+    again[kept] = np.arange(len(kept))
+    light = Character(character.name, ((mean @ vertices[used]) / total)[kept], again[faces[first]])
+    shares = ((mean @ weights) / total)[kept]
+    return light, Handles(
+        handles.positions, shares / shares.sum(axis=1, keepdims=True), handles.features, handles.roles, handles.rigid
+    )
+
 
 _FRONT = ("neck", "head", "head_top", "face")
 _TAIL = ("tail", "tail_tip")
@@ -42,8 +95,8 @@ class Anatomy:
             parts they play, about their own joints.
         mesh: The character on few vertices, V, on which all else is measured (`decimated`).
         mesh_handles: The handles with the weights of those vertices.
-        known: What a rig tells of the rest pose: the turn of each handle into the reference body's, shape (K, 3, 3),
-            and the joints. None measures them.
+        known: What a rig or rigid blocks tell of the rest pose: the rotation of each handle into the reference body's,
+            shape (K, 3, 3), and the joints. None measures them.
     """
 
     character: Character
@@ -69,7 +122,15 @@ class Anatomy:
             raise CharacterError(
                 f"a motion is fitted to {count} handles, not {len(handles.positions)}; take those of `bunraku.rig`"
             )
-        return cls(character, handles, *decimated(character, handles), known)
+        light = decimated(character, handles)
+        if known is None and handles.rigid:
+            known = block_rest(*light)
+        return cls(character, handles, *light, known)
+
+    def measured(self) -> Anatomy:
+        """The same, with all worked out that the stages of fitting ask of every body."""
+        _ = self.plan, self.upright, self.arms, self.scale, self.floor
+        return self
 
     @cached_property
     def upright(self) -> bool:
@@ -92,20 +153,23 @@ class Anatomy:
 
     @cached_property
     def rest(self) -> tuple[np.ndarray, Joints]:
-        """The turn of each handle from the rest pose into the reference body's (K, 3, 3), and the joints."""
+        """The rotation of each handle from the rest pose into the reference body's (K, 3, 3), and the joints."""
         if self.known is not None:
             return self.known
         found = iter(self._estimates)
-        turns, joints = by_limb(
-            self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(found)), self._views
-        )
+        if self._views:
+            turns, joints = by_limb(
+                self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(found)), self._views
+            )
+        else:
+            turns, joints = rest_of_limbs(self.mesh, self.mesh_handles, next(found))
         for array in (turns, joints.positions, joints.parents, joints.present):
             array.setflags(write=False)
         return turns, joints
 
     @property
     def rotations(self) -> np.ndarray:
-        """The turn of each handle from the rest pose into the reference body's, shape (K, 3, 3)."""
+        """The rotation of each handle from the rest pose into the reference body's, shape (K, 3, 3)."""
         return self.rest[0]
 
     @property
@@ -134,6 +198,11 @@ class Anatomy:
     def arms(self) -> list[Leg]:
         """The arms that are not among its legs."""
         return find_arms(self.mesh, self.mesh_handles, self.joints, self.legs)
+
+    @cached_property
+    def stumps(self) -> list[Leg]:
+        """The arms without a hand of their own that are not among its legs."""
+        return find_stumps(self.mesh, self.mesh_handles, self.joints, self.legs)
 
     @cached_property
     def plan(self) -> BodyPlan:

@@ -27,10 +27,10 @@ def move_feet(
     shifts: np.ndarray,
     slopes: np.ndarray | None = None,
 ) -> HandleMotion:
-    """The motion with feet moved by bending their legs; feet keep their slope unless told otherwise.
+    """The motion with feet moved by bending their legs; feet keep their slope unless slopes are given.
 
     A leg is a chain of two bones: its knee stays in the plane in which it was bent. It is never stretched beyond its
-    length, so a foot may stop short of where it should be.
+    length, so a foot may stop short of where it should be. A leg of one rigid block points to where its foot should be.
 
     Args:
         motion: Of the character.
@@ -59,6 +59,9 @@ def _move_foot(
         for handle, joint in zip((leg.upper, leg.lower, leg.end), leg.joints, strict=True)
     )
     goal = ankle + shift
+    if leg.lower == leg.upper:
+        carry(world, leg.upper, joints, hip, hip, _between(_unit(ankle - hip), _unit(goal - hip)))
+        return
     thigh, shin = np.linalg.norm(knee - hip, axis=1), np.linalg.norm(ankle - knee, axis=1)
     before, wanted = np.linalg.norm(ankle - hip, axis=1), np.linalg.norm(goal - hip, axis=1)
     length = thigh + shin

@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import axis_angle_from_matrix
+from bunraku.geometry.surface import vertex_areas
 
 __all__ = [
     "Joints",
@@ -103,14 +103,15 @@ def refined_joints(character: Character, handles: Handles, joints: Joints, rotat
     estimate add.
 
     Where the weights of two handles overlap, skinning has taken a vertex p of the unbent surface to `j + M (p - j')`,
-    where M = (1 - s) R_p^T + s R_k^T blends what undoes the turns of both. Bent back, the overlap's centre lies from
-    the joint where it lies on the reference body, whose true joints are known, in each part's own scale; that fixes j.
+    where M = (1 - s) R_p^T + s R_k^T blends what undoes the rotations of both. Bent back, the overlap's centre lies
+    from the joint where it lies on the reference body, whose true joints are known, in each part's own scale; that
+    fixes j.
 
     Args:
         character: In its rest pose.
         handles: Its handles.
         joints: The estimate.
-        rotations: Turn of each handle from the rest pose to the reference body's, shape (K, 3, 3).
+        rotations: Rotation of each handle from the rest pose to the reference body's, shape (K, 3, 3).
     """
     body, estimated = reference_body(), estimated_reference_joints()
     centres = body.handles.positions
@@ -198,8 +199,8 @@ def attach_joints(rotations: np.ndarray, handles: Handles, joints: Joints) -> tu
         if not joints.present[handle]:
             rotations[:, handle] = rotations[:, parent]
         joint = joints.positions[handle]
-        place = np.einsum("nij,j->ni", rotations[:, parent], joint - h[parent]) + h[parent] + translations[:, parent]
-        translations[:, handle] = place - np.einsum("nij,j->ni", rotations[:, handle], joint - h[handle]) - h[handle]
+        position = np.einsum("nij,j->ni", rotations[:, parent], joint - h[parent]) + h[parent] + translations[:, parent]
+        translations[:, handle] = position - np.einsum("nij,j->ni", rotations[:, handle], joint - h[handle]) - h[handle]
     return rotations, translations
 
 

@@ -13,7 +13,7 @@ from bunraku.core.skinning import skin
 from bunraku.geometry.extremes import extreme_points
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 
-__all__ = ["NEAR", "Leg", "find_arms", "find_legs", "foot_points"]
+__all__ = ["NEAR", "Leg", "find_arms", "find_legs", "find_stumps", "foot_points"]
 
 NEAR = 0.15  # a limb of a lying body is a leg if it ends so near to the lowest point, over the height
 SHORTEST = 0.12  # least length of a leg, over the height; shorter ones are fins and stubs
@@ -29,9 +29,10 @@ class Leg:
 
     Args:
         upper: Handle of its upper part.
-        lower: Handle of its lower part.
+        lower: Handle of its lower part; the same where the leg is one rigid block.
         foot: Handles of its foot, from the ankle on; none where the lower part stands on the ground itself.
-        joints: Where it meets the body, its knee and its ankle, in the rest pose [m], shape (3, 3).
+        joints: Where it meets the body, its knee and its ankle, in the rest pose [m], shape (3, 3). The knee of one
+            block is its middle.
         sole: Vertices that tell where its foot is, shape (m,).
         foot_area: All vertices of its foot, shape (f,).
         length: From where it meets the body to its sole, along its bones [m].
@@ -85,19 +86,31 @@ def find_arms(character: Character, handles: Handles, joints: Joints, legs: list
     """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist with
     a hand.
     """
+    return [arm for arm in _arms(character, handles, joints, legs) if arm.foot]
+
+
+def find_stumps(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
+    """The arms of a character that are not among its legs and have no hand of their own, such as those of one rigid
+    block: they end in what may be a fist.
+    """
+    return [arm for arm in _arms(character, handles, joints, legs) if not arm.foot]
+
+
+def _arms(character: Character, handles: Handles, joints: Joints, legs: list[Leg]) -> list[Leg]:
     known = {leg.upper for leg in legs}
     limbs = (
         _leg(character, handles, joints, chain)
         for parts in _PARTS[_LEGS:]
         for chain in _chains(parts, handles.played, joints)
     )
-    return [limb for limb in limbs if limb is not None and limb.foot and limb.upper not in known]
+    return [limb for limb in limbs if limb is not None and limb.upper not in known]
 
 
 def _chains(parts: list[int], played: np.ndarray, joints: Joints) -> list[list[int]]:
     """The limbs whose handles play some parts, each as its handles from the body outwards."""
     members = [int(handle) for handle in np.flatnonzero(np.isin(played, parts) & joints.present)]
-    ends = [handle for handle in members if not any(joints.parents[other] == handle for other in members)]
+    above = joints.parents[members].tolist()
+    ends = [handle for handle in members if handle not in above]
     out = []
     for end in ends:
         chain = [end]
@@ -108,9 +121,10 @@ def _chains(parts: list[int], played: np.ndarray, joints: Joints) -> list[list[i
 
 
 def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int]) -> Leg | None:
-    if len(chain) < 2:
+    if len(chain) < 2 and not handles.rigid:
         return None
-    upper, lower, *foot = chain
+    single = len(chain) == 1
+    upper, lower, *foot = chain * 2 if single else chain
     weight = handles.weights[:, foot or [lower]].sum(axis=1)
     own = np.flatnonzero(character.surface & (weight > 0.5))
     blurred = bool(foot) and len(own) < 3  # a foot that holds no vertex mainly
@@ -125,7 +139,7 @@ def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int
         near_end = far > (1 - SOLE) * far.max()
         own, points = own[near_end], points[near_end]
     ankle = joints.positions[foot[0]] if foot else points.mean(axis=0)
-    found = np.stack([hip, knee, ankle])
+    found = np.stack([hip, 0.5 * (hip + ankle) if single else knee, ankle])
     length = float(np.linalg.norm(np.diff(found, axis=0), axis=1).sum() + max(ankle[1] - points[:, 1].min(), 0))
     return Leg(upper, lower, tuple(foot), found, own[extreme_points(points)], own, length)
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product, starmap
 
 import numpy as np
 
@@ -18,8 +19,8 @@ __all__ = ["LimbView", "by_limb", "further_limbs", "limb_views", "reference_part
 
 TOUCH = 1e-3  # least overlap of two parts of one limb, over that of the outer one with itself
 
-_LIMBS = [limb_handles(side, family) for side in SIDES for family in FAMILIES]
-_LEAVES = [handle for handle in range(len(HANDLE_NAMES)) if handle not in HANDLE_PARENTS]
+_LIMBS = [*starmap(limb_handles, product(SIDES, FAMILIES))]
+_LEAVES = sorted(set(range(len(HANDLE_NAMES))) - set(HANDLE_PARENTS))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,17 +95,17 @@ def _view(handles: Handles, members: np.ndarray, own: list[int]) -> LimbView:
 def by_limb(
     handles: Handles, solve: Callable[[Handles], tuple[np.ndarray, Joints]], views: list[LimbView] | None = None
 ) -> tuple[np.ndarray, Joints]:
-    """Turns and joints of a character, limb by limb.
+    """Rotations and joints of a character, limb by limb.
 
     Args:
         handles: Its handles, K = 30.
-        solve: Gives turns (K, 3, 3) and joints for handles that play their own parts; called once for each limb, in
+        solve: Gives rotations (K, 3, 3) and joints for handles that play their own parts; called once for each limb, in
             the order of `limb_views`.
         views: Those views, where they are known.
 
     Returns:
-        Turns (K, 3, 3) and joints of all its handles; each hangs on one of its own limb, and the first of a limb on the
-        body.
+        Rotations (K, 3, 3) and joints of all its handles; each hangs on one of its own limb, and the first of a limb on
+        the body.
     """
     if handles.roles is None:
         return solve(handles)

@@ -112,7 +112,8 @@ def plan_of(
     ]
     hind = sum(int(handles.played[leg.upper]) in _HIND for leg in legs)
     own = joints.present & (handles.played == np.arange(len(handles.positions)))
-    there = {name: bool(own[parts].all()) for name, parts in (("arms", _ARMS), ("wings", _WINGS))}
+    arms = _ARMS[::2] if handles.rigid else _ARMS  # an arm of one block has no elbow
+    there = {name: bool(own[parts].all()) for name, parts in (("arms", arms), ("wings", _WINGS))}
     away = np.linalg.norm(handles.positions[_WINGS] - handles.positions[_CHEST], axis=1)
     there["wings"] &= bool((away > SPREAD * character.height).all())
     extent, stands = np.ptp(character.vertices[character.surface], axis=0), upright(handles)

@@ -1,15 +1,30 @@
-"""Rest poses reconciled: limbs turned from where they rest to where the reference body's rest."""
+"""Rest poses reconciled: limbs turned from where they rest to where the reference body's rest, and a character in that
+stance.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from bunraku.anatomy.joints import Joints
+from bunraku.anatomy.joints import (
+    Joints,
+    attach_joints,
+    estimated_reference_joints,
+    reference_joints,
+    refined_joints,
+)
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.core.character import Handles
+from bunraku.body.reference import handle_positions, reference_body
+from bunraku.core.character import Character, Handles
+from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import skin
 from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
+from bunraku.geometry.surface import vertex_areas
 
-__all__ = ["rest_rotations", "upright"]
+__all__ = ["flat_feet", "rest_of_limbs", "rest_rotations", "stance_of", "upright"]
+
 
 _LIMB_ENDS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
 _FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") for part in ("wrist", "fingers")}
@@ -104,17 +119,17 @@ def upright(handles: Handles) -> bool:
 
 def _on_all_fours(handles: Handles) -> bool:
     """Whether the arms lie before the legs rather than over them, and end about as low."""
-    places = {
+    positions = {
         part: np.mean([handles.positions[HANDLE_NAMES.index(f"{side}_{part}")] for side in ("left", "right")], axis=0)
         for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
     }
-    trunk = places["shoulder"] - places["hip"]
-    arms, legs = (min(places[part][1] for part in limb) for limb in (("elbow", "wrist"), ("knee", "ankle")))
+    trunk = positions["shoulder"] - positions["hip"]
+    arms, legs = (min(positions[part][1] for part in limb) for limb in (("elbow", "wrist"), ("knee", "ankle")))
     return bool(trunk[2] > abs(trunk[1]) and arms - legs < ALL_FOURS * (handles.positions[0, 1] - legs))
 
 
 def _leg_rotations(thigh: _Limb | None, shin: _Limb | None, leg: _Limb | None, armed: bool) -> np.ndarray:
-    """Turns of a thigh and a shin, shape (2, 3, 3), from where each and the whole leg point and where the reference
+    """Rotations of a thigh and a shin, shape (2, 3, 3), from where each and the whole leg point and where the reference
     body's do.
 
     Standing wide is style and stays: legs turn about the axis from left to right. Who has arms stands on straight
@@ -152,3 +167,80 @@ def _forward(limb: _Limb | None) -> float:
     own, want = limb
     forward = np.arctan2(own[2], -own[1]) - np.arctan2(want[2], -want[1])
     return float((forward + np.pi) % (2 * np.pi) - np.pi)
+
+
+PASSES = 2  # rotations need joints and joints need rotations; both converge at once
+SOLE = 0.08  # what is this near to the lowest point, as a share of the foot's length, stands on the ground
+FLATTER = 1.2  # how much more of a foot must stand before the foot is turned
+
+
+def rest_of_limbs(character: Character, handles: Handles, found: Joints) -> tuple[np.ndarray, Joints]:
+    """How the rest pose of a body with one limb of each kind differs from the reference body's.
+
+    Args:
+        character: In its rest pose.
+        handles: Its handles, which all play their own parts.
+        found: Its joints as the weights imply them (`find_joints`).
+
+    Returns:
+        The rotation of each handle that makes up for it (see `rest_rotations`), shape (K, 3, 3), and the joints in the
+        rest pose.
+    """
+    reference = reference_body().handles
+    rotations = rest_rotations(handles, found, reference, estimated_reference_joints(), character.height)
+    for _ in range(PASSES):
+        joints = refined_joints(character, handles, found, rotations)
+        rotations = rest_rotations(handles, joints, reference, reference_joints(), character.height)
+    rotations = flat_feet(character, handles, rotations)
+    return rotations, refined_joints(character, handles, found, rotations)
+
+
+def stance_of(
+    character: Character, handles: Handles, joints: Joints, to_reference: np.ndarray
+) -> tuple[Character, Handles]:
+    """The character with every handle turned, every joint held and its root where it was, and its handles as they are
+    there.
+
+    Args:
+        character: In its rest pose.
+        handles: Its handles.
+        joints: Where they meet.
+        to_reference: Rotation of each handle, the identity for the root, shape (K, 3, 3).
+    """
+    rotations, translations = attach_joints(to_reference[None].astype(np.float64), handles, joints)
+    still = np.zeros((1, 3)), np.eye(3)[None]
+    motion = HandleMotion(translations, rotations, *still)
+    vertices = skin(character.vertices, handles.weights, motion.transforms(handles.positions))[0]
+    if handles.rigid:
+        positions = (handles.positions + translations[0]).astype(np.float32)
+    else:
+        positions = handle_positions(vertices, handles.weights, vertex_areas(vertices, character.faces))
+    return replace(character, vertices=vertices, rig=None, source=None, avatar=None), Handles(
+        positions, handles.weights, roles=handles.roles, rigid=handles.rigid
+    )
+
+
+def flat_feet(character: Character, handles: Handles, rotations: np.ndarray) -> np.ndarray:
+    """The turns with feet that go along with their shins where that, and not their rest pose, makes them stand flat,
+    shape (K, 3, 3).
+
+    Who crouches on the toes has feet that belong to the shins; who sits, or crouches on flat feet, has them on the
+    ground already.
+    """
+    out = rotations.copy()
+    areas = character.areas
+    for side in ("left", "right"):
+        foot = [HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot")]
+        shin = rotations[HANDLE_NAMES.index(f"{side}_knee")]
+        own = character.surface & (handles.weights[:, foot].sum(axis=1) > 0.5)
+        if own.sum() < 4 or np.allclose(shin, np.eye(3)):
+            continue
+        points = character.vertices[own].astype(np.float64)
+        if _standing_area(points @ shin.T, areas[own]) > FLATTER * _standing_area(points, areas[own]):
+            out[foot] = shin
+    return out
+
+
+def _standing_area(points: np.ndarray, areas: np.ndarray) -> float:
+    heights = points[:, 1] - points[:, 1].min()
+    return float(areas[heights < SOLE * np.ptp(points, axis=0).max()].sum())

@@ -20,9 +20,9 @@ from bunraku.geometry.rotations import adjugates
 __all__ = ["BodyDepth", "Unposed", "body_depth"]
 
 CELL = 0.015
-"""Of the grid, over the wearer's size [m]."""
+"""Of the grid, over the character's size [m]."""
 BAND = 0.09
-"""Distances beyond this are as good as this, over the wearer's size [m]."""
+"""Distances beyond this are as good as this, over the character's size [m]."""
 _MOST_CELLS = 2_000_000
 _FACES = 6_000
 
@@ -88,7 +88,7 @@ class BodyDepth:
     @cached_property
     def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """How far apart in the flat grid neighbours along each axis are, and the eight corners of a cell; and the last
-        place in the grid [cells].
+        position in the grid [cells].
         """
         shape = np.array(self.values.shape)
         steps = np.array([shape[1] * shape[2], shape[2], 1])
@@ -102,18 +102,18 @@ class BodyDepth:
         """The first corner of the cells that points (3, M) lie in, shape (M,), and where in them along each axis, from
         0 to 1, shape (3, M).
         """
-        place = (points - self.low[:, None]).astype(np.float32, copy=False)
-        place /= np.float32(self.cell)
-        np.maximum(place, 0, out=place)
-        np.minimum(place, self._steps[2], out=place)
-        first = place.astype(np.int64)
-        place -= first
+        position = (points - self.low[:, None]).astype(np.float32, copy=False)
+        position /= np.float32(self.cell)
+        np.maximum(position, 0, out=position)
+        np.minimum(position, self._steps[2], out=position)
+        first = position.astype(np.int64)
+        position -= first
         x, y, z = first
         steps = self._steps[0]
-        return x * steps[0] + y * steps[1] + z, place
+        return x * steps[0] + y * steps[1] + z, position
 
     def _linear(self, corner: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance and gradient at places in cells, as `_cells` gives them."""
+        """Distance and gradient at positions in cells, as `_cells` gives them."""
         v = self.values.reshape(-1)[self._steps[1][:, None] + corner]
         x, y, z = share
         # along z, then y, then x
@@ -169,7 +169,7 @@ def body_depth(
         faces: Shape (F, 3).
         weights: For the 22 joints, shape (V, 22).
         apparel: Its mask, shape (V,), bool.
-        scale: The wearer's size.
+        scale: The clothed's size.
     """
     import igl
 

@@ -78,10 +78,10 @@ class BodyVolume:
         points, index = np.unique(
             np.round(vertices[np.unique(faces)].astype(np.float64), 6), axis=0, return_inverse=True
         )
-        place = np.full(len(vertices), -1)
-        place[np.unique(faces)] = index.ravel()
+        numbering = np.full(len(vertices), -1)
+        numbering[np.unique(faces)] = index.ravel()
         shares = _means(weights[np.unique(faces)], index.ravel(), len(points))
-        faces = place[faces]
+        faces = numbering[faces]
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
         if len(faces) <= most_faces:
             return cls(points, np.ascontiguousarray(faces, np.int64), shares)

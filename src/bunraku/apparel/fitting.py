@@ -1,19 +1,19 @@
-"""Wearers of meshes that say nothing of apparel: what carries it, and the joints that handles stand for."""
+"""Clothed characters of meshes that say nothing of apparel: what carries it, and the joints that handles stand for."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.nodes import held_vertices
 from bunraku.apparel.parts import apparel_parts
-from bunraku.apparel.wearer import Wearer
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Handles
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.graph import clean_mesh, unique_edges
 
-__all__ = ["eased_border", "fitted_wearer", "joint_weights_of_handles", "joints_of_handles"]
+__all__ = ["eased_border", "fitted_clothes", "joint_weights_of_handles", "joints_of_handles"]
 
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("left_hip", "right_hip"))
 _ABOVE_COLLARS = tuple(JOINT_NAMES.index(name) for name in ("left_collar", "right_collar"))
@@ -52,14 +52,14 @@ def joints_of_handles(
     return out
 
 
-def fitted_wearer(
+def fitted_clothes(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray,
     stiffness: np.ndarray, damping: np.ndarray,
-) -> Wearer:  # fmt: skip
-    """A wearer whose apparel goes whole with the joint that its parts hang on, whatever its skin says.
+) -> ClothedCharacter:  # fmt: skip
+    """A clothed character whose apparel goes whole with the joint that its parts hang on, whatever its skin says.
 
     Args:
-        vertices, faces, joints: As of `Wearer`.
+        vertices, faces, joints: As of `ClothedCharacter`.
         weights: Of the body for the 22 joints, shape (V, 22).
         apparel: The mask, shape (V,), bool.
         stiffness, damping: Of each vertex, shape (V,).
@@ -68,7 +68,7 @@ def fitted_wearer(
     part = apparel_parts(vertices, faces, apparel)
     count = int(part.max(initial=-1)) + 1
     blank = np.zeros(count, np.float32)
-    bare = Wearer(vertices, faces, joints, weights, apparel, part, blank, blank)
+    bare = ClothedCharacter(vertices, faces, joints, weights, apparel, part, blank, blank)
     held = held_vertices(bare)
     out = np.array(weights, np.float32)
     body = np.flatnonzero(~apparel)
@@ -91,22 +91,22 @@ def fitted_wearer(
 
     if not count:
         return bare
-    return Wearer(vertices, faces, joints, out, apparel, part, mean(stiffness), mean(damping))
+    return ClothedCharacter(vertices, faces, joints, out, apparel, part, mean(stiffness), mean(damping))
 
 
-def _layers_as_one(wearer: Wearer, weights: np.ndarray) -> np.ndarray:
+def _layers_as_one(clothed: ClothedCharacter, weights: np.ndarray) -> np.ndarray:
     """The parts, those that hang from the pelvis and lie on one another as one, shape (V,): two layers of a skirt that
     moved each for itself would come through one another.
     """
-    part = np.array(wearer.part)
+    part = np.array(clothed.part)
     count = int(part.max(initial=-1)) + 1
-    near = LAYER * wearer.scale
+    near = LAYER * clothed.scale
     rows = [np.flatnonzero(part == number) for number in range(count)]
     hung = [number for number in range(count) if weights[rows[number][0]].argmax() == 0]
-    trees = {number: cKDTree(wearer.rest[rows[number]]) for number in hung}
+    trees = {number: cKDTree(clothed.rest[rows[number]]) for number in hung}
     one = np.arange(count)
     for number in sorted(hung, key=lambda number: len(rows[number])):
-        points = wearer.rest[rows[number]]
+        points = clothed.rest[rows[number]]
         for other in hung:
             if one[other] != one[number]:
                 gap = trees[other].query(points, distance_upper_bound=near)[0]
@@ -117,20 +117,20 @@ def _layers_as_one(wearer: Wearer, weights: np.ndarray) -> np.ndarray:
     return part
 
 
-def eased_border(wearer: Wearer) -> np.ndarray:
+def eased_border(clothed: ClothedCharacter) -> np.ndarray:
     """How far each vertex goes its own way, from 0 on the body and where apparel begins in the midst of a sheet to 1,
     shape (V,): what is one surface must not be torn where the mask has an edge.
     """
-    clean = clean_mesh(wearer.rest, wearer.faces)
+    clean = clean_mesh(clothed.rest, clothed.faces)
     cloth = np.zeros(len(clean.vertices), bool)
-    cloth[clean.index[wearer.part >= 0]] = True
+    cloth[clean.index[clothed.part >= 0]] = True
     edges = unique_edges(clean.faces, len(clean.vertices))
     edges = edges[cloth[edges[:, 0]] != cloth[edges[:, 1]]]
-    out = (wearer.part >= 0).astype(np.float32)
+    out = (clothed.part >= 0).astype(np.float32)
     if len(edges):
         body = np.unique(np.where(cloth[edges[:, 0]], edges[:, 1], edges[:, 0]))
-        away = cKDTree(clean.vertices[body] * clean.scale + clean.center).query(wearer.rest)[0]
-        out *= smooth_step(away / wearer.scale, 0.0, BORDER).astype(np.float32)
+        away = cKDTree(clean.vertices[body] * clean.scale + clean.center).query(clothed.rest)[0]
+        out *= smooth_step(away / clothed.scale, 0.0, BORDER).astype(np.float32)
     return out
 
 

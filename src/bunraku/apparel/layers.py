@@ -16,16 +16,16 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from bunraku.apparel.clothed import LEGS, ClothedCharacter
 from bunraku.apparel.parts import apparel_parts
-from bunraku.apparel.wearer import LEGS, Wearer
 from bunraku.geometry.easing import smooth_step
-from bunraku.geometry.normals import vertex_normals
+from bunraku.geometry.surface import vertex_normals
 
 __all__ = ["Layers"]
 
 LEG = 0.6  # weight of the legs in what counts as a leg
 ROUNDS = 2  # of what lies over what, since there may be three layers
-BENEATH = 0.002  # how far under a vertex a point must lie at rest, over the wearer's size [m]
+BENEATH = 0.002  # how far under a vertex a point must lie at rest, over the character's size [m]
 SPREAD = 0.08  # how far around it what is moved takes the rest along, over the same [m]
 FEW = 0.25  # share of what is around a vertex that must be moved for it to move by as much
 CELL = 0.02  # one vertex of a part stands for all in a cube of this, over the same [m]
@@ -41,7 +41,7 @@ class _How(NamedTuple):
 
     Args:
         near: Points at rest under a vertex that it must stay over.
-        clear: How far over them it stays where it was farther off at rest, over the wearer's size [m].
+        clear: How far over them it stays where it was farther off at rest, over the character's size [m].
         beside: How far from the way out of a point it begins not to count, and counts no more, over the same [m].
         reach: How near they must be at rest, over the same [m].
     """
@@ -57,59 +57,59 @@ OVER_PARTS = _How(12, 0.006, (0.06, 0.14), 0.08)
 
 
 class Layers:
-    """The stage for one wearer.
+    """The stage for one clothed character.
 
     Args:
-        wearer: The character; its body has weights of its own.
+        clothed: The character; its body has weights of its own.
         vertices: The apparel vertices that are moved, shape (A,).
     """
 
-    def __init__(self, wearer: Wearer, vertices: np.ndarray):
-        self.scale = wearer.scale
+    def __init__(self, clothed: ClothedCharacter, vertices: np.ndarray):
+        self.scale = clothed.scale
         # what moves as one part may be several sheets
-        part = apparel_parts(wearer.rest, wearer.faces, wearer.part >= 0)
-        hips = wearer.joints[list(LEGS[:2]), 1].mean()
-        low = wearer.rest[vertices, 1] < hips
-        carrier = wearer.weights[vertices].argmax(axis=1)
+        part = apparel_parts(clothed.rest, clothed.faces, clothed.part >= 0)
+        hips = clothed.joints[list(LEGS[:2]), 1].mean()
+        low = clothed.rest[vertices, 1] < hips
+        carrier = clothed.weights[vertices].argmax(axis=1)
         hung = low & ~np.isin(carrier, LEGS)
-        legs = ~wearer.apparel & (wearer.weights[:, LEGS].sum(axis=1) > LEG)
+        legs = ~clothed.apparel & (clothed.weights[:, LEGS].sum(axis=1) > LEG)
         # hair that begins far above is lifted over a leg without a ledge at the hips
-        below = smooth_step(hips - wearer.rest[vertices, 1], 0, RISE * self.scale)
+        below = smooth_step(hips - clothed.rest[vertices, 1], 0, RISE * self.scale)
         self.below = np.where(carrier == 0, 1, below)[hung].astype(np.float32)
-        self.skirt = _Over(wearer, part, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS)
+        self.skirt = _Over(clothed, part, vertices, np.flatnonzero(hung), [(None, np.flatnonzero(legs))], OVER_LEGS)
         if not len(self.skirt):
             return  # nothing is laid over anything
         others = [
-            (number, _thinned(wearer, part, np.flatnonzero(part != number)))
+            (number, _thinned(clothed, part, np.flatnonzero(part != number)))
             for number in range(int(part.max(initial=-1)) + 1)
         ]
-        self.rest = _Over(wearer, part, vertices, np.arange(len(vertices)), others, OVER_PARTS)
+        self.rest = _Over(clothed, part, vertices, np.arange(len(vertices)), others, OVER_PARTS)
 
     def clip(
-        self, places: np.ndarray, skinned: np.ndarray, progress: Callable[[float], None] | None = None
+        self, positions: np.ndarray, skinned: np.ndarray, progress: Callable[[float], None] | None = None
     ) -> np.ndarray:
         """The same for all frames of a clip, shapes (N, A, 3) and (N, V, 3); what is changed is smooth in time.
         `progress` is called with the share done.
         """
         if not len(self.skirt):
-            return places
-        change = np.zeros(places.shape, np.float32)
-        for frame, (own, whole) in enumerate(zip(places, skinned, strict=True)):
+            return positions
+        change = np.zeros(positions.shape, np.float32)
+        for frame, (own, whole) in enumerate(zip(positions, skinned, strict=True)):
             change[frame] = self(own, whole) - own
             if progress and frame % 16 == 0:
-                progress(frame / len(places))
-        return np.asarray(places + gaussian_filter1d(change, SMOOTH, axis=0, mode="nearest"))
+                progress(frame / len(positions))
+        return np.asarray(positions + gaussian_filter1d(change, SMOOTH, axis=0, mode="nearest"))
 
-    def __call__(self, places: np.ndarray, skinned: np.ndarray) -> np.ndarray:
+    def __call__(self, positions: np.ndarray, skinned: np.ndarray) -> np.ndarray:
         """Apparel vertices laid over what they lie on at rest [m], shape (A, 3).
 
         Args:
-            places: Of the apparel vertices [m], shape (A, 3).
+            positions: Of the apparel vertices [m], shape (A, 3).
             skinned: All vertices as their skin moves them [m], shape (V, 3).
         """
         if not len(self.skirt):
-            return places
-        out, whole = np.array(places, np.float32), np.array(skinned, np.float32)
+            return positions
+        out, whole = np.array(positions, np.float32), np.array(skinned, np.float32)
         over = self.skirt
         back = whole[over.vertices] - out[over.rows]
         step = back[over.chosen]
@@ -137,7 +137,7 @@ class _Over:
     """Apparel vertices, and what each lies over at rest.
 
     Args:
-        wearer: The character.
+        clothed: The character.
         part: Number of the sheet of each vertex, -1 on the body, shape (V,).
         vertices: All apparel vertices that are moved, shape (A,).
         rows: Which of them may lie over something, shape (R,).
@@ -147,35 +147,35 @@ class _Over:
 
     def __init__(
         self,
-        wearer: Wearer,
+        clothed: ClothedCharacter,
         part: np.ndarray,
         vertices: np.ndarray,
         rows: np.ndarray,
         under: Sequence[tuple[int | None, np.ndarray]],
         how: _How,
     ):
-        scale, rest = wearer.scale, np.asarray(wearer.rest, np.float64)
+        scale, rest = clothed.scale, np.asarray(clothed.rest, np.float64)
         self.rows, self.vertices = rows, vertices[rows]
         self.chosen = rows[:0]
         if not len(rows):
             return
-        chosen = np.searchsorted(self.vertices, _thinned(wearer, part, self.vertices))
-        places, sheet = rest[self.vertices[chosen]], part[self.vertices[chosen]]
+        chosen = np.searchsorted(self.vertices, _thinned(clothed, part, self.vertices))
+        positions, sheet = rest[self.vertices[chosen]], part[self.vertices[chosen]]
         points, gap = np.zeros((len(chosen), how.near), np.int64), np.full((len(chosen), how.near), np.inf)
         for number, beneath in under:
             own = np.flatnonzero(sheet == number) if number is not None else np.arange(len(sheet))
             near = min(how.near, len(beneath))
             if near and len(own):
-                found = cKDTree(rest[beneath]).query(places[own], near)
+                found = cKDTree(rest[beneath]).query(positions[own], near)
                 gap[own, :near] = found[0].reshape(len(own), near)
                 points[own, :near] = beneath[found[1].reshape(len(own), near)]
         used = np.zeros(len(rest), bool)
         used[points] = True
-        corners = wearer.faces[used[wearer.faces].any(axis=1)]
+        corners = clothed.faces[used[clothed.faces].any(axis=1)]
         self.used, local = np.unique(np.concatenate([points.reshape(-1), corners.reshape(-1)]), return_inverse=True)
         self.under, self.corners = local[: points.size].reshape(points.shape), local[points.size :].reshape(-1, 3)
         ways = vertex_normals(rest[self.used], self.corners)[self.under]
-        height = ((places[:, None] - rest[points]) * ways).sum(axis=-1)
+        height = ((positions[:, None] - rest[points]) * ways).sum(axis=-1)
         self.counts = (height > BENEATH * scale) & (gap <= how.reach * scale) & np.isfinite(gap)
         if not self.counts.any():
             return
@@ -183,39 +183,39 @@ class _Over:
         self.clear = np.minimum(height, how.clear * scale).astype(np.float32)
         self.together = under[0][0] is None  # two layers of a skirt go together
         self.beside = tuple(scale * bound for bound in how.beside)
-        self._shares(places, rest[self.vertices], part[self.vertices], SPREAD * scale)
+        self._shares(positions, rest[self.vertices], part[self.vertices], SPREAD * scale)
 
-    def _shares(self, places: np.ndarray, rest: np.ndarray, part: np.ndarray, spread: float) -> None:
+    def _shares(self, positions: np.ndarray, rest: np.ndarray, part: np.ndarray, spread: float) -> None:
         """How much each chosen vertex counts near each other one of its part, and for each vertex."""
-        tree, own = cKDTree(places), part[self.chosen]
+        tree, own = cKDTree(positions), part[self.chosen]
         pairs = tree.sparse_distance_matrix(tree, 2 * spread, output_type="coo_matrix")
         same = (own[pairs.row] == own[pairs.col]) | self.together
         share = np.exp(-0.5 * np.square(pairs.data[same] / spread))
-        around = csr_matrix((share, (pairs.row[same], pairs.col[same])), shape=(len(places),) * 2)
+        around = csr_matrix((share, (pairs.row[same], pairs.col[same])), shape=(len(positions),) * 2)
         self.around = around.multiply(1 / around.sum(axis=1)).tocsr().astype(np.float32)
-        count = min(4, len(places))
+        count = min(4, len(positions))
         gap, near = (found.reshape(len(rest), count) for found in tree.query(rest, count))
         weight = np.where((own[near] == part[:, None]) | self.together, 1 / (gap**2 + 1e-8), 1e-12)
         weight /= weight.sum(axis=1, keepdims=True)
         begins = np.arange(0, near.size + 1, count)
         self.back = csr_matrix(
-            (weight.reshape(-1).astype(np.float32), near.reshape(-1), begins), (len(rest), len(places))
+            (weight.reshape(-1).astype(np.float32), near.reshape(-1), begins), (len(rest), len(positions))
         )
 
     def __len__(self) -> int:
         return len(self.chosen)
 
-    def seen(self, places: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def seen(self, positions: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """How far each chosen vertex is over each of its points [m], shape (C, K), how much it counts, from 0, far
         beside its way out, to 1, and these ways, shape (C, K, 3).
 
         Args:
-            places: Of all apparel vertices [m], shape (A, 3).
+            positions: Of all apparel vertices [m], shape (A, 3).
             whole: Of all vertices [m], shape (V, 3).
         """
         points = whole[self.used]
         ways = vertex_normals(points, self.corners)[self.under].astype(np.float32)
-        away = places[self.rows[self.chosen]][:, None] - points[self.under]
+        away = positions[self.rows[self.chosen]][:, None] - points[self.under]
         height = (away * ways).sum(axis=-1)
         aside = np.sqrt(np.maximum(np.square(away).sum(axis=-1) - height**2, 0))
         return height, smooth_step(aside, *self.beside[::-1]).astype(np.float32), ways
@@ -228,7 +228,7 @@ class _Over:
         return np.asarray(self.back @ (near[:, :-1] / np.maximum(near[:, -1:], FEW)))
 
 
-def _thinned(wearer: Wearer, part: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def _thinned(clothed: ClothedCharacter, part: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """One vertex for each small cube and part."""
-    cells = np.column_stack([part[rows], np.floor(wearer.rest[rows] / (CELL * wearer.scale))])
+    cells = np.column_stack([part[rows], np.floor(clothed.rest[rows] / (CELL * clothed.scale))])
     return np.asarray(rows[np.unique(cells, axis=0, return_index=True)[1]])

@@ -50,8 +50,8 @@ def moved_joints(character: Character, model: MmdModel | VrmModel | None = None)
     if isinstance(model, MmdModel):
         out[[body.bone for body in model.bodies if body.dynamic and body.bone >= 0]] = True
     else:
-        place = {node: joint for joint, node in enumerate(character.source.skins.nodes)}
-        out[[place[joint.node] for spring in model.springs for joint in spring.joints if joint.node in place]] = True
+        index = {node: joint for joint, node in enumerate(character.source.skins.nodes)}
+        out[[index[joint.node] for spring in model.springs for joint in spring.joints if joint.node in index]] = True
     while True:  # once for each level of the tree at the most
         grown = out | np.where(rig.parents >= 0, out[rig.parents], False)
         if (grown == out).all():

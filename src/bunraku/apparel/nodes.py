@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.wearer import Wearer
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.geometry.graph import clean_mesh, unique_edges
 
 __all__ = ["NEIGHBOURS", "ApparelNodes", "apparel_nodes", "held_vertices", "part_lengths", "part_neighbours"]
@@ -23,11 +23,11 @@ HELD = 0.08  # of a part's extent: vertices as near to what holds it are held
 
 @dataclass(frozen=True, eq=False)
 class ApparelNodes:
-    """M nodes of a wearer's apparel.
+    """M nodes of a clothed character's apparel.
 
     Args:
         vertex: Vertex that each is, shape (M,).
-        rest: Place in the rest pose [m], shape (M, 3).
+        rest: Position in the rest pose [m], shape (M, 3).
         joint: Joint that carries each, shape (M,).
         weights: Skinning weights of each, shape (M, 22).
         part: Part of each, shape (M,).
@@ -51,38 +51,38 @@ class ApparelNodes:
         return len(self.vertex)
 
 
-def apparel_nodes(wearer: Wearer, most: int = 256) -> ApparelNodes:
+def apparel_nodes(clothed: ClothedCharacter, most: int = 256) -> ApparelNodes:
     """Choose nodes: at least three of every part, the rest where the gaps are widest (farthest points).
 
     Args:
-        wearer: The character.
+        clothed: The character.
         most: How many; small apparel has fewer.
     """
-    cloth = np.flatnonzero(wearer.part >= 0)
-    points, parts = wearer.rest[cloth].astype(np.float64), wearer.part[cloth]
-    held, distance, length = _attachment(wearer)
+    cloth = np.flatnonzero(clothed.part >= 0)
+    points, parts = clothed.rest[cloth].astype(np.float64), clothed.part[cloth]
+    held, distance, length = _attachment(clothed)
     chosen = _spread(points, parts, most)
     vertex = cloth[chosen]
-    joint = wearer.weights[vertex].argmax(axis=1)
+    joint = clothed.weights[vertex].argmax(axis=1)
     return ApparelNodes(
-        vertex, wearer.rest[vertex].astype(np.float32), joint, wearer.weights[vertex].astype(np.float32),
-        wearer.part[vertex], part_neighbours(points[chosen], parts[chosen]), held[vertex].astype(np.float32),
+        vertex, clothed.rest[vertex].astype(np.float32), joint, clothed.weights[vertex].astype(np.float32),
+        clothed.part[vertex], part_neighbours(points[chosen], parts[chosen]), held[vertex].astype(np.float32),
         distance[vertex].astype(np.float32), length[vertex].astype(np.float32),
     )  # fmt: skip
 
 
-def part_lengths(wearer: Wearer) -> np.ndarray:
+def part_lengths(clothed: ClothedCharacter) -> np.ndarray:
     """How far the farthest vertex of each part is from where it is held, along the surface [m], shape (P,)."""
-    out = np.full(len(wearer.stiffness), 0.1, np.float32)
-    cloth = wearer.part >= 0
-    out[wearer.part[cloth]] = _attachment(wearer)[2][cloth]
+    out = np.full(len(clothed.stiffness), 0.1, np.float32)
+    cloth = clothed.part >= 0
+    out[clothed.part[cloth]] = _attachment(clothed)[2][cloth]
     return out
 
 
-def held_vertices(wearer: Wearer) -> np.ndarray:
+def held_vertices(clothed: ClothedCharacter) -> np.ndarray:
     """Apparel vertices where their parts are held, shape (H,)."""
-    cloth = wearer.part >= 0
-    return np.flatnonzero(cloth & (_attachment(wearer)[1] <= 0))
+    cloth = clothed.part >= 0
+    return np.flatnonzero(cloth & (_attachment(clothed)[1] <= 0))
 
 
 def _spread(points: np.ndarray, parts: np.ndarray, most: int) -> np.ndarray:
@@ -94,7 +94,7 @@ def _spread(points: np.ndarray, parts: np.ndarray, most: int) -> np.ndarray:
 
     def take(index: int) -> None:
         chosen.append(index)
-        own = parts == parts[index]  # parts do not hear of one another
+        own = parts == parts[index]  # parts do not pass messages to one another
         gap[own] = np.minimum(gap[own], np.square(points[own] - points[index]).sum(axis=1))
 
     order = np.argsort(-np.bincount(parts), kind="stable")
@@ -129,23 +129,23 @@ def part_neighbours(points: np.ndarray, parts: np.ndarray) -> np.ndarray:
         near = min(NEIGHBOURS + 1, len(rows))
         own = rows[cKDTree(points[rows]).query(points[rows], near)[1].reshape(len(rows), near)]
         itself = own == rows[:, None]
-        itself[~itself.any(axis=1), -1] = True  # of points at one place, a few may not find themselves
+        itself[~itself.any(axis=1), -1] = True  # of points at one position, a few may not find themselves
         out[rows, : near - 1] = own[~itself].reshape(len(rows), near - 1)
     return out
 
 
-def _attachment(wearer: Wearer) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For every vertex: the way from where its part is held, the distance from there along the surface, and the largest
-    such distance in the part; 0 on the body.
+def _attachment(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For every vertex: the vector from where its part is held, the distance from there along the surface, and the
+    largest such distance in the part; 0 on the body.
 
     A part is held at its vertices that share an edge with the body, or else at those that are nearest to it.
     """
-    clean = clean_mesh(wearer.rest, wearer.faces)
+    clean = clean_mesh(clothed.rest, clothed.faces)
     count = len(clean.vertices)
     points = clean.vertices * clean.scale
     part = np.full(count, -1, np.int64)
-    cloth = wearer.part >= 0
-    part[clean.index[cloth]] = wearer.part[cloth]
+    cloth = clothed.part >= 0
+    part[clean.index[cloth]] = clothed.part[cloth]
     edges = unique_edges(clean.faces, count)
     inside = edges[(part[edges[:, 0]] == part[edges[:, 1]]) & (part[edges[:, 0]] >= 0)]
     border = edges[(part[edges] >= 0).sum(axis=1) == 1]

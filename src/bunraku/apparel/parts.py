@@ -12,7 +12,7 @@ __all__ = ["apparel_parts"]
 def apparel_parts(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
     """Number of the apparel part of each vertex, -1 on the body, shape (V,), int32.
 
-    Seams of the file do not part anything: vertices at the same place are one. Parts are numbered in the order of
+    Seams of the file do not part anything: vertices at the same position are one. Parts are numbered in the order of
     their first vertices.
 
     Args:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from bunraku.apparel.nodes import NEIGHBOURS, part_neighbours
 from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
-from bunraku.geometry.normals import vertex_normals
+from bunraku.geometry.surface import vertex_normals
 
 __all__ = [
     "NEIGHBOURS", "POINTS", "POINT_FEATURES", "SampledMesh", "joint_distances", "point_features", "sampled_mesh",
@@ -39,7 +39,7 @@ class SampledMesh:
         clean: Clean vertex (`geometry.graph.clean_mesh`) that each is, shape (S,).
         points: In units of the height, feet at 0, x and z from the pelvis, shape (S, 3), float32.
         joints: J in the same units, shape (22, 3).
-        features: What the segmentation network is told, shape (S, POINT_FEATURES), float32.
+        features: Input of the segmentation network, shape (S, POINT_FEATURES), float32.
         part: Loose part of the mesh of each, shape (S,).
         neighbours: Nearest points of the same part, shape (S, NEIGHBOURS).
         index: Clean vertex of each vertex of the mesh, shape (V,).
@@ -82,23 +82,23 @@ def sampled_mesh(
     edges = unique_edges(clean.faces, count)
     part = mesh_parts(edges, count)
     chosen = _chosen(part, min(most, count), np.random.default_rng(seed))
-    places = clean.vertices * clean.scale + clean.center
-    low, height = places[:, 1].min(), max(float(np.ptp(places[:, 1])), 1e-9)
+    positions = clean.vertices * clean.scale + clean.center
+    low, height = positions[:, 1].min(), max(float(np.ptp(positions[:, 1])), 1e-9)
     origin = np.array([joints[0, 0], low, joints[0, 2]])
-    points = (places[chosen] - origin) / height
+    points = (positions[chosen] - origin) / height
     bones = (np.asarray(joints, np.float64) - origin) / height
     features = point_features(points, vertex_normals(clean.vertices, clean.faces)[chosen], bones, part[chosen])
-    nearest, shares = _near(places, part, chosen)
+    nearest, shares = _near(positions, part, chosen)
     return SampledMesh(
         chosen, points.astype(np.float32), bones.astype(np.float32), features, part[chosen],
-        part_neighbours(places[chosen], part[chosen]), clean.index, nearest[clean.index], shares[clean.index],
+        part_neighbours(positions[chosen], part[chosen]), clean.index, nearest[clean.index], shares[clean.index],
     )  # fmt: skip
 
 
 def point_features(points: np.ndarray, normals: np.ndarray, joints: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """What the segmentation network is told of points, shape (S, POINT_FEATURES), float32: place, normal, the way from
-    the nearest bone and its length, how near each bone is, the extent of the point's part, its height above the part's
-    lowest point.
+    """Input of the segmentation network for points, shape (S, POINT_FEATURES), float32: position, normal, the vector
+    from the nearest bone and its length, how near each bone is, the extent of the point's part, its height above the
+    part's lowest point.
 
     Args:
         points: In units of the height, as of `SampledMesh`, shape (S, 3).
@@ -133,7 +133,7 @@ def _chosen(part: np.ndarray, most: int, rng: np.random.Generator) -> np.ndarray
 
 
 def _bone_ways(points: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The way from the nearest of the 21 bones to each point (S, 3), and the distance to each bone (S, 21)."""
+    """The vector from the nearest of the 21 bones to each point (S, 3), and the distance to each bone (S, 21)."""
     start, end = (joints[[bone[side] for bone in _BONES]] for side in (0, 1))
     along = end - start
     share = np.einsum("sba,ba->sb", points[:, None] - start, along) / np.maximum(np.square(along).sum(axis=1), 1e-9)
@@ -143,18 +143,18 @@ def _bone_ways(points: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.n
     return ways[np.arange(len(points)), gaps.argmin(axis=1)], gaps
 
 
-def _near(places: np.ndarray, part: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _near(positions: np.ndarray, part: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The three nearest points of each clean vertex (C, 3), and their shares."""
-    nearest, shares = np.zeros((len(places), 3), np.int64), np.zeros((len(places), 3))
+    nearest, shares = np.zeros((len(positions), 3), np.int64), np.zeros((len(positions), 3))
     own_part = part[chosen]
-    far = cKDTree(places[chosen])
+    far = cKDTree(positions[chosen])
     for number in range(int(part.max()) + 1):
         rows, own = np.flatnonzero(part == number), np.flatnonzero(own_part == number)
         if not len(own):  # more parts than points: those without one take the nearest of any
-            gap, found = far.query(places[rows], 3 if len(chosen) >= 3 else 1)
+            gap, found = far.query(positions[rows], 3 if len(chosen) >= 3 else 1)
             own = np.arange(len(chosen))
         else:
-            gap, found = cKDTree(places[chosen[own]]).query(places[rows], min(3, len(own)))
+            gap, found = cKDTree(positions[chosen[own]]).query(positions[rows], min(3, len(own)))
         gap, found = gap.reshape(len(rows), -1), found.reshape(len(rows), -1)
         weight = 1 / (gap + 1e-6)
         nearest[rows, : found.shape[1]] = own[found]
@@ -209,8 +209,8 @@ def _starts(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.nd
     and vertex, and the distance.
     """
     owners, ends, lengths = [], [], []
-    for joint, place in enumerate(joints):
-        way = vertices - place
+    for joint, index in enumerate(joints):
+        way = vertices - index
         gap = np.linalg.norm(way, axis=1)
         near = np.flatnonzero(gap < REACH * gap.min() + 0.01)
         near = near[np.argsort(gap[near], kind="stable")]

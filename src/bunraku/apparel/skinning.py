@@ -11,8 +11,8 @@ def eq4_transforms(transforms: np.ndarray, joints: np.ndarray) -> np.ndarray:
     """Affine transforms that `skin` takes, from `[R | t]` of [MMDMC 4], shape (N, J, 3, 4), float32.
 
     Args:
-        transforms: Rotation and place of each joint [m], shape (N, J, 3, 4).
-        joints: Places in the rest pose [m], shape (J, 3).
+        transforms: Rotation and position of each joint [m], shape (N, J, 3, 4).
+        joints: Positions in the rest pose [m], shape (J, 3).
     """
     out = np.array(transforms, np.float32)
     out[..., 3] -= np.einsum("njab,jb->nja", out[..., :3], np.asarray(joints, np.float32))

@@ -73,10 +73,10 @@ class UnifiedBody:
         for joint in range(1, JOINT_COUNT):
             if not present[joint]:
                 bones[joint] = bones[JOINT_PARENTS[joint]]
-        return cls(parts, _places(rig.positions[bones], present), weights, bones, joint_of, moved)
+        return cls(parts, _positions(rig.positions[bones], present), weights, bones, joint_of, moved)
 
     def transforms(self, animation: RigAnimation) -> np.ndarray:
-        """T of Eq. 1: rotation from the rest pose and place of each joint, `[R | t]`, shape (N, 22, 3, 4), float32.
+        """T of Eq. 1: rotation from the rest pose and position of each joint, `[R | t]`, shape (N, 22, 3, 4), float32.
 
         A vertex of one joint goes to `R (v - J) + t` (Eq. 4).
         """
@@ -132,11 +132,11 @@ def _leads(parts: RigParts, joint_of: np.ndarray, moved: np.ndarray) -> np.ndarr
     return out
 
 
-def _places(places: np.ndarray, present: np.ndarray) -> np.ndarray:
+def _positions(positions: np.ndarray, present: np.ndarray) -> np.ndarray:
     """Joints that are missing lie half way between the joint above and the next one below that are there, or where the
     one above is.
     """
-    out = places.copy()
+    out = positions.copy()
     for joint in range(1, JOINT_COUNT):
         if not present[joint]:
             above = out[JOINT_PARENTS[joint]]
@@ -144,5 +144,5 @@ def _places(places: np.ndarray, present: np.ndarray) -> np.ndarray:
             while line and not present[below]:
                 below = line[0]
                 line = [other for other in range(below + 1, JOINT_COUNT) if JOINT_PARENTS[other] == below]
-            out[joint] = (above + places[below]) / 2 if present[below] else above
+            out[joint] = (above + positions[below]) / 2 if present[below] else above
     return out

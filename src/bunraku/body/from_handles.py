@@ -20,8 +20,8 @@ from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
 from bunraku.core.skinning import posed_points
 from bunraku.errors import MotionError
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
+from bunraku.geometry.surface import vertex_areas
 
 __all__ = ["joint_errors", "skeleton_from_handles"]
 
@@ -79,7 +79,7 @@ def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> Skeleta
     body = reference_body()
     want = motion.root_rotation[:, None].astype(float) @ motion.rotations[:, :JOINT_COUNT]
     world = np.concatenate([_world(want[start : start + CHUNK], rounds) for start in range(0, len(want), CHUNK)])
-    # The place of the pelvis handle is a mean of skin, to which the thighs belong too: the root joint is where that
+    # The position of the pelvis handle is a mean of skin, to which the thighs belong too: the root joint is where that
     # mean comes out right.
     root = motion.root_translation + body.handles.positions[0] - _mean_of_root(world)
     return SkeletalMotion(

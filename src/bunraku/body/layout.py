@@ -8,6 +8,8 @@ two halves of the upper back, on a character with a cape the cape) and a tail of
 
 from __future__ import annotations
 
+from bunraku.core.character import Handles
+
 __all__ = [
     "HANDLE_COUNT",
     "HANDLE_MIRROR",
@@ -17,7 +19,9 @@ __all__ = [
     "JOINT_MIRROR",
     "JOINT_NAMES",
     "JOINT_PARENTS",
+    "handle_names",
 ]
+
 
 JOINT_NAMES: tuple[str, ...] = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
@@ -38,8 +42,25 @@ HANDLE_COUNT = len(HANDLE_NAMES)
 
 def _mirror(names: tuple[str, ...]) -> tuple[int, ...]:
     swap = {"left": "right", "right": "left"}
-    return tuple(names.index("_".join(swap.get(word, word) for word in name.split("_"))) for name in names)
+    sides = [name.partition("_") for name in names]
+    return tuple([names.index(swap.get(side, side) + gap + part) for side, gap, part in sides])
 
 
 JOINT_MIRROR: tuple[int, ...] = _mirror(JOINT_NAMES)
 HANDLE_MIRROR: tuple[int, ...] = _mirror(HANDLE_NAMES)
+
+
+def handle_names(handles: Handles) -> tuple[str, ...]:
+    """Names of handles: those of the layout where there are as many, numbers otherwise.
+
+    A handle that plays the part of another is named after it and numbered: left_hip_2 is the second left hip.
+    """
+    count = len(handles.positions)
+    if count != len(HANDLE_NAMES):
+        return tuple(f"handle_{handle}" for handle in range(count))
+    names, met = list(HANDLE_NAMES), [1] * count
+    for handle, role in enumerate(handles.played.tolist()):
+        if role != handle:
+            met[role] += 1
+            names[handle] = f"{HANDLE_NAMES[role]}_{met[role]}"
+    return tuple(names)

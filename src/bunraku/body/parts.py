@@ -13,7 +13,7 @@ __all__ = ["PARTS", "kept_handles"]
 
 
 def _named(*endings: str, side: str = "") -> tuple[int, ...]:
-    return tuple(i for i, name in enumerate(HANDLE_NAMES) if name.startswith(side) and name.endswith(endings))
+    return tuple([i for i, name in enumerate(HANDLE_NAMES) if name.startswith(side) and name.endswith(endings)])
 
 
 _LEG = ("hip", "knee", "ankle", "foot")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib.resources import files
 
 import numpy as np
@@ -39,17 +39,17 @@ class ReferenceBody:
     handle_weights: np.ndarray
     mirror: np.ndarray
 
-    @property
+    @cached_property
     def skeleton(self) -> Skeleton:
         """The 22 joints with their offsets."""
         parents = np.array(JOINT_PARENTS)
         offsets = self.joints - np.where(parents[:, None] >= 0, self.joints[parents], 0)
         return Skeleton(JOINT_NAMES, parents, offsets)
 
-    @property
+    @cached_property
     def handles(self) -> Handles:
         """The canonical handles; one that has no vertices on a person stands at its parent (see `handle_positions`)."""
-        from bunraku.geometry.areas import vertex_areas
+        from bunraku.geometry.surface import vertex_areas
 
         return Handles(
             handle_positions(self.vertices, self.handle_weights, vertex_areas(self.vertices, self.faces)),

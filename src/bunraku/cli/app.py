@@ -31,6 +31,7 @@ VERBS: Verbs = {
     ),
     ("edit",): ("bunraku.cli.verbs.edit", "Edit", "keep a part of a clip and generate the rest"),
     ("rig",): ("bunraku.cli.verbs.rig", "Rig", "give a character its 30 handles as a skin, without motion"),
+    ("merge",): ("bunraku.cli.verbs.merge", "Merge", "join the clips of one character from several files in one"),
     ("inspect",): ("bunraku.cli.verbs.inspect", "Inspect", "tell what a file holds"),
     ("render",): (
         "bunraku.cli.verbs.render",
@@ -82,13 +83,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: The words after the program's name; those of the process by default.
 
     Returns:
-        The exit status: 0 done, 2 something that the user can mend, 130 interrupted, 1 a fault of Bunraku itself.
+        The exit status: 0 done, 2 something that the user can fix, 130 interrupted, 1 a fault of Bunraku itself.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     debug = os.environ.get("BUNRAKU_DEBUG", "") not in ("", "0") or "--debug" in words
     words = [word for word in words if word != "--debug"]
     try:
-        _mend_streams()
+        _repair_streams()
         status = _dispatch(words)
         sys.stdout.flush()
         return status
@@ -110,7 +111,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return status
 
 
-def _mend_streams() -> None:
+def _repair_streams() -> None:
     """Let nothing that is printed fail: closed streams swallow it, and those of few letters escape the others."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -43,5 +43,8 @@ class AnimatedCharacter(Protocol):
     def at(self, fps: float) -> Self:
         """The same at another rate [1/s]."""
 
-    def save(self, path: str | Path, **options: Any) -> Path:
+    def take(self, frames: slice) -> Self:
+        """Some of its frames."""
+
+    def save(self, path: str | Path, **options: object) -> Path:
         """Write the animation in the format that the file's suffix names and return the path."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -65,7 +64,13 @@ class Animation:
         """The same at another rate [1/s]; the motion that it was fitted from is left out, as it stays at its own."""
         return self if fps == self.motion.fps else Animation(self.character, self.handles, resample(self.motion, fps))
 
-    def save(self, path: str | Path, **options: Any) -> Path:
+    def take(self, frames: slice) -> Animation:
+        """Some of its frames, and of the motion that it was fitted from where that has as many."""
+        known = self.reference
+        known = known.take(frames) if known is not None and len(known) == len(self.motion) else None
+        return Animation(self.character, self.handles, self.motion.take(frames), known)
+
+    def save(self, path: str | Path, **options: object) -> Path:
         """Write the animation in the format that the file's suffix names and return the path.
 
         Raises:

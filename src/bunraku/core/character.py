@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from bunraku.core.mmd_model import MmdModel
 from bunraku.core.vrm_model import VrmModel
 from bunraku.errors import CharacterError
-from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.surface import vertex_areas
 
 __all__ = ["Character", "Handles", "Rig", "top_influences"]
 
@@ -19,8 +20,8 @@ __all__ = ["Character", "Handles", "Rig", "top_influences"]
 def _frozen(array: Any, dtype: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
     """The array as a read-only one of this type and shape; None in the shape stands for any length."""
     out = np.ascontiguousarray(array, dtype=dtype)
-    if out.ndim != len(shape) or any(
-        want is not None and have != want for have, want in zip(out.shape, shape, strict=True)
+    if out.shape != tuple(
+        [have if want is None else want for have, want in zip_longest(out.shape, shape, fillvalue=-1)]
     ):
         raise CharacterError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
     if out is array:
@@ -166,6 +167,8 @@ class Handles:
         features: The mesh deformation feature f_phi, shape (448,), when the predictor made the handles.
         roles: The handle whose part each handle plays, shape (K,), where spare handles move further limbs: the second
             left knee of a spider plays that of the left knee. None where each plays its own.
+        rigid: Whether nothing bends: each vertex is wholly of one handle, and handles stand where they are jointed to
+            their parents.
 
     Raises:
         CharacterError: Shapes disagree, a value is not finite, rows do not sum to 1, or a role is that of no handle or
@@ -176,6 +179,7 @@ class Handles:
     weights: np.ndarray
     features: np.ndarray | None = None
     roles: np.ndarray | None = None
+    rigid: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", _frozen(self.positions, np.float32, (None, 3), "handle positions"))
@@ -186,6 +190,8 @@ class Handles:
             raise CharacterError("handles must be finite")
         if np.abs(self.weights.sum(axis=1) - 1).max(initial=0) > 1e-3:
             raise CharacterError("the handle weights of each vertex must sum to 1")
+        if self.rigid and self.weights.max(axis=1, initial=0).min(initial=1) < 1 - 1e-3:
+            raise CharacterError("of a body that does not bend each vertex is of one handle")
         if self.roles is not None:
             count = len(self.positions)
             object.__setattr__(self, "roles", _frozen(self.roles, np.int64, (count,), "handle roles"))
@@ -206,7 +212,7 @@ class Handles:
         indices, shares = top_influences(self.weights, count)
         kept = np.zeros_like(self.weights)
         np.put_along_axis(kept, indices, shares, axis=1)
-        return Handles(self.positions, kept, self.features, self.roles)
+        return Handles(self.positions, kept, self.features, self.roles, self.rigid)
 
 
 def top_influences(weights: np.ndarray, count: int = 4) -> tuple[np.ndarray, np.ndarray]:

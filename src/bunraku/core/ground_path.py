@@ -74,7 +74,7 @@ class GroundPath(Constraint):
         """The same path in another unit."""
         return GroundPath(tuple((x * scale, z * scale) for x, z in self.points), self.times)
 
-    def places(self, frames: int, fps: float) -> np.ndarray:
+    def positions(self, frames: int, fps: float) -> np.ndarray:
         """Where the root is in each frame [m], shape (N, 2).
 
         Raises:
@@ -109,8 +109,8 @@ class GroundPath(Constraint):
         """Where who follows the path looks in each frame [rad], shape (N,): along it, or back; 0 is +Z, positive turns
         towards +X.
         """
-        places = self.places(frames, fps)
-        way = np.gradient(places, axis=0) if frames > 1 else np.zeros_like(places)
+        positions = self.positions(frames, fps)
+        way = np.gradient(positions, axis=0) if frames > 1 else np.zeros_like(positions)
         speed = np.linalg.norm(way, axis=1)
         moves = np.flatnonzero(speed > 1e-3 * max(float(speed.max()), 1e-12))
         angle = np.unwrap(np.arctan2(way[moves, 0], way[moves, 1]))
@@ -129,7 +129,7 @@ def bent_to_path(
         start: What of the path is at the root of a character that stands at the origin [m].
         size: Height of its root handle [m], for how far it may sway.
     """
-    want = path.places(len(motion), motion.fps) + np.asarray(start, float)
+    want = path.positions(len(motion), motion.fps) + np.asarray(start, float)
     root = motion.root_translation.astype(float)
     off = root[:, [0, 2]] - want
     sway = off - gaussian_filter1d(off, SWAY * motion.fps, axis=0, mode="nearest")

@@ -78,7 +78,7 @@ class MmdIk:
     Args:
         target: The bone that is brought to it, such as an ankle.
         loops: How often the links are gone through.
-        limit: Largest turn of a link in one step [rad].
+        limit: Largest rotation of a link in one step [rad].
         links: The bones that turn, from the target up.
     """
 
@@ -95,13 +95,13 @@ class MmdBone:
     Args:
         name: Japanese name, by which motions know it.
         english: English name, often empty.
-        position: Place in the rest pose [m], shape (3,).
+        position: Position in the rest pose [m], shape (3,).
         parent: Index of its parent, -1 for none.
         layer: Bones of higher layers are deformed later.
         after_physics: Whether it is deformed after the rigid bodies have moved.
         rotates: Whether motions may turn it.
         moves: Whether motions may move it.
-        tail: Where it points, from its place [m], shape (3,).
+        tail: Where it points, from its position [m], shape (3,).
         append: What it takes over of another bone's motion.
         fixed_axis: The only axis that it turns about, shape (3,), or None.
         local_axes: Rows x, y, z for handles of editors, shape (3, 3), or None.
@@ -188,7 +188,7 @@ class MmdJoint:
     Args:
         name: Its name.
         bodies: The two bodies, A and B.
-        position: Its place in the rest pose [m], shape (3,).
+        position: Its position in the rest pose [m], shape (3,).
         rotation: Its axes in the rest pose, columns, shape (3, 3).
         lower: Smallest displacement of B along the axes [m], shape (3,).
         upper: Largest one [m], shape (3,); a range that is empty (lower > upper) is free, as Bullet means it.
@@ -241,7 +241,7 @@ class MmdModel:
         joints: Their joints.
         deforms: How each vertex deforms: 0 BDEF1, 1 BDEF2, 2 BDEF4, 3 SDEF, 4 QDEF; shape (V,).
         sdef: Constants of those that are SDEF.
-        warnings: What of the file was broken and left out or mended, a sentence each.
+        warnings: What of the file was broken and left out or repaired, a sentence each.
     """
 
     name: str
@@ -262,7 +262,7 @@ class MmdModel:
 
     @property
     def positions(self) -> np.ndarray:
-        """Places of the bones in the rest pose [m], shape (B, 3)."""
+        """Positions of the bones in the rest pose [m], shape (B, 3)."""
         return np.array([bone.position for bone in self.bones], float).reshape(-1, 3)
 
     @property
@@ -288,7 +288,7 @@ def mmd_model(character: Any) -> MmdModel | None:
 
 
 def mmd_points(values: Any) -> np.ndarray:
-    """Places or directions of MMD in our frame [m], shape (..., 3)."""
+    """Positions or directions of MMD in our frame [m], shape (..., 3)."""
     return np.asarray(np.asarray(values, float) * _MIRROR * MMD_METRE + 0.0)  # no negative zeros
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,8 +20,8 @@ __all__ = ["HandleMotion", "SkeletalMotion", "Skeleton", "line_up", "local_rotat
 
 def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
     out = np.ascontiguousarray(value, dtype=dtype)
-    if out.ndim != len(shape) or any(
-        want is not None and have != want for have, want in zip(out.shape, shape, strict=True)
+    if out.shape != tuple(
+        [have if want is None else want for have, want in zip_longest(out.shape, shape, fillvalue=-1)]
     ):
         raise MotionError(f"{what} must have shape {shape} with None for any length, not {out.shape}")
     if not np.isfinite(out).all():
@@ -125,7 +126,7 @@ class SkeletalMotion:
             positions[:, joint] = positions[:, parent] + rotations[:, parent] @ self.skeleton.offsets[joint]
         return rotations, positions
 
-    def save(self, path: str | Path, **options: Any) -> Path:
+    def save(self, path: str | Path, **options: object) -> Path:
         """Write the motion in the format that the file's suffix names, .bvh or .vrma, and return the path (see
         `bunraku.io.save_motion`).
         """
@@ -225,7 +226,7 @@ class HandleMotion:
         )
         return out
 
-    def save(self, path: str | Path, **options: Any) -> Path:
+    def save(self, path: str | Path, **options: object) -> Path:
         """Write a motion of the reference body in the format that the file's suffix names, and return the path.
 
         .npz holds it as it is; .bvh and .vrma hold what the body's 22 joints do (see `bunraku.io.save_motion`).

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ class PointAnimation:
 
     Args:
         animation: The skinned part, N frames.
-        offsets: Displacement of each vertex from its skinned place, in the world [m], shape (N, V, 3).
+        offsets: Displacement of each vertex from its skinned position, in the world [m], shape (N, V, 3).
 
     Raises:
         MotionError: The offsets have another shape, or a value is not finite.
@@ -90,7 +89,11 @@ class PointAnimation:
             return self
         return PointAnimation(moved, Resampling.of(len(self.offsets), self.motion.fps, fps).linear(self.offsets))
 
-    def save(self, path: str | Path, **options: Any) -> Path:
+    def take(self, frames: slice) -> PointAnimation:
+        """Some of its frames."""
+        return PointAnimation(self.animation.take(frames), self.offsets[frames])
+
+    def save(self, path: str | Path, **options: object) -> Path:
         """Write the animation in the format that the file's suffix names and return the path.
 
         A .glb has the skin, and morph targets for what moves on its own; .usd, .usdc, .usda and .usdz have the points

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,14 +23,14 @@ __all__ = ["RigAnimation", "bone_order"]
 class RigAnimation:
     """A character driven by the J bones of its own rig.
 
-    A bone's turn is counted from the rest pose, in axes that are the world's there, as in `SkeletalMotion`: identities
-    and zeros put the character into its rest pose.
+    A bone's rotation is counted from the rest pose, in axes that are the world's there, as in `SkeletalMotion`:
+    identities and zeros put the character into its rest pose.
 
     Args:
         character: The character, with its rig.
-        rotations: Turn of each bone in its parent's frame, shape (N, J, 3, 3).
-        translations: How far each bone's head leaves its rest place, in its parent's frame [m], shape (N, J, 3); zero
-            where bones keep their lengths. For a bone without a parent it is in the world.
+        rotations: Rotation of each bone in its parent's frame, shape (N, J, 3, 3).
+        translations: How far each bone's head leaves its rest position, in its parent's frame [m], shape (N, J, 3);
+            zero where bones keep their lengths. For a bone without a parent it is in the world.
         fps: Frames a second [1/s].
         reference: The motion of the reference body that this was fitted from, where it is known.
 
@@ -77,7 +76,7 @@ class RigAnimation:
 
         Args:
             character: With a rig.
-            world_rotations: World turn of each bone from its rest pose, shape (N, J, 3, 3).
+            world_rotations: World rotation of each bone from its rest pose, shape (N, J, 3, 3).
             positions: Where its head is [m], shape (N, J, 3).
             fps: Frames a second [1/s].
             reference: As above.
@@ -103,8 +102,8 @@ class RigAnimation:
         return len(self) / self.fps
 
     def world(self) -> tuple[np.ndarray, np.ndarray]:
-        """Forward kinematics: world turn of each bone from its rest pose (N, J, 3, 3), and where its head is [m] (N, J,
-        3), float64.
+        """Forward kinematics: world rotation of each bone from its rest pose (N, J, 3, 3), and where its head is [m]
+        (N, J, 3), float64.
         """
         rig = self.character.rig
         assert rig is not None
@@ -182,7 +181,13 @@ class RigAnimation:
         moved = between.linear(self.translations.astype(float))
         return RigAnimation(self.character, between.rotations(self.rotations), moved, fps)
 
-    def save(self, path: str | Path, **options: Any) -> Path:
+    def take(self, frames: slice) -> RigAnimation:
+        """Some of its frames, and of the motion that it was fitted from where that has as many."""
+        known = self.reference
+        known = known.take(frames) if known is not None and len(known) == len(self) else None
+        return RigAnimation(self.character, self.rotations[frames], self.translations[frames], self.fps, known)
+
+    def save(self, path: str | Path, **options: object) -> Path:
         """Write the animation: a .glb keeps the file's own nodes, skins and materials, a .vmd the bones of an MMD
         model.
 

@@ -24,16 +24,16 @@ def _turn(first: np.ndarray, last: np.ndarray) -> float:
     return math.atan2(between[0, 2] - between[2, 0], between[0, 0] + between[2, 2])
 
 
-def moved(motion: HandleMotion, angle: float, place: np.ndarray) -> HandleMotion:
+def moved(motion: HandleMotion, angle: float, position: np.ndarray) -> HandleMotion:
     """The motion turned about +Y through the origin and then moved.
 
     Args:
         motion: N frames.
         angle: Turn [rad], +Z towards +X.
-        place: Way [m], shape (3,).
+        position: Way [m], shape (3,).
     """
     turn = matrix_y(np.array([angle]))[0]
-    path = motion.root_translation @ turn.T + place
+    path = motion.root_translation @ turn.T + position
     return replace(motion, root_translation=path, root_rotation=turn @ motion.root_rotation)
 
 
@@ -124,7 +124,7 @@ def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> Hand
 
 
 def in_place(motion: HandleMotion, loop: bool = False) -> HandleMotion:
-    """The motion without its way over the ground: the swaying of the root stays, the travelling goes.
+    """The motion without its travel over the ground: the swaying of the root stays, the travelling goes.
 
     Args:
         motion: N frames.
@@ -169,7 +169,7 @@ def put_back(
         first: First frame that was made; all before it are kept.
         after: The frame after the last that was made.
         fade: Frames at the edges of the span over which a difference between the two at the next kept frame fades out;
-            one in the root's place on the ground fades over the whole span, so that no foot slides for it. 0 leaves
+            one in the root's position on the ground fades over the whole span, so that no foot slides for it. 0 leaves
             differences as they are.
     """
     count = len(original)

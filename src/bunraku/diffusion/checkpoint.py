@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -34,7 +34,9 @@ def build_denoiser(config: DenoiserConfig) -> Denoiser:
     raise WeightsError(f"the architecture '{config.architecture}' is unknown; there are {' and '.join(ARCHITECTURES)}")
 
 
-def save_denoiser(path: str | Path, model: Denoiser, notes: dict[str, Any] | None = None, half: bool = True) -> Path:
+def save_denoiser(
+    path: str | Path, model: Denoiser, notes: Mapping[str, object] | None = None, half: bool = True
+) -> Path:
     """Write a denoiser with its config; `notes` (data, steps, time) go into the config's "notes"."""
     return save_checkpoint(path, model.state_dict(), asdict(model.config) | {"notes": notes or {}}, KIND, half=half)
 

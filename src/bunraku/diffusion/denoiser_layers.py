@@ -67,8 +67,13 @@ def drawn(value: Tensor, deviation: float) -> Tensor:
 
 def _turn(value: Tensor, rotary: Rotary) -> Tensor:
     first, second = value.chunk(2, dim=-1)
-    cos, sin = (part.to(value.dtype) for part in rotary)
+    cos, sin = rotary[0].to(value.dtype), rotary[1].to(value.dtype)
     return torch.cat([first * cos - second * sin, first * sin + second * cos], dim=-1)
+
+
+def _heads(value: Tensor, heads: int, parts: int = 1) -> tuple[Tensor, ...]:
+    """Queries, keys or values of each head, shape (B, H, T, d/H), from as many side by side, shape (B, T, parts d)."""
+    return value.unflatten(-1, (parts, heads, -1)).permute(2, 0, 3, 1, 4).unbind()
 
 
 def _attend(query: Tensor, key: Tensor, value: Tensor, mask: Tensor | None) -> Tensor:
@@ -124,16 +129,14 @@ class _ExampleAttention(nn.Module):
         self.query, self.key, self.value = (nn.Linear(width, width) for _ in range(3))
         self.out = _without_effect(nn.Linear(width, width))
 
-    def _split(self, value: Tensor) -> Tensor:
-        return value.unflatten(-1, (self.heads, -1)).transpose(1, 2)
-
     def forward(self, x: Tensor, rotary: Rotary, examples: tuple[Tensor, ...]) -> Tensor:
         """x (B, T, d); keys (B, M, d), values (B, M, d) and mask (B, 1, 1, M) of the examples' tokens, and their
         rotary positions.
         """
         keys, values, mask, cos, sin = examples
-        query, key = _turn(self._split(self.query(x)), rotary), _turn(self._split(self.key(keys)), (cos, sin))
-        mixed = _attend(query, key, self._split(self.value(values)), mask)
+        query, key = _heads(self.query(x), self.heads)[0], _heads(self.key(keys), self.heads)[0]
+        value = _heads(self.value(values), self.heads)[0]
+        mixed = _attend(_turn(query, rotary), _turn(key, (cos, sin)), value, mask)
         out: Tensor = self.out(mixed.transpose(1, 2).flatten(2))
         return out
 
@@ -162,9 +165,6 @@ class DecoderLayer(nn.Module):
         self.convolution = _Convolution(width, config.convolution) if config.convolution else None
         self.examples = _ExampleAttention(width, config.heads) if examples else None
 
-    def _split(self, value: Tensor) -> Tensor:
-        return value.unflatten(-1, (self.heads, -1)).transpose(1, 2)
-
     def forward(
         self,
         x: Tensor,
@@ -186,13 +186,14 @@ class DecoderLayer(nn.Module):
         def norm(parts: tuple[Tensor, ...], index: int) -> Tensor:
             return F.layer_norm(x, x.shape[-1:]) * (1 + parts[index]) + parts[index + 1]
 
-        query, key, value = (self._split(part) for part in self.self_in(norm(own, 0)).chunk(3, dim=-1))
+        query, key, value = _heads(self.self_in(norm(own, 0)), self.heads, 3)
         mixed = _attend(_turn(query, rotary), _turn(key, rotary), value, mask)
         x = x + own[2] * self.self_out(mixed.transpose(1, 2).flatten(2))
         if self.convolution is not None:
             x = x + more[2] * self.convolution(norm(more, 0), mask)
-        key, value = (self._split(part) for part in self.cross_memory(memory).chunk(2, dim=-1))
-        mixed = _attend(self._split(self.cross_query(norm(own, 3))), key, value, memory_mask)
+        (query,) = _heads(self.cross_query(norm(own, 3)), self.heads)
+        key, value = _heads(self.cross_memory(memory), self.heads, 2)
+        mixed = _attend(query, key, value, memory_mask)
         x = x + own[5] * self.cross_out(mixed.transpose(1, 2).flatten(2))
         if self.examples is not None and examples:
             x = x + more[-1] * self.examples(norm(more, len(more) - 3), rotary, examples)

@@ -23,8 +23,7 @@ import numpy as np
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import MotionError
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import matrix_from_6d, matrix_to_6d, matrix_y
+from bunraku.geometry.rotations import heading, matrix_from_6d, matrix_to_6d, matrix_y
 
 __all__ = [
     "decode",
@@ -88,21 +87,21 @@ def decode(features: np.ndarray, fps: float = 20.0) -> HandleMotion:
     velocity[:, [0, 2]] = x[:, 1:3] / fps
     turns[:1], velocity[:1] = 0, 0
     facing = matrix_y(np.cumsum(turns))
-    place = np.cumsum(np.einsum("nij,nj->ni", facing, velocity), axis=0)
-    place[:, 1] = x[:, 3]
+    position = np.cumsum(np.einsum("nij,nj->ni", facing, velocity), axis=0)
+    position[:, 1] = x[:, 3]
     local = x[:, ROOT_SIZE:].reshape(frames, HANDLE_COUNT - 1, 9)
     translations = np.zeros((frames, HANDLE_COUNT, 3))
     translations[:, 1:] = local[..., :3]
     rotations = np.broadcast_to(np.eye(3), (frames, HANDLE_COUNT, 3, 3)).copy()
     rotations[:, 1:] = matrix_from_6d(local[..., 3:])
-    return HandleMotion(translations, rotations, place, facing @ matrix_from_6d(x[:, 4:10]), fps)
+    return HandleMotion(translations, rotations, position, facing @ matrix_from_6d(x[:, 4:10]), fps)
 
 
 def root_velocities(way: np.ndarray, fps: float) -> np.ndarray:
     """The first three features of a root that goes a way, shape (N, 3).
 
     Args:
-        way: Place (x, z) [m] and heading [rad] in each frame, shape (N, 3).
+        way: Position (x, z) [m] and heading [rad] in each frame, shape (N, 3).
         fps: Frames a second [1/s].
     """
     step, angle = np.diff(way[:, :2], axis=0, prepend=way[:1, :2]), way[:, 2]
@@ -120,7 +119,7 @@ def _mirror_map() -> tuple[np.ndarray, np.ndarray]:
     sign[:2] = -1
     sign[4:10] = _SIX_SIGNS
     for handle in range(1, HANDLE_COUNT):
-        here, there = (ROOT_SIZE + 9 * (which - 1) for which in (handle, HANDLE_MIRROR[handle]))
+        here, there = ROOT_SIZE + 9 * (handle - 1), ROOT_SIZE + 9 * (HANDLE_MIRROR[handle] - 1)
         order[here : here + 9] = np.arange(there, there + 9)
         sign[here : here + 9] = [-1, 1, 1, *_SIX_SIGNS]
     return order, sign

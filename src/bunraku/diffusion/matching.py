@@ -8,15 +8,16 @@ vector; the sentence comes from the frozen text encoder's tokens. Vectors have t
 
 The corrected protocol. MDM's evaluation embedded the captions of generated motions with the number of padded tokens in
 place of the number of words, while real motions got the right number, so the same caption had two different vectors and
-generated rows looked worse (its issue 182, mended in January 2024). Here there is one path for all rows: sentences are
-embedded by `embed_sentences` alone, each once, with the tokenizer's own mask, and neither padding nor the rest of the
-batch can change a vector. The same holds for motions: `embed_motions` masks what lies behind a motion's end. Tests hold
-both.
+generated rows looked worse (its issue 182, repaired in January 2024). Here there is one path for all rows: sentences
+are embedded by `embed_sentences` alone, each once, with the tokenizer's own mask, and neither padding nor the rest of
+the batch can change a vector. The same holds for motions: `embed_motions` masks what lies behind a motion's end. Tests
+hold both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -28,22 +29,31 @@ from torch import Tensor, nn
 
 from bunraku.diffusion.features import FEATURE_SIZE, feature_weights
 from bunraku.errors import WeightsError
+from bunraku.formats.files import weights_folder
 from bunraku.language.encoders import MiniLMEncoder, TextBatch, TextEncoder
-from bunraku.nn.checkpoints import config_of, fitted_network, load_checkpoint, save_checkpoint
+from bunraku.nn.checkpoints import config_of, dated_checkpoint, fitted_network, load_checkpoint, save_checkpoint
 
 __all__ = [
+    "LONGEST",
     "RADIUS",
     "RANKER",
+    "SHORTEST",
     "Extractor",
     "ExtractorConfig",
     "embed_motions",
     "embed_sentences",
+    "load_critic",
     "load_extractor",
+    "load_ranker",
     "save_extractor",
+    "sentence_vectors",
 ]
 
 KIND, RANKER = "extractor", "ranker"
 """Kinds of checkpoints: who judges, and who chooses."""
+LONGEST = 196
+"""Frames that the ranker looks at at once; longer parts are looked at in pieces."""
+SHORTEST = 8
 RADIUS = 10.0
 FARTHEST = 8.0  # standard deviations, as in training of the denoiser
 
@@ -96,10 +106,8 @@ class _Layer(nn.Module):
 
     def forward(self, x: Tensor, mask: Tensor) -> Tensor:
         """x (B, T, d), mask (B, T), True where real."""
-        query, key, value = (
-            part.unflatten(-1, (self.heads, -1)).transpose(1, 2)
-            for part in self.inside(self.norm_a(x)).chunk(3, dim=-1)
-        )
+        parts = self.inside(self.norm_a(x)).unflatten(-1, (3, self.heads, -1))
+        query, key, value = parts.permute(2, 0, 3, 1, 4).unbind()  # shape (B, H, T, d/H) each
         # written out: torch's fused backward takes most of a step on a CPU
         scores = ((query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)).masked_fill(~mask[:, None, None], -1e4)
         mixed = torch.softmax(scores, dim=-1, dtype=scores.dtype) @ value
@@ -131,7 +139,9 @@ class Extractor(nn.Module):
         self.register_buffer(
             "weights", torch.from_numpy(np.sqrt(weights))
         )  # idle handles count less, as in the denoiser's loss
-        self.register_buffer("rates", 1000.0 ** (-torch.arange(0, width, 2) / width), persistent=False)
+        # On the meta device, where sizes are compared, `arange` would load torch's compiler, which takes two seconds.
+        even = torch.arange(0, width, 2, device="cpu")
+        self.register_buffer("rates", 1000.0 ** (-even / width), persistent=False)
         self.motion_in = nn.Linear(config.features * config.frames_per_token, width)
         self.motion_layers = _layers(config, config.layers)
         self.motion_norm = nn.LayerNorm(2 * width)
@@ -147,7 +157,7 @@ class Extractor(nn.Module):
         )
         self.log_scale = nn.Parameter(torch.tensor(2.7))  # of the cosines in the loss
 
-    def _places(self, tokens: int, device: torch.device) -> Tensor:
+    def _positions(self, tokens: int, device: torch.device) -> Tensor:
         angle = torch.arange(tokens, device=device)[:, None] * self.rates
         return 0.5 * torch.cat([angle.cos(), angle.sin()], dim=-1)
 
@@ -169,7 +179,7 @@ class Extractor(nn.Module):
         x = F.pad(x, (0, 0, 0, tokens * patch - frames)).masked_fill(~real[..., None], 0)
         mask = real.view(batch, tokens, patch).any(-1)
         h = self.motion_in(x.reshape(batch, tokens, -1))
-        h = h + self._places(tokens, h.device).to(h.dtype)
+        h = h + self._positions(tokens, h.device).to(h.dtype)
         for layer in self.motion_layers:
             h = layer(h, mask)
         most = h.masked_fill(~mask[..., None], -1e4).amax(1)  # a short event in a long motion survives in the maximum
@@ -214,18 +224,24 @@ def embed_motions(extractor: Extractor, motions: Sequence[np.ndarray], batch: in
 
 
 @torch.inference_mode()
+def sentence_vectors(extractor: Extractor, batch: TextBatch) -> np.ndarray:
+    """The vectors of encoded sentences, shape (B, E), float64."""
+    return np.asarray(extractor.text(batch.to(extractor.mean.device)).double().cpu().numpy())
+
+
 def embed_sentences(extractor: Extractor, encoder: TextEncoder, sentences: Sequence[str]) -> dict[str, np.ndarray]:
     """The vector of each sentence, float64, shape (E,): one for all rows of a table."""
     distinct = sorted(set(sentences))
     found: dict[str, np.ndarray] = {}
     for start in range(0, len(distinct), 256):
         part = distinct[start : start + 256]
-        vectors = extractor.text(encoder.encode(part).to(extractor.mean.device)).double().cpu().numpy()
-        found.update(zip(part, vectors, strict=True))
+        found.update(zip(part, sentence_vectors(extractor, encoder.encode(part)), strict=True))
     return found
 
 
-def save_extractor(path: str | Path, model: Extractor, notes: dict[str, Any] | None = None, kind: str = KIND) -> Path:
+def save_extractor(
+    path: str | Path, model: Extractor, notes: Mapping[str, object] | None = None, kind: str = KIND
+) -> Path:
     """Write an extractor, or a ranker, in half precision with its config."""
     return save_checkpoint(path, model.state_dict(), asdict(model.config) | {"notes": notes or {}}, kind, half=True)
 
@@ -248,3 +264,32 @@ def load_extractor(path: str | Path, device: str | torch.device = "cpu", kind: s
             "again"
         ) from error
     return model.to(device).eval().requires_grad_(False)
+
+
+def load_ranker(path: str | Path | None = None) -> Extractor:
+    """The ranker, kept between calls as long as the file does not change.
+
+    Args:
+        path: Weights in place of the shipped ones.
+
+    Raises:
+        WeightsError: The weights are missing or broken.
+    """
+    return _load(*dated_checkpoint("ranker", path))
+
+
+def load_critic() -> Extractor | None:
+    """The critic, which guides motions (`sampling.classifier_guidance`) and, trained apart from the
+    ranker, chooses none; None where the file was taken away.
+
+    Raises:
+        WeightsError: The weights are broken.
+    """
+    if not (weights_folder() / "critic.safetensors").is_file():
+        return None
+    return _load(*dated_checkpoint("critic"))
+
+
+@functools.lru_cache(maxsize=4)
+def _load(path: Path, changed: int) -> Extractor:
+    return load_extractor(path, kind=RANKER)

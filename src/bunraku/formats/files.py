@@ -12,7 +12,8 @@ import stat
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import BinaryIO
 from urllib.parse import unquote
@@ -27,6 +28,8 @@ __all__ = [
     "check_output_folder",
     "check_text",
     "inside",
+    "open_input",
+    "open_once",
     "open_to_others",
     "read_bounded",
     "sweep",
@@ -43,6 +46,35 @@ _TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{6})-(?P<process>\d{1,10})-[
 
 MAX_TEXT_BYTES = 400 << 20
 """Largest mesh or motion that is read as text [bytes]: words take some ten times their file's memory."""
+
+_open: ContextVar[tuple[ExitStack, dict[Path, BinaryIO]] | None] = ContextVar("open", default=None)
+"""Files that stay open within `open_once`."""
+
+
+@contextmanager
+def open_once() -> Iterator[None]:
+    """Files that are read within are opened once and closed at the end, so that what is told apart is what is read."""
+    with ExitStack() as stack:
+        before = _open.set((stack, {}))
+        try:
+            yield
+        finally:
+            _open.reset(before)
+
+
+@contextmanager
+def open_input(path: Path) -> Iterator[BinaryIO]:
+    """A file to be read from its beginning; the one that is open already within `open_once`."""
+    known = _open.get()
+    if known is None:
+        with path.open("rb") as file:
+            yield file
+        return
+    stack, files = known
+    if path not in files:
+        files[path] = stack.enter_context(path.open("rb"))
+    files[path].seek(0)
+    yield files[path]
 
 
 def check_input(path: Path) -> int:
@@ -144,7 +176,7 @@ def check_output_folder(path: Path) -> None:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise FormatError(
-            path, f"the folder {folder} cannot be created ({_reason(error)}); choose another place"
+            path, f"the folder {folder} cannot be created ({_reason(error)}); choose another folder"
         ) from None
 
 
@@ -163,7 +195,7 @@ def writing(path: Path, what: str = "file") -> Iterator[None]:
         yield
     except OSError as error:
         raise FormatError(
-            path, f"the {what} cannot be written ({_reason(error)}); choose another place or free some space"
+            path, f"the {what} cannot be written ({_reason(error)}); choose another folder or free some space"
         ) from None
 
 

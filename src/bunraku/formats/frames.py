@@ -21,7 +21,7 @@ _TURNS = {"+y": np.eye(3), "+z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
 
 @dataclass(frozen=True, eq=False)
 class FileFrame:
-    """How places and turns of ours are said in a file.
+    """How positions and rotations of ours are written in a file.
 
     Args:
         turn: What turns our axes to the file's, shape (3, 3).

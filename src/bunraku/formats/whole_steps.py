@@ -18,7 +18,7 @@ def lzma_filters(preset: int, window: int) -> list[dict[str, Any]]:
     return [{"id": lzma.FILTER_LZMA2, "preset": preset, "dict_size": window}]
 
 
-def pack_steps(values: np.ndarray, order: int, filters: Sequence[dict[str, Any]]) -> bytes:
+def pack_steps(values: np.ndarray, order: int, filters: Sequence[dict[str, object]]) -> bytes:
     """Numbers, packed.
 
     Args:
@@ -34,7 +34,7 @@ def pack_steps(values: np.ndarray, order: int, filters: Sequence[dict[str, Any]]
     return lzma.compress(planes, lzma.FORMAT_RAW, filters=list(filters))
 
 
-def unpack_steps(data: bytes, rows: int, columns: int, order: int, filters: Sequence[dict[str, Any]]) -> np.ndarray:
+def unpack_steps(data: bytes, rows: int, columns: int, order: int, filters: Sequence[dict[str, object]]) -> np.ndarray:
     """What `pack_steps` packed, in bounded memory, shape (rows, columns), int64.
 
     Raises:

@@ -53,8 +53,8 @@ def upright_rotation(up: str, front: str) -> np.ndarray:
     """
     if up[1] == front[1]:
         raise OptionError(f"{up} cannot be up while {front} is the front; choose two axes at a right angle")
-    rows = [np.cross(axis_vector(up), axis_vector(front)), axis_vector(up), axis_vector(front)]
-    return np.array(rows) + 0.0  # no negative zeros
+    above, ahead = axis_vector(up), axis_vector(front)
+    return np.array([np.cross(above, ahead), above, ahead]) + 0.0  # no negative zeros
 
 
 def right_angle_rotations() -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Nearest points on a mesh near a known place, as one sparse matrix of smooth barycentric weights."""
+"""Nearest points on a mesh near a known position, as one sparse matrix of smooth barycentric weights."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _walk(points: np.ndarray, home: np.ndarray, found: _Found, stars: _Stars) ->
 def blend_matrix(
     points: np.ndarray, home: np.ndarray, vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, width: float
 ) -> csr_matrix:
-    """Weights of mesh vertices at points whose place on the mesh is roughly known.
+    """Weights of mesh vertices at points whose position on the mesh is roughly known.
 
     Each point takes the nearest points of the triangles around its home vertex and their barycentric weights, blended
     by `exp(-(d^2 - d_min^2) / (2 width^2))`, so that the weights change smoothly from one triangle to the next. Where

@@ -115,11 +115,11 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
     They are sorted along one fixed direction that no usual model is aligned with, so that neighbours keep their order
     under rounding; equal ones by x, y and z.
     """
-    place = along(points)
-    order = np.argsort(place, kind="stable")
-    tied = np.flatnonzero(place[order[1:]] == place[order[:-1]])
+    index = along(points)
+    order = np.argsort(index, kind="stable")
+    tied = np.flatnonzero(index[order[1:]] == index[order[:-1]])
     if len(tied) and (points[order[tied]] != points[order[tied + 1]]).any():
-        order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], place))
+        order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], index))
     return order
 
 

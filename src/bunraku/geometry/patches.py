@@ -10,10 +10,9 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.graph import CleanMesh, along, distinct_faces, mesh_parts, pack, unique_edges, unpack_pairs
-from bunraku.geometry.normals import vertex_normals
 from bunraku.geometry.subdivision import split_estimate, split_long_edges
+from bunraku.geometry.surface import vertex_areas, vertex_normals
 
 __all__ = ["FineMesh", "Patches", "find_patches", "refine", "soft_means"]
 

@@ -2,7 +2,7 @@
 
 Every function takes numpy arrays or torch tensors and answers in kind, keeps the floating type, and works on any
 leading shape. Matrices act on column vectors. Quaternions are xyzw with a non-negative w, as in files. 6D is the first
-two columns of the matrix, column after column (Zhou et al. 2019).
+two columns of the matrix, column after column (Zhou et al. 2019). A heading is the angle about +Y that one faces.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 __all__ = [
     "adjugates",
     "axis_angle_from_matrix",
+    "heading",
     "matrix_from_6d",
     "matrix_from_axis_angle",
     "matrix_from_quaternion",
@@ -24,6 +25,7 @@ __all__ = [
     "quaternion_slerp",
     "rotation_between",
 ]
+
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -75,12 +77,12 @@ def matrix_from_quaternion(quaternion: Array) -> Array:
     xp = _xp(quaternion)
     q = _unit(xp, quaternion)
     x, y, z, w = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    rows = [
-        _stack(xp, [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1),
-        _stack(xp, [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1),
-        _stack(xp, [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1),
-    ]
-    return _stack(xp, rows, -2)
+    entries = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+        2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+        2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return _stack(xp, entries, -1).reshape(*q.shape[:-1], 3, 3)
 
 
 def quaternion_from_matrix(matrix: Array) -> Array:
@@ -93,17 +95,10 @@ def quaternion_from_matrix(matrix: Array) -> Array:
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     d, e, f = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
-    candidates = _stack(
-        xp,
-        [
-            _stack(xp, [1 + xx - yy - zz, d, e, a], -1),
-            _stack(xp, [d, 1 - xx + yy - zz, f, b], -1),
-            _stack(xp, [e, f, 1 - xx - yy + zz, c], -1),
-            _stack(xp, [a, b, c, 1 + xx + yy + zz], -1),
-        ],
-        -2,
-    )
-    diagonal = _stack(xp, [candidates[..., i, i] for i in range(4)], -1)
+    own = [1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz]
+    diagonal = _stack(xp, own, -1)
+    entries = [own[0], d, e, a, d, own[1], f, b, e, f, own[2], c, a, b, c, own[3]]
+    candidates = _stack(xp, entries, -1).reshape(*diagonal.shape, 4)
     best = diagonal.argmax(-1)[..., None, None]
     if xp is np:
         chosen = np.take_along_axis(candidates, np.broadcast_to(best, (*best.shape[:-1], 4)), axis=-2)[..., 0, :]
@@ -139,9 +134,7 @@ def matrix_y(angle: Array) -> Array:
     """Rotations about +Y by an angle [rad], shape [...] -> [..., 3, 3]; a positive angle turns +Z towards +X."""
     xp = _xp(angle)
     c, s, zero, one = xp.cos(angle), xp.sin(angle), xp.zeros_like(angle), xp.ones_like(angle)
-    return _stack(
-        xp, [_stack(xp, [c, zero, s], -1), _stack(xp, [zero, one, zero], -1), _stack(xp, [-s, zero, c], -1)], -2
-    )
+    return _stack(xp, [c, zero, s, zero, one, zero, -s, zero, c], -1).reshape(*c.shape, 3, 3)
 
 
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -192,3 +185,30 @@ def adjugates(matrices: np.ndarray) -> np.ndarray:
         out[..., 1, column] = az * bx - ax * bz
         out[..., 2, column] = ax * by - ay * bx
     return out
+
+
+def heading(root_rotation: np.ndarray, fps: float = 20.0) -> np.ndarray:
+    """Where the root faces: its turn about +Y, unwrapped and smooth.
+
+    The turn is the twist of the rotation about +Y, which stays well defined for a body lying on its back, front or
+    side, unlike the projection of +Z, with which it agrees when upright. It is lost only upside down: each frame counts
+    by how well defined it is in a Gaussian mean over 0.1 s, and stretches without any are bridged.
+
+    Args:
+        root_rotation: Rotations, shape (N, 3, 3).
+        fps: Frames a second [1/s].
+
+    Returns:
+        Angles [rad], shape (N,), float64; 0 faces +Z, positive turns towards +X. Always finite.
+    """
+    from scipy.ndimage import gaussian_filter1d  # readers of files that have rotations need no scipy
+
+    quaternion = quaternion_from_matrix(np.asarray(root_rotation, float))
+    y, w = quaternion[:, 1], quaternion[:, 3]
+    vector = np.stack([w * w - y * y, 2 * w * y], -1)  # (cos, sin) of the twist times w^2 + y^2
+    vector = gaussian_filter1d(vector, 0.1 * fps, axis=0, mode="nearest")
+    sure = np.hypot(vector[:, 0], vector[:, 1]) > 0.05
+    if not sure.any():
+        return np.zeros(len(vector))
+    frames = np.arange(len(vector))
+    return np.interp(frames, frames[sure], np.unwrap(np.arctan2(vector[sure, 1], vector[sure, 0])))

@@ -17,7 +17,6 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from bunraku.errors import CharacterError
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.closest import blend_matrix
 from bunraku.geometry.graph import (
     CleanMesh,
@@ -30,6 +29,7 @@ from bunraku.geometry.graph import (
     unpack_pairs,
 )
 from bunraku.geometry.patches import FineMesh, Patches, find_patches, refine, soft_means
+from bunraku.geometry.surface import vertex_areas
 
 __all__ = ["NetworkMesh", "network_mesh", "network_views"]
 
@@ -82,7 +82,7 @@ class NetworkMesh:
         """Values of network vertices at every original vertex, shape (M, C) -> (V, C), float32.
 
         Barycentric at the nearest points of the network mesh around the vertex's own place in it, blended smoothly
-        across edges. All weights are positive and sum to 1, so rows that sum to 1 stay so. Vertices at one place get
+        across edges. All weights are positive and sum to 1, so rows that sum to 1 stay so. Vertices at one position get
         one value.
         """
         return self.push_clean(values)[self.clean.index]

@@ -129,8 +129,8 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
                 continue
             columns = limb_handles(side, family)
             members = _membership(mesh, graph, limbs + stubs)
-            for place, stub in enumerate(stubs, len(limbs)):
-                held = out[:, columns] * members[:, place : place + 1]
+            for index, stub in enumerate(stubs, len(limbs)):
+                held = out[:, columns] * members[:, index : index + 1]
                 out[:, columns] -= held
                 out[:, _body_handle(mesh, out, stub)] += held.sum(axis=1)
             members = members[:, : len(limbs)] / members[:, : len(limbs)].sum(axis=1, keepdims=True)
@@ -157,7 +157,7 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
         for limb, owner in enumerate(owners, 1)
         for part in sorted(set(owner))
     ]
-    fresh = _places(
+    fresh = _slots_of(
         [split.slot(limb, _part_played(part, owner)) for split, limb, part, owner in asked],
         len(SIDES) * max(before) * len(FAMILIES[0]),
         spare,
@@ -205,7 +205,7 @@ def _part_played(part: int, owner: list[int]) -> int:
     return 0 if part == owner[0] else part
 
 
-def _places(asked: list[int], slots: int, spare: list[int]) -> list[int]:
+def _slots_of(asked: list[int], slots: int, spare: list[int]) -> list[int]:
     """A spare handle for each slot that is asked for, so that a part more or less does not move the others.
 
     A slot has its own place in `_SPARE_FIRST`. Where the character uses that one itself, the slot has the next that no
@@ -213,9 +213,9 @@ def _places(asked: list[int], slots: int, spare: list[int]) -> list[int]:
     """
     own = [HANDLE_NAMES.index(_SPARE_FIRST[slot]) if slot < len(_SPARE_FIRST) else -1 for slot in range(slots)]
     free = [handle for handle in spare if handle not in own]
-    place = [handle if handle in spare else free.pop(0) if free else -1 for handle in own]
-    left = [handle for handle in spare if handle not in [place[slot] for slot in asked]]
-    return [place[slot] if place[slot] >= 0 else left.pop(0) for slot in asked]
+    index = [handle if handle in spare else free.pop(0) if free else -1 for handle in own]
+    left = [handle for handle in spare if handle not in [index[slot] for slot in asked]]
+    return [index[slot] if index[slot] >= 0 else left.pop(0) for slot in asked]
 
 
 def _without(weights: np.ndarray, spare: list[int]) -> np.ndarray:

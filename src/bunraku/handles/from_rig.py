@@ -10,10 +10,10 @@ from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
 from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints
 
-__all__ = ["rig_handles", "settle_joints"]
+__all__ = ["rig_handles", "resolve_joints"]
 
 
-def settle_joints(handles: np.ndarray, parents: np.ndarray) -> np.ndarray:
+def resolve_joints(handles: np.ndarray, parents: np.ndarray) -> np.ndarray:
     """Handles of joints where those whose names say nothing join their nearest ancestor that has one, or the root.
 
     Args:
@@ -58,7 +58,7 @@ def rig_handles(character: Character, least: int = 2) -> Handles:
             "each moves; "
             "rename them (hips, spine, head, left_hand ...) or let the handles be predicted"
         )
-    weights = dense @ np.eye(HANDLE_COUNT, dtype=np.float32)[settle_joints(known, rig.parents)]
+    weights = dense @ np.eye(HANDLE_COUNT, dtype=np.float32)[resolve_joints(known, rig.parents)]
     total = weights.sum(axis=1, keepdims=True)
     weights = np.where(total > 1e-6, weights / np.maximum(total, 1e-6), np.eye(1, HANDLE_COUNT, dtype=np.float32))
     return Handles(handle_positions(character.vertices, weights, areas), weights)

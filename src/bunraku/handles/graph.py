@@ -36,7 +36,7 @@ class MeshGraph:
         areas: Share of the surface that each vertex stands for, shape (V,), sums to 1.
         ranks: The n-th neighbours of the vertices that have so many, vertices in order of falling degree; every vertex
             is its own first neighbour. Shapes (V,), (V_1,), (V_2,) ...
-        place: Where each vertex is in that order, shape (V,).
+        position: Where each vertex is in that order, shape (V,).
         spread: Weights from anchors to vertices, rows sum to 1, shape (V, M).
         gather: Weights from vertices to anchors, rows sum to 1, shape (M, V).
         anchors: Positions of the anchors, shape (M, 3).
@@ -45,7 +45,7 @@ class MeshGraph:
     inputs: torch.Tensor
     areas: torch.Tensor
     ranks: tuple[torch.Tensor, ...]
-    place: torch.Tensor
+    position: torch.Tensor
     spread: torch.Tensor
     gather: torch.Tensor
     anchors: torch.Tensor
@@ -81,14 +81,14 @@ def _neighbour_ranks(edges: np.ndarray, count: int) -> tuple[list[np.ndarray], n
     both = both[np.argsort(both[:, 0], kind="stable")]
     degrees = np.bincount(both[:, 0], minlength=count)
     order = np.argsort(-degrees, kind="stable")
-    place = np.empty(count, np.int64)
-    place[order] = np.arange(count)
+    index = np.empty(count, np.int64)
+    index[order] = np.arange(count)
     starts = np.cumsum(degrees) - degrees
     ranks = [order]
     for n in range(int(degrees.max(initial=0))):
         rows = order[: int((degrees > n).sum())]
         ranks.append(both[starts[rows] + n, 1])
-    return ranks, place
+    return ranks, index
 
 
 def mesh_graph(
@@ -126,12 +126,12 @@ def mesh_graph(
     share /= share.sum()
     gather = (spread * share[:, None]).T
     gather /= np.maximum(gather.sum(axis=1, keepdims=True), 1e-20)
-    ranks, place = _neighbour_ranks(np.asarray(edges, np.int64), count)
+    ranks, number = _neighbour_ranks(np.asarray(edges, np.int64), count)
     return MeshGraph(
         inputs=torch.from_numpy(np.concatenate([positions, normals], axis=1).astype(np.float32)),
         areas=torch.from_numpy(share),
         ranks=tuple(torch.from_numpy(rank) for rank in ranks),
-        place=torch.from_numpy(place),
+        position=torch.from_numpy(number),
         spread=torch.from_numpy(spread),
         gather=torch.from_numpy(np.ascontiguousarray(gather, dtype=np.float32)),
         anchors=torch.from_numpy(points),
@@ -139,7 +139,8 @@ def mesh_graph(
 
 
 class AnchorBlock(nn.Module):
-    """One round in which the anchors hear of one another: attention, then an MLP, each added to what was there.
+    """One round in which the anchors pass messages to one another: attention, then an MLP, each added to what was
+    there.
 
     Args:
         width: Channels.

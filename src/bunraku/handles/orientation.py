@@ -12,13 +12,13 @@ import numpy as np
 from bunraku.core.character import Character
 from bunraku.formats.gltf.turning import turned
 from bunraku.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
-from bunraku.geometry.surface_points import surface_points
+from bunraku.geometry.surface import surface_points
 from bunraku.handles.orientation_evidence import combined, format_weights, has_rule
 
 if TYPE_CHECKING:
     from bunraku.handles.orientation_net import OrientationPredictor
 
-__all__ = ["SURE", "Orientation", "Settled", "guess_orientation", "settle", "settled_axes", "upright"]
+__all__ = ["SURE", "Orientation", "ResolvedAxes", "guess_orientation", "resolve_axes", "resolved_axes", "upright"]
 
 SURE = 0.9
 """From this probability on a guess is called sure, and may overrule the rule of a format."""
@@ -146,7 +146,7 @@ def _allowed(up: str | None, front: str | None) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class ResolvedAxes:
     """How a character is taken to stand.
 
     Args:
@@ -160,7 +160,9 @@ class Settled:
     guess: Orientation | None = None
 
 
-def settle(character: Character, up: str = "auto", front: str = "auto", *, suffix: str | None = None) -> Settled:
+def resolve_axes(
+    character: Character, up: str = "auto", front: str = "auto", *, suffix: str | None = None
+) -> ResolvedAxes:
     """How a character stands, from what is said about it, from its mesh, and from the rule of its format.
 
     Args:
@@ -176,19 +178,19 @@ def settle(character: Character, up: str = "auto", front: str = "auto", *, suffi
     said = [None if axis.strip().lower() == "auto" else axis_name(axis) for axis in (up, front)]
     if said[0] is not None and said[1] is not None:
         upright_rotation(said[0], said[1])
-        return Settled(said[0], said[1])
+        return ResolvedAxes(said[0], said[1])
     suffix = _suffix(character) if suffix is None else suffix
     rule = has_rule(suffix) and said == [None, None]
     # What is said against a rule says that the file breaks it, so the rest is judged as in a format without one.
     guess = guess_orientation(character, up=said[0], front=said[1], suffix=suffix if rule else _bare(suffix))
-    return Settled(*settled_axes(guess, rule), guess)
+    return ResolvedAxes(*resolved_axes(guess, rule), guess)
 
 
 def _bare(suffix: str) -> str:
     return "" if has_rule(suffix) else suffix
 
 
-def settled_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:
+def resolved_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:
     """Up and front as a guess has them; where the format has a rule, +Y and +Z unless the guess is sure of another."""
     return (guess.up, guess.front) if guess.sure or not rule else default_orientation()
 
@@ -205,5 +207,5 @@ def upright(character: Character, up: str = "auto", front: str = "auto") -> Char
         OptionError: An axis is none of the six, or the two are not at a right angle.
         WeightsError: The weights are missing or broken, and something is to be guessed.
     """
-    settled = settle(character, up, front)
-    return turned(character, settled.up, settled.front)
+    resolved = resolve_axes(character, up, front)
+    return turned(character, resolved.up, resolved.front)

@@ -93,12 +93,12 @@ def ground_fit(vertices: np.ndarray) -> np.ndarray:
     axes, as printing programs have it, stands nowhere: all fits are near 0.
     """
     low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)
-    place = -low / np.maximum(high - low, 1e-12 * max(float((high - low).max()), 1e-30))
-    middle = np.exp(-(((place - 0.5) / _MIDDLE) ** 2))
+    depth = -low / np.maximum(high - low, 1e-12 * max(float((high - low).max()), 1e-30))
+    middle = np.exp(-(((depth - 0.5) / _MIDDLE) ** 2))
     fits = []
     for axis in AXES:
         along = "xyz".index(axis[1])
-        above = place[along] if axis[0] == "+" else 1 - place[along]
+        above = depth[along] if axis[0] == "+" else 1 - depth[along]
         fits.append(np.exp(-((above / _LOW) ** 2)) * np.prod(np.delete(middle, along)))
     return np.array(fits)
 

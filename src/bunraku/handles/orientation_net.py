@@ -8,9 +8,9 @@ favoured by accident.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -168,7 +168,7 @@ class OrientationPredictor(nn.Module):
 
 
 def save_orientation_predictor(
-    path: str | Path, model: OrientationPredictor, note: dict[str, Any] | None = None, half: bool = False
+    path: str | Path, model: OrientationPredictor, note: Mapping[str, object] | None = None, half: bool = False
 ) -> Path:
     """Write the weights with their config as a checkpoint of kind "orientation"."""
     return save_network(path, model, "orientation", note, half, key="predictor")

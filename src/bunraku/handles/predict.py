@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from bunraku.body.layout import HANDLE_MIRROR
 from bunraku.body.reference import handle_positions
 from bunraku.core.character import Character, Handles
 from bunraku.geometry.simplify import NetworkMesh, network_mesh, network_views
+from bunraku.handles.blocks.rigid import rigid_handles
 from bunraku.handles.extra_limbs import split_limbs
 from bunraku.handles.loose_parts import seat_parts
 from bunraku.handles.repairs import eased, reunited, without_doubts
@@ -98,13 +99,14 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     over that mesh, divided among the legs of who has more than two (`split_limbs`), or else rid of limbs that are
     nowhere (`without_doubts`), of regions that lie apart from their handle (`reunited`) and of steps that tear edges
     (`eased`), made one over small loose parts
-    (`seat_parts`), and carried to every vertex of the original; vertices at one place get equal weights. Handle
+    (`seat_parts`), and carried to every vertex of the original; vertices at one position get equal weights. Handle
     positions are weighted means by surface area, in the form of Eq. 4, so that tessellation does not matter; loose
     parts count as the network sees them, not as they are bound, for a pivot belongs where the joint is. A handle
-    without a surface stands where its parent stands.
+    without a surface stands where its parent stands. A file of rigid blocks has the handles of these
+    (`handles.blocks`).
 
     Args:
-        character: Any mesh, +Y up and facing +Z; a rig it may have is not looked at.
+        character: Any mesh, +Y up and facing +Z; a rig it may have is not looked at, but for one that bends nothing.
         checkpoint: Weights of kind "handles"; the shipped ones when not given.
 
     Raises:
@@ -120,6 +122,9 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
         weights = eased(mesh, reunited(mesh, without_doubts(weights)))
     positions = handle_positions(mesh.vertices, weights, mesh.areas) * mesh.scale + mesh.center
     full = seat_parts(mesh, weights, stiff=roles is None)
+    rigid = rigid_handles(character, full[mesh.clean.index])
+    if rigid is not None:
+        return replace(rigid, features=features)
     return Handles(positions, trim_weights(full)[mesh.clean.index], features, roles)
 
 

@@ -4,9 +4,10 @@ out.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import nn
@@ -40,7 +41,7 @@ class PredictorConfig:
         handles: K.
         heads: Attention heads among the anchors.
         anchors: Anchors of the coarse term.
-        depth: Rounds in which the anchors of a layer hear of one another.
+        depth: Rounds in which the anchors of a layer pass messages to one another.
         mesh_vertices: Most vertices of the network mesh it was trained on, for
             `bunraku.geometry.simplify.network_mesh`.
     """
@@ -104,7 +105,7 @@ class HandlePredictor(nn.Module):
 
 
 def save_predictor(
-    path: str | Path, model: HandlePredictor, note: dict[str, Any] | None = None, half: bool = False
+    path: str | Path, model: HandlePredictor, note: Mapping[str, object] | None = None, half: bool = False
 ) -> Path:
     """Write the weights with their config as a checkpoint of kind "handles"."""
     return save_network(path, model, "handles", note, half, key="predictor")
@@ -117,7 +118,7 @@ def load_predictor(path: str | Path) -> HandlePredictor:
         WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
 
-    def build(shape: dict[str, Any]) -> HandlePredictor:
+    def build(shape: dict[str, object]) -> HandlePredictor:
         found = config_of(PredictorConfig, shape)
         if found.handles != HANDLE_COUNT or found.mesh_vertices < LEAST_VERTICES or found.anchors < 1:
             raise ValueError(

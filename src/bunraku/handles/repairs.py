@@ -1,4 +1,4 @@
-"""What a predictor's weights break, mended: limbs that are nowhere, parts of handles that lie apart, and edges that a
+"""What a predictor's weights break, repaired: limbs that are nowhere, parts of handles that lie apart, and edges that a
 turn would tear.
 
 A handle is one rigid motion about one joint. Where the predictor gives it two regions that do not touch (a hand and an
@@ -39,10 +39,8 @@ _LEGS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("hip", "knee
 _TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
 _WHOLE = [[limb_handles(side, family) for side in SIDES] for family in FAMILIES] + [[[_TAIL, _TIP]]]
 """The handles of each limb, left and right; not wings, of which a trace tells that a body flies."""
-_SUBTREES = [
-    [other for other in range(HANDLE_COUNT) if handle in line_up(other, HANDLE_PARENTS)]
-    for handle in range(HANDLE_COUNT)
-]
+_LINES = [line_up(handle, HANDLE_PARENTS) for handle in range(HANDLE_COUNT)]
+_SUBTREES = [[other for other, line in enumerate(_LINES) if handle in line] for handle in range(HANDLE_COUNT)]
 """Each handle with those below it."""
 
 
@@ -114,9 +112,9 @@ def _is_tail(mesh: NetworkMesh, weights: np.ndarray, piece: np.ndarray) -> bool:
     """Whether a piece hangs behind the hips, in the middle of the body."""
     hips = handle_positions(mesh.vertices, weights.astype(np.float32), mesh.areas)[0]
     points, areas = mesh.vertices[piece], mesh.areas[piece]
-    place = np.average(points, axis=0, weights=areas)
-    behind = place[2] < hips[2] - 2 * mesh.cell
-    middle = abs(place[0] - hips[0]) < 0.15 * np.ptp(mesh.vertices[:, 0])
+    position = np.average(points, axis=0, weights=areas)
+    behind = position[2] < hips[2] - 2 * mesh.cell
+    middle = abs(position[0] - hips[0]) < 0.15 * np.ptp(mesh.vertices[:, 0])
     return bool(behind and middle and areas.sum() > LEAST_TAIL * mesh.areas.sum())
 
 

@@ -30,7 +30,7 @@ def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps:
     Raises:
         FormatError: The character is of another kind, the model has a bone whose name VMD cannot hold, or the file
             cannot be written.
-        OptionError: Another rate is asked for.
+        OptionError: Another rate is requested.
         MotionError: The animation is of handles, and the model's bones lack MMD's standard names.
     """
     if fps not in (None, VMD_FPS):

@@ -9,13 +9,15 @@ import numpy as np
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.skinning import posed_points
 from bunraku.errors import FormatError, OptionError
 from bunraku.formats.gltf.container.document import Document
 from bunraku.formats.gltf.curves import MAX_SECONDS, clip_curves, node_worlds
 from bunraku.formats.gltf.read import Source
+from bunraku.geometry.rotations import nearest_rotation
 from bunraku.io.registry import load_with_clips
 
-__all__ = ["clip_names", "load_animation"]
+__all__ = ["bones_of", "clip_names", "load_animation"]
 
 MAX_TRANSFORMS = 4_000_000
 
@@ -98,3 +100,10 @@ def _animation(character: Character, world: np.ndarray, fps: float) -> Animation
     return Animation(
         character, Handles(positions, weights), HandleMotion(translations, rotations, np.zeros((frames, 3)), still, fps)
     )
+
+
+def bones_of(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations (N, J, 3, 3) and heads [m] (N, J, 3) of the bones of a clip whose handles they are."""
+    assert animation.character.rig is not None
+    affine = animation.motion.transforms(animation.handles.positions)[:, 1:].astype(np.float64)
+    return nearest_rotation(affine[..., :3]), posed_points(affine, animation.character.rig.positions)

@@ -17,7 +17,7 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.point_animation import PointAnimation
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError
-from bunraku.formats.files import check_input, check_output_folder
+from bunraku.formats.files import check_input, check_output_folder, open_input
 from bunraku.geometry.axes import axis_name, default_orientation
 from bunraku.io.table import FORMATS, Format
 from bunraku.io.units import check_unit, in_metres
@@ -86,11 +86,11 @@ def _resolve(target: str) -> Callable[..., Any]:
     return function
 
 
-def _read(path: str | Path, ability: str, **options: Any) -> Any:
+def _read(path: str | Path, ability: str, **options: object) -> Any:
     path = Path(path)
     size = check_input(path)
     try:
-        with path.open("rb") as file:  # once, so that what is told apart is what is read
+        with open_input(path) as file:  # once, so that what is told apart is what is read
             found = detect(path, file.read(64), ability)
             if size > found.largest:
                 raise FormatError(
@@ -127,7 +127,13 @@ def _read(path: str | Path, ability: str, **options: Any) -> Any:
 
 
 def load_character(
-    path: str | Path, *, rest: str = "bind", up: str | None = None, front: str | None = None, unit: str = "auto"
+    path: str | Path,
+    *,
+    rest: str = "bind",
+    up: str | None = None,
+    front: str | None = None,
+    unit: str = "auto",
+    clips: float | None = None,
 ) -> Character:
     """Read a character from GLB, glTF, VRM, FBX, OBJ, PLY, STL, or the rig text of RigNet.
 
@@ -146,6 +152,8 @@ def load_character(
         front: The axis that it faces; "-y" with "+z" up, "+z" otherwise, when only `up` is given.
         unit: The unit of lengths as they would be read without this: "m", "cm", "mm" or "in". "auto" is the metre for
             formats that have a unit, and for the others what the height makes likely (`formats.frames.likely_unit`).
+        clips: Frames a second at which the clips of an FBX file are read [1/s], so that what is written on its own
+            skeleton has them too; None leaves them out. Those of glTF are there in any case.
 
     Raises:
         FormatError: The file is missing, empty, too large, broken, or of no known format.
@@ -156,7 +164,7 @@ def load_character(
         raise OptionError(f"the rest pose of a file is 'bind' or 'default', not {rest!r}")
     axes = [None if axis is None else axis_name(axis) for axis in (up, front)]
     check_unit(unit)
-    character: Character = _read(path, "character", rest=rest)
+    character: Character = _read(path, "character", rest=rest, clip_fps=clips)
     standing = None if axes == [None, None] else default_orientation(*axes)
     if unit != "m":
         character, note = in_metres(character, unit, None if standing is None else standing[0])
@@ -202,7 +210,9 @@ def read_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
 
 
 def save(
-    thing: Animation | RigAnimation | PointAnimation | HandleMotion | SkeletalMotion, path: str | Path, **options: Any
+    thing: Animation | RigAnimation | PointAnimation | HandleMotion | SkeletalMotion,
+    path: str | Path,
+    **options: object,
 ) -> Path:
     """Write a motion or an animation of any kind in the format that the suffix names; `.save()` of all types ends here.
 
@@ -225,7 +235,7 @@ def save(
     )
 
 
-def _save_rig_animation(animation: RigAnimation, path: str | Path, options: dict[str, Any]) -> Path:
+def _save_rig_animation(animation: RigAnimation, path: str | Path, options: dict[str, object]) -> Path:
     found = detect(Path(path), b"", "animation")
     if found.bones:
         return _write("bones", path, options, animation)
@@ -236,7 +246,7 @@ def _save_rig_animation(animation: RigAnimation, path: str | Path, options: dict
     return _write("animation", path, options, animation.animation())
 
 
-def save_animation(animation: Animation, path: str | Path, **options: Any) -> Path:
+def save_animation(animation: Animation, path: str | Path, **options: object) -> Path:
     """Write an animation in the format that the suffix names.
 
     .glb, .usd, .usda, .usdc, .usdz and .fbx hold the character with its skin and motion, .obj and .ply a sequence of
@@ -260,7 +270,7 @@ def save_animation(animation: Animation, path: str | Path, **options: Any) -> Pa
     return _write("animation", path, options, animation)
 
 
-def save_motion(motion: HandleMotion | SkeletalMotion, path: str | Path, **options: Any) -> Path:
+def save_motion(motion: HandleMotion | SkeletalMotion, path: str | Path, **options: object) -> Path:
     """Write a motion without a character: .bvh, .vrma, or .npz for a handle motion.
 
     Args:
@@ -295,13 +305,16 @@ def check_writer(path: str | Path) -> None:
         _resolve(f"{target}:check_available")()
 
 
-def save_character(character: Character, path: str | Path, handles: Handles | None = None) -> Path:
+def save_character(
+    character: Character, path: str | Path, handles: Handles | None = None, *, rig: bool = False
+) -> Path:
     """Write a character to GLB, its handles as a skin, without motion.
 
     Args:
         character: The character.
         path: The file.
         handles: Its handles; without them the mesh alone is written.
+        rig: Write the character's own rig as its skin, as `bunraku.with_skeleton` makes one, in place of handles.
 
     Returns:
         The file that was written.
@@ -310,10 +323,15 @@ def save_character(character: Character, path: str | Path, handles: Handles | No
         FormatError: The suffix is unknown, or the file cannot be written.
         CharacterError: The handles weigh another number of vertices.
     """
+    if rig:
+        from bunraku.formats.gltf.write_rig import write_rigged
+
+        detect(Path(path), b"", "rigged")
+        return write_rigged(character, Path(path))
     return _write("rigged", path, {}, character, handles)
 
 
-def save_points(animation: PointAnimation, path: str | Path, **options: Any) -> Path:
+def save_points(animation: PointAnimation, path: str | Path, **options: object) -> Path:
     """Write an animation whose vertices also move on their own: .glb, USD, or a sequence of .obj or .ply files.
 
     Args:
@@ -331,7 +349,7 @@ def save_points(animation: PointAnimation, path: str | Path, **options: Any) -> 
     return _write("points", path, options, animation)
 
 
-def _write(ability: str, path: str | Path, options: dict[str, Any], *things: Any) -> Path:
+def _write(ability: str, path: str | Path, options: dict[str, object], *things: Any) -> Path:
     path = Path(path)
     if os.path.isdir(path):
         raise FormatError(path, "this is a folder; name a file inside it")

@@ -129,8 +129,8 @@ FORMATS: tuple[Format, ...] = (
     Format("PMX", (".pmx",), (b"PMX ",), character="bunraku.formats.mmd.pmx:read_pmx"),
     Format("PMD", (".pmd",), (b"Pmd",), character="bunraku.formats.mmd.pmd:read_pmd"),
     Format("RigNet", (".txt",), character="bunraku.formats.mesh.rignet:read_rignet"),
-    *(
-        Format(suffix[1:].upper(), (suffix,), animation="bunraku.render.preview:save_preview")
-        for suffix in (".mp4", ".webp", ".gif", ".png")
-    ),
+    Format("MP4", (".mp4",), animation="bunraku.render.preview:save_preview"),
+    Format("WEBP", (".webp",), animation="bunraku.render.preview:save_preview"),
+    Format("GIF", (".gif",), animation="bunraku.render.preview:save_preview"),
+    Format("PNG", (".png",), animation="bunraku.render.preview:save_preview"),
 )

@@ -11,7 +11,7 @@ from bunraku.errors import OptionError, WeightsError
 from bunraku.formats.frames import BARE, UNITS, likely_unit
 from bunraku.formats.gltf.turning import scaled
 
-__all__ = ["CHOICES", "NAMES", "SettledUnit", "check_unit", "in_metres", "settle_unit"]
+__all__ = ["CHOICES", "NAMES", "SettledUnit", "check_unit", "in_metres", "resolve_unit"]
 
 CHOICES = ("auto", "m", "cm", "mm", "in")
 NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "inches", "": "unknown"}
@@ -38,7 +38,7 @@ def check_unit(unit: str, option: str = "unit") -> None:
         raise OptionError(f"{option}: '{unit}' is no unit of characters; there are {', '.join(CHOICES)}")
 
 
-def settle_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
+def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
     """The unit of a character's file, from what is said about it, the rule of its format, and its height.
 
     Args:
@@ -74,17 +74,18 @@ def in_metres(character: Character, unit: str = "auto", up: str | None = None) -
     """
     check_unit(unit)
     suffix = str(getattr(character.source, "suffix", ""))
-    settled = settle_unit(_height(character, up, suffix if unit == "auto" else ""), suffix, unit)
-    return scaled(character, UNITS[settled.unit]), settled.note if suffix in BARE else ""
+    resolved = resolve_unit(_height(character, up, suffix if unit == "auto" else ""), suffix, unit)
+    factor = UNITS[resolved.unit]
+    return character if factor == 1 else scaled(character, factor), resolved.note if suffix in BARE else ""
 
 
 def _height(character: Character, up: str | None, suffix: str) -> float:
     extents = np.ptp(character.vertices[character.surface], axis=0)
     if up is None and suffix in BARE and len({likely_unit(float(extent)) for extent in extents}) > 1:
-        from bunraku.handles.orientation import settle
+        from bunraku.handles.orientation import resolve_axes
 
         try:
-            up = settle(character).up
+            up = resolve_axes(character).up
         except WeightsError:
             up = None  # as it is read then, with +Y up
     return float(extents["xyz".index((up or "+y")[1])]) or character.height

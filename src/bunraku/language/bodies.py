@@ -1,7 +1,7 @@
 """Sentences on bodies that are no person's: what each does in place of what is said, and what it cannot do at all.
 
-One table of the lexicon says it, `otherwise`: a row for ways of moving and the kinds of body that do something else.
-A snake that is told to run slithers fast, a spider walks fast, and a dog that is told to crawl walks slowly.
+One table of the lexicon says it, `otherwise`: a row for locomotion and the kinds of body that do something else.
+A snake that is to run slithers fast, a spider walks fast, and a dog that is to crawl walks slowly.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ KINDS = ("person", "two legs", "four legs", "many legs", "no legs", "snake", "fi
 
 _NO_LEGS = "'{clause}' moves legs, and none are found on this body; it {instead} instead"
 INSTEAD = {"snake": "slithers", "fish": "swims", "no legs": "glides, bends and bobs"}
-"""What bodies without legs do that are told to walk."""
+"""What bodies without legs do where a sentence says walk."""
 
 
 def for_body(sentence: Sentence, kind: str, parts: Collection[str] = (), as_people: bool = True) -> Sentence:
@@ -92,7 +92,7 @@ def _of_bird(text: str) -> str:
 
 
 def _in_vain(clause: Clause, kind: str, parts: Collection[str]) -> str:
-    """What a clause asks for that a body cannot do; "" for nothing."""
+    """What a clause requests that a body cannot do; "" for nothing."""
     instead = INSTEAD.get(kind)
     if instead and (clause.part == "legs" or clause.locomotion in ("walk", "run")):
         return _NO_LEGS.format(clause=clause.text, instead=instead)

@@ -11,9 +11,8 @@ from __future__ import annotations
 import re
 
 from bunraku.language.clauses import subject_of, with_subject
-from bunraku.language.lexicon.reading import actions_of
+from bunraku.language.lexicon.reading import actions_of, words_of
 from bunraku.language.lexicon.tables import lexicon
-from bunraku.language.lexicon.tokens import words_of
 
 __all__ = ["moved_part", "split_voices"]
 

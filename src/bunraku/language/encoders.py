@@ -19,8 +19,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bunraku.errors import MissingExtraError, WeightsError
-from bunraku.language.known.pieces import encoder_file, read_header
-from bunraku.language.known.tokenizer import WordPieces
+from bunraku.language.known.tokenizer import WordPieces, encoder_file, read_header
 from bunraku.language.lexicon.cues import CUES, sentence_cues
 
 __all__ = [
@@ -54,6 +53,12 @@ class TextBatch:
 
     def to(self, device: torch.device | str) -> TextBatch:
         return TextBatch(self.tokens.to(device), self.mask.to(device), self.pooled.to(device))
+
+    def some(self, rows: Sequence[int]) -> TextBatch:
+        """Some of the sentences, in the order that is given, with no more tokens than the longest of them has."""
+        mask = self.mask[list(rows)]
+        longest = int(mask.sum(1).max())
+        return TextBatch(self.tokens[list(rows), :longest], mask[:, :longest], self.pooled[list(rows)])
 
 
 class TextEncoder(Protocol):

@@ -12,22 +12,21 @@ from bunraku.language.clauses import of_person, subject_of, timed_clauses
 from bunraku.language.concurrent import moved_part, split_voices
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import actions_of, locomotion_of, said_traits
-from bunraku.language.prompts import check_prompt, narrow
+from bunraku.language.prompts import check_prompt, narrow, parse_sequence, timed_sequence
 from bunraku.language.sentence import Clause, Sentence, Turn
-from bunraku.language.sequence import parse_sequence, timed_sequence
 from bunraku.language.understood import check_understood
 
 __all__ = ["clause_of", "clauses_of", "parse"]
 
 
-def parse(prompt: str, seconds: float = 6.0, anyway: bool = False) -> Sentence:
+def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     """A prompt as a sentence: what is done one after the other, each with its time.
 
     Args:
         prompt: In English or a language of `language.words`; several sentences in a row with their seconds
             ("walks:4; jumps:2; waves:3").
-        seconds: What parts without seconds of their own share [s], 0.5 to 120.
-        anyway: Take it even where no movement in it is understood.
+        seconds: What parts without seconds of their own share [s], at least 0.5.
+        force: Take it even where no movement in it is understood.
 
     Raises:
         OptionError: It is empty, too long or not understood, or a length is out of range.
@@ -35,7 +34,7 @@ def parse(prompt: str, seconds: float = 6.0, anyway: bool = False) -> Sentence:
     if not isinstance(prompt, str):
         raise OptionError("the prompt must be a sentence")
     timed = timed_sequence(parse_sequence(narrow(prompt)), seconds)
-    parts = [(check_understood(part, anyway), length) for part, length in timed]
+    parts = [(check_understood(part, force), length) for part, length in timed]
     clauses = [clause for found, length in parts for clause in timed_clauses(found.english, length)]
     found = [part for part, _ in parts]
     loop = any("loop" in said_traits(part.prompt) for part in found)

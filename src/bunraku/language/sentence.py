@@ -6,10 +6,13 @@ is for the text encoder alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
-__all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "clause_spans"]
+__all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "in_stretches"]
+
+SHORT = 0.5
+"""What is left of a clause that is shorter than this [s] is not parted from it."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +56,9 @@ class Clause:
         person: The text as said of a person, in which captured examples and the ranker's vectors are looked up.
         actions: What is done, in the lexicon's words, in the order in which it is said; none where nothing is known.
         part: What the verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all.
-        locomotion: The way of moving: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none of them.
+        locomotion: The locomotion: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none of them.
         cues: Sides, directions, turns, counts, speeds and postures (`cues.CUES`).
-        traits: What else is told of it, such as "sits down" or "chair" (the lexicon's table of that name).
+        traits: What else it says, such as "sits down" or "chair" (the lexicon's table of that name).
         turn: How far it turns; None where it says nothing of that.
         straight: Whether somebody goes forward or on, with nothing of a turn, a curve or a side.
         moves: What the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step",
@@ -99,7 +102,7 @@ class Sentence:
         clauses: What is done one after the other.
         unknown: Words that are not understood.
         corrected: Words taken for typing errors, and what is read in their place.
-        notes: What somebody who gave the prompt should be told, one line each.
+        notes: What somebody who gave the prompt should know, one line each.
         loop: Whether it asks for a loop: "walk cycle".
         cannot: What a body cannot do of it, one line each (`for_body`).
     """
@@ -120,9 +123,28 @@ class Sentence:
         return sum(clause.seconds for clause in self.clauses)
 
 
-def clause_spans(script: Iterable[tuple[Clause, int]]) -> Iterator[tuple[Clause, slice]]:
-    """The clauses of a script that have frames each, with those frames as slices."""
-    start = 0
-    for clause, frames in script:
-        yield clause, slice(start, start + frames)
-        start += frames
+def in_stretches(sentence: Sentence, longest: float) -> list[Sentence]:
+    """A sentence in stretches of about the same length, each at most so long [s]; one that is no longer stays whole.
+
+    Clauses are cut where a stretch ends.
+    """
+    count = max(math.ceil(sentence.seconds / longest - 1e-9), 1)
+    share, out, start = sentence.seconds / count, [], 0.0
+    left = [(clause, clause.seconds) for clause in sentence.clauses]
+    for _ in range(count):
+        room, own = share, []
+        while left and room > 1e-6:
+            clause, seconds = left.pop(0)
+            taken = min(seconds, room)
+            if seconds - taken > SHORT:
+                left.insert(0, (clause, seconds - taken))
+            else:
+                taken = seconds
+            own.append(
+                replace(clause, seconds=taken, voices=tuple(replace(one, seconds=taken) for one in clause.voices))
+            )
+            room -= taken
+        if own:
+            out.append(replace(sentence, clauses=tuple(own), notes=() if start else sentence.notes))
+        start += share
+    return out

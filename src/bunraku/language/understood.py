@@ -8,7 +8,6 @@ they are named, since the network guesses what they mean. Typing errors are corr
 from __future__ import annotations
 
 import functools
-import logging
 import re
 from dataclasses import dataclass, replace
 
@@ -17,15 +16,14 @@ from bunraku.language.known.nearest import nearest_sentences
 from bunraku.language.known.spelling import corrected
 from bunraku.language.known.vocabulary import FUNCTION_WORDS, says_action, words_of
 from bunraku.language.lexicon.reading import in_known_words
+from bunraku.language.lexicon.reading import words_of as words_in
 from bunraku.language.lexicon.tables import lexicon
-from bunraku.language.lexicon.tokens import words_of as words_in
 from bunraku.language.prompts import check_prompt, narrow
 from bunraku.language.sentence import UnknownWord
 from bunraku.language.words import Translation, translate
 
-__all__ = ["Understanding", "check_understood", "english_of", "understood"]
+__all__ = ["Understanding", "check_understood", "understood"]
 
-_log = logging.getLogger(__name__)
 _SHARE = 0.25
 """Of a sentence's words that must be known: "lorem ipsum dolor sit amet" is no way to sit."""
 _AUXILIARIES = frozenset((
@@ -43,7 +41,7 @@ class Understanding:
 
     Args:
         prompt: The sentence as it was given.
-        english: What the network is told.
+        english: What the network is conditioned on.
         ok: Whether the sentence says a movement that training shows.
         language: "en", "de", "fr", "es", "ja" or "zh"; "" for a script that is not read.
         known: Its words that are understood.
@@ -65,7 +63,7 @@ class Understanding:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What somebody who gave the sentence should be told, one line each."""
+        """What somebody who gave the sentence should know, one line each."""
         said = []
         if self.language != "en" or self.corrected:
             said.append(f"read as: {self.english}")
@@ -103,7 +101,7 @@ def understood(prompt: str) -> Understanding:
 
 def _denied(english: str) -> tuple[tuple[str, ...], str]:
     """What a sentence says that is not done, and the sentence without it."""
-    words, places = words_in(english)
+    words, spans = words_in(english)
     denied, rest, start = [], "", 0
     for number, word in enumerate(words):
         before = words[number - 1] if number else ""
@@ -114,8 +112,8 @@ def _denied(english: str) -> tuple[tuple[str, ...], str]:
             stop += 1
         if stop < len(words) and words[stop] in lexicon().lemmas:
             first = number - (before in _AUXILIARIES)
-            denied.append(english[places[first][0] : places[stop][1]])
-            rest, start = rest + english[start : places[first][0]], places[stop][1]
+            denied.append(english[spans[first][0] : spans[stop][1]])
+            rest, start = rest + english[start : spans[first][0]], spans[stop][1]
     return tuple(denied), rest + english[start:]
 
 
@@ -193,45 +191,28 @@ def _says_something(text: str, known: list[str], count: int) -> bool:
     return len(known) == count and any(word.lower() not in FUNCTION_WORDS for word in known)
 
 
-def check_understood(prompt: str, anyway: bool = False) -> Understanding:
+def check_understood(prompt: str, force: bool = False) -> Understanding:
     """What is understood of a sentence that a motion can be made from.
 
     Args:
         prompt: A sentence.
-        anyway: Take it even where nothing of it is understood.
+        force: Take it even where nothing of it is understood.
 
     Raises:
-        OptionError: No movement in it is understood, and `anyway` is false; the message names its words and the nearest
+        OptionError: No movement in it is understood, and `force` is false; the message names its words and the nearest
             sentences that are understood.
     """
     found = understood(prompt)
-    if found.ok or anyway:
+    if found.ok or force:
         return found
     if found.denied:
         raise OptionError(
             f"{found.denied[0]!r} says what is not done, and that is beyond it; say what is done instead, or go on "
-            "anyway with --anyway (anyway=True in Python)"
+            "with --force (force=True in Python)"
         )
     what = _quoted(found.unknown) if found.unknown else f"'{' '.join(prompt.split())[:60]}'"
     near = "; ".join(f"'{sentence}'" for sentence in found.nearest or nearest_sentences(found.known))
     raise OptionError(
         f"no movement is understood in the prompt ({what}); sentences like it that are understood: {near}; say it in "
-        "other words, or go on anyway with --anyway (anyway=True in Python)"
+        "other words, or go on with --force (force=True in Python)"
     )
-
-
-def english_of(prompt: str, anyway: bool = False) -> str:
-    """The English that the network is given for a sentence; what was read otherwise than written, and what was not
-    understood, is logged as a warning.
-
-    Args:
-        prompt: A sentence.
-        anyway: Take it even where nothing of it is understood.
-
-    Raises:
-        OptionError: It is not understood, and `anyway` is false.
-    """
-    found = check_understood(prompt, anyway)
-    for note in found.notes:
-        _log.warning("%s", note)
-    return found.english

@@ -10,7 +10,6 @@ import unicodedata
 from dataclasses import dataclass
 
 from bunraku.language.foreign.sentence import english_sentence
-from bunraku.language.foreign.spaced import scan_spaced
 from bunraku.language.foreign.table import LANGUAGES, Concept
 from bunraku.language.foreign.unspaced import scan_unspaced
 from bunraku.language.known.vocabulary import words_of
@@ -59,11 +58,13 @@ def translate(prompt: str) -> Translation:
     english = sum(word.known for word in words) / len(words) if words else 1.0
     best, language = [], "en"
     if english < 1:
+        from bunraku.language.foreign.spaced import scan_spaced
+
         for other in ("de", "fr", "es"):
             concepts = scan_spaced(prompt, other)
-            told = [concept for concept in concepts if concept.kind not in ("comma", "stop", "number")]
-            share = 1 - sum(concept.kind == "unknown" for concept in told) / len(told) if told else 0.0
-            if share > max(english, 0.4) and any(concept.kind in ("verb", "unit") for concept in told):
+            counted = [concept for concept in concepts if concept.kind not in ("comma", "stop", "number")]
+            share = 1 - sum(concept.kind == "unknown" for concept in counted) / len(counted) if counted else 0.0
+            if share > max(english, 0.4) and any(concept.kind in ("verb", "unit") for concept in counted):
                 english, best, language = share, concepts, other
     return _translated(prompt, language, best) if best else Translation(prompt, "en")
 

@@ -92,7 +92,7 @@ def _plain(value: torch.Tensor) -> torch.Tensor:
 
 
 def save_checkpoint(
-    path: str | Path, state_dict: Mapping[str, torch.Tensor], config: dict[str, Any], kind: str, half: bool = False
+    path: str | Path, state_dict: Mapping[str, torch.Tensor], config: dict[str, object], kind: str, half: bool = False
 ) -> Path:
     """Write weights with the config that builds their network.
 
@@ -201,7 +201,7 @@ def save_network(
     path: str | Path,
     model: torch.nn.Module,
     kind: str,
-    note: dict[str, Any] | None = None,
+    note: Mapping[str, object] | None = None,
     half: bool = False,
     *,
     key: str = "network",
@@ -221,7 +221,7 @@ def save_network(
 
 
 def load_network(
-    path: str | Path, kind: str, build: Callable[[dict[str, Any]], Network], *, key: str = "network"
+    path: str | Path, kind: str, build: Callable[[dict[str, object]], Network], *, key: str = "network"
 ) -> Network:
     """Read what `save_network` wrote, ready to use.
 

@@ -18,7 +18,7 @@ class HasNeighbours(Protocol):
         """The n-th neighbours of the vertices that have so many."""
 
     @property
-    def place(self) -> torch.Tensor:
+    def position(self) -> torch.Tensor:
         """Where each vertex is in the order of the ranks."""
 
 
@@ -37,13 +37,13 @@ class _NeighbourMax(torch.autograd.Function):
             torch.maximum(part, values.index_select(0, neighbours), out=part)
         ctx.graph = graph
         ctx.save_for_backward(values, best)
-        return best.index_select(0, graph.place)
+        return best.index_select(0, graph.position)
 
     @staticmethod
     def backward(ctx, *gradients: torch.Tensor):  # type: ignore[no-untyped-def]
         values, best = ctx.saved_tensors
-        order = torch.empty_like(ctx.graph.place)
-        order[ctx.graph.place] = torch.arange(len(order), device=order.device)
+        order = torch.empty_like(ctx.graph.position)
+        order[ctx.graph.position] = torch.arange(len(order), device=order.device)
         gradient = gradients[0][order]
         out = torch.zeros_like(values)
         for neighbours in ctx.graph.ranks:
@@ -76,8 +76,8 @@ def edge_conv_reference(layer: EdgeConv, x: torch.Tensor, graph: HasNeighbours) 
     """`EdgeConv` as its definition reads, one vertex and one edge at a time."""
     rows = []
     for vertex in range(len(x)):
-        place = int(graph.place[vertex])
-        neighbours = [int(rank[place]) for rank in graph.ranks if place < len(rank)]
+        index = int(graph.position[vertex])
+        neighbours = [int(rank[index]) for rank in graph.ranks if index < len(rank)]
         messages = [layer.own(x[vertex]) + layer.neighbour(x[j] - x[vertex]) for j in neighbours]
         rows.append(torch.stack(messages).amax(0))
     return torch.stack(rows)

@@ -30,7 +30,7 @@ def fitting_threads(model: nn.Module) -> Iterator[None]:
     one order.
     """
     weights = list(model.parameters())
-    small = sum(value.numel() for value in weights) < _SMALL and all(value.device.type == "cpu" for value in weights)
+    small = sum(map(torch.Tensor.numel, weights)) < _SMALL and {value.device.type for value in weights} <= {"cpu"}
     with one_thread() if small else nullcontext():
         yield
 

@@ -32,16 +32,12 @@ def check_apparel(character: Character) -> None:
         )
 
 
-def with_apparel(
-    animation: Animation | RigAnimation, apparel: str = "simulate", progress: Progress | None = None
-) -> Animation | RigAnimation:
-    """The animation with its apparel simulated, or as it is where apparel is "rigid".
+def with_apparel(animation: Animation | RigAnimation, progress: Progress | None = None) -> RigAnimation:
+    """The animation with its apparel simulated.
 
     Raises:
         CharacterError: There is no physics in its file, or it is moved by handles.
     """
-    if apparel != "simulate":
-        return animation
     check_apparel(animation.character)
     if not isinstance(animation, RigAnimation):
         name = animation.character.name

@@ -3,8 +3,8 @@
 An MMD model's own are taken as they are; the spring chains of a VRM become bodies and joints (`vrm_chains`). Sizes are
 in metres; springs and damping stay in the numbers of MMD files, see `world` for what they mean.
 
-Angle limits and springs of a joint are those of Bullet, which MMD uses: they count the turn of body A as seen from body
-B, about x, then y, then z. So a skirt panel B at the front, whose joint has the world's axes, swings forwards by
+Angle limits and springs of a joint are those of Bullet, which MMD uses: they count the rotation of body A as seen from
+body B, about x, then y, then z. So a skirt panel B at the front, whose joint has the world's axes, swings forwards by
 *positive* angles about x.
 """
 
@@ -26,7 +26,7 @@ class ApparelRig:
     Args:
         bodies: The bodies; `MmdBody.bone` is the index of a rig joint, -1 for none.
         joints: The joints, by indices of bodies.
-        notes: What of the file was left out or mended, a sentence each.
+        notes: What of the file was left out or repaired, a sentence each.
         gravity: Acceleration that each body has of its own, in place of the world's gravity [m/s^2], shape (B, 3); None
             where it is the world's.
     """

@@ -19,7 +19,7 @@ __all__ = ["Forest", "Link", "Loop", "apparel_forest", "free_axes", "locked_axes
 LOOSE = 100  # joints in a row that hold are better than one that lets go
 TIGHT = 1e-3  # a range of places below is none [m]
 STIFF = 1e-3  # a range of angles below is none [rad]
-SAME_PLACE = 2e-3  # joints nearer than this are at one place [m]
+SAME_PLACE = 2e-3  # joints nearer than this are at one position [m]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Link:
         bone: The bone that it hangs on where `parent` is -1; -1 for the world.
         joint: The joint, None for a free ball joint at its bone.
         turned: Whether the body is A of the joint, and what it hangs on is B.
-        more: Other joints of the same two bodies at the same place, each with whether the body is its A.
+        more: Other joints of the same two bodies at the same position, each with whether the body is its A.
     """
 
     body: int
@@ -69,7 +69,7 @@ class Forest:
         links: Of the dynamic bodies, each after the one that it hangs on.
         loops: Joints that close loops.
         carried: Dynamic body that carries a body which follows a bone below it, by the index of the latter.
-        notes: What was mended.
+        notes: What was repaired.
     """
 
     links: list[Link] = field(default_factory=list)
@@ -148,7 +148,7 @@ def free_axes(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 def _hang(
     forest: Forest, joints: tuple[MmdJoint, ...], edges: dict[Owner, list[tuple[int, Owner, bool]]], starts: list[Owner]
 ) -> set[Owner]:
-    """Hang all bodies that can be reached from some owners; shortest ways first, ties by the file's order."""
+    """Hang all bodies that can be reached from some owners; shortest paths first, ties by the file's order."""
     known = {link.body for link in forest.links}
     done: set[Owner] = set()
     queue: list[tuple[int, int, Owner, Owner, int, bool]] = [(0, -1, start, start, -1, False) for start in starts]
@@ -172,7 +172,7 @@ def _hang(
 
 def _loops(forest: Forest, joints: tuple[MmdJoint, ...], owners: list[Owner]) -> None:
     """Joints that nothing hangs on: those of one place with the joint of a link join it, others close loops."""
-    places = {link.body: place for place, link in enumerate(forest.links)}
+    indices = {link.body: index for index, link in enumerate(forest.links)}
     used = {id(link.joint) for link in forest.links}
     more: dict[int, list[tuple[MmdJoint, bool]]] = {}
     for joint in joints:
@@ -180,7 +180,7 @@ def _loops(forest: Forest, joints: tuple[MmdJoint, ...], owners: list[Owner]) ->
         if id(joint) in used or a == b or (a[0] < 0 and b[0] < 0):
             continue
         for child, above, turned in ((b, a, False), (a, b, True)):
-            link = forest.links[places[child[0]]] if child[0] >= 0 else None
+            link = forest.links[indices[child[0]]] if child[0] >= 0 else None
             if link is not None and (link.parent, link.bone) == above and _alike(link.joint, joint):
                 more.setdefault(child[0], []).append((joint, turned))
                 break
@@ -188,12 +188,12 @@ def _loops(forest: Forest, joints: tuple[MmdJoint, ...], owners: list[Owner]) ->
             if not free_axes(joint.lower, joint.upper).all():
                 forest.loops.append(Loop(joint, *a, *b))
     for body, found in more.items():
-        link = forest.links[places[body]]
-        forest.links[places[body]] = Link(link.body, link.parent, link.bone, link.joint, link.turned, tuple(found))
+        link = forest.links[indices[body]]
+        forest.links[indices[body]] = Link(link.body, link.parent, link.bone, link.joint, link.turned, tuple(found))
 
 
 def _alike(first: MmdJoint | None, second: MmdJoint) -> bool:
-    """Whether two joints are at one place and have the same axes."""
+    """Whether two joints are at one position and have the same axes."""
     if first is None:
         return False
     near = np.linalg.norm(first.position - second.position) < SAME_PLACE

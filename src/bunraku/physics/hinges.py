@@ -1,9 +1,9 @@
 """What a joint of MMD lets its bodies do, as joints of MuJoCo.
 
-Bullet, which MMD uses, reads the angles of its six-degrees-of-freedom joint from the transpose of the turn of B in A: A
-turns in B by Rx(a) Ry(b) Rz(c), so B turns in A by Rz(-c) Ry(-b) Rx(-a). Three hinges in that order are that joint,
-with its own limits about each axis, which a ball joint of MuJoCo does not have. An axis without room gets no hinge. A
-joint whose middle axis may turn by 80 degrees or more would lock, and becomes a ball.
+Bullet, which MMD uses, reads the angles of its six-degrees-of-freedom joint from the transpose of the rotation of B in
+A: A turns in B by Rx(a) Ry(b) Rz(c), so B turns in A by Rz(-c) Ry(-b) Rx(-a). Three hinges in that order are that
+joint, with its own limits about each axis, which a ball joint of MuJoCo does not have. An axis without room gets no
+hinge. A joint whose middle axis may turn by 80 degrees or more would lock, and becomes a ball.
 """
 
 from __future__ import annotations

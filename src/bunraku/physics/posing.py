@@ -28,14 +28,14 @@ def posed(
 ) -> RigAnimation:
     """The animation with the bones of dynamic bodies where these are; bones below follow as they are keyed.
 
-    A bone takes the turn of the first of its bodies. It goes where a body of mode 1 goes; one of mode 2 is held at its
-    parent.
+    A bone takes the rotation of the first of its bodies. It goes where a body of mode 1 goes; one of mode 2 is held at
+    its parent.
 
     Args:
         animation: Of N frames.
         rig: The bodies.
         bodies: Which of them are dynamic, shape (D,).
-        body_rotations: World turns of these from rest, shape (N, D, 3, 3).
+        body_rotations: World rotations of these from rest, shape (N, D, 3, 3).
         positions: Their centres [m], shape (N, D, 3).
     """
     skeleton = animation.character.rig

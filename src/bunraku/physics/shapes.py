@@ -33,13 +33,13 @@ def loss_rate(damping: float, most: float) -> float:
     return float(min(-np.log1p(-min(max(damping, 0.0), 1 - 1e-16)), most))
 
 
-def add_shape(owner: Any, body: MmdBody, place: np.ndarray, name: str, settings: dict[str, Any]) -> bool:
+def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: dict[str, object]) -> bool:
     """Add a body's shape to one of MuJoCo's bodies, whose axes are the world's at rest.
 
     Args:
         owner: Of an `MjSpec`.
         body: The body.
-        place: Where `owner` is at rest [m], shape (3,).
+        position: Where `owner` is at rest [m], shape (3,).
         name: Of the shape.
         settings: Other attributes of the shape.
 
@@ -62,17 +62,17 @@ def add_shape(owner: Any, body: MmdBody, place: np.ndarray, name: str, settings:
     else:
         kind = mujoco.mjtGeom.mjGEOM_SPHERE
         size[0] = body.size[0]
-    owner.add_geom(name=name, type=kind, size=size, pos=body.position - place, quat=quaternion, mass=0.0, **settings)
+    owner.add_geom(name=name, type=kind, size=size, pos=body.position - position, quat=quaternion, mass=0.0, **settings)
     return True
 
 
-def add_rods(owner: Any, body: MmdBody, place: np.ndarray, name: str, settings: dict[str, Any]) -> bool:
+def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: dict[str, object]) -> bool:
     """Add a body's shape as capsules only: up to three side by side, along its longest side, fill a box.
 
     Arguments and result are those of `add_shape`; the shapes are named `name`, an "r" and a number.
     """
     if body.shape != "box":
-        return add_shape(owner, body, place, f"{name}r0", settings)
+        return add_shape(owner, body, position, f"{name}r0", settings)
     order = np.argsort(-body.size, kind="stable")
     long, wide, thin = np.maximum(body.size[order], SMALLEST)
     axes = body.rotation[:, order[[1, 0, 2]]] * [1.0, 1.0, np.linalg.det(body.rotation[:, order[[1, 0, 2]]])]
@@ -86,5 +86,5 @@ def add_rods(owner: Any, body: MmdBody, place: np.ndarray, name: str, settings: 
             rotation=axes,
             position=body.position + across * axes[:, 0],
         )
-        added |= add_shape(owner, rod, place, f"{name}r{number}", settings)
+        added |= add_shape(owner, rod, position, f"{name}r{number}", settings)
     return added

@@ -50,7 +50,7 @@ class SimulationReport:
         frames: How many frames that were.
         steps: Time steps in each of them.
         bodies: How many dynamic bodies there are.
-        notes: What of the physics was left out or mended.
+        notes: What of the physics was left out or repaired.
     """
 
     recoveries: tuple[Recovery, ...]
@@ -186,8 +186,8 @@ class _Run:
         self.mass = model.body_mass[world.ids][:, None]
         self.moment = model.body_inertia[world.ids].mean(axis=1)[:, None]
         self.tops = model.body_rootid[world.ids]
-        place = {int(body): number for number, body in enumerate(world.ids)}
-        self.above = np.array([place.get(int(body), -1) for body in world.anchors], np.int64)
+        index = {int(body): number for number, body in enumerate(world.ids)}
+        self.above = np.array([index.get(int(body), -1) for body in world.anchors], np.int64)
         count = len(world.bones)
         self.qpos = world.root_qpos[:, None] + np.arange(7)
         self.qvel = world.root_qvel[:, None] + np.arange(6)
@@ -204,7 +204,7 @@ class _Run:
     def through(
         self, parts: int, lead: int, names: list[str], progress: Callable[[float], None] | None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """World turns (F, D, 3, 3) and places (F, D, 3) of the dynamic bodies."""
+        """World rotations (F, D, 3, 3) and positions (F, D, 3) of the dynamic bodies."""
         world, frames = self.world, len(self.drive.positions)
         model, data = world.model, world.data
         rotations, positions = np.empty((frames, len(world.ids), 3, 3)), np.empty((frames, len(world.ids), 3))
@@ -307,8 +307,8 @@ class _Run:
         """Put bodies and all that hangs on them to rest."""
         world, data = self.world, self.world.data
         for number in bodies:
-            for place in world.below[number]:
-                qpos, qvel = world.states[place]
+            for index in world.below[number]:
+                qpos, qvel = world.states[index]
                 data.qpos[qpos], data.qvel[qvel] = world.model.qpos0[qpos], 0.0
         if bodies:
             data.qacc_warmstart[:] = 0.0

@@ -24,7 +24,7 @@ def lead_in(animation: RigAnimation, frames: int) -> tuple[np.ndarray, np.ndarra
         frames: How many.
 
     Returns:
-        World turns of the bones (frames, J, 3, 3) and places of their heads [m] (frames, J, 3).
+        World rotations of the bones (frames, J, 3, 3) and positions of their heads [m] (frames, J, 3).
     """
     rig = animation.character.rig
     assert rig is not None
@@ -81,7 +81,7 @@ class Drive:
 
     @classmethod
     def of(cls, rotations: np.ndarray, positions: np.ndarray, fps: float, cut: float) -> Drive:
-        """From world turns (F, R, 3, 3) and places (F, R, 3) of the bones."""
+        """From world rotations (F, R, 3, 3) and positions (F, R, 3) of the bones."""
         quaternions = quaternion_from_matrix(np.asarray(rotations, float))[..., [3, 0, 1, 2]]
         signs = np.where((quaternions[1:] * quaternions[:-1]).sum(-1) < 0, -1.0, 1.0)
         quaternions[1:] *= np.cumprod(signs, axis=0)[..., None]

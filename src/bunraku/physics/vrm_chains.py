@@ -43,7 +43,7 @@ class _Chains:
     def __init__(self, character: Character):
         self.world = character.source.tree.world
         self.parents = character.source.tree.parents
-        self.place = {node: joint for joint, node in enumerate(character.source.skins.nodes)}
+        self.joint_of_node = {node: joint for joint, node in enumerate(character.source.skins.nodes)}
         self.bodies: list[MmdBody] = []
         self.joints: list[MmdJoint] = []
         self.gravity: list[np.ndarray] = []
@@ -55,9 +55,9 @@ class _Chains:
         sets = self.kept_out_of(avatar)
         kinds = sorted({chosen for chosen in sets if chosen}, key=sorted)
         users: dict[int, list[int]] = {}
-        for place, kind in enumerate(kinds):
+        for index, kind in enumerate(kinds):
             for number in kind:
-                users.setdefault(number, []).append(place)
+                users.setdefault(number, []).append(index)
         signatures: dict[tuple[int, ...], int] = {}
         groups: dict[int, int] = {}
         for number, collider in enumerate(avatar.colliders):
@@ -102,9 +102,9 @@ class _Chains:
 
     def joint_of(self, node: int) -> int:
         """The joint of the rig at or above a node, -1 for none."""
-        while node >= 0 and node not in self.place:
+        while node >= 0 and node not in self.joint_of_node:
             node = int(self.parents[node])
-        return self.place.get(node, -1)
+        return self.joint_of_node.get(node, -1)
 
     def add(self, body: MmdBody, gravity: np.ndarray | None = None) -> int:
         self.bodies.append(body)
@@ -165,7 +165,7 @@ class _Chains:
             rate = -VRM_RATE * np.log1p(-min(max(joint.drag, 0.0), 1 - 1e-6))
             lost = float(-np.expm1(-min(rate, 30.0)))
             swings = MmdBody(
-                f"{spring.name or 'spring'} {number + 1}", self.place.get(joint.node, -1), "sphere",
+                f"{spring.name or 'spring'} {number + 1}", self.joint_of_node.get(joint.node, -1), "sphere",
                 np.array([joint.radius, 0.0, 0.0]), tail,
                 np.eye(3), float(masses[number]), lost, lost, 0.0, 0.0, 2, 0, mask if joint.radius > 0 else 0,
             )  # fmt: skip
@@ -177,18 +177,20 @@ class _Chains:
             )
             above = index
 
-    def holder(self, node: int, place: np.ndarray) -> int:
+    def holder(self, node: int, position: np.ndarray) -> int:
         """A body without size that follows a bone, for chains to hang on."""
         bone = self.joint_of(node)
         if bone not in self.holders:
-            self.holders[bone] = self.add(_still(f"holder {bone}", bone, "sphere", np.zeros(3), place, np.eye(3), 0, 0))
+            self.holders[bone] = self.add(
+                _still(f"holder {bone}", bone, "sphere", np.zeros(3), position, np.eye(3), 0, 0)
+            )
         return self.holders[bone]
 
 
 def _still(
-    name: str, bone: int, shape: str, size: np.ndarray, place: np.ndarray, axes: np.ndarray, group: int, mask: int
+    name: str, bone: int, shape: str, size: np.ndarray, position: np.ndarray, axes: np.ndarray, group: int, mask: int
 ) -> MmdBody:
-    return MmdBody(name, bone, shape, size, place, axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, group, mask)
+    return MmdBody(name, bone, shape, size, position, axes, 0.0, 0.0, 0.0, 0.0, 0.0, 0, group, mask)
 
 
 def _unit(direction: np.ndarray) -> np.ndarray:

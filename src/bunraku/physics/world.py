@@ -4,7 +4,7 @@ Every bone with bodies that only follow it, and every bone that something hangs 
 against all apparel and whose motion is prescribed; what hangs on it hangs by real joints and feels its inertia. Dynamic
 bodies are a forest (`forest`) whose joints cannot stretch; joints that close loops are soft equality constraints. Where
 such a joint lets its bodies slide, a light slider stands between the two. All bodies' axes are those of the world at
-rest, so what MuJoCo says of their turns are turns of bones.
+rest, so the rotations that MuJoCo gives are rotations of bones.
 
 Units: metres, seconds, and masses as in the file. Angular springs are multiplied by the square of MMD's unit (0.08 m),
 springs against displacement are as in the file.
@@ -52,7 +52,7 @@ class World:
         pulls: Acceleration that each has in place of gravity [m/s^2], shape (D, 3).
         states: For each, where its own qpos and qvel are.
         below: For each, the places in this list of itself and of all that hang on it.
-        notes: What was left out or mended.
+        notes: What was left out or repaired.
     """
 
     model: Any
@@ -123,7 +123,7 @@ class _Builder:
             {index for index in rig.dynamic if rig.bodies[index].mask} if settings.limbs else set(rig.unguarded)
         )
         self.notes: list[str] = list(rig.notes)
-        self.bodies = [self.mended(body, len(positions)) for body in rig.bodies]
+        self.bodies = [self.repaired(body, len(positions)) for body in rig.bodies]
         self.gravity = rig.gravity
         joints = tuple(
             joint
@@ -143,7 +143,7 @@ class _Builder:
         self.joints: dict[int, list[tuple[Any, Freedom]]] = {}
         self.weight = HEAVY * max(sum(body.mass for body in self.bodies if body.dynamic), 1e-3)
 
-    def mended(self, body: MmdBody, bones: int) -> MmdBody:
+    def repaired(self, body: MmdBody, bones: int) -> MmdBody:
         """A body that was made by hand may be as broken as one of a file."""
         numbers = [
             *body.size,
@@ -156,8 +156,8 @@ class _Builder:
         ]
         if not np.isfinite(numbers).all() or body.size.min() < 0:
             raise CharacterError(
-                f"rigid body '{body.name}' has a size, place or mass that is negative or no number; mend it or leave "
-                "it out"
+                f"rigid body '{body.name}' has a size, place or mass that is negative or no number; correct it or "
+                "leave it out"
             )
         if not -1 <= body.bone < bones:
             self.notes.append(f"rigid body '{body.name}' is on a bone that does not exist and hangs on none")
@@ -230,7 +230,7 @@ class _Builder:
             self.roots[bone] = node
         return self.roots[bone]
 
-    def shape(self, owner: Any, body: MmdBody, index: int, place: np.ndarray) -> None:
+    def shape(self, owner: Any, body: MmdBody, index: int, position: np.ndarray) -> None:
         rough = body.dynamic and body.friction > 0.02
         # Bullet multiplies frictions and MuJoCo takes the larger one: bodies of the skeleton have none, and the others
         # half of theirs.
@@ -240,7 +240,7 @@ class _Builder:
             "condim": 3 if rough else 1,
         }
         settings |= {"friction": [body.friction / 2 if rough else 0.0, 0.0, 0.0]}
-        add_shape(owner, body, place, f"g{index}", settings)
+        add_shape(owner, body, position, f"g{index}", settings)
 
     def hang(self, link: Link) -> None:
         body = self.bodies[link.body]
@@ -299,9 +299,9 @@ class _Builder:
         joint, mj = loop.joint, self.mj
         first = self.nodes[loop.a] if loop.a >= 0 else self.root(loop.bone_a)
         second = self.nodes[loop.b] if loop.b >= 0 else self.root(loop.bone_b)
-        place = self.bodies[loop.a].position if loop.a >= 0 else self.place_of_root(loop.bone_a)
+        position = self.bodies[loop.a].position if loop.a >= 0 else self.place_of_root(loop.bone_a)
         free, locked = free_axes(joint.lower, joint.upper), locked_axes(joint)
-        at = joint.position - place
+        at = joint.position - position
         if not locked.all():
             mass = LIGHT * min(self.bodies[end].mass for end in (loop.a, loop.b) if end >= 0)
             first = first.add_body(
@@ -349,12 +349,12 @@ class _Builder:
         mj = self.mj
         data = mj.MjData(model)
         links = self.forest.links
-        place = {link.body: number for number, link in enumerate(links)}
+        index = {link.body: number for number, link in enumerate(links)}
         ids = np.array([self.nodes[link.body].id for link in links])
         below: list[list[int]] = [[number] for number in range(len(links))]
         for number in range(len(links) - 1, -1, -1):
             if links[number].parent >= 0:
-                below[place[links[number].parent]] += below[number]
+                below[index[links[number].parent]] += below[number]
         roots = [self.roots[bone].id for bone in self.roots]
         first = model.body_jntadr[roots]
         dof = np.zeros(model.nv, bool)

@@ -17,7 +17,7 @@ from bunraku.pipelines.requests.request import Request, Sampling
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.stages.pins import Pin
 
-__all__ = ["animate", "generate", "rig"]
+__all__ = ["animate", "generate", "rig", "with_skeleton"]
 
 Progress = Callable[[str, float], None]
 
@@ -41,6 +41,32 @@ def rig(
     return Animator.shipped(progress).handles(character, handles)
 
 
+def with_skeleton(
+    character: Character,
+    names: Literal["mixamo", "vrm", "unreal"],
+    *,
+    handles: Handles | Literal["predict", "rig"] = "predict",
+    progress: Progress | None = None,
+) -> Character:
+    """A person's mesh in a T-pose on a tree of joints that engines' humanoid retargeting takes; `animate` then moves
+    these, and `save_character` writes them.
+
+    Args:
+        character: A person, +Y up and facing +Z.
+        names: Whose names the joints get.
+        handles: The character's handles, of which the joints are made, or how to make them (see `rig`).
+        progress: Called with a stage's name and the share done, 0 to 1.
+
+    Raises:
+        CharacterError: It is no person.
+        OptionError: There are no names of this kind.
+        WeightsError: The shipped weights are missing or broken.
+    """
+    from bunraku.retarget.engine_skeleton import on_skeleton
+
+    return on_skeleton(Anatomy.of(character, Animator.shipped(progress).handles(character, handles)), names)
+
+
 class _Generating(TypedDict, total=False):
     """Keyword arguments of `generate`."""
 
@@ -54,7 +80,7 @@ class _Generating(TypedDict, total=False):
     path: GroundPath | None
     candidates: int
     body: Anatomy | None
-    anyway: bool
+    force: bool
     progress: Progress | None
 
 
@@ -79,7 +105,7 @@ def generate(
     path: GroundPath | None = None,
     candidates: int = 3,
     body: Anatomy | None = None,
-    anyway: bool = False,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> HandleMotion | list[HandleMotion]:
     """Handle motions of the reference body from sentences (Eq. 2 of TapMo).
@@ -99,8 +125,8 @@ def generate(
         candidates: How many motions are drawn for each that is given back, the one that the ranker likes best, 1 to
             16. A motion that follows another is drawn once.
         body: The anatomy of the character that is to be moved: sentences are taken as such a body can, so that a fish
-            swims that is told to walk. `mesh_feature` is that of its handles where it is None.
-        anyway: Generate even where no movement of a sentence is understood.
+            swims where the sentence says walk. `mesh_feature` is that of its handles where it is None.
+        force: Generate even where no movement of a sentence is understood.
         progress: Called with a stage's name and the share done.
 
     Raises:
@@ -114,7 +140,7 @@ def generate(
         return []
     sampling = Sampling(seconds, seed if isinstance(seed, int) else 0, steps, guidance, candidates)
     constraints = Constraints.of(loop=loop, after=after, path=path)
-    requests = [Request(one, sampling, constraints, force=anyway) for one in prompts]
+    requests = [Request(one, sampling, constraints, force=force) for one in prompts]
     motions = Animator.shipped(progress).generate(requests, seed, mesh_feature, body)
     return motions[0] if isinstance(prompt, str) else motions
 
@@ -128,7 +154,7 @@ def animate(
     steps: int | None = None,
     guidance: float | None = None,
     handles: Handles | Literal["predict", "rig"] = "predict",
-    apparel: str = "rigid",
+    apparel: str = "none",
     stiffness: float = 1.0,
     loop: bool = False,
     in_place: bool = False,
@@ -137,7 +163,8 @@ def animate(
     pins: Sequence[Pin] = (),
     stages: Stages | None = None,
     candidates: int = 3,
-    anyway: bool = False,
+    force: bool = False,
+    rig: Literal["auto", "own", "handles"] = "auto",
     progress: Progress | None = None,
 ) -> AnimatedCharacter:
     """Make a character do what a sentence says.
@@ -152,24 +179,26 @@ def animate(
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `rig`).
-        apparel: "rigid" or "none" moves hair and clothes with the body; "simulate" moves the bones of the character's
+        apparel: "none" (or "rigid") moves hair and clothes with the body; "simulate" moves the bones of the character's
             own rig, and hair and clothes by the rigid bodies or springs of its MMD or VRM file; "learn" moves by a
             network what it takes to be apparel of any mesh, or what a mask says, named by its file; "auto" simulates
             where the file has physics and learns where the mesh has apparel.
         stiffness: Factor on how stiff learned apparel is, 0.001 to 1000.
         loop: Make a loop: the last pose is the first again, at another place where the motion travels.
-        in_place: Take the way over the ground out, as game engines want it that move the character themselves.
+        in_place: Take the travel over the ground out, as game engines want it that move the character themselves.
         after: Start in the last pose of this: an animation of the same character, or a motion of the reference body.
         path: What the root follows on the ground, in the character's metres; the clip starts where the path does.
         pins: Where hands and feet are at some times, in the world of the clip.
         stages: Which stages fit the motion to the character; `pipelines.apply.GENERATED_STAGES` when None.
         candidates: How many motions are drawn, of which the ranker chooses the best, 1 to 16.
-        anyway: Animate even where no movement of a sentence is understood.
+        force: Animate even where no movement of a sentence is understood.
+        rig: What moves: "own" the bones of the file's skeleton, "handles" the 30 handles, "auto" the bones where they
+            are understood as those of a person or of four legs and no handles are requested, and handles otherwise.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
-        An `Animation` at 20 frames a second, or a `RigAnimation` at 30 where apparel is simulated, or a
-        `PointAnimation` at 30 where it is learned.
+        An `Animation` or, where its own bones move it, a `RigAnimation`, at 20 frames a second; at 30 where apparel is
+        simulated, and a `PointAnimation` where it is learned.
 
     Raises:
         OptionError: The prompt is empty, too long or not understood, the length is out of range, a loop is to follow
@@ -181,6 +210,6 @@ def animate(
     request = Request(
         prompt, Sampling(seconds, seed, steps, guidance, candidates),
         Constraints.of(loop=loop, in_place=in_place, after=after, path=path, pins=pins), Apparel(apparel, stiffness),
-        stages, "predict" if handles is None else handles, anyway,
+        stages, "predict" if handles is None else handles, force, rig,
     )  # fmt: skip
     return Animator.shipped(progress)(character, request)

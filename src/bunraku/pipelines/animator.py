@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,25 +16,35 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.ground_path import GroundPath
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request.limits import SECONDS
+from bunraku.core.resample import resample
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.diffusion.drawing import Drawing
-from bunraku.diffusion.networks import Networks
-from bunraku.errors import OptionError
+from bunraku.diffusion.generation.drawing import Drawing
+from bunraku.diffusion.generation.networks import Networks
+from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.handles.predict import Predictor
-from bunraku.language.parse import parse
-from bunraku.language.sentence import Sentence
+from bunraku.language.sentence import Sentence, in_stretches
 from bunraku.pipelines.apply import apply_motion, apply_rigged, reference_of, reference_path
 from bunraku.pipelines.bodies import as_bodies_do, moved_ways
 from bunraku.pipelines.requests.apparel import Apparel
-from bunraku.pipelines.requests.constraints import Constraints
+from bunraku.pipelines.requests.constraints import Constraints, InPlace, Loop
 from bunraku.pipelines.requests.request import Request, check_handles
 from bunraku.retarget.stages.switches import Stages
 
-__all__ = ["AT_ONCE", "Animator", "Body", "moved_by"]
+if TYPE_CHECKING:
+    from bunraku.retarget.rig_parts import RigParts
+
+__all__ = ["AT_ONCE", "Animator", "Body", "alike", "own_rig"]
 
 Progress = Callable[[str, float], None]
 AT_ONCE = 8
 """Sentences in one pass of the network."""
+STRETCH = 40.0
+"""Length of a stretch of a longer clip [s]."""
+HISTORY = 60
+"""Frames of a stretch that the next one is made to follow."""
+APPAREL_RATE = 30.0
+"""Frames a second of bones that carry apparel [1/s]: it swings faster than 20 can show."""
 _log = logging.getLogger(__name__)
 
 
@@ -44,16 +55,18 @@ class Body:
     Args:
         character: Any mesh, +Y up and facing +Z.
         feature: Its mesh feature f_phi, which the denoiser sees, shape (448,).
-        anatomy: What is known of it and its handles; None where the bones of its rig move it.
+        anatomy: What is known of it and its handles, which are its bones where these move it.
+        parts: The bones of its rig, where these move it.
     """
 
     character: Character
     feature: np.ndarray | None
-    anatomy: Anatomy | None = None
+    anatomy: Anatomy
+    parts: RigParts | None = None
 
 
-def _silent(stage: str, done: float) -> None:
-    """Progress that nobody looks at."""
+def _silent(*told: object) -> None:
+    """Progress and notes that nobody looks at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +77,18 @@ class Animator:
         predictor: Gives the handles of a character, and its mesh feature.
         networks: Denoiser, text encoder, ranker, critic, examples.
         progress: Called with a stage's name and the share done, 0 to 1.
+        note: Called with each thing that a sentence requests and the body cannot do.
     """
 
     predictor: Predictor = field(default_factory=Predictor)
     networks: Networks = field(default_factory=Networks)
     progress: Progress = _silent
+    note: Callable[[str], None] = _silent
 
     @classmethod
-    def shipped(cls, progress: Progress | None = None) -> Animator:
+    def shipped(cls, progress: Progress | None = None, note: Callable[[str], None] | None = None) -> Animator:
         """One with the networks that come with Bunraku, each loaded when it is first needed."""
-        return cls(progress=progress or _silent)
+        return cls(progress=progress or _silent, note=note or _silent)
 
     def __call__(self, character: Character | Body, request: Request) -> AnimatedCharacter:
         """A character that does what a request says.
@@ -120,12 +135,14 @@ class Animator:
         """As `each`, with apparel that goes with the body."""
         sentences, request = _read(requests), _common(requests)
         request.check()
+        _check_lengths(sentences)
         body = character if isinstance(character, Body) else self.body(character, request)
-        sentences, as_people = _for_body(sentences, body.anatomy)
+        sentences, as_people = as_bodies_do(sentences, body.anatomy)
         drawing = self._drawing(request, body.feature, as_people)
-        path = request.constraints.path
-        path = path if body.anatomy is None else reference_path(path, body.anatomy)
+        path = reference_path(request.constraints.path, body.anatomy)
         wanted = range(len(requests)) if only is None else sorted(only)
+        for note in dict.fromkeys(note for number in wanted for note in sentences[number].cannot):
+            self.note(note)
         for start in range(0, len(requests), AT_ONCE):
             some = range(start, min(start + AT_ONCE, len(requests)))
             if any(number in some for number in wanted):
@@ -134,6 +151,56 @@ class Animator:
                 for number in some:
                     if number in wanted:
                         yield self._fitted(motions[number - start], sentences[number], body, request)
+
+    def clips(
+        self, character: Character | Body, requests: Mapping[str, Request]
+    ) -> Iterator[tuple[str, AnimatedCharacter]]:
+        """The animation of each request by its name, all moved by the same handles or bones, as the clips of one file
+        are (`bunraku.save_clips`). Requests that differ in sentence and seed alone share passes of the denoiser.
+
+        Args:
+            character: As of a single request.
+            requests: What is done in each clip. What moves the character is that of the first.
+
+        Raises:
+            OptionError: A request cannot be met.
+        """
+        left = dict(requests)
+        while left:
+            lead = next(iter(left.values()))
+            body = character = character if isinstance(character, Body) else self.body(character, lead)
+            some = {name: one for name, one in left.items() if alike(one, lead)}
+            yield from zip(some, self.each(body, list(some.values())), strict=True)
+            left = {name: one for name, one in left.items() if name not in some}
+
+    def stretches(self, character: Character | Body, request: Request) -> Iterator[AnimatedCharacter]:
+        """A clip of any length, stretch by stretch, so that no more than one is in memory
+        (`formats.gltf.stream.write_stretches` writes them as one clip).
+
+        Each stretch after the first starts in the last pose of the one before, at its place: its first frame is that
+        one's last.
+
+        Args:
+            character: As of a single request.
+            request: What is done. Loops, paths, pins and apparel that moves go with clips of one pass.
+
+        Raises:
+            OptionError: The request cannot be met so.
+        """
+        (sentence,) = _read([request])
+        kinds = {one.kind for one in request.constraints} - {"in_place", "after"}
+        if kinds or request.apparel.moves:
+            raise OptionError(
+                f"a clip of more than {SECONDS.high:g} seconds goes with no loop, path, pin or apparel that moves; "
+                "leave these out, or make it shorter"
+            )
+        body = character if isinstance(character, Body) else self.body(character, request)
+        for number, part in enumerate(in_stretches(sentence, STRETCH)):
+            seed = request.sampling.seed + number
+            made = self(body, replace(request.with_seed(seed), sentence=part))
+            yield made
+            last = made.take(slice(-HISTORY, None))
+            request = replace(request, constraints=request.constraints.following(last))
 
     def generate(
         self,
@@ -153,7 +220,8 @@ class Animator:
         """
         sentences, request = _read(requests), _common(requests)
         request.check()
-        sentences, as_people = _for_body(sentences, body)
+        _check_lengths(sentences)
+        sentences, as_people = (sentences, True) if body is None else as_bodies_do(sentences, body)
         feature = body.handles.features if feature is None and body is not None else feature
         drawing, constraints = self._drawing(request, feature, as_people), request.constraints
         motions = self._draw(sentences, seeds, constraints, constraints.path, drawing)
@@ -191,12 +259,18 @@ class Animator:
         """A character as a request moves it; several runs of one character share it.
 
         Raises:
-            CharacterError: Apparel is to be simulated, and its file says nothing of physics; or as of `handles`.
+            CharacterError: Apparel is to be simulated, and its file says nothing of physics; its own bones are to move
+                it, and they are not understood; or as of `handles`.
         """
-        if moved_by(character, request) == "bones":
-            return Body(character, self.predictor.feature(character))
-        handles = self.handles(character, request.handles)
-        return Body(character, handles.features, Anatomy.of(character, handles))
+        parts = own_rig(character, request)
+        if parts is not None:
+            return Body(character, self.predictor.feature(character), parts.anatomy, parts)
+        written = None if request.rig == "handles" or request.handles_given else _written_handles(character)
+        if written is not None:
+            handles = replace(written, features=self.predictor.feature(character))
+        else:
+            handles = self.handles(character, request.handles)
+        return Body(character, handles.features, Anatomy.of(character, handles).measured())
 
     def dress(self, moved: Animation | RigAnimation, apparel: Apparel) -> AnimatedCharacter:
         """An animation with its apparel moved.
@@ -216,7 +290,7 @@ class Animator:
         how = request.sampling
         return Drawing(
             how.steps, how.guidance, feature, self.progress, candidates=how.candidates, examples=as_people,
-            pull=as_people, held=self.networks,
+            classifier_guidance=as_people, held=self.networks,
         )  # fmt: skip
 
     def _draw(
@@ -228,8 +302,8 @@ class Animator:
         drawing: Drawing,
     ) -> list[HandleMotion]:
         """A motion of the reference body for each sentence, along a path in its metres."""
-        from bunraku.diffusion.editing import continue_motion
-        from bunraku.diffusion.generate import generate_motions
+        from bunraku.diffusion.generation.editing import continue_motion
+        from bunraku.diffusion.generation.generate import generate_motions
 
         given, scripts = constraints.after, [sentence.clauses for sentence in sentences]
         if given is None:
@@ -246,46 +320,81 @@ class Animator:
     ) -> Animation | RigAnimation:
         """A motion of the reference body on a character."""
         constraints, stages = request.constraints, request.stages
-        if body.anatomy is None:
-            return apply_rigged(
-                motion, body.character, in_place=constraints.in_place, stages=stages, progress=self.progress
-            )
         motion = moved_ways(motion, sentence, body.anatomy, constraints.loop)
-        return apply_motion(motion, body.anatomy, constraints, stages, self.progress)
+        if body.parts is None:
+            return apply_motion(motion, body.anatomy, constraints, stages, self.progress)
+        if request.apparel.moves:
+            motion = resample(motion, APPAREL_RATE)
+        return apply_rigged(motion, body.parts, constraints, stages, self.progress)
 
 
-def _for_body(sentences: list[Sentence], anatomy: Anatomy | None) -> tuple[list[Sentence], bool]:
-    """Sentences as a body does them, and whether it moves as people do."""
-    return (sentences, True) if anatomy is None else as_bodies_do(sentences, anatomy)
-
-
-def moved_by(character: Character, request: Request) -> Literal["handles", "bones"]:
-    """What moves a character by a request: its "handles", or the "bones" of its rig, where its apparel is simulated or
-    learned. Handles that are given or asked for are what moves, and what goes along a path or meets pins is handles.
+def own_rig(character: Character, request: Request) -> RigParts | None:
+    """The rig whose bones move a character by a request; None where its handles do. Handles that are given or requested
+    are what moves.
 
     Raises:
-        CharacterError: Apparel is to be simulated, and its file says nothing of physics.
+        CharacterError: Apparel is to be simulated, and its file says nothing of physics; or its own bones are to move
+            it, and there are none, or they are not understood.
     """
-    from bunraku.physics.animated import check_apparel
-    from bunraku.retarget.rig_parts import is_humanoid_rig
-
     if request.apparel.motion == "simulate":
+        from bunraku.physics.animated import check_apparel
+        from bunraku.retarget.rig_parts import RigParts
+
         check_apparel(character)  # before the work
-        return "bones"
-    predicted = isinstance(request.handles, str) and request.handles == "predict"
-    directed = request.constraints.path is not None or bool(request.constraints.pins)
-    bones = request.apparel.moves and predicted and not directed and is_humanoid_rig(character)
-    return "bones" if bones else "handles"
+        return RigParts.of(character)
+    if request.rig == "handles" or request.handles_given or (request.rig == "auto" and character.rig is None):
+        return None
+    if _written_handles(character) is not None:
+        return None
+    from bunraku.retarget.rig_parts import understood_rig
+
+    parts = understood_rig(character)
+    if parts is not None or request.rig == "auto":
+        if parts is None and character.rig is not None:
+            _log.warning("%s: %s", character.name, _not_understood(character))
+        return parts
+    if character.rig is None:
+        raise CharacterError(f"{character.name}: there is no rig in this file; let its handles be moved")
+    raise CharacterError(f"{character.name}: {_not_understood(character)}")
+
+
+def _written_handles(character: Character) -> Handles | None:
+    """The handles of a file that Bunraku wrote; None of others."""
+    if character.rig is None:
+        return None
+    from bunraku.formats.gltf.bunraku_clip import clip_handles
+
+    try:
+        return clip_handles(Path(character.name), character)
+    except FormatError:
+        return None
+
+
+def _not_understood(character: Character) -> str:
+    assert character.rig is not None
+    some = ", ".join(character.rig.names[:3])
+    return (
+        f"its rig of {len(character.rig.names)} bones ({some} ...) is not understood as that of a person or of four "
+        "legs, by names or shape; 30 handles move it"
+    )
+
+
+def _check_lengths(sentences: Sequence[Sentence]) -> None:
+    """Raise OptionError where a sentence lasts longer than one pass can make it."""
+    for sentence in sentences:
+        if not SECONDS.low <= sentence.seconds <= SECONDS.high + 1e-9:
+            raise OptionError(
+                f"a clip that is made in one pass lasts {SECONDS.low:g} to {SECONDS.high:g} seconds, not "
+                f"{sentence.seconds:g}; choose a length in between, or make it stretch by stretch "
+                "(`Animator.stretches`), as `bunraku animate` does where it writes a .glb"
+            )
 
 
 def _read(requests: Sequence[Request]) -> list[Sentence]:
     """The sentence of each request; what cannot be generated is refused before anything is loaded, and what is not
-    understood is told.
+    understood is reported.
     """
-    sentences = [
-        one.sentence if isinstance(one.sentence, Sentence) else parse(one.sentence, one.sampling.seconds, one.force)
-        for one in requests
-    ]
+    sentences = [one.parsed for one in requests]
     for note in (note for sentence in sentences for note in sentence.notes):
         _log.warning("%s", note)
     return sentences
@@ -296,12 +405,17 @@ def _common(requests: Sequence[Request]) -> Request:
     if not requests:
         raise OptionError("there is nothing to generate; give at least one request")
     first = requests[0]
-    for one in requests[1:]:
-        same = ("constraints", "apparel", "stages", "handles", "force")
-        alike = all(_alike(getattr(one, name), getattr(first, name)) for name in same)
-        if not alike or replace(one.sampling, seed=first.sampling.seed) != first.sampling:
-            raise OptionError("requests of one pass differ in sentence and seed alone; make the others apart")
+    if not all(alike(one, first) for one in requests[1:]):
+        raise OptionError("requests of one pass differ in sentence and seed alone; make the others apart")
     return first
+
+
+def alike(one: Request, other: Request) -> bool:
+    """Whether two requests differ in sentence and seed alone, so that one pass of the network makes both."""
+    same = ("constraints", "apparel", "stages", "handles", "force", "rig")
+    if not all(_alike(getattr(one, name), getattr(other, name)) for name in same):
+        return False
+    return replace(one.sampling, seed=other.sampling.seed) == other.sampling
 
 
 def _alike(one: object, other: object) -> bool:
@@ -310,4 +424,4 @@ def _alike(one: object, other: object) -> bool:
         return True
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_alike, one, other))
-    return isinstance(one, str | bool | Apparel | Stages) and one == other
+    return isinstance(one, str | bool | Apparel | Stages | Loop | InPlace) and one == other

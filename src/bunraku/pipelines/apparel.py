@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.apparel.artist_mask import artist_mask, read_artist_mask
+from bunraku.apparel.clothed import SOFTEST, STIFFEST, ClothedCharacter
 from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
 from bunraku.apparel.displacement.player import ApparelPlayer
-from bunraku.apparel.fitting import eased_border, fitted_wearer, joint_weights_of_handles, joints_of_handles
+from bunraku.apparel.fitting import eased_border, fitted_clothes, joint_weights_of_handles, joints_of_handles
 from bunraku.apparel.layers import Layers
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.apparel.unified import UnifiedBody
-from bunraku.apparel.wearer import SOFTEST, STIFFEST, Wearer
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
@@ -28,11 +28,11 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.nn.checkpoints import dated_checkpoint
 from bunraku.physics.animated import with_apparel
+from bunraku.physics.clothed import clothed_from_file
 from bunraku.physics.from_file import apparel_rig
-from bunraku.physics.worn import wearer_of_file
 from bunraku.pipelines.requests.apparel import Apparel
 
-__all__ = ["animated_wearer", "dressed", "learned", "shipped_displacement"]
+__all__ = ["animated_clothed", "dressed", "learned", "shipped_displacement"]
 
 Progress = Callable[[str, float], None]
 LEAST = 0.01
@@ -80,14 +80,14 @@ def dressed(
     if not asked.moves:
         return animation
     if str(apparel) == "simulate":
-        return with_apparel(animation, "simulate", progress)
+        return with_apparel(animation, progress)
     if str(apparel) == "auto":
         if isinstance(animation, RigAnimation) and apparel_rig(animation.character) is not None:
-            return with_apparel(animation, "simulate", progress)
-        wearer, transforms, moved = animated_wearer(animation, stiffness=stiffness)
-        if wearer.apparel.mean() < LEAST:
+            return with_apparel(animation, progress)
+        clothed, transforms, moved = animated_clothed(animation, stiffness=stiffness)
+        if clothed.apparel.mean() < LEAST:
             return animation
-        return _learned(wearer, transforms, moved, progress)
+        return _learned(clothed, transforms, moved, progress)
     mask = None if str(apparel) == "learn" else read_artist_mask(apparel, animation.character)
     return learned(animation, mask, stiffness=stiffness, progress=progress)
 
@@ -115,13 +115,13 @@ def learned(
         CharacterError: The mesh has no apparel.
         WeightsError: The shipped weights are missing or broken.
     """
-    wearer, transforms, moved = animated_wearer(animation, mask, stiffness=stiffness)
-    return _learned(wearer, transforms, moved, progress, network, safe)
+    clothed, transforms, moved = animated_clothed(animation, mask, stiffness=stiffness)
+    return _learned(clothed, transforms, moved, progress, network, safe)
 
 
-def animated_wearer(
+def animated_clothed(
     animation: Animation | RigAnimation, mask: np.ndarray | None = None, *, stiffness: float = 1.0
-) -> tuple[Wearer, np.ndarray, Animation]:
+) -> tuple[ClothedCharacter, np.ndarray, Animation]:
     """The character of an animation as the networks see it, its joints' transforms (N, 22, 3, 4), and the animation, at
     30 frames a second.
 
@@ -138,7 +138,7 @@ def animated_wearer(
     if body is not None and isinstance(moved, RigAnimation):
         transforms, joints, weights = body.transforms(moved), body.joints, body.weights
         if mask is None and apparel_rig(character) is not None:
-            return wearer_of_file(character, body, stiffness), transforms, moved.animation()
+            return clothed_from_file(character, body, stiffness), transforms, moved.animation()
     else:
         moved = moved.animation() if isinstance(moved, RigAnimation) else moved
         if len(moved.handles.positions) < HANDLE_COUNT:
@@ -146,15 +146,15 @@ def animated_wearer(
         weights = joint_weights_of_handles(moved.handles)
         joints = joints_of_handles(character.vertices, weights, character.areas, moved.handles.positions)
         affine = moved.motion.transforms(moved.handles.positions)[:, : len(joints)]
-        places = np.einsum("njab,jb->nja", affine[..., :3], joints) + affine[..., 3]
-        transforms = np.concatenate([affine[..., :3], places[..., None]], axis=3).astype(np.float32)
+        positions = np.einsum("njab,jb->nja", affine[..., :3], joints) + affine[..., 3]
+        transforms = np.concatenate([affine[..., :3], positions[..., None]], axis=3).astype(np.float32)
     found = find_apparel(character.vertices, character.faces, joints)
     dial = np.float32(np.log10(stiffness))
-    wearer = fitted_wearer(
+    clothed = fitted_clothes(
         character.vertices, character.faces, joints, weights, found.mask if mask is None else mask,
         np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
     )  # fmt: skip
-    return wearer, transforms, moved.animation() if isinstance(moved, RigAnimation) else moved
+    return clothed, transforms, moved.animation() if isinstance(moved, RigAnimation) else moved
 
 
 def _unified(character: Character) -> UnifiedBody | None:
@@ -166,26 +166,26 @@ def _unified(character: Character) -> UnifiedBody | None:
 
 
 def _learned(
-    wearer: Wearer, transforms: np.ndarray, moved: Animation, progress: Progress | None = None,
+    clothed: ClothedCharacter, transforms: np.ndarray, moved: Animation, progress: Progress | None = None,
     network: DisplacementNetwork | None = None, safe: bool = True,
 ) -> PointAnimation:  # fmt: skip
-    if not wearer.apparel.any():
+    if not clothed.apparel.any():
         raise CharacterError(
             f"{moved.character.name}: no apparel was found on this mesh; name its vertices in a mask (--apparel "
             "mask.npy)"
         )
     progress = progress or (lambda stage, done: None)
-    player = ApparelPlayer(wearer, network or shipped_displacement(), safe=safe)
+    player = ApparelPlayer(clothed, network or shipped_displacement(), safe=safe)
     player.start(transforms[0])
     chosen, skinned = player.carrier.vertices, moved.vertices()
-    places = np.zeros((len(transforms), len(chosen), 3), np.float32)
+    positions = np.zeros((len(transforms), len(chosen), 3), np.float32)
     for frame, pose in enumerate(transforms):
-        places[frame] = player.advance(pose)
+        positions[frame] = player.advance(pose)
         if frame % 16 == 0:
             progress("apparel", frame / len(transforms))
     if safe:
-        places = Layers(wearer, chosen).clip(places, skinned, lambda done: progress("layers", done))
-    offsets = np.zeros((len(transforms), len(wearer.rest), 3), np.float32)
-    offsets[:, chosen] = eased_border(wearer)[chosen, None] * (places - skinned[:, chosen])
+        positions = Layers(clothed, chosen).clip(positions, skinned, lambda done: progress("layers", done))
+    offsets = np.zeros((len(transforms), len(clothed.rest), 3), np.float32)
+    offsets[:, chosen] = eased_border(clothed)[chosen, None] * (positions - skinned[:, chosen])
     progress("apparel", 1.0)
     return PointAnimation(moved, offsets)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animated import AnimatedCharacter
@@ -14,8 +15,12 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.request.constraint import Constraint
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.pipelines.requests.constraints import Constraints
+from bunraku.retarget.body_motion import stiff
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.stages.pins import meet_pins
+
+if TYPE_CHECKING:
+    from bunraku.retarget.rig_parts import RigParts
 
 __all__ = [
     "GENERATED_STAGES", "apply_motion", "apply_rigged", "apply_simulated", "fitted_motion", "reference_of",
@@ -65,7 +70,8 @@ def apply_motion(
     if path is not None:
         low = float(anatomy.character.vertices[:, 1].min())
         fitted = bent_to_path(fitted, path, size=float(anatomy.handles.positions[0, 1]) - low)
-    fitted = meet_pins(fitted, anatomy, constraints.pins)
+    if constraints.pins:
+        fitted = meet_pins(fitted, anatomy, constraints.pins)
     if progress:
         progress("fit", 1.0)
     return Animation(anatomy.character, anatomy.handles, fitted, motion)
@@ -85,7 +91,7 @@ def apply_simulated(
     Args:
         motion: N frames.
         character: With a rig and physics, +Y up and facing +Z.
-        in_place: Take the way over the ground out; apparel then hangs as on a treadmill.
+        in_place: Take the travel over the ground out; apparel then hangs as on a treadmill.
         stages: Which stages fit the motion to the rig; all when None.
         fps: Frames a second of the result [1/s]; apparel swings faster than 20 can show.
         progress: Called with a stage's name and the share done, 0 to 1.
@@ -93,39 +99,40 @@ def apply_simulated(
     Raises:
         CharacterError: There is no physics in the file, or the names of its bones do not tell their parts.
     """
+    from bunraku.core.resample import resample
     from bunraku.physics.animated import simulated
+    from bunraku.retarget.rig_parts import RigParts
 
-    return simulated(
-        apply_rigged(motion, character, in_place=in_place, stages=stages, fps=fps, progress=progress), progress
-    )
+    own = Constraints.of(in_place=in_place)
+    return simulated(apply_rigged(resample(motion, fps), RigParts.of(character), own, stages, progress), progress)
 
 
 def apply_rigged(
     motion: HandleMotion,
-    character: Character,
-    *,
-    in_place: bool = False,
+    parts: RigParts,
+    constraints: Iterable[Constraint] = (),
     stages: Stages | None = None,
-    fps: float = 30.0,
     progress: Progress | None = None,
 ) -> RigAnimation:
-    """A motion of the reference body on the bones of a character, hair and clothes going along; arguments are those of
-    `apply_simulated`.
+    """A motion of the reference body on the bones of a character, hair and clothes going along: it is fitted to the 30
+    handles that its bones are, as `apply_motion` does, but for the stage `shape`: bones keep their lengths.
 
-    Raises:
-        CharacterError: The names of its bones do not tell their parts.
+    Args:
+        motion: N frames.
+        parts: The rig.
+        constraints: What it must meet; what is followed moves the bones of the same rig.
+        stages: Which stages fit the motion to the rig; all when None.
+        progress: Called with a stage's name and the share done, 0 to 1.
     """
-    from bunraku.core.resample import resample
-    from bunraku.core.travel import in_place as in_place_motion
-    from bunraku.retarget.to_rig import fit_rig
+    from bunraku.retarget.rig_motion import handle_animation
+    from bunraku.retarget.to_rig import on_bones
 
-    progress = progress or (lambda stage, done: None)
-    progress("fit", 0.0)
-    if in_place:  # feet that are held would carry the character away
-        motion, stages = in_place_motion(motion), replace(stages or Stages(), feet=False)
-    moved = fit_rig(resample(motion, fps), character, stages)
-    progress("fit", 1.0)
-    return moved
+    constraints = Constraints(constraints)
+    after = constraints.after
+    if isinstance(after, RigAnimation):
+        constraints = constraints.following(handle_animation(after))
+    own = replace(stages or Stages(), shape=False)
+    return on_bones(parts, apply_motion(stiff(motion), parts.anatomy, constraints, own, progress).motion, motion)
 
 
 def reference_path(path: GroundPath | None, anatomy: Anatomy) -> GroundPath | None:

@@ -1,17 +1,136 @@
-"""Sentences on bodies that are no person's: what each does in its place, and what such a movement needs."""
+"""Bodies before they move: what was decided about one and how sure that is, what it does in place of what a sentence
+says, and what such a movement needs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import groupby
 
+import numpy as np
+
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.plan import BodyPlan
+from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
+from bunraku.handles.limbs import FAMILIES, limb_handles
+from bunraku.language.bodies import INSTEAD, for_body
 from bunraku.language.sentence import Sentence
-from bunraku.pipelines.decisions import moves_as_people, suited
 from bunraku.retarget.creatures.ways import moved_so
 
-__all__ = ["as_bodies_do", "moved_ways"]
+__all__ = ["BodyFacts", "PartFact", "as_bodies_do", "body_facts", "kind_of", "moved_ways", "moves_as_people", "suited"]
+
+
+LEAST = 0.004  # share of the surface from which a part counts as found
+SURE, LIKELY = 0.85, 0.7
+"""How clearly a part's handles hold it from which on it is sure, and likely."""
+_MIDDLE: dict[str, tuple[str, ...]] = {
+    "trunk": ("pelvis", "spine1", "spine2", "spine3"),
+    "head": ("neck", "head", "head_top", "face"),
+    "tail": ("tail", "tail_tip"),
+}
+_PARTS: dict[str, list[int]] = {name: [HANDLE_NAMES.index(part) for part in parts] for name, parts in _MIDDLE.items()}
+for _side in ("left", "right"):
+    _PARTS[f"{_side} arm"] = [HANDLE_NAMES.index(f"{_side}_collar"), *limb_handles(_side, FAMILIES[1])]
+    _PARTS[f"{_side} leg"] = limb_handles(_side, FAMILIES[0])
+    _PARTS[f"{_side} wing"] = [HANDLE_NAMES.index(f"{_side}_wing")]
+
+
+@dataclass(frozen=True)
+class PartFact:
+    """A part of a body as it was found.
+
+    Args:
+        name: Such as "left leg".
+        area: Share of the surface.
+        sure: How clearly the part's handles hold it: the mean of their weights over it, 0 to 1.
+    """
+
+    name: str
+    area: float
+    sure: float
+
+    @property
+    def words(self) -> str:
+        """All of it in words."""
+        said = "sure" if self.sure >= SURE else "likely" if self.sure >= LIKELY else "a guess"
+        return f"{self.name}: {100 * self.area:.0f} % of the surface, {100 * self.sure:.0f} % clear ({said})"
+
+
+@dataclass(frozen=True)
+class BodyFacts:
+    """What was decided about a body.
+
+    Args:
+        plan: What it stands and moves with.
+        parts: What was found, largest first.
+        further: How many legs it has beyond two or four.
+        cannot: What such a body cannot do, a sentence each.
+    """
+
+    plan: BodyPlan
+    parts: tuple[PartFact, ...]
+    further: int
+    cannot: tuple[str, ...]
+
+    @property
+    def lines(self) -> list[str]:
+        """All of it in words, a line each."""
+        return [self.plan.words, *(part.words for part in self.parts), *self.cannot]
+
+
+def body_facts(anatomy: Anatomy) -> BodyFacts:
+    """What was decided about a character's body.
+
+    Args:
+        anatomy: Of the character.
+    """
+    plan, character, handles = anatomy.plan, anatomy.character, anatomy.handles
+    areas = character.areas / max(float(character.areas.sum()), 1e-30)
+    main, played = handles.weights.argmax(axis=1), handles.played
+    parts = []
+    for name, members in _PARTS.items():
+        own = np.isin(played, members)
+        held = own[main] & (areas > 0)
+        area = float(areas[held].sum())
+        if area > LEAST:
+            clear = float((areas[held] * handles.weights[held][:, own].sum(axis=1)).sum() / area)
+            shown = name.replace("arm", "foreleg") if plan.front and name.endswith("arm") else name
+            parts.append(PartFact(shown, area, clear))
+    parts.sort(key=lambda part: -part.area)
+    return BodyFacts(plan, tuple(parts), len(anatomy.further), tuple(_cannot(plan)))
+
+
+def _cannot(plan: BodyPlan) -> list[str]:
+    out = []
+    if not plan.legs:
+        out.append(f"no legs are found: where a sentence says walk or run, it {INSTEAD[kind_of(plan)]} instead")
+    if plan.front:
+        out.append("it stands on its forelegs: where a sentence says wave, clap or hold, it hardly lifts them")
+    elif not plan.arms and not plan.wings:
+        out.append("no arms are found: where a sentence says wave, clap or hold, it moves its trunk and head")
+    if not plan.wings:
+        out.append("no wings are found: where a sentence says fly, it stays on the ground or jumps")
+    return out
+
+
+def kind_of(plan: BodyPlan) -> str:
+    """The kind of a body, as `language.bodies` has them."""
+    if plan.legs:
+        return plan.kind
+    return "snake" if plan.slithers else "fish" if plan.swims else "no legs"
+
+
+def suited(sentence: Sentence, plan: BodyPlan) -> Sentence:
+    """A sentence as a body of this plan does it."""
+    there = {"arms": plan.arms, "forelegs": plan.front, "wings": plan.wings}
+    return for_body(sentence, kind_of(plan), [part for part, found in there.items() if found], moves_as_people(plan))
+
+
+def moves_as_people(plan: BodyPlan) -> bool:
+    """Whether a body moves as people do."""
+    return plan.upright and not plan.swims
 
 
 def as_bodies_do(sentences: Sequence[Sentence], anatomy: Anatomy) -> tuple[list[Sentence], bool]:
@@ -26,7 +145,7 @@ def as_bodies_do(sentences: Sequence[Sentence], anatomy: Anatomy) -> tuple[list[
 
 
 def moved_ways(motion: HandleMotion, sentence: Sentence, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
-    """A generated motion with what its ways of moving need: wings that beat in the air, a wave along the body, feet on
+    """A generated motion with what its locomotion needs: wings that beat in the air, a wave along the body, feet on
     the ground.
 
     Args:

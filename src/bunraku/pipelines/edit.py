@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar, cast
@@ -13,11 +14,10 @@ from bunraku.body.parts import kept_handles
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import put_back_runs
-from bunraku.diffusion.drawing import Drawing
-from bunraku.diffusion.editing import edit_motion, generated_runs, pose_frames, span_frames
+from bunraku.diffusion.generation.drawing import Drawing
+from bunraku.diffusion.generation.editing import edit_motion, generated_runs, pose_frames, span_frames
 from bunraku.errors import MotionError, OptionError
 from bunraku.language.parse import clause_of
-from bunraku.language.understood import english_of
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.apply import fitted_motion, reference_of
 from bunraku.pipelines.requests.constraints import Constraints, Keep, Pose
@@ -27,6 +27,7 @@ from bunraku.retarget.stages.pins import Pin, meet_pins
 
 __all__ = ["edit", "edited"]
 
+_log = logging.getLogger(__name__)
 Clip = TypeVar("Clip", bound=HandleMotion | Animation)
 
 
@@ -39,8 +40,10 @@ def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
         request: What is done instead, and with `Keep`, `Pose` and `Pin` what stays. It has the clip's length, and one
             candidate is drawn. Results and errors are those of `edit`.
     """
-    asked, how = request.sentence, request.sampling
-    clause = clause_of(english_of(asked, request.force) if isinstance(asked, str) else asked.english)
+    how, sentence = request.sampling, request.parsed
+    for note in sentence.notes:
+        _log.warning("%s", note)
+    clause = clause_of(sentence.english)
     request.check(clip=True)
     parts, span = request.constraints.keep.parts, request.constraints.keep.span
     poses, pins = [pose.time for pose in request.constraints.poses], request.constraints.pins
@@ -89,7 +92,7 @@ def edit(
     steps: int | None = None,
     guidance: float | None = None,
     stages: Stages | None = None,
-    anyway: bool = False,
+    force: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Clip:
     """Keep chosen handles, or all but a span of seconds, and generate the rest from a sentence (section A.3 of TapMo).
@@ -106,7 +109,7 @@ def edit(
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.
         stages: Which stages fit an animation's new motion to its character; all when None.
-        anyway: Generate even where no movement of the sentence is understood.
+        force: Generate even where no movement of the sentence is understood.
         progress: Called with a stage's name and the share done, 0 to 1.
 
     Returns:
@@ -123,6 +126,6 @@ def edit(
     stays = [Keep(parts, span)] if parts or span is not None else []
     request = Request(
         prompt, Sampling(seed=seed, steps=steps, guidance=guidance),
-        Constraints((*stays, *map(Pose, poses), *pins)), stages=stages, force=anyway,
+        Constraints((*stays, *map(Pose, poses), *pins)), stages=stages, force=force,
     )  # fmt: skip
     return edited(Animator.shipped(progress), clip, request)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bunraku.core.character import Character
-from bunraku.handles.orientation import Settled, settle
+from bunraku.handles.orientation import ResolvedAxes, resolve_axes
 from bunraku.handles.orientation_evidence import has_rule
-from bunraku.skeletons.rig_axes import rig_axes
 
 __all__ = ["FileStanding", "file_standing"]
 
@@ -17,12 +16,12 @@ class FileStanding:
     """How a character is taken to stand.
 
     Args:
-        settled: Its axes, and the guess by its shape where one was made.
+        resolved: Its axes, and the guess by its shape where one was made.
         rule: Whether its format says how it stands, and nobody said otherwise.
         bones: The horizontal axis that its bones face, where the rule holds and they tell; "" otherwise.
     """
 
-    settled: Settled
+    resolved: ResolvedAxes
     rule: bool = False
     bones: str = ""
 
@@ -42,15 +41,19 @@ def file_standing(character: Character, up: str = "auto", front: str = "auto") -
         OptionError: These are not two axes at a right angle.
         WeightsError: Something is to be guessed and the weights are missing or broken.
     """
-    settled = settle(character, up, front)
+    resolved = resolve_axes(character, up, front)
     unsaid = up.strip().lower() == front.strip().lower() == "auto"
     rule = has_rule(getattr(character.source, "suffix", "")) and unsaid
     bones = _front_of_bones(character) if rule else ""
-    return FileStanding(Settled("+y", "+z", settled.guess) if bones else settled, rule, bones)
+    return FileStanding(ResolvedAxes("+y", "+z", resolved.guess) if bones else resolved, rule, bones)
 
 
 def _front_of_bones(character: Character) -> str:
     """The horizontal axis that a rig with +Y up faces; "" where there is none or the bones do not say."""
     rig = character.rig
-    axes = None if rig is None else rig_axes(rig.names, rig.parents, rig.positions)
+    if rig is None:
+        return ""
+    from bunraku.skeletons.rig_axes import rig_axes
+
+    axes = rig_axes(rig.names, rig.parents, rig.positions)
     return axes[1] if axes and axes[0] == "+y" else ""

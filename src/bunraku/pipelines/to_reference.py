@@ -18,10 +18,10 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.mesh_motion import MeshMotion
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.core.skinning import posed_points
 from bunraku.errors import CharacterError, MotionError
-from bunraku.geometry.rotations import nearest_rotation
+from bunraku.geometry.steady import tallest_steady
 from bunraku.io.motions import Motion
+from bunraku.io.play import bones_of
 from bunraku.retarget.creatures.motion import (
     CreatureMotion,
     motion_of_handles,
@@ -30,9 +30,12 @@ from bunraku.retarget.creatures.motion import (
 )
 from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["bone_rotations", "creature_motion", "reference_motion"]
+__all__ = ["creature_motion", "reference_motion"]
 
 _CHUNK = 200  # frames registered at once: bounds memory
+TALL = (
+    0.85  # a mesh stands whose middle is so high over its lowest point, as a share of what lasts; raised arms add less
+)
 
 
 def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, str] | None = None) -> HandleMotion:
@@ -54,7 +57,7 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
     if isinstance(motion, RigAnimation):
         known = motion.reference or _of_rig(motion.character, *motion.world(), motion.fps)
     elif isinstance(motion, MeshMotion):
-        known = _of_mesh(Character(motion.name, motion.vertices[0], motion.faces), motion.vertices, motion.fps)
+        known = _of_mesh(_standing(motion), motion.vertices, motion.fps)
     elif isinstance(motion, Animation):
         known = motion.reference or _of_animation(motion)
     else:
@@ -91,14 +94,14 @@ def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None
         if isinstance(motion, Animation) and own == HANDLE_COUNT and (rig is None or own != len(rig.names) + 1):
             found = motion_of_handles(motion.motion, Anatomy.of(character, motion.handles))
         elif rig is not None and (isinstance(motion, RigAnimation) or own == len(rig.names) + 1):
-            world = motion.world() if isinstance(motion, RigAnimation) else bone_rotations(motion)
+            world = motion.world() if isinstance(motion, RigAnimation) else bones_of(motion)
             try:
                 character, rotations, positions = _facing(character, *world)
                 found = motion_of_rig(RigParts.of(character), rotations, positions, motion.motion.fps)
             except CharacterError:  # names that say nothing
                 found = _creature_of_mesh(replace(motion.character, rig=None), motion.vertices(), motion.fps)
     elif isinstance(motion, MeshMotion):
-        found = _creature_of_mesh(Character(motion.name, motion.vertices[0], motion.faces), motion.vertices, motion.fps)
+        found = _creature_of_mesh(_standing(motion), motion.vertices, motion.fps)
     return None if found is None else found.at(fps)
 
 
@@ -124,7 +127,7 @@ def _of_animation(animation: Animation) -> HandleMotion:
         return motion_to_reference(animation.motion, Anatomy.of(character, animation.handles))
     if rig is not None and len(animation.handles.positions) == bones + 1:
         try:
-            return _of_rig(character, *bone_rotations(animation), animation.motion.fps)
+            return _of_rig(character, *bones_of(animation), animation.motion.fps)
         except CharacterError:
             pass  # names that say nothing
     return _of_mesh(replace(character, rig=None), animation.vertices(), animation.motion.fps)
@@ -158,6 +161,18 @@ def _facing(
     return character, rotations, positions
 
 
+def _standing(motion: MeshMotion) -> Character:
+    """A moving mesh as it stands: in the first frame in which it is about as tall as it lastingly is."""
+    heights = np.concatenate(
+        [
+            (some := np.asarray(motion.vertices[start : start + _CHUNK])[..., 1]).mean(axis=1) - some.min(axis=1)
+            for start in range(0, len(motion.vertices), _CHUNK)
+        ]
+    )
+    frame = int(tallest_steady(heights, motion.fps, TALL).argmax())
+    return Character(motion.name, motion.vertices[frame], motion.faces)
+
+
 def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
     """Of a moving mesh: its handles are predicted, registered (section A.2 of TapMo) and taken to the reference
     body.
@@ -187,10 +202,3 @@ def _registered(rest: Character, vertices: np.ndarray, fps: float) -> tuple[Hand
         for start in range(0, len(vertices), _CHUNK)
     ]
     return HandleMotion.joined(parts), handles
-
-
-def bone_rotations(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
-    """World turns (N, J, 3, 3) and heads [m] (N, J, 3) of the bones of a clip whose handles they are."""
-    assert animation.character.rig is not None
-    affine = animation.motion.transforms(animation.handles.positions)[:, 1:].astype(np.float64)
-    return nearest_rotation(affine[..., :3]), posed_points(affine, animation.character.rig.positions)

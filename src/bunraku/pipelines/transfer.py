@@ -21,11 +21,12 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError
 from bunraku.io.motions import Motion, load_motion
+from bunraku.io.play import bones_of
 from bunraku.physics.animated import check_apparel
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.transfer import RATE, TransferRequest
-from bunraku.pipelines.to_reference import bone_rotations, creature_motion, reference_motion
+from bunraku.pipelines.to_reference import creature_motion, reference_motion
 from bunraku.retarget.creatures.fit import fit_creature, fit_creature_rig
 from bunraku.retarget.creatures.motion import CreatureMotion
 from bunraku.retarget.fit import Stages, fit_motion
@@ -117,7 +118,7 @@ def transfer(
     *,
     onto: Literal["auto", "handles", "rig"] = "auto",
     handles: Handles | Literal["predict", "rig"] = "predict",
-    apparel: str = "rigid",
+    apparel: str = "none",
     stiffness: float = 1.0,
     stages: Stages | None = None,
     fps: float = RATE,
@@ -134,9 +135,9 @@ def transfer(
         onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a
             humanoid that has one and handles otherwise.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
-        apparel: "rigid" or "none" moves hair and clothes with the body, "simulate" by the rigid bodies or springs of an
-            MMD or VRM file, "learn" by a network that finds them on any mesh; a file's name is that of a mask of what
-            is to be learned; "auto" simulates where the file has physics and learns where the mesh has apparel.
+        apparel: "none" (or "rigid") moves hair and clothes with the body, "simulate" by the rigid bodies or springs of
+            an MMD or VRM file, "learn" by a network that finds them on any mesh; a file's name is that of a mask of
+            what is to be learned; "auto" simulates where the file has physics and learns where the mesh has apparel.
         stiffness: Factor on how stiff learned apparel is, 0.001 to 1000.
         stages: Which stages run; `TRANSFER_STAGES` when None.
         fps: Frames a second of the result [1/s].
@@ -146,7 +147,7 @@ def transfer(
 
     Returns:
         An `Animation`, a `RigAnimation` where the rig is moved, or a `PointAnimation` where apparel is learned. A clip
-        of a character with the same skeleton is copied bone by bone, at its own rate, unless handles are asked for.
+        of a character with the same skeleton is copied bone by bone, at its own rate, unless handles are requested.
 
     Raises:
         OptionError: `onto` is none of the three, or `fps` is not from 1 to 240.
@@ -231,7 +232,7 @@ def same_skeleton(character: Character, motion: Motion) -> RigAnimation | None:
         return copied_bones(motion.character, *motion.world(), motion.fps, character)
     if len(motion.handles.positions) != len(motion.character.rig.names) + 1:
         return None
-    return copied_bones(motion.character, *bone_rotations(motion), motion.motion.fps, character)
+    return copied_bones(motion.character, *bones_of(motion), motion.motion.fps, character)
 
 
 def played_by_mmd(character: Character, path: str | Path, fps: float) -> RigAnimation | None:

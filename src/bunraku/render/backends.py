@@ -91,7 +91,7 @@ def open_renderer(size: tuple[int, int], surface: Surface, stage: Stage, name: s
         name: "opengl" or "software"; None is what `backend` says.
 
     Raises:
-        OptionError: OpenGL was asked for and does not work here.
+        OptionError: OpenGL was requested and does not work here.
     """
     from bunraku.render.software import SoftwareRenderer
 

@@ -21,7 +21,7 @@ def view_axes(yaw: float = YAW, elevation: float = ELEVATION) -> np.ndarray:
     """Camera axes that look at the origin from a direction.
 
     Args:
-        yaw: Turn of the viewer about +Y from +Z (the character's front) towards +X [rad].
+        yaw: Rotation of the viewer about +Y from +Z (the character's front) towards +X [rad].
         elevation: Height of the viewer above the horizon [rad].
 
     Returns:

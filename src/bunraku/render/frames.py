@@ -131,7 +131,7 @@ def render_still(
         character: What to show.
         handles: Handles whose weights colour the vertices.
         size: Width and height in pixels.
-        yaw: Turn of the viewer about +Y from the character's front (+Z) towards +X [rad].
+        yaw: Rotation of the viewer about +Y from the character's front (+Z) towards +X [rad].
         background: As for `render_frames`.
         renderer: "opengl" or "software"; None chooses.
 

@@ -46,6 +46,7 @@ class SoftwareRenderer:
             offset: How far the lit part of the floor has moved [m], shape (3,).
         """
         from bunraku.render.loops import kernels
+        from bunraku.render.loops.reference import Drawn, Lighting, ShadowMap, View
 
         stage, surface = self._stage, self._surface
         height, width = self._ids.shape[:2]
@@ -59,10 +60,14 @@ class SoftwareRenderer:
         out: np.ndarray = self._plain.copy()
         kernels.shade(
             (min(left, dark[0]), min(top, dark[1]), max(right, dark[2]), max(bottom, dark[3])),
-            screen, surface.triangles, points, normals, surface.colors, self._ids, self._base, camera.axes,
-            camera.position, focal, stage.ground, stage.light, stage.lights, shadows.heights, shadows.floor,
-            (shadows.left, shadows.near), shadows.texel, self._encode, out,
-        )  # fmt: skip
+            Drawn(screen, surface.triangles, points, normals, surface.colors),
+            View(camera.axes, camera.position, focal),
+            Lighting(stage.ground, stage.light, stage.lights, self._encode),
+            ShadowMap(shadows.heights, shadows.floor, (shadows.left, shadows.near), shadows.texel),
+            self._ids,
+            self._base,
+            out,
+        )
         self._depth[top:bottom, left:right] = 0
         self._ids[top:bottom, left:right] = -1
         return out

@@ -33,7 +33,7 @@ def check_target(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Path
         )
     check_output_folder(path)
     if not os.access(path.parent, os.W_OK):
-        raise FormatError(path, "the folder cannot be written; choose another place")
+        raise FormatError(path, "the folder cannot be written; choose another folder")
     return path
 
 

@@ -43,8 +43,8 @@ def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
         rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
     rotations, translations = attach_joints(rotations, body.handles, joints)
     scale = leg_length(body.joints) / max(leg_length(motion.skeleton.positions), 1e-9)
-    pelvis, place = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
-    path = motion.root_translation * scale + np.einsum("nij,j->ni", root, place - pelvis) - place
+    pelvis, position = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
+    path = motion.root_translation * scale + np.einsum("nij,j->ni", root, position - pelvis) - position
     out = HandleMotion(translations, rotations, path, root, motion.fps)
     path[:, 1] -= np.quantile(lowest(body.vertices, body.handle_weights, out, body.handles.positions), STANDS)
     return replace(out, root_translation=path)

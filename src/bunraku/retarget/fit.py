@@ -6,19 +6,20 @@ can be left out, clean its motion and turn it into one of another character, in 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.attach import Attach
+from bunraku.retarget.stages.blocks import Blocks
 from bunraku.retarget.stages.feet import Feet
 from bunraku.retarget.stages.fins import Fins
-from bunraku.retarget.stages.floor import Floor
 from bunraku.retarget.stages.front import Front
 from bunraku.retarget.stages.gait import Gait
-from bunraku.retarget.stages.ground import Ground
+from bunraku.retarget.stages.ground import Floor, Ground
 from bunraku.retarget.stages.hands import Hands
-from bunraku.retarget.stages.rest_pose import Level, RestPose
+from bunraku.retarget.stages.rest_pose import Attach, Level, RestPose
 from bunraku.retarget.stages.shape import Shape
 from bunraku.retarget.stages.smooth import Smooth
 from bunraku.retarget.stages.stage import Fitting, Stage
@@ -26,11 +27,11 @@ from bunraku.retarget.stages.support import Support
 from bunraku.retarget.stages.switches import Stages
 from bunraku.retarget.stages.tail import Tail, TailClear
 
-__all__ = ["STAGES", "Stages", "fit_motion", "running"]
+__all__ = ["POSING", "STAGES", "Stages", "fit_motion", "posed", "running"]
 
 STAGES: tuple[Stage, ...] = (
-    Smooth(), Gait(), RestPose(), Fins(), Tail(), Front(), Attach(), Shape(), Level(), Ground(), Support(), Feet(),
-    Hands(), TailClear(), Floor(),
+    Smooth(), Gait(), Blocks(), RestPose(), Fins(), Tail(), Front(), Attach(), Shape(), Level(), Ground(), Support(),
+    Feet(), Hands(), TailClear(), Floor(),
 )  # fmt: skip
 """All stages, in the order in which they run."""
 _NAMED = {stage.name: stage for stage in STAGES}
@@ -40,9 +41,13 @@ def running(stages: Stages) -> tuple[Stage, ...]:
     """The stages that are switched on, and those that they need with them."""
 
     def on(name: str) -> bool:
-        return bool(getattr(stages, name)) and all(on(other) for other in _NAMED[name].needs)
+        return bool(getattr(stages, name)) and all(map(on, _NAMED[name].needs))
 
-    return tuple(stage for stage in STAGES if on(stage.name))
+    return tuple([stage for stage in STAGES if on(stage.name)])
+
+
+POSING = running(Stages(smooth=False, ground=False, support=False, feet=False, floor=False))
+"""The stages that turn and join parts."""
 
 
 def fit_motion(
@@ -63,8 +68,22 @@ def fit_motion(
     stages = stages or Stages()
     if not stages.rest_pose:
         anatomy = anatomy.unturned
-    fitting = Fitting.of(motion, anatomy, heights)
-    for stage in running(stages):
+    return _through(running(stages), Fitting.of(motion, anatomy, heights), anatomy)
+
+
+def posed(motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+    """A motion of the reference body as a character's parts do it, before anything looks at the ground or the mesh:
+    the stages of `POSING` alone.
+
+    Args:
+        motion: Of the reference body.
+        anatomy: Of the character.
+    """
+    return _through(POSING, Fitting.of(motion, anatomy), anatomy)
+
+
+def _through(stages: Iterable[Stage], fitting: Fitting, anatomy: Anatomy) -> HandleMotion:
+    for stage in stages:
         if stage.applies(fitting, anatomy):
             fitting = stage(fitting, anatomy)
     return fitting.motion

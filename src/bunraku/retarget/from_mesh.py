@@ -9,8 +9,8 @@ import numpy as np
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import ReferenceBody, handle_positions, reference_body
 from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.registration import register
+from bunraku.geometry.surface import vertex_areas
 
 __all__ = ["handle_motion_of_body", "handle_motion_of_mesh", "registered_body"]
 

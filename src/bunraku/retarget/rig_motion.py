@@ -18,7 +18,7 @@ def bones_to_handles(parts: RigParts, world_rotations: np.ndarray, positions: np
 
     Args:
         parts: The rig.
-        world_rotations: World turn of each bone from its rest pose, shape (N, J, 3, 3).
+        world_rotations: World rotation of each bone from its rest pose, shape (N, J, 3, 3).
         positions: Where its head is [m], shape (N, J, 3).
         fps: Frames a second [1/s].
     """
@@ -36,9 +36,9 @@ def bones_to_handles(parts: RigParts, world_rotations: np.ndarray, positions: np
         bone = int(parts.leads[handle])
         if bone < 0:
             continue
-        place = positions[:, bone] + np.einsum("nij,j->ni", world_rotations[:, bone], h[handle] - rest[bone])
+        index = positions[:, bone] + np.einsum("nij,j->ni", world_rotations[:, bone], h[handle] - rest[bone])
         rotations[:, handle] = back @ world_rotations[:, bone]
-        translations[:, handle] = np.einsum("nij,nj->ni", back, place - centre) + h[0] - h[handle]
+        translations[:, handle] = np.einsum("nij,nj->ni", back, index - centre) + h[0] - h[handle]
     return HandleMotion(translations, rotations, centre - h[0], root, fps)
 
 
@@ -60,7 +60,7 @@ def rig_to_reference(
 
     Args:
         parts: The rig, facing +Z.
-        rotations: World turn of each bone from its rest pose, shape (N, J, 3, 3).
+        rotations: World rotation of each bone from its rest pose, shape (N, J, 3, 3).
         positions: Where its head is [m], shape (N, J, 3).
         fps: Frames a second [1/s].
         own: See `motion_to_reference`.

@@ -14,21 +14,22 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.joints import PRESENT, Joints, reference_joints
-from bunraku.anatomy.rest_pose import rest_rotations, upright
-from bunraku.anatomy.stance import flat_feet
+from bunraku.anatomy.rest_pose import flat_feet, rest_rotations, upright
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
+from bunraku.core.motion import Skeleton
 from bunraku.core.rig_animation import bone_order
 from bunraku.core.vrm_model import vrm_model
 from bunraku.errors import CharacterError
 from bunraku.formats.gltf.read import Source
 from bunraku.geometry.rotations import rotation_between
-from bunraku.handles.from_rig import rig_handles, settle_joints
+from bunraku.handles.from_rig import resolve_joints, rig_handles
 from bunraku.skeletons.bone_names import NO_HANDLE, handle_of_joints, limb_parents
 from bunraku.skeletons.bone_words import part_of_name
+from bunraku.skeletons.skeleton_structure import joints_by_structure
 
-__all__ = ["HUMANOID", "RigParts", "is_humanoid_rig"]
+__all__ = ["HUMANOID", "RigParts", "is_humanoid_rig", "understood_rig"]
 
 HUMANOID = tuple(
     HANDLE_NAMES.index(name)
@@ -95,7 +96,7 @@ class RigParts:
         if parts is None:
             handles, parts = rig_handles(character), handle_of_joints(rig.names, rig.parents, rig.positions, mass)
         else:
-            weights = rig.dense_weights() @ np.eye(HANDLE_COUNT, dtype=np.float32)[settle_joints(parts, rig.parents)]
+            weights = rig.dense_weights() @ np.eye(HANDLE_COUNT, dtype=np.float32)[resolve_joints(parts, rig.parents)]
             weights[:, 0] += 1 - weights.sum(axis=1)
             handles = Handles(handle_positions(character.vertices, weights, areas), weights)
         parents = limb_parents(parts, rig.parents, rig.positions)
@@ -123,13 +124,18 @@ class RigParts:
         return Anatomy.of(self.character, self.handles, (self.rotations, self.joints))
 
     @property
+    def complete(self) -> bool:
+        """Whether it has a pelvis, two legs, and two arms or front legs."""
+        return bool((self.leads[list(HUMANOID)] >= 0).all())
+
+    @property
     def humanoid(self) -> bool:
         """Whether it stands upright and has a pelvis, two legs and two arms."""
-        return bool((self.leads[list(HUMANOID)] >= 0).all()) and upright(self.handles)
+        return self.complete and upright(self.handles)
 
     def world(self, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World turns (N, J, 3, 3) and heads [m] (N, J, 3) of the bones for transforms of the handles; bones keep their
-        lengths.
+        """World rotations (N, J, 3, 3) and heads [m] (N, J, 3) of the bones for transforms of the handles; bones keep
+        their lengths.
 
         Args:
             transforms: Of each handle, shape (N, 30, 3, 4).
@@ -153,12 +159,55 @@ class RigParts:
         return rotations, positions
 
 
+def understood_rig(character: Character) -> RigParts | None:
+    """The rig of a person or of four legs, told by the file, by the names of its bones or by their shape; None where it
+    is neither, or there is none.
+
+    Args:
+        character: Facing +Z.
+    """
+    for known in (None, _shaped_parts(character)):
+        try:
+            parts = RigParts.of(character, known)
+        except CharacterError:
+            continue
+        if parts.complete:
+            return parts
+    return None
+
+
 def is_humanoid_rig(character: Character) -> bool:
     """Whether a character has a rig that takes a person's motion bone by bone."""
     try:
         return RigParts.of(character).humanoid
     except CharacterError:
         return False
+
+
+def _shaped_parts(character: Character) -> np.ndarray | None:
+    """Handle of each bone of a person's rig by its shape alone, shape (J,); None where it has none of a person."""
+    rig = character.rig
+    if rig is None:
+        return None
+    order = [bone for bone in bone_order(rig.parents) if _below_first(bone, rig.parents)]
+    place = {bone: number for number, bone in enumerate(order)}
+    parents = [place.get(int(rig.parents[bone]), -1) for bone in order]
+    rest = rig.positions[order]
+    offsets = rest - np.where(np.array(parents)[:, None] >= 0, rest[parents], 0)
+    found = joints_by_structure(Skeleton(tuple(rig.names[bone] for bone in order), np.array(parents), offsets))
+    out = np.full(len(rig.names), NO_HANDLE)
+    for name, joint in found.items():
+        out[order[joint]] = HANDLE_NAMES.index(name)
+    return out if found else None
+
+
+def _below_first(bone: int, parents: np.ndarray) -> bool:
+    """Whether a bone is the first without a parent, or below it."""
+    first = int(np.flatnonzero(parents < 0)[0]) if (parents < 0).any() else -1
+    steps = 0
+    while bone >= 0 and bone != first and steps < len(parents):
+        bone, steps = int(parents[bone]), steps + 1
+    return bone == first
 
 
 def _avatar_parts(character: Character) -> np.ndarray | None:
@@ -233,11 +282,11 @@ def _joints(
     for handle in range(
         1, HANDLE_COUNT
     ):  # rigs whose bones of one part are in several places could go round in a circle
-        seen, place = [handle], int(above[handle])
-        while place > 0 and place not in seen:
-            seen.append(place)
-            place = int(above[place])
-        if place > 0:
+        seen, index = [handle], int(above[handle])
+        while index > 0 and index not in seen:
+            seen.append(index)
+            index = int(above[index])
+        if index > 0:
             above[handle] = 0
     return Joints(positions, above, present)
 

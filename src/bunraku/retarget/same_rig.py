@@ -23,12 +23,12 @@ def copied_bones(
     """The clip on another character of the same skeleton, or None where it is another one.
 
     Skeletons are the same when every bone that moves a vertex of the character is there by name, below the same bone,
-    and rests in the same direction. Bones keep their turns against their parents; what moves them off their places is
-    scaled by the size of the skeleton.
+    and rests in the same direction. Bones keep their rotations against their parents; what moves them off their
+    positions is scaled by the size of the skeleton.
 
     Args:
         source: The character of the clip.
-        world_rotations: World turn of each of its bones from the rest pose, shape (N, J, 3, 3).
+        world_rotations: World rotation of each of its bones from the rest pose, shape (N, J, 3, 3).
         positions: Where its head is [m], shape (N, J, 3).
         fps: Frames a second [1/s].
         character: The one to be moved.
@@ -36,8 +36,8 @@ def copied_bones(
     if source.rig is None or character.rig is None:
         return None
     theirs, own = source.rig, character.rig
-    places = {name: bone for bone, name in enumerate(theirs.names)}
-    partner = np.array([places.get(name, -1) for name in own.names])
+    indices = {name: bone for bone, name in enumerate(theirs.names)}
+    partner = np.array([indices.get(name, -1) for name in own.names])
     used = np.unique(own.indices[own.weights > 0])
     needed = set(used.tolist())
     for bone in used.tolist():

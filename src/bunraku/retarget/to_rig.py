@@ -22,7 +22,7 @@ from bunraku.retarget.mmd.pose import pose_mmd
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.skeletons.bone_names import NO_HANDLE
 
-__all__ = ["fit_rig"]
+__all__ = ["fit_rig", "on_bones"]
 
 
 def fit_rig(
@@ -49,8 +49,19 @@ def fit_rig(
         replace(stages or Stages(), shape=False),
         heights,
     )
+    return on_bones(parts, fitted, motion)
+
+
+def on_bones(parts: RigParts, fitted: HandleMotion, reference: HandleMotion | None = None) -> RigAnimation:
+    """The bones of a rig as its 30 handles move.
+
+    Args:
+        parts: The rig.
+        fitted: Motion of `parts.handles`.
+        reference: The motion of the reference body that it was fitted from.
+    """
     rotations, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
-    return _with_helpers(RigAnimation.of_world(parts.character, rotations, positions, motion.fps, motion), parts)
+    return _with_helpers(RigAnimation.of_world(parts.character, rotations, positions, fitted.fps, reference), parts)
 
 
 def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:

@@ -148,8 +148,8 @@ def _spikes() -> list[Piece]:
         "Tail3", 0.5),
         (0.365, -1.22, "Tail4", 0.45),
     ]  # fmt: skip
-    places = np.array([entry[:2] for entry in line])
-    slope = np.gradient(places, axis=0)
+    positions = np.array([entry[:2] for entry in line])
+    slope = np.gradient(positions, axis=0)
     out = []
     for (y, z, joint, size), (dy, dz) in zip(line, slope, strict=True):
         length = float(np.hypot(dy, dz))

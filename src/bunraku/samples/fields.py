@@ -16,7 +16,7 @@ _EMPTY = 10.0
 
 @dataclass(frozen=True)
 class Lump:
-    """A tapered bar with round ends and an elliptic section; with both ends at one place, an ellipsoid.
+    """A tapered bar with round ends and an elliptic section; with both ends at one position, an ellipsoid.
 
     Args:
         start: First end of the axis [m], shape (3,).

@@ -66,10 +66,7 @@ def _field() -> Field:
         bar((0.108, 0.055, -0.02), (0.118, 0.052, 0.06), (0.068, 0.075), "LeftFoot", blend=0.02),
     ]
     spots = mirrored(
-        [
-            ball(_CAP_CENTRE + 0.93 * (place - _CAP_CENTRE), radius * 0.62, "Cap", blend=0.05)
-            for place, radius in _spots()
-        ]
+        [ball(_CAP_CENTRE + 0.93 * (spot - _CAP_CENTRE), radius * 0.62, "Cap", blend=0.05) for spot, radius in _spots()]
     )
     return Field([*stem, *cap, *mirrored(limbs), *spots], floor=0.0)
 
@@ -85,7 +82,7 @@ def build(detail: float, rigged: bool) -> Character:
 
     paints = [
         Paint(CAP, rim),
-        Paint(SPOT, either(*(bump(place, radius, both_sides=True) for place, radius in _spots()))),
+        Paint(SPOT, either(*(bump(spot, radius, both_sides=True) for spot, radius in _spots()))),
         Paint(GILLS, gills),
         Paint(FEET, slab(1, -1, 0.115)),
     ]

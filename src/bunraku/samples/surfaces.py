@@ -152,7 +152,7 @@ def plate_mesh(outline: np.ndarray, inner: Sequence[float], thickness: float, ri
         inner: The inner point [m], shape (2,).
         thickness: Thickness in the middle along Z [m]; it thins to a third at the border.
         rings: Loops from the border to the inner point.
-        bulge: Maps points (M, 3) of the flat plate to their final places.
+        bulge: Maps points (M, 3) of the flat plate to their final positions.
     """
     outline, middle = np.asarray(outline, float), np.asarray(inner, float)
     share = (1 - np.linspace(0, 1, rings + 1)[:-1])[:, None, None]

@@ -147,6 +147,7 @@ def handle_of_joints(
     _flippers(tree, out)
     _trunk(tree, out)
     _empty_hands(tree, out)
+    _between(tree, out)
     for joint in tree.of("held", ""):
         parent = tree.parents[joint]
         if (
@@ -277,6 +278,22 @@ def _by_height(tree: _Tree, joints: list[int]) -> list[int]:
     """In order along the body: by depth in the hierarchy, and from below where two are side by side."""
     height = np.zeros(len(tree.parents)) if tree.positions is None else tree.positions[:, 1]
     return sorted(joints, key=lambda j: (len(tree.above(j)), float(height[j]), j))
+
+
+def _between(tree: _Tree, out: np.ndarray) -> None:
+    """Where no name tells of an upper limb, the bone that its lower one hangs on is it, if nothing else is known of it:
+    `bicep.L` between `collar.L` and `forearm.L`.
+    """
+    for side in ("left", "right"):
+        for upper, lower in (("shoulder", "elbow"), ("hip", "knee")):
+            if (out == _H[f"{side}_{upper}"]).any():
+                continue
+            first = min(
+                np.flatnonzero(out == _H[f"{side}_{lower}"]).tolist(), key=lambda j: len(tree.above(j)), default=-1
+            )
+            above = tree.parents[first] if first >= 0 else -1
+            if above >= 0 and out[above] == NO_HANDLE and tree.parents[above] >= 0:
+                out[above] = _H[f"{side}_{upper}"]
 
 
 def _empty_hands(tree: _Tree, out: np.ndarray) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["left_axis", "part_of_name", "plain_name"]
+__all__ = ["block_of_name", "left_axis", "part_of_name", "plain_name"]
 
 # Kinds that name a handle outright; "left" stands for the side that the joint has.
 _KINDS: tuple[tuple[str, str], ...] = (
@@ -150,6 +150,31 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
                 kind = "arm_leg"
             return kind, side, number, target
     return "", side, number, target
+
+
+_BLOCKS = {
+    "head": "head", "neck": "head", "shoulder": "arm", "elbow": "arm", "wrist": "arm", "fingers": "arm",
+    "collar": "arm", "flipper": "arm", "leg": "leg", "foot": "leg", "toe": "leg", "hip_bone": "leg", "hind_paw": "leg",
+    "arm_leg": "front leg", "front_foot": "front leg", "tail": "tail", "wing": "wing", "hips": "trunk",
+    "spine": "trunk", "abdomen": "trunk", "body": "trunk", "back": "trunk", "held": "carried", "head_top": "carried",
+    "face": "carried", "face_bone": "carried",
+}  # fmt: skip
+_WHERE = {"front", "fore", "back", "hind", "rear", "upper", "lower", "up", "low"}
+
+
+def block_of_name(name: str) -> tuple[str, str]:
+    """What the name of a rigid block says.
+
+    Returns:
+        The limb that it is a part of: "head", "arm", "leg", "front leg", "tail", "wing", "trunk", "carried" for what
+        goes along with another block, "" when unknown; and the kind of `part_of_name`.
+    """
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", plain_name(name))
+    first = [word for word in words if word.lower() in _WHERE]
+    rest = [word for word in words if word.lower() not in _WHERE]
+    kind, side, _, _ = part_of_name("_".join(["front" if word.lower() == "fore" else word for word in first] + rest))
+    limb = _BLOCKS.get(kind, "")
+    return ("leg" if kind == "hips" and side else limb), kind
 
 
 def left_axis(names: Sequence[str], positions: np.ndarray) -> np.ndarray | None:

@@ -34,18 +34,18 @@ def mmd_skeleton_map(names: Sequence[str]) -> SkeletonMap | None:
     Args:
         names: Names of all bones.
     """
-    place: dict[str, int] = {}
+    number: dict[str, int] = {}
     for index, name in enumerate(names):
-        place.setdefault(plain_name(name), index)
+        number.setdefault(plain_name(name), index)
 
     def first(*options: str) -> int:
-        return next((place[option] for option in options if option in place), -1)
+        return next((number[option] for option in options if option in number), -1)
 
     found = {part: first(*options) for part, options in _MIDDLE.items()}
     for side, mark in (("left", "左"), ("right", "右")):
         found |= {f"{side}_{part}": first(*(mark + option for option in options)) for part, options in _SIDED.items()}
     found["spine3"] = first("上半身3", "上半身2")
-    found["spine2"] = first("上半身2") if "上半身3" in place else -1
+    found["spine2"] = first("上半身2") if "上半身3" in number else -1
     if min(found[name] for name in _NEEDED) < 0:
         return None
     joints = np.array([found[name] for name in JOINT_NAMES])

@@ -168,8 +168,8 @@ def _rotations_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.nd
             own[:, joint] = own[:, parent]
             continue
 
-        def local(places: np.ndarray, source: int = source) -> np.ndarray:
-            return np.asarray(np.einsum("nji,nj->ni", world[:, source], places).mean(axis=0))
+        def local(points: np.ndarray, source: int = source) -> np.ndarray:
+            return np.asarray(np.einsum("nji,nj->ni", world[:, source], points).mean(axis=0))
 
         child = _CHILD.get(joint, -1)
         if joint in (0, _J["spine3"]):
@@ -177,7 +177,7 @@ def _rotations_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.nd
             top = next(
                 (some for some in (_J["neck"], _J["head"], 9, 6, 3) if found.joints[some] >= 0 and some > joint), -1
             )
-            across = local(np.stack([_across(found, places, parts) for places in positions]))
+            across = local(np.stack([_across(found, points, parts) for points in positions]))
             base = (
                 positions[:, source]
                 if joint

@@ -2,7 +2,7 @@
 
 The page gets a character's mesh and skin once, as GLB, and of each take only what the skin's joints do, and
 where apparel moves on its own how it leaves its skin: the very tracks that the GLB of the take would hold
-(`formats.gltf.handle_channels.joint_tracks`, `formats.gltf.write_points`), so what is shown is what is saved.
+(`formats.gltf.bunraku_clip.joint_tracks`, `formats.gltf.write_points`), so what is shown is what is saved.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from bunraku.formats.arrays.npz import (
     read_reference,
 )
 from bunraku.formats.files import atomic_write, read_bounded
-from bunraku.formats.gltf.handle_channels import joint_tracks
+from bunraku.formats.gltf.bunraku_clip import joint_tracks
 from bunraku.formats.gltf.write_points import before_skin, shapes_of_meshes
 
 __all__ = [
@@ -224,6 +224,8 @@ def save_handles(handles: Handles, path: Path) -> None:
     arrays = {"positions": handles.positions, "weights": handles.weights, "roles": handles.played}
     if handles.features is not None:
         arrays["features"] = handles.features
+    if handles.rigid:
+        arrays["rigid"] = np.ones(1)
     packed = io.BytesIO()
     np.savez_compressed(packed, allow_pickle=False, **arrays)
     with atomic_write(path) as file:
@@ -249,4 +251,5 @@ def load_handles(path: Path) -> Handles:
         found["weights"],
         found.get("features"),
         None if np.array_equal(roles, np.arange(len(roles))) else roles,
+        "rigid" in found,
     )

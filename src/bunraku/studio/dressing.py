@@ -16,7 +16,7 @@ from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.retarget.fit import Stages
 from bunraku.studio.clips import Dressed, Take, body_of
 
-__all__ = ["check_fits", "dressed_anew", "is_worn", "put_on"]
+__all__ = ["check_fits", "dressed_anew", "has_apparel", "put_on"]
 
 Report = Callable[[str, float], None]
 MOST_PLACES = 30_000_000
@@ -51,7 +51,7 @@ def check_fits(apparel: Apparel, character: Character, seconds: float) -> None:
 
 
 def put_on(body: Animation | RigAnimation, apparel: Apparel, report: Report) -> Take:
-    """A take of an animation, with apparel that moves as is asked for.
+    """A take of an animation, with apparel that moves as is requested.
 
     Args:
         body: The animation, apparel going with the body.
@@ -115,7 +115,7 @@ def dressed_anew(
     return apply_motion(motion, anatomy, Constraints.of(in_place=in_place), stages, report)
 
 
-def is_worn(character: Character, handles: Handles) -> bool:
+def has_apparel(character: Character, handles: Handles) -> bool:
     """Whether a character has apparel that can be learned."""
     from bunraku.apparel.fitting import joint_weights_of_handles, joints_of_handles
     from bunraku.apparel.mask import apparel_mask

@@ -1,4 +1,4 @@
-"""What a page asks for, a dataclass for each form: the same for a request of the page, a link and a project file."""
+"""What a page requests, a dataclass for each form: the same for a request of the page, a link and a project file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from bunraku.core.request.json_form import from_json, to_json
-from bunraku.core.request.limits import CANDIDATES, GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit
+from bunraku.core.request.limits import CANDIDATES, FPS, GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit
 from bunraku.errors import OptionError
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints, Keep, Pose
@@ -18,13 +18,19 @@ if TYPE_CHECKING:
     from bunraku.retarget.fit import Stages
     from bunraku.retarget.stages.pins import Pin
 
-__all__ = ["ChangeForm", "DressForm", "Part", "PoseForm", "TakeForm", "check_asked", "read_script", "stages_without"]
+__all__ = [
+    "ChangeForm", "ClipsForm", "DressForm", "MOST_PARTS", "MOST_SEED", "Motion", "Part", "PoseForm", "TIME", "TakeForm",
+    "TakeRecordForm", "check_asked", "check_pins", "read_script", "stages_without",
+]  # fmt: skip
 
 MOST_SEEDS = 8
 MOST_PARTS = 20
 MOST_WORDS = 1000
+MOST_TITLE = 80
 MOST_SEED = 2**53
 """Seeds are less, so that a browser knows them exactly."""
+MOST_CLIPS = 100
+"""Takes in one file."""
 TIME = Limit("time", 0, SECONDS.high)
 Motion = Literal["rigid", "simulate", "learn"]
 """How apparel moves."""
@@ -55,6 +61,15 @@ def _pins(forms: Sequence[object]) -> list[Pin]:
     return found
 
 
+def check_pins(forms: Sequence[object]) -> None:
+    """Whether these are JSON forms of pins.
+
+    Raises:
+        OptionError: One is none.
+    """
+    _pins(forms)
+
+
 def _path(points: Sequence[object]) -> GroundPath | None:
     """Points of a path on the floor, x and z [m]; None where there are none."""
     from bunraku.core.ground_path import LONGEST, GroundPath
@@ -62,14 +77,14 @@ def _path(points: Sequence[object]) -> GroundPath | None:
     if not points:
         return None
     limit = Limit("x and z of a path", -LONGEST, LONGEST)
-    places = []
+    positions = []
     for point in points:
         if not isinstance(point, list) or len(point) != 2 or not all(type(one) in (int, float) for one in point):
             raise OptionError("a path is a list of points, each with x and z")
         for one in point:
             limit.check(one)
-        places.append((float(point[0]), float(point[1])))
-    return GroundPath(tuple(places))
+        positions.append((float(point[0]), float(point[1])))
+    return GroundPath(tuple(positions))
 
 
 @dataclass(frozen=True)
@@ -86,29 +101,36 @@ class Part:
 
     def __post_init__(self) -> None:
         if len(self.text) > MOST_WORDS:
-            raise OptionError(f"text has more than {MOST_WORDS} characters")
+            raise OptionError(f"text has more than {MOST_WORDS} characters, {len(self.text):,}; say it in fewer")
         SECONDS.check(self.seconds)
 
 
-def read_script(script: Sequence[Part]) -> tuple[str, float]:
-    """The sentences of a script as one sequence, and how long all of it is [s].
+def read_script(script: Sequence[Part]) -> tuple[Part, ...]:
+    """The sentences of a script one by one: what was typed in a row, such as "walks:4; jumps:2", is several.
 
     Raises:
         OptionError: A sentence is empty, or all are too long.
     """
-    from bunraku.language.sequence import parse_sequence, timed_sequence
+    from bunraku.language.prompts import parse_sequence, timed_sequence
 
-    if not script:
+    if not script or not all(part.text.strip(" ;\n\t") for part in script):
         raise OptionError("type what the character does, such as: walks forward, then waves")
     if len(script) > MOST_PARTS:
         raise OptionError(f"script has more than {MOST_PARTS} entries")
     timed = [
-        one
+        Part(text, seconds)
         for part in script
-        for one in timed_sequence(parse_sequence(part.text.replace("\n", " ").strip()), part.seconds)
+        for text, seconds in timed_sequence(parse_sequence(part.text.replace("\n", " ").strip()), part.seconds)
     ]
-    sequence = "; ".join(f"{text}:{seconds:g}" for text, seconds in timed)
-    return sequence, sum(seconds for _, seconds in timed_sequence(parse_sequence(sequence), 6.0))
+    if len(timed) > MOST_PARTS:
+        raise OptionError(f"script has more than {MOST_PARTS} entries")
+    if sum(part.seconds for part in timed) > SECONDS.high:
+        raise OptionError(f"all sentences together last at most {SECONDS.high:g} seconds; shorten some")
+    return tuple(timed)
+
+
+def _sequence(script: Sequence[Part]) -> str:
+    return "; ".join(f"{part.text}:{part.seconds:g}" for part in script)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +142,7 @@ class _Drawn:
         steps: Of the sampler; None takes the default.
         guidance: Of the sentence; None takes the default.
         candidates: Motions of which one is chosen.
-        anyway: Go on where no movement is understood.
+        force: Go on where no movement is understood.
         without: Names of stages that are left out.
         pins: JSON forms of pins.
     """
@@ -129,7 +151,7 @@ class _Drawn:
     steps: int | None = None
     guidance: float | None = None
     candidates: int = 3
-    anyway: bool = False
+    force: bool = False
     without: tuple[str, ...] = ()
     pins: tuple[object, ...] = ()
 
@@ -164,7 +186,7 @@ class DressForm:
         STIFFNESS.check(self.stiffness, "stiffness")
 
     @property
-    def worn(self) -> Apparel:
+    def apparel_request(self) -> Apparel:
         """The same as a part of a request."""
         return Apparel(self.apparel, self.stiffness)
 
@@ -200,30 +222,63 @@ class TakeForm(_Drawn):
             handles: How the handles of the character were made.
 
         Raises:
-            OptionError: It cannot be asked for, or a sentence is not understood.
+            OptionError: It cannot be requested, or a sentence is not understood.
         """
-        from bunraku.language.sequence import parse_sequence
-        from bunraku.language.understood import check_understood
-
-        sentence, seconds = read_script(self.script)
-        for part, _ in parse_sequence(sentence):
-            check_understood(part, self.anyway)
+        script = read_script(self.script)
         found = Request(
-            sentence, self.sampling(seconds),
+            _sequence(script), self.sampling(sum(part.seconds for part in script)),
             Constraints.of(
                 loop=self.loop, in_place=self.in_place, after=self.after or None, path=_path(self.path or ()),
                 pins=_pins(self.pins),
             ),
-            DressForm(apparel=self.apparel, stiffness=self.stiffness).worn, stages_without(self.without),
-            "predict" if self.apparel == "simulate" else handles, self.anyway,
+            DressForm(apparel=self.apparel, stiffness=self.stiffness).apparel_request, stages_without(self.without),
+            "predict" if self.apparel == "simulate" else handles, self.force,
+            "auto" if self.apparel in ("simulate", "learn", "auto") else "handles",  # what is edited are handles
         )  # fmt: skip
         found.check()
-        return found
+        return found.with_parsed()
 
     def asked(self) -> dict[str, Any]:
         """What a take's record keeps of it, for links."""
         kept = ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "stiffness", "path", "pins")
         return {name: to_json(getattr(self, name)) for name in kept}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipsForm:
+    """Takes that become the clips of one file.
+
+    Args:
+        takes: Their names, in order, each once.
+        fps: Frames a second [1/s].
+    """
+
+    takes: tuple[str, ...] = ()
+    fps: float = 30.0
+
+    def __post_init__(self) -> None:
+        FPS.check(self.fps)
+        if not 1 <= len(self.takes) <= MOST_CLIPS or len(set(self.takes)) < len(self.takes):
+            raise OptionError(f"one file has 1 to {MOST_CLIPS} clips, each another take; choose them again")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TakeRecordForm:
+    """What a page changes of a take that is there.
+
+    Args:
+        star: Whether it is starred.
+        deleted: Whether it is given up.
+        title: Its name; "" is that of its sentence.
+    """
+
+    star: bool | None = None
+    deleted: bool | None = None
+    title: str | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.title or "") > MOST_TITLE:
+            raise OptionError(f"title has more than {MOST_TITLE} characters")
 
 
 @dataclass(frozen=True)
@@ -268,25 +323,23 @@ class ChangeForm(_Drawn):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.prompt) > MOST_WORDS:
-            raise OptionError(f"prompt has more than {MOST_WORDS} characters")
+            raise OptionError(f"prompt has more than {MOST_WORDS} characters, {len(self.prompt):,}; say it in fewer")
         if len(self.span or ()) not in (0, 2):
             raise OptionError("a span is two seconds, from and to")
         for second in self.span or ():
             TIME.check(second, "span")
 
-    def request(self, worn: Apparel) -> Request:
+    def request(self, apparel: Apparel) -> Request:
         """The request of an edit, checked.
 
         Args:
-            worn: How the apparel of the take moves.
+            apparel: How the apparel of the take moves.
 
         Raises:
             OptionError: Nothing is kept, or the sentence is not understood.
         """
         from bunraku.body.parts import kept_handles
-        from bunraku.language.understood import check_understood
 
-        check_understood(self.prompt, self.anyway)
         if self.keep:
             kept_handles(self.keep)
         if not self.keep and not self.span and not self.poses:
@@ -295,25 +348,25 @@ class ChangeForm(_Drawn):
         stays = [Keep(self.keep, span)] if self.keep or span else []
         poses = [Pose(pose.time, pose.take, pose.at) for pose in self.poses]
         found = Request(
-            self.prompt.strip(), self.sampling(6.0), Constraints((*stays, *poses, *_pins(self.pins))), worn,
-            stages_without(self.without), force=self.anyway,
+            self.prompt.strip(), self.sampling(6.0), Constraints((*stays, *poses, *_pins(self.pins))), apparel,
+            stages_without(self.without), force=self.force,
         )  # fmt: skip
         found.check(clip=True)
-        return found
+        return found.with_parsed()
 
     def bends(self) -> Constraints:
         """Its pins, for a take that is bent to them."""
         return Constraints(_pins(self.pins))
 
-    def asked(self, worn: Apparel) -> dict[str, Any]:
+    def asked(self, apparel: Apparel) -> dict[str, Any]:
         """What a take's record keeps of it."""
         kept = ("seeds", "keep", "span", "poses", "pins", "prompt")
-        return {**{name: to_json(getattr(self, name)) for name in kept}, "apparel": worn.motion,
-                "stiffness": worn.stiffness}  # fmt: skip
+        return {**{name: to_json(getattr(self, name)) for name in kept}, "apparel": apparel.motion,
+                "stiffness": apparel.stiffness}  # fmt: skip
 
 
 def check_asked(how: object, script: object, asked: object) -> None:
-    """Whether what a project says of a take was asked for by a page.
+    """Whether what a project says of a take was requested by a page.
 
     Args:
         how: How the take was made.

@@ -1,33 +1,33 @@
-"""The queue: jobs one after the other in a process that can be killed and comes back, and what is told about them.
+"""The queue: jobs one after the other in a process that can be killed and comes back, and what is reported about them.
 
-A thread of the server feeds the process and reads what it says. Whoever listens (`events`) gets what happened since a
-number, so a page that was away misses nothing.
+A thread of the server feeds the process and reads what it says; what happens is told to `Changes`.
 """
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import multiprocessing
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, NotRequired, TypedDict, cast
 
 from bunraku.errors import BunrakuError, FormatError, OptionError
+from bunraku.studio.changes import Changes
+from bunraku.studio.responses import sentence_of
 from bunraku.studio.store import NotThere, Store
 from bunraku.studio.worker import work
 
-__all__ = ["Jobs", "QueueFull", "public"]
+__all__ = ["About", "Job", "Jobs", "QueueFull", "public"]
 
 _log = logging.getLogger(__name__)
 MOST_WAITING = 64
 """Jobs in the queue; more are refused."""
 REMEMBERED = 500
-"""Events, and finished jobs, that are kept for pages that were away."""
+"""Finished jobs that are kept for pages that were away."""
 PATIENCE = 4.0
 """Seconds after which a job that was cancelled and does not stop is stopped by force."""
 KILLED = (
@@ -36,14 +36,40 @@ KILLED = (
 )
 OPEN_STATES = ("waiting", "running")
 
-Job = dict[str, Any]
+
+class About(TypedDict, total=False):
+    """Which things a job is about: takes of a character that it makes, a character that it opens, a take that it
+    exports.
+    """
+
+    character: str
+    takes: list[str]
+    opens: str
+    export: str
+    take: str
+
+
+class Job(TypedDict):
+    """A job: what its task is, what it is given, what it is about, and how far it is."""
+
+    id: str
+    created: float
+    kind: str
+    title: str
+    params: Mapping[str, object]
+    about: About
+    state: str
+    stage: str
+    done: float
+    error: str
+    started: NotRequired[float]
 
 
 class QueueFull(BunrakuError):
     """Too many jobs wait."""
 
 
-Finish = Callable[[Job, str, dict[str, Any]], None]
+Finish = Callable[[Job, str, Mapping[str, object]], None]
 """Called with a job, "partly", "done", "failed" or "cancelled", and what the worker said."""
 
 
@@ -63,9 +89,7 @@ class Jobs:
         self._wake = threading.Condition(self._lock)
         self._waiting: deque[str] = deque()
         self._jobs: dict[str, Job] = {}
-        self._events: deque[tuple[int, str, dict[str, Any]]] = deque(maxlen=REMEMBERED)
-        self._count = 0
-        self._listeners: set[Callable[[], None]] = set()
+        self.changes = Changes()
         self._process: Any = None
         self._pipe: Connection | None = None
         self._bell: Connection | None = None
@@ -74,7 +98,9 @@ class Jobs:
         self._stopping = False
         self._thread: threading.Thread | None = None
         for record in store.all("jobs"):  # of a run that ended before they did
-            self._jobs[record["id"]] = {**record, "state": "interrupted", "done": 0.0, "error": "interrupted; again?"}
+            self._jobs[record["id"]] = cast(
+                Job, {**record, "state": "interrupted", "done": 0.0, "error": "interrupted; again?"}
+            )
 
     def start(self) -> None:
         """Start the process and the thread that feeds it."""
@@ -112,7 +138,7 @@ class Jobs:
                 raise NotThere("there is no such job any more; reload the page")
             return self._jobs[name]
 
-    def submit(self, kind: str, title: str, params: dict[str, Any], about: dict[str, Any] | None = None) -> Job:
+    def submit(self, kind: str, title: str, params: Mapping[str, object], about: About | None = None) -> Job:
         """Put a job at the end of the queue.
 
         Args:
@@ -129,10 +155,11 @@ class Jobs:
             if len(self._waiting) >= MOST_WAITING:
                 raise QueueFull(f"{MOST_WAITING} jobs are waiting already; let some finish or cancel them")
             record = {"kind": kind, "title": title, "params": params, "about": about or {}}
-            job = {**self.store.new("jobs", record), "state": "waiting", "stage": "", "done": 0.0, "error": ""}
+            new = self.store.new("jobs", record)
+            job = cast(Job, {**new, "state": "waiting", "stage": "", "done": 0.0, "error": ""})
             self._jobs[job["id"]] = job
             self._waiting.append(job["id"])
-            self._tell("job", public(job))
+            self.changes.tell("job", public(job))
             self._wake.notify_all()
             return job
 
@@ -161,55 +188,6 @@ class Jobs:
                 self._end(job, "cancelled", {})
             return job
 
-    def tell(self, what: str, record: dict[str, Any]) -> None:
-        """Tell all listeners that a thing has changed."""
-        with self._lock:
-            self._tell(what, record)
-
-    async def events(self, after: int) -> AsyncIterator[tuple[int, str, dict[str, Any]] | None]:
-        """What happened after event number `after`, and then as it happens; None now and then, to keep the line open.
-
-        A number that this run never gave gets what is remembered of it.
-        """
-        loop, fresh = asyncio.get_running_loop(), asyncio.Event()
-
-        def wake() -> None:
-            loop.call_soon_threadsafe(fresh.set)
-
-        with self._lock:
-            after = after if after <= self._count else 0
-            self._listeners.add(wake)
-        try:
-            while not self._stopping:
-                fresh.clear()
-                with self._lock:
-                    news = [event for event in self._events if event[0] > after]
-                for event in news:
-                    after = event[0]
-                    yield event
-                if not news:
-                    try:
-                        await asyncio.wait_for(fresh.wait(), 10)
-                    except TimeoutError:
-                        yield None
-        finally:
-            with self._lock:
-                self._listeners.discard(wake)
-
-    @property
-    def last_event(self) -> int:
-        """The number of the latest event."""
-        return self._count
-
-    def _tell(self, what: str, record: dict[str, Any]) -> None:
-        self._count += 1
-        self._events.append((self._count, what, record))
-        for wake in list(self._listeners):
-            try:
-                wake()
-            except RuntimeError:  # its loop is closed
-                self._listeners.discard(wake)
-
     def _spawn(self) -> None:
         ours, theirs = self._context.Pipe()
         heard, bell = self._context.Pipe(duplex=False)
@@ -221,7 +199,7 @@ class Jobs:
         heard.close()
         self._process, self._pipe, self._bell = process, ours, bell
         self.warm = False
-        self.tell("worker", {"warm": False, "process": process.pid})
+        self.changes.tell("worker", {"warm": False, "process": process.pid})
 
     def _kill(self) -> None:
         process, self._process = self._process, None
@@ -243,8 +221,8 @@ class Jobs:
                     return
                 job = self._jobs[self._waiting.popleft()]
                 self._cancelled_at = 0.0
-                job.update(state="running", started=time.time())
-                self._tell("job", public(job))
+                job.update({"state": "running", "started": time.time()})
+                self.changes.tell("job", public(job))
             self._run(job)
 
     def _look_after(self) -> None:
@@ -282,13 +260,16 @@ class Jobs:
             self._kill()
             self._end(job, "failed", {"error": KILLED, "kind": "WorkerKilled"})
             self._spawn()
+        except Exception as error:  # one job must not end the queue
+            _log.exception("what the worker said could not be taken in")
+            self._end(job, "failed", {"error": sentence_of(error), "kind": type(error).__name__})
 
     def _warmed(self) -> None:
         with self._lock:
             self.warm = True
-            self._tell("worker", {"warm": True, "process": self.process_id})
+            self.changes.tell("worker", {"warm": True, "process": self.process_id})
 
-    def _heard(self, job: Job, name: str, what: str, said: dict[str, Any]) -> bool:
+    def _heard(self, job: Job, name: str, what: str, said: Mapping[str, object]) -> bool:
         """Take in one message; whether it was the last one of the job."""
         if what == "warm":
             self._warmed()
@@ -296,8 +277,8 @@ class Jobs:
             return False
         if what == "progress":
             with self._lock:
-                job.update(said)
-                self._tell("job", public(job))
+                cast(dict[str, object], job).update(said)
+                self.changes.tell("job", public(job))
             return False
         if what == "partly":
             self._finish(job, what, said)
@@ -305,18 +286,19 @@ class Jobs:
         self._end(job, what, said)
         return True
 
-    def _end(self, job: Job, state: str, said: dict[str, Any]) -> None:
+    def _end(self, job: Job, state: str, said: Mapping[str, object]) -> None:
         with self._lock:
-            job.update(state=state, done=1.0 if state == "done" else job["done"], error=said.get("error", ""))
+            job.update(
+                {"state": state, "done": 1.0 if state == "done" else job["done"], "error": str(said.get("error", ""))}
+            )
             try:
                 self._finish(job, state, said)
             except NotThere:
                 pass  # deleted meanwhile
-            except BunrakuError as error:
-                job.update(state="failed", error=str(error))
             except Exception as error:
-                _log.exception("a result could not be taken in")
-                job.update(state="failed", error=f"this is a fault of Bunraku: {type(error).__name__}: {error}")
+                if not isinstance(error, BunrakuError):
+                    _log.exception("a result could not be taken in")
+                job.update({"state": "failed", "error": sentence_of(error)})
             if job["state"] in ("done", "cancelled"):
                 self.store.drop("jobs", job["id"])
             elif job["id"] in {record["id"] for record in self.store.all("jobs")}:
@@ -325,9 +307,9 @@ class Jobs:
             finished = [one for one in self._jobs.values() if one["state"] not in OPEN_STATES]
             for old in sorted(finished, key=lambda one: float(one["created"]))[:-REMEMBERED]:
                 self._jobs.pop(old["id"], None)
-            self._tell("job", public(job))
+            self.changes.tell("job", public(job))
 
 
 def public(job: Job) -> dict[str, Any]:
-    """What pages are told of a job: all but what its task is given."""
+    """What pages get of a job: all but what its task is given."""
     return {name: value for name, value in job.items() if name != "params"}

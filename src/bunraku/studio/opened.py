@@ -1,4 +1,4 @@
-"""A file becomes a character of the studio: read, stood up, in metres, with handles, and what a page is told of it."""
+"""A file becomes a character of the studio: read, stood up, in metres, with handles, and what a page gets of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bunraku.errors import CharacterError, OptionError
 from bunraku.formats.files import MAX_BYTES
 from bunraku.formats.gltf.turning import turned
 from bunraku.io import load_character
-from bunraku.io.units import in_metres, settle_unit
+from bunraku.io.units import in_metres, resolve_unit
 from bunraku.pipelines.standing import FileStanding, file_standing
 
 __all__ = ["MAX_VERTICES", "Settings", "opened_character", "told"]
@@ -63,22 +63,22 @@ def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[st
             "simplify the mesh, or use the command line"
         )
     found = file_standing(character, settings.up, settings.front)
-    standing = turned(character, found.settled.up, found.settled.front)
+    standing = turned(character, found.resolved.up, found.resolved.front)
     suffix = str(getattr(standing.source, "suffix", ""))
-    unit = settle_unit(standing.height, suffix, settings.unit)
+    unit = resolve_unit(standing.height, suffix, settings.unit)
     character, _ = in_metres(standing, settings.unit, "+y")
     return character, {"axes": _axes(found), "unit": {"unit": unit.unit, "likely": unit.likely, "note": unit.note}}
 
 
 def _axes(found: FileStanding) -> dict[str, Any]:
     """The axes that were taken, how sure that is, and what else it could be."""
-    settled, guess = found.settled, found.settled.guess
-    out: dict[str, Any] = {"up": settled.up, "front": settled.front, "sure": 1.0, "other": None}
+    resolved, guess = found.resolved, found.resolved.guess
+    out: dict[str, Any] = {"up": resolved.up, "front": resolved.front, "sure": 1.0, "other": None}
     if found.bones and found.bones != "+z":
         return {**out, "sure": 0.5, "other": ["+y", found.bones]}
     if guess is None or found.bones:
         return out
-    taken = (settled.up, settled.front)
+    taken = (resolved.up, resolved.front)
     out["sure"] = round(guess.probability(*taken), 3)
     out["other"] = list((guess.up, guess.front) if taken != (guess.up, guess.front) else guess.next_best(*taken))
     return out
@@ -91,7 +91,7 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
     from bunraku.handles.from_rig import rig_handles
     from bunraku.physics.from_file import apparel_rig
     from bunraku.retarget.stages.pins import limb_ends
-    from bunraku.studio.dressing import is_worn
+    from bunraku.studio.dressing import has_apparel
 
     try:
         usable = character.rig is not None and rig_handles(character) is not None
@@ -102,10 +102,10 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
     except Exception:  # broken physics are no reason not to open a character
         physics = False
     try:
-        worn = is_worn(character, handles)
+        apparel = has_apparel(character, handles)
     except Exception:  # nor are clothes that nobody finds
         _log.exception("apparel could not be looked for")
-        worn = False
+        apparel = False
     low, high = character.vertices[character.surface].min(axis=0), character.vertices[character.surface].max(axis=0)
     used = np.flatnonzero(handles.weights.max(axis=0) > 0.01)
     return {
@@ -116,7 +116,7 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
         "joints": 0 if character.rig is None else len(character.rig.names),
         "rig": usable,
         "physics": physics,
-        "apparel": worn,
+        "apparel": apparel,
         "mmd": mmd_model(character) is not None,
         "roles": handles.played.tolist(),
         "positions": handles.positions.astype(float).round(5).tolist(),

@@ -3,79 +3,57 @@
 from __future__ import annotations
 
 import json
-import shutil
 import zipfile
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from bunraku.core.request.json_form import from_json
+from bunraku.core.request.json_form import read_json
 from bunraku.errors import FormatError, OptionError
-from bunraku.formats.files import atomic_write, inside, writing
+from bunraku.formats.archives import copy_entry, open_archive, read_entry
+from bunraku.formats.files import atomic_write, inside
 from bunraku.studio.forms import check_asked
-from bunraku.studio.opened import Settings
+from bunraku.studio.records import CHARACTER_FACTS, TAKE_FACTS, check_facts
 from bunraku.studio.store import Store
+from bunraku.studio.view import read_view
 
 __all__ = ["pack_project", "unpack_project"]
 
 VERSION = 1
 MOST_UNPACKED = 1 << 30
-MOST_ENTRIES = 5000
+MOST_ENTRIES = 8000
+MOST_JSON = 8 << 20
+"""Bytes of what a project says of itself."""
 _FILES = ("mesh.glb", "handles.npz", "bones.glb")
 _TAKE_FILES = ("clip.bin", "motion.npz")
 _MAY_HAVE = "apparel.npz"
 """Of takes whose apparel is learned."""
-_KEPT = ("name", "settings", "axes", "unit", "vertices", "faces", "height", "bounds", "joints", "rig", "physics",
-         "apparel", "mmd", "roles", "positions", "used", "ends", "clips", "file")  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _TakeRecord:
-    """What a project says of a take; what was asked for it is read by `studio.forms`."""
-
-    script: tuple[object, ...] = ()
-    asked: object = None
-    how: Literal["animate", "edit", "bend", "dress", "transfer"] = "animate"
-    seed: int = 0
-    seeds: tuple[int, ...] = ()
-    star: bool = False
-    title: str = ""
-    skin: Literal["handles", "bones"] = "handles"
-    fps: float = 20.0
-    frames: int = 0
-    seconds: float = 0.0
-    clip: Literal["clip.bin"] = "clip.bin"
-    stiffness: float | None = None
-
-
-_OF_TAKES = [field.name for field in fields(_TakeRecord)]
-
-
-def pack_project(store: Store, character: str, view: dict[str, Any], path: Path) -> None:
+def pack_project(store: Store, character: str, view: dict[str, object], path: Path) -> None:
     """Write a project with a character and its finished takes.
 
     Raises:
         NotThere: There is no such character.
         FormatError: The file cannot be written.
     """
-    record, place = store.get("characters", character), store.place("characters", character)
+    record, home = store.get("characters", character), store.folder_of("characters", character)
     takes = [take for take in store.all("takes") if take["character"] == character and take["state"] == "done"]
     about = {
         "version": VERSION,
-        "character": {name: record[name] for name in _KEPT if name in record},
-        "takes": [{**{name: take[name] for name in _OF_TAKES if name in take}, "was": take["id"]} for take in takes],
+        "character": {name: record[name] for name in CHARACTER_FACTS if name in record},
+        "takes": [{**{name: take[name] for name in TAKE_FACTS if name in take}, "was": take["id"]} for take in takes],
         "view": view,
     }
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as out:
         out.writestr(_entry("project.json"), json.dumps(about, ensure_ascii=False, sort_keys=True))
         for name in _FILES:
-            if (place / name).is_file():
-                out.writestr(_entry(f"character/{name}"), (place / name).read_bytes())
-        for source in sorted((place / "source").rglob("*")):
+            if (home / name).is_file():
+                out.writestr(_entry(f"character/{name}"), (home / name).read_bytes())
+        for source in sorted((home / "source").rglob("*")):
             if source.is_file():
-                out.writestr(_entry(f"character/{source.relative_to(place).as_posix()}"), source.read_bytes())
+                out.writestr(_entry(f"character/{source.relative_to(home).as_posix()}"), source.read_bytes())
         for take in takes:
-            folder = store.place("takes", take["id"])
+            folder = store.folder_of("takes", take["id"])
             for name in (*_TAKE_FILES, *((_MAY_HAVE,) if (folder / _MAY_HAVE).is_file() else ())):
                 data = (folder / name).read_bytes()
                 out.writestr(_entry(f"takes/{take['id']}/{name}"), data)
@@ -96,62 +74,75 @@ def unpack_project(store: Store, path: Path) -> dict[str, Any]:
     """
     made: list[tuple[str, str]] = []
     try:
-        with zipfile.ZipFile(path) as archive:
-            entries = archive.infolist()
-            if len(entries) > MOST_ENTRIES or sum(entry.file_size for entry in entries) > MOST_UNPACKED:
-                raise FormatError(path.name, "it unpacks to too much; export its takes and save it anew")
-            about = json.loads(archive.read("project.json"))
-            if about.get("version") != VERSION:
+        with open_archive(path, MOST_ENTRIES, MOST_UNPACKED) as archive:
+            about = _read_about(archive)
+            version = about["version"]
+            if version != VERSION:
                 raise FormatError(path.name, "it was saved by another version of Bunraku; open it with that one")
-            old = about["character"]
-            fresh = {name: old[name] for name in _KEPT if name in old}
-            from_json(Settings, fresh.get("settings", {}), "settings")
-            if inside(path.parent, str(fresh["file"])) is None or not str(fresh["file"]).startswith("source/"):
-                raise FormatError(path.name, "its character lies outside of it; save it again")
-            character = store.new("characters", {**fresh, "state": "opening", "error": "", "version": 1})
-            made.append(("characters", character["id"]))
-            place = store.place("characters", character["id"])
-            for entry in entries:
-                if entry.filename.startswith("character/") and not entry.is_dir():
-                    name = entry.filename.removeprefix("character/")
-                    target = inside(place, name)
-                    if target is None or (name not in _FILES and not name.startswith("source/")):
-                        raise FormatError(path.name, "a file in it is to lie outside of its folder; save it again")
-                    _copy(archive, entry, target)
-            names = {}
-            for take in about["takes"]:
-                values = {name: take[name] for name in _OF_TAKES if name in take}
-                from_json(_TakeRecord, values, "a take")
-                check_asked(values.get("how"), values.get("script"), values.get("asked"))
-                new = store.new("takes", {"error": "", **values, "character": character["id"], "state": "waiting"})
-                made.append(("takes", new["id"]))
-                names[str(take["was"])] = new["id"]
-                known = f"takes/{take['was']}/{_MAY_HAVE}" in archive.NameToInfo
-                for file in (*_TAKE_FILES, *((_MAY_HAVE,) if known else ())):
-                    target = store.place("takes", new["id"]) / file
-                    _copy(archive, archive.getinfo(f"takes/{take['was']}/{file}"), target)
-                store.change("takes", new["id"], state="done")
-            store.change("characters", character["id"], state="ready")
-            view = about.get("view") if isinstance(about.get("view"), dict) else {}
-            return {"character": character["id"], "takes": names, "view": view}
-    except FormatError:
-        _undo(store, made)
-        raise
+            return _added(store, path.name, archive, about, made)
     except OptionError as error:
         _undo(store, made)
         raise FormatError(path.name, f"{error}; save the project again") from None
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, AttributeError, RuntimeError, EOFError):
+    except (KeyError, TypeError, AttributeError):
         _undo(store, made)
         raise FormatError(path.name, "it is no project of Bunraku, or broken; save it again") from None
+    except BaseException:
+        _undo(store, made)
+        raise
+
+
+def _read_about(archive: zipfile.ZipFile) -> dict[str, Any]:
+    """What the project says, with nothing in it that a project does not have.
+
+    Raises:
+        OptionError: It says something that cannot be.
+    """
+    about = read_json(read_entry(archive, "project.json", MOST_JSON), "project.json", MOST_JSON)
+    if about["version"] == VERSION:
+        check_facts(
+            "characters", {name: about["character"][name] for name in CHARACTER_FACTS if name in about["character"]}
+        )
+        if not isinstance(about["takes"], list):
+            raise OptionError("takes must be a list")
+        for take in about["takes"]:
+            check_facts("takes", {name: take[name] for name in TAKE_FACTS if name in take})
+            check_asked(take.get("how"), take.get("script"), take.get("asked"))
+    return dict(about)
+
+
+def _added(
+    store: Store, title: str, archive: zipfile.ZipFile, about: dict[str, Any], made: list[tuple[str, str]]
+) -> dict[str, Any]:
+    """The things of a project that was checked, added to the store; `made` gets each as it is begun."""
+    old = about["character"]
+    fresh = {name: old[name] for name in CHARACTER_FACTS if name in old}
+    character = store.new("characters", {**fresh, "state": "opening", "error": "", "version": 1})
+    made.append(("characters", character["id"]))
+    folder = store.folder_of("characters", character["id"])
+    if inside(folder, fresh["file"]) is None or not fresh["file"].startswith("source/"):
+        raise FormatError(title, "its character lies outside of it; save it again")
+    for entry in archive.infolist():
+        if entry.filename.startswith("character/") and not entry.is_dir():
+            name = entry.filename.removeprefix("character/")
+            target = inside(folder, name)
+            if target is None or (name not in _FILES and not name.startswith("source/")):
+                raise FormatError(title, "a file in it is to lie outside of its folder; save it again")
+            copy_entry(archive, entry, target)
+    names = {}
+    for take in about["takes"]:
+        values = {name: take[name] for name in TAKE_FACTS if name in take}
+        new = store.new("takes", {"error": "", **values, "character": character["id"], "state": "waiting"})
+        made.append(("takes", new["id"]))
+        names[str(take["was"])] = new["id"]
+        known = f"takes/{take['was']}/{_MAY_HAVE}" in archive.NameToInfo
+        for file in (*_TAKE_FILES, *((_MAY_HAVE,) if known else ())):
+            target = store.folder_of("takes", new["id"]) / file
+            copy_entry(archive, archive.getinfo(f"takes/{take['was']}/{file}"), target)
+        store.change("takes", new["id"], state="done")
+    store.change("characters", character["id"], state="ready")
+    return {"character": character["id"], "takes": names, "view": read_view(about.get("view"))}
 
 
 def _undo(store: Store, made: list[tuple[str, str]]) -> None:
     for kind, name in made:
         store.drop(kind, name)
-
-
-def _copy(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> None:
-    with writing(target):
-        target.parent.mkdir(parents=True, exist_ok=True)
-    with archive.open(entry) as source, writing(target), target.open("wb") as out:
-        shutil.copyfileobj(source, out, 1 << 20)

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 
 from bunraku.errors import BunrakuError
 
-__all__ = ["sentence_of"]
+__all__ = ["is_full", "sentence_of"]
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_SHUT = {errno.EROFS, errno.EACCES}
+_FULL_WORDS = tuple(os.strerror(number).lower() for number in (*_FULL, *_SHUT))
 _FOLDER = re.compile(r"(?<![\w.])/(?:[^\s:/]+/)+(?=[^\s:/]+)")
+
+
+def is_full(error: Exception) -> bool:
+    """Whether the disk takes nothing more: it is full, or can only be read."""
+    if isinstance(error, BunrakuError):
+        return any(word in str(error) for word in _FULL_WORDS)
+    return isinstance(error, OSError) and error.errno in (*_FULL, *_SHUT)
 
 
 def sentence_of(error: Exception) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-import shutil
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from bunraku.errors import BunrakuError, OptionError
-from bunraku.studio.jobs import OPEN_STATES, Jobs
+from bunraku.studio.jobs import OPEN_STATES, About, Job, Jobs
 from bunraku.studio.projects import unpack_project
 from bunraku.studio.store import NotThere, Store
 from bunraku.studio.study.show import Session
@@ -19,6 +19,8 @@ __all__ = ["SAMPLE", "State"]
 SAMPLE = Path(__file__).parent / "sample.bunraku"
 """A character in motion, for who opens the studio for the first time; `tools/make_studio_sample.py` writes it."""
 MOST_TAKES = 2000
+KEPT_EXPORTS = 3
+"""Copies that were written and stay until others are."""
 
 
 class State:
@@ -33,12 +35,13 @@ class State:
         self.store = store
         self.session = None if study is None else Session(study)
         self.jobs = Jobs(store, self._finish)
+        store.troubled = lambda trouble: self.jobs.changes.tell("trouble", {"text": trouble})
         for take in store.all("takes"):
             if take["state"] in ("waiting", "draft"):
-                store.change("takes", take["id"], state="interrupted", error="interrupted; make it again?")
+                store.note("takes", take["id"], state="interrupted", error="interrupted; make it again?")
         for character in store.all("characters"):
             if character["state"] == "opening":
-                store.change("characters", character["id"], state="interrupted", error="interrupted; open it again?")
+                store.note("characters", character["id"], state="interrupted", error="interrupted; open it again?")
 
     def start(self) -> None:
         """Start the worker; put the sample there where there is no character yet."""
@@ -47,13 +50,19 @@ class State:
                 unpack_project(self.store, SAMPLE)
             except BunrakuError as error:  # a full disk is no reason not to open what is there
                 logging.getLogger(__name__).warning("%s", error)
+        for character in self.store.all("characters"):
+            if character["state"] == "unclear":  # what was kept of it could not be read
+                try:
+                    self.open(character["id"], character["file"])
+                except BunrakuError as error:
+                    logging.getLogger(__name__).warning("%s", error)
         self.jobs.start()
 
     def stop(self) -> None:
         """End the worker."""
         self.jobs.stop()
 
-    def new_takes(self, character: str, count: int, **about: Any) -> list[dict[str, Any]]:
+    def new_takes(self, character: str, count: int, **about: object) -> list[dict[str, Any]]:
         """Records of takes that are to be made.
 
         Raises:
@@ -62,7 +71,8 @@ class State:
         """
         if len(self.store.all("takes")) + count > MOST_TAKES:
             raise OptionError(f"there are {MOST_TAKES:,} takes; delete some that are not needed")
-        made = []
+        made: list[dict[str, Any]] = []
+        seeds = about.get("seeds")
         try:
             for number in range(count):
                 made.append(
@@ -70,7 +80,7 @@ class State:
                         "takes",
                         {
                             "character": character, "state": "waiting", "star": False, "error": "", **about,
-                            "seed": about.get("seeds", [0] * count)[number],
+                            "seed": seeds[number] if isinstance(seeds, list) else 0,
                         },
                     )
                 )  # fmt: skip
@@ -79,37 +89,69 @@ class State:
                 self.store.drop("takes", take["id"])
             raise
         for take in made:
-            self.jobs.tell("take", take)
+            self.jobs.changes.tell("take", take)
         return made
 
-    def make(self, kind: str, title: str, character: str, takes: list[dict[str, Any]], params: dict[str, Any]) -> Any:
+    def make(self, kind: str, title: str, character: str, takes: list[str], params: Mapping[str, object]) -> Any:
         """Queue the job that makes takes; they vanish where it cannot be queued."""
-        names = [take["id"] for take in takes]
         try:
             job = self.jobs.submit(
                 kind,
                 title,
-                {**params, "character": character, "takes": names},
-                {"character": character, "takes": names},
+                {**params, "character": character, "takes": takes},
+                {"character": character, "takes": takes},
             )
         except Exception:
-            for name in names:
+            for name in takes:
                 self.drop("takes", name)
             raise
-        return {"job": job["id"], "takes": names}
+        return {"job": job["id"], "takes": takes}
+
+    def open(self, name: str, file: str) -> dict[str, Any]:
+        """Queue the opening of a character.
+
+        Args:
+            name: Its id.
+            file: Its file, relative to its folder.
+
+        Raises:
+            QueueFull: Too many jobs wait.
+            FormatError: It cannot be written down.
+        """
+        record = self.change("characters", name, file=file, state="opening", error="")
+        params = {"character": name, "file": file, "settings": record["settings"]}
+        job = self.jobs.submit("open", f"open {record['name']}", params, {"character": name, "opens": name})
+        return {"character": record, "job": job["id"]}
 
     def drop(self, kind: str, name: str) -> None:
         """Remove a thing and tell so."""
         self.store.drop(kind, name)
-        self.jobs.tell("gone", {"kind": kind, "id": name})
+        self.jobs.changes.tell("gone", {"kind": kind, "id": name})
 
-    def change(self, kind: str, name: str, /, **values: Any) -> dict[str, Any]:
+    def change(self, kind: str, name: str, /, **values: object) -> dict[str, Any]:
         """Change a record and tell so."""
         record = self.store.change(kind, name, **values)
-        self.jobs.tell(kind[:-1], record)
+        self.jobs.changes.tell(kind[:-1], record)
         return record
 
-    def revive(self, about: dict[str, Any]) -> None:
+    def note(self, kind: str, name: str, /, **values: object) -> dict[str, Any]:
+        """Change a record, in memory alone where the disk is full, and tell so."""
+        record = self.store.note(kind, name, **values)
+        self.jobs.changes.tell(kind[:-1], record)
+        return record
+
+    def new_export(self, file: str, title: str) -> dict[str, Any]:
+        """The record of a copy that is to be written; of those that were written before, the latest stay.
+
+        Raises:
+            FormatError: It cannot be written down.
+        """
+        written = [record for record in self.store.all("exports") if record.get("state") == "done"]
+        for old in written[: max(0, len(written) - KEPT_EXPORTS)]:
+            self.store.drop("exports", old["id"])
+        return self.store.new("exports", {"file": file, "title": title, "state": "waiting"})
+
+    def revive(self, about: About) -> None:
         """Mark what a job is about as waiting again."""
         for name in about.get("takes", ()):
             with suppress(NotThere):
@@ -118,15 +160,18 @@ class State:
         if "opens" in about:
             self.change("characters", about["opens"], state="opening", error="")
 
-    def _finish(self, job: dict[str, Any], state: str, said: dict[str, Any]) -> None:
+    def _finish(self, job: Job, state: str, said: Mapping[str, object]) -> None:
         about = job["about"]
+        if said.get("full"):
+            self.store.make_room()
         if state == "partly":
             values = {**said}
-            name = values.pop("take")
+            name = str(values.pop("take"))
             with suppress(NotThere):
-                self.change("takes", name, **{"state": "draft", **values})
+                self.note("takes", name, **{"state": "draft", **values})
                 if values.get("state") == "done":
-                    (self.store.place("takes", name) / "draft.bin").unlink(missing_ok=True)
+                    with suppress(OSError):
+                        (self.store.folder_of("takes", name) / "draft.bin").unlink(missing_ok=True)
             return
         if "opens" in about:
             values = (
@@ -135,18 +180,20 @@ class State:
                 else {"state": state, "error": said.get("error", "")}
             )
             version = int(self.store.get("characters", about["opens"]).get("version", 0)) + 1
-            self.change("characters", about["opens"], version=version, **values)
+            self.note("characters", about["opens"], version=version, **values)
         for name in about.get("takes", ()):
             with suppress(NotThere):
-                take = self.store.get("takes", name)
-                if take["state"] == "done":
+                if self.store.get("takes", name)["state"] == "done":
                     continue
-                if state == "cancelled" and take["state"] != "draft":
+                if state == "cancelled":
                     self.drop("takes", name)
                 else:
-                    self.change("takes", name, state=state, error=said.get("error", ""))
-        if "export" in about and state != "done":
-            self.store.drop("exports", about["export"])
+                    self.note("takes", name, state=state, error=said.get("error", ""))
+        if "export" in about:
+            if state == "done":
+                self.store.note("exports", about["export"], state="done")
+            else:
+                self.store.drop("exports", about["export"])
 
     def busy(self, kind: str, name: str) -> bool:
         """Whether a job is waiting or running that is about a thing."""
@@ -154,8 +201,3 @@ class State:
             job["state"] in OPEN_STATES and name in (job["about"].get("character"), *job["about"].get("takes", ()))
             for job in self.jobs.all()
         )
-
-    def forget(self) -> None:
-        """Remove exports, which are copies."""
-        for record in self.store.all("exports"):
-            shutil.rmtree(self.store.folder / "exports" / record["id"], ignore_errors=True)

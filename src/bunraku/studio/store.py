@@ -2,31 +2,38 @@
 
 A thing is a folder with a record, `record.json`, and the binary files that the worker wrote beside it. Only the
 server writes records, so nothing is written twice at once; a file that a record speaks of is there before the record.
+A folder whose record cannot be used is kept aside. What is given up has its record renamed, which needs no space.
 """
 
 from __future__ import annotations
 
-import json
+import logging
+import os
 import re
 import secrets
 import shutil
+import tempfile
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.formats.files import atomic_write, sweep, writing
+from bunraku.formats.files import atomic_write, sweep, temporary_prefix, writing
+from bunraku.studio.records import LARGEST, RECORD, Record, read_record, written
 
 __all__ = ["KINDS", "NotThere", "Store", "default_folder"]
 
+_log = logging.getLogger(__name__)
 KINDS = ("characters", "takes", "projects", "jobs", "exports")
+ASIDE = "set-aside"
+"""The folder of what could not be read."""
+GIVEN_UP = "given-up.json"
+"""The record of what is given up: it goes when the studio starts again, or when the disk is full."""
 _ID = re.compile(r"[0-9a-f]{16}")
-LARGEST = 4 << 20
-"""Bytes of a record."""
-
-Record = dict[str, Any]
+_PROBE = 64 << 10
+"""Bytes that are written to learn whether the folder takes any: at the start, and after it took nothing."""
 
 
 class NotThere(BunrakuError):
@@ -35,8 +42,6 @@ class NotThere(BunrakuError):
 
 def default_folder() -> Path:
     """Where the studio keeps its things unless the user names another place."""
-    import os
-
     base = os.environ.get("XDG_DATA_HOME") or os.path.join(os.path.expanduser("~"), ".local", "share")
     return Path(base) / "bunraku" / "studio"
 
@@ -45,38 +50,102 @@ class Store:
     """The folder.
 
     Args:
-        folder: Made where it is not there.
+        folder: Made where it is not there. One that cannot be written to is read, and `trouble` says so.
 
     Raises:
-        FormatError: It cannot be made or written to.
+        FormatError: It is not there and cannot be made.
     """
 
     def __init__(self, folder: Path):
         self.folder = folder.resolve()
-        with writing(self.folder, "folder"):
-            for kind in KINDS:
-                (self.folder / kind).mkdir(parents=True, exist_ok=True)
-        self._lock = threading.Lock()
+        self.trouble = ""
+        """Why nothing can be kept at the moment, in one sentence."""
+        self.troubled: Callable[[str], None] = lambda trouble: None
+        """Called when that changes."""
+        self.set_aside: list[str] = []
+        """What could not be read, one sentence each."""
+        if not self.folder.is_dir():
+            with writing(self.folder, "folder"):
+                self.folder.mkdir(parents=True)
+        self._lock = threading.RLock()
         self._records: dict[str, dict[str, Record]] = {kind: {} for kind in KINDS}
+        self._unwritten: set[tuple[str, str]] = set()
+        sweep(self.folder)
+        self._probe()
         for kind in KINDS:
-            for place in sorted((self.folder / kind).iterdir()):
-                self._find(kind, place)
+            home = self.folder / kind
+            with suppress(OSError):
+                home.mkdir(exist_ok=True)
+            for one in sorted(home.iterdir()) if home.is_dir() else ():
+                self._find(kind, one)
+        self._tell_aside()
 
-    def _find(self, kind: str, place: Path) -> None:
-        if not _ID.fullmatch(place.name) or not place.is_dir():
-            return
-        sweep(place)
+    def _probe(self) -> None:
         try:
-            path = place / "record.json"
-            if path.stat().st_size > LARGEST:
-                return
-            record = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            record = None
-        if not isinstance(record, dict) or record.get("deleted") or kind == "exports":
-            shutil.rmtree(place, ignore_errors=True)  # never finished, or given up in an earlier run
+            with tempfile.NamedTemporaryFile(prefix=temporary_prefix("probe"), suffix=".tmp", dir=self.folder) as file:
+                file.write(bytes(_PROBE))
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            self._refused(error)
+        else:
+            self._refused(None)
+
+    def _refused(self, error: OSError | None) -> None:
+        reason = "" if error is None else (
+            f"the studio's folder takes nothing more ({(error.strerror or str(error)).lower()}): what there is is "
+            "shown, what is made now is gone at the end; free some space, or start it with another --folder"
+        )  # fmt: skip
+        if reason != self.trouble:
+            self.trouble = reason
+            if reason:
+                _log.warning("%s", reason)
+            self.troubled(reason)
+
+    def _find(self, kind: str, folder: Path) -> None:
+        if not _ID.fullmatch(folder.name) or not folder.is_dir():
             return
-        self._records[kind][place.name] = {**record, "id": place.name}
+        sweep(folder)
+        path = folder / RECORD
+        try:
+            if kind == "exports" or (not path.exists() and ((folder / GIVEN_UP).exists() or not any(folder.iterdir()))):
+                shutil.rmtree(folder, ignore_errors=True)  # a copy, given up in an earlier run, or never begun
+                return
+            record, wrong = read_record(kind, path)
+        except FileNotFoundError:
+            record, wrong = None, "its record is missing"
+        except OSError as error:
+            record, wrong = None, f"its record cannot be read ({(error.strerror or str(error)).lower()})"
+        if record is None:
+            self._put_aside(kind, folder, wrong)
+        elif record.get("deleted"):  # as earlier versions said it
+            shutil.rmtree(folder, ignore_errors=True)
+        else:
+            self._records[kind][folder.name] = {**record, "id": folder.name}
+
+    def _put_aside(self, kind: str, folder: Path, wrong: str) -> None:
+        target = self.folder / ASIDE / f"{kind[:-1]}-{folder.name}"
+        try:
+            target.parent.mkdir(exist_ok=True)
+            os.rename(folder, target)
+        except OSError:  # it stays where it is
+            target = folder
+            self.set_aside.append(self._aside(folder))
+        _log.warning("%s: %s; it is kept in %s", folder.name, wrong.partition(";")[0], target)
+
+    def _tell_aside(self) -> None:
+        aside = self.folder / ASIDE
+        for folder in sorted(aside.iterdir()) if aside.is_dir() else ():
+            if folder.is_dir():
+                self.set_aside.append(self._aside(folder))
+
+    def _aside(self, folder: Path) -> str:
+        """What is told of a folder that is kept aside."""
+        sources = sorted(path.name for path in (folder / "source").rglob("*") if path.is_file())
+        where = folder.relative_to(self.folder).as_posix()
+        if sources:
+            return f"a character could not be read; its file {sources[0]} is kept in {where}/source: drop it again"
+        return f"something could not be read and is kept in {where}; delete that folder if you do not miss it"
 
     def new(self, kind: str, record: Record) -> Record:
         """Add a thing and give back its record with its id.
@@ -85,14 +154,17 @@ class Store:
             FormatError: It cannot be written.
         """
         name = secrets.token_hex(8)
-        place = self.folder / kind / name
-        with writing(place, "folder"):
-            place.mkdir()
+        folder = self.folder / kind / name
         record = {**record, "id": name, "created": time.time()}
         try:
-            self._write(kind, record)
-        except FormatError:
-            shutil.rmtree(place, ignore_errors=True)
+            with writing(folder, "folder"):
+                folder.mkdir()
+            with self._lock:
+                self._write(kind, record)
+                self._catch_up()
+        except FormatError as error:
+            self._refused_by(error)
+            shutil.rmtree(folder, ignore_errors=True)
             raise
         self._records[kind][name] = record
         return record
@@ -108,18 +180,45 @@ class Store:
             raise NotThere(f"there is no such {kind[:-1]} any more; reload the page")
         return record
 
-    def change(self, kind: str, name: str, /, **values: Any) -> Record:
-        """Change a record and give it back.
+    def change(self, kind: str, name: str, /, **values: object) -> Record:
+        """Change a record and give it back; `deleted` gives the thing up, or takes that back, and needs no space.
 
         Raises:
             NotThere: There is no such thing.
             FormatError: It cannot be written; then nothing has changed.
         """
         with self._lock:  # the queue's thread and those of requests change the same things
-            record = {**self.get(kind, name), **values}
-            self._write(kind, record)
+            old = self.get(kind, name)
+            record = {**old, **values}
+            if bool(old.get("deleted")) != bool(record.get("deleted")):
+                self._give_up(kind, name, bool(record.get("deleted")))
+            if values.keys() - {"deleted"}:
+                self._write(kind, record)
+                self._catch_up()
             self._records[kind][name] = record
+            if record.get("deleted") and self.trouble:
+                self.make_room()
         return record
+
+    def note(self, kind: str, name: str, /, **values: object) -> Record:
+        """Change a record even where the disk refuses it: it is in memory then, and written when the disk takes it.
+
+        Raises:
+            NotThere: There is no such thing.
+        """
+        with self._lock:
+            record = self._records[kind][name] = {**self.get(kind, name), **values}
+            try:
+                self._write(kind, record)
+            except FormatError:
+                self._unwritten.add((kind, name))
+        return record
+
+    def _give_up(self, kind: str, name: str, gone: bool) -> None:
+        names = (RECORD, GIVEN_UP) if gone else (GIVEN_UP, RECORD)
+        old, new = (self.folder / kind / name / one for one in names)
+        with writing(old):
+            os.rename(old, new)
 
     def all(self, kind: str) -> list[Record]:
         """All records of a kind that are not given up, oldest first."""
@@ -131,7 +230,19 @@ class Store:
         if self._records[kind].pop(name, None) is not None:
             shutil.rmtree(self.folder / kind / name, ignore_errors=True)
 
-    def place(self, kind: str, name: str) -> Path:
+    def make_room(self) -> bool:
+        """Remove what is given up, and copies that were written; whether there was any."""
+        found = [
+            (kind, name)
+            for kind in KINDS
+            for name, record in list(self._records[kind].items())
+            if record.get("deleted") or (kind == "exports" and record.get("state") == "done")
+        ]
+        for kind, name in found:
+            self.drop(kind, name)
+        return bool(found)
+
+    def folder_of(self, kind: str, name: str) -> Path:
         """The folder of a thing.
 
         Raises:
@@ -145,23 +256,46 @@ class Store:
         Raises:
             NotThere: There is no such thing, or it has no such file yet.
         """
-        path = self.place(kind, name) / file
+        path = self.folder_of(kind, name) / file
         if not path.is_file():
             raise NotThere(f"this {kind[:-1]} is not finished yet; wait for it, or make it again")
         return path
 
     def _write(self, kind: str, record: Record) -> None:
-        path = self.folder / kind / str(record["id"]) / "record.json"
-        data = json.dumps(record, ensure_ascii=False, allow_nan=False).encode()
+        path = self.folder / kind / str(record["id"]) / (GIVEN_UP if record.get("deleted") else RECORD)
+        data = written(record)
         if len(data) > LARGEST:
             raise FormatError(path, "the record is too large; delete takes that are not needed")
+        try:
+            try:
+                self._put(path, data)
+            except FormatError:
+                if not self.make_room():
+                    raise
+                self._put(path, data)
+        except FormatError as error:
+            self._refused_by(error)
+            raise
+        self._unwritten.discard((kind, str(record["id"])))
+        if self.trouble:
+            self._probe()
+
+    def _catch_up(self) -> None:
+        """Write what the disk refused before."""
+        for kind, name in sorted(self._unwritten):
+            record = self._records[kind].get(name)
+            try:
+                if record is not None:
+                    self._write(kind, record)
+            except FormatError:
+                return
+            self._unwritten.discard((kind, name))
+
+    def _refused_by(self, error: FormatError) -> None:
+        if isinstance(error.__context__, OSError):
+            self._refused(error.__context__)
+
+    @staticmethod
+    def _put(path: Path, data: bytes) -> None:
         with atomic_write(path) as file:
             file.write(data)
-
-    def used(self) -> int:
-        """Bytes of all files."""
-        total = 0
-        for path in self.folder.rglob("*"):
-            with suppress(OSError):
-                total += path.stat().st_size
-        return total

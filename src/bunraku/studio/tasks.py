@@ -62,15 +62,15 @@ class Open:
         from bunraku.io import save_character
         from bunraku.pipelines.animate import rig
 
-        place = shop.place("characters", self.character)
+        folder = shop.folder_of("characters", self.character)
         report("read", 0.1)
-        character, taken = opened_character(place / self.file, self.settings)
+        character, taken = opened_character(folder / self.file, self.settings)
         report("handles", 0.3)
         handles = rig(character, handles=self.settings.handles)
         report("write", 0.8)
-        save_character(character, place / "mesh.glb", handles)
-        (place / "bones.glb").unlink(missing_ok=True)
-        save_handles(handles, place / "handles.npz")
+        save_character(character, folder / "mesh.glb", handles)
+        (folder / "bones.glb").unlink(missing_ok=True)
+        save_handles(handles, folder / "handles.npz")
         return {**taken, **told(character, handles), "clips": _clips_of(character)}
 
 
@@ -105,12 +105,12 @@ class Animate:
     draft: bool = True
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
-        from bunraku.pipelines.animator import Animator, moved_by
+        from bunraku.pipelines.animator import Animator, own_rig
 
         character, handles = shop.character(self.character)
         request = _followed(shop, Request.from_json(self.request), self.character)
         check_fits(request.apparel, character, request.sampling.seconds)
-        if moved_by(character, request) == "handles":
+        if own_rig(character, request) is None:
             request = replace(request, handles=handles)
 
         def quickly(stage: str, done: float) -> None:
@@ -119,13 +119,15 @@ class Animate:
         if self.draft:
             report("draft", 0.02)
             sampling = replace(request.sampling, seed=self.seeds[0], steps=DRAFT_STEPS, candidates=1)
-            quick = replace(request, sampling=sampling, apparel=Apparel(), stages=DRAFT_STAGES, handles=handles)
+            quick = replace(
+                request, sampling=sampling, apparel=Apparel(), stages=DRAFT_STAGES, handles=handles, rig="handles"
+            )  # fmt: skip
             (body,) = Animator(_Known(handles=handles), progress=quickly).moved(character, [quick])
             partly({"take": self.takes[0], **shop.keep(body, self.takes[0], self.character, draft=True)})
-        places = {"generate": (0.1, 0.6), "fit": (0.7, 0.1)}
+        ranges = {"generate": (0.1, 0.6), "fit": (0.7, 0.1)}
 
         def whole(stage: str, done: float) -> None:
-            start, share = places.get(stage, (0.8, 0.2))
+            start, share = ranges.get(stage, (0.8, 0.2))
             report(stage, start + share * done)
 
         requests = [request.with_seed(seed) for seed in self.seeds]
@@ -272,7 +274,7 @@ class Transfer:
 
         (name,) = self.takes
         character, handles = shop.character(self.character)
-        source = Source(shop.place("takes", name) / self.file)
+        source = Source(shop.folder_of("takes", name) / self.file)
         apparel, animator = Apparel(self.apparel, self.stiffness), Animator.shipped(report)
         check_fits(apparel, character, 0)
         take = None
@@ -282,8 +284,8 @@ class Transfer:
         if not isinstance(take, RigAnimation):  # on the handles that the studio shows
             take = transferred(animator, character, source, TransferRequest("handles", handles=handles))
         assert isinstance(take, Animation | RigAnimation)
-        worn = Apparel() if apparel.motion == "simulate" else apparel  # simulated already
-        partly({"take": name, "state": "done", **shop.keep(put_on(take, worn, report), name, self.character)})
+        apparel = Apparel() if apparel.motion == "simulate" else apparel  # simulated already
+        partly({"take": name, "state": "done", **shop.keep(put_on(take, apparel, report), name, self.character)})
         return {"takes": [name]}
 
 
@@ -300,7 +302,7 @@ class Export:
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
         from bunraku.io.registry import check_writer
 
-        target = shop.place("exports", self.export) / self.file
+        target = shop.folder_of("exports", self.export) / self.file
         check_writer(target)
         report("write", 0.1)
         take = shop.take(self.take, self.character)
@@ -312,6 +314,35 @@ class Export:
         return {"export": self.export, "bytes": target.stat().st_size}
 
 
+@dataclass(frozen=True)
+class ExportClips:
+    """Several takes of a character as the clips of one GLB."""
+
+    character: str
+    export: str
+    file: str
+    takes: tuple[str, ...]
+    names: tuple[str, ...]
+    fps: float = 30.0
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.io.save_clips import save_clips
+
+        target, clips = shop.folder_of("exports", self.export) / self.file, {}
+        character: Character | None = None
+        for number, (take, name) in enumerate(zip(self.takes, self.names, strict=True)):
+            report("read", number / len(self.takes))
+            found = shop.take(take, self.character)
+            if isinstance(found, Dressed):
+                raise OptionError(
+                    "apparel that moves on its own has no place among several clips; download those alone"
+                )
+            character = character or found.character
+            clips[name] = replace(found, character=character)  # each was read with a copy of it
+        save_clips(clips, target, fps=self.fps)
+        return {"export": self.export, "bytes": target.stat().st_size}
+
+
 TASKS: dict[str, type[Task]] = {
     "open": Open,
     "animate": Animate,
@@ -320,6 +351,7 @@ TASKS: dict[str, type[Task]] = {
     "dress": Dress,
     "transfer": Transfer,
     "export": Export,
+    "export-clips": ExportClips,
 }
 
 

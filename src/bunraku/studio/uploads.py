@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from starlette.requests import ClientDisconnect, Request
 
 from bunraku.errors import BunrakuError, FormatError
+from bunraku.formats.archives import copy_entry, open_archive
 from bunraku.formats.files import inside, writing
 from bunraku.io.table import FORMATS
 
@@ -47,9 +48,11 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
         FormatError: The connection broke, there was nothing, or it cannot be written.
     """
     most = MOST_BYTES if most is None else most
-    told = request.headers.get("content-length", "")
-    if told.isdecimal() and int(told) > most:
-        raise TooLarge(f"{path.name}: {int(told) >> 20} MiB are too many, at most {most >> 20} are taken; simplify it")
+    declared = request.headers.get("content-length", "")
+    if declared.isdecimal() and int(declared) > most:
+        raise TooLarge(
+            f"{path.name}: {int(declared) >> 20} MiB are too many, at most {most >> 20} are taken; simplify it"
+        )
     size, whole, chunks = 0, False, request.stream()
     try:
         with writing(path), path.open("wb") as file:
@@ -60,7 +63,7 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
                 file.write(chunk)
         if not size:
             raise FormatError(path.name, "the file is empty; export it again")
-        if told.isdecimal() and size != int(told):
+        if declared.isdecimal() and size != int(declared):
             raise FormatError(path.name, "it did not come whole; drop it again")
         whole = True
     except ClientDisconnect:
@@ -82,32 +85,19 @@ def unpack(archive: Path, folder: Path) -> str:
     Raises:
         FormatError: The ZIP is broken, unpacks to too much, names a place outside, or holds no character.
     """
-    try:
-        with zipfile.ZipFile(archive) as opened:
-            entries = [entry for entry in opened.infolist() if not entry.is_dir()]
-            if len(entries) > MOST_ENTRIES or sum(entry.file_size for entry in entries) > MOST_UNPACKED:
-                raise FormatError(archive.name, f"it unpacks to too much, at most {MOST_UNPACKED >> 20} MiB are taken")
-            found: list[str] = []
-            for entry in entries:
-                name = _decoded(entry)
-                target = inside(folder, name)
-                if target is None:
-                    raise FormatError(archive.name, "a file in it is to lie outside of its folder; pack it again")
-                if target.suffix.lower() not in _BESIDE:
-                    continue
-                with writing(target):
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                with opened.open(entry) as source, writing(target), target.open("wb") as out:
-                    left = MOST_UNPACKED
-                    while chunk := source.read(1 << 20):
-                        left -= len(chunk)
-                        if left < 0:
-                            raise FormatError(archive.name, "it unpacks to more than it says; pack it again")
-                        out.write(chunk)
-                if target.suffix.lower() in CHARACTERS:
-                    found.append(target.relative_to(folder.resolve()).as_posix())
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError):
-        raise FormatError(archive.name, "the ZIP is broken or has a password; pack it again") from None
+    found: list[str] = []
+    with open_archive(archive, MOST_ENTRIES, MOST_UNPACKED) as opened:
+        for entry in opened.infolist():
+            if entry.is_dir():
+                continue
+            target = inside(folder, _decoded(entry))
+            if target is None:
+                raise FormatError(archive.name, "a file in it is to lie outside of its folder; pack it again")
+            if target.suffix.lower() not in _BESIDE:
+                continue
+            copy_entry(opened, entry, target)
+            if target.suffix.lower() in CHARACTERS:
+                found.append(target.relative_to(folder.resolve()).as_posix())
     if not found:
         raise FormatError(archive.name, f"there is no character in it; characters are {', '.join(CHARACTERS)}")
     return min(found, key=lambda name: (name.count("/"), CHARACTERS.index(Path(name).suffix.lower()), name))

@@ -57,7 +57,7 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
                 told = now
                 pipe.send((name, "progress", {"stage": stage, "done": round(float(done), 3)}))
 
-        def partly(said: dict[str, Any], name: str = name) -> None:
+        def partly(said: dict[str, object], name: str = name) -> None:
             pipe.send((name, "partly", said))
 
         try:
@@ -75,10 +75,10 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
 
 
 def _explained(error: Exception) -> dict[str, Any]:
-    from bunraku.studio.responses import sentence_of
+    from bunraku.studio.responses import is_full, sentence_of
 
     if os.environ.get("BUNRAKU_DEBUG", "") not in ("", "0"):
         import traceback
 
         traceback.print_exception(error, file=sys.stderr)
-    return {"error": sentence_of(error), "kind": type(error).__name__}
+    return {"error": sentence_of(error), "kind": type(error).__name__, "full": is_full(error)}

@@ -41,25 +41,25 @@ class Workspace:
 
         try:
             Animator.shipped()(sample_character("person"), Request("walks", Sampling(2, steps=2, candidates=2)))
-        except BunrakuError as error:  # it will be told where it matters
+        except BunrakuError as error:  # it will be reported where it matters
             logging.getLogger(__name__).warning("%s", error)
 
-    def place(self, kind: str, name: str) -> Path:
+    def folder_of(self, kind: str, name: str) -> Path:
         """The folder of a thing; names are those that the store gave."""
         return self.folder / kind / name
 
     def character(self, name: str) -> tuple[Character, Handles]:
         """A character that was opened, with its handles."""
-        place = self.place("characters", name)
-        handles_file = place / "handles.npz"
+        folder = self.folder_of("characters", name)
+        handles_file = folder / "handles.npz"
         try:
             stamp = handles_file.stat().st_mtime_ns
-            record = json.loads((place / "record.json").read_text(encoding="utf-8"))
+            record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
         except OSError:
             raise OptionError("this character is not open; open its file again") from None
         key = (name, stamp)
         if key not in self._open:
-            character, _ = opened_character(place / record["file"], Settings(**record["settings"]))
+            character, _ = opened_character(folder / record["file"], Settings(**record["settings"]))
             self._open[key] = replace(character, name=record["name"][:60]), load_handles(handles_file)
             while len(self._open) > KEPT:
                 self._open.popitem(last=False)
@@ -68,22 +68,22 @@ class Workspace:
 
     def take(self, name: str, owner: str) -> Take:
         """A take that is finished, of a character."""
-        path = self.place("takes", name) / "motion.npz"
+        path = self.folder_of("takes", name) / "motion.npz"
         if not path.is_file():
             raise OptionError("that take is not finished, or is gone; choose another one")
         return load_take(path, *self.character(owner))
 
     def keep(self, take: Take, name: str, owner: str, draft: bool = False) -> dict[str, Any]:
         """Write a take's files; what its record learns."""
-        place = self.place("takes", name)
+        folder = self.folder_of("takes", name)
         clip = "draft.bin" if draft else "clip.bin"
         shown = take.points if isinstance(take, Dressed) else take
-        with atomic_write(place / clip) as file:
+        with atomic_write(folder / clip) as file:
             file.write(packed_clip(take))
         skin = "bones" if isinstance(body_of(take), RigAnimation) else "handles"
         if not draft:
-            save_take(take, place / "motion.npz")
-            mesh = self.place("characters", owner) / "bones.glb"
+            save_take(take, folder / "motion.npz")
+            mesh = self.folder_of("characters", owner) / "bones.glb"
             if skin == "bones" and not mesh.is_file():
                 from bunraku.io import save_character
 

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import splu
 
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
+from bunraku.geometry.surface import vertex_areas
 from bunraku_lab.baselines.volume import Volume
 
 __all__ = ["bone_distances", "bone_heat", "cotangent_laplacian", "embedded_bone_heat"]
@@ -50,7 +50,7 @@ def cotangent_laplacian(vertices: np.ndarray, faces: np.ndarray) -> csr_matrix:
 
 
 def bone_distances(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances from points to bones, shape (P, B), and the nearest places on the bones, shape (P, B, 3)."""
+    """Distances from points to bones, shape (P, B), and the nearest points on the bones, shape (P, B, 3)."""
     bones = ends - starts
     square = np.maximum(np.square(bones).sum(axis=1), 1e-18)
     share = np.clip(np.einsum("pbi,bi->pb", points[:, None] - starts, bones) / square, 0, 1)

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
+from bunraku.geometry.surface import vertex_areas
 
 __all__ = ["cluster_vertices", "geodesic_clusters", "geodesic_graph"]
 

@@ -175,11 +175,11 @@ def embed_skeleton(template: Template, volume: Volume, low: np.ndarray, high: np
         total = bones + outside + costs[point]
         best[point] = total.argmin(axis=1)
         costs[parent] += total.min(axis=1)
-    place = np.zeros(count, np.int64)
-    place[0] = costs[0].argmin()
+    index = np.zeros(count, np.int64)
+    index[0] = costs[0].argmin()
     for point in range(1, count):
-        place[point] = best[point, place[template.parents[point]]]
-    found = _refined(template, points[place], volume, low, high, size)
+        index[point] = best[point, index[template.parents[point]]]
+    found = _refined(template, points[index], volume, low, high, size)
     return EmbeddedSkeleton(found, template.parents, template.joints, float(costs[0].min()))
 
 

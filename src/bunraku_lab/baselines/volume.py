@@ -27,8 +27,8 @@ class Volume:
 
     def at(self, points: np.ndarray) -> np.ndarray:
         """Depth at points, trilinear, shape [..., 3] -> [...]."""
-        places = ((np.asarray(points) - self.low) / self.step).reshape(-1, 3).T
-        out: np.ndarray = map_coordinates(self.depth, places, order=1, mode="nearest")
+        positions = ((np.asarray(points) - self.low) / self.step).reshape(-1, 3).T
+        out: np.ndarray = map_coordinates(self.depth, positions, order=1, mode="nearest")
         return out.reshape(np.asarray(points).shape[:-1])
 
     def shallowest(self, start: np.ndarray, end: np.ndarray, samples: int = 8) -> np.ndarray:

@@ -28,7 +28,7 @@ def describe(motion: HandleMotion, human: bool = True) -> list[Phrase]:
 
     Args:
         motion: Of 30 handles.
-        human: False for creatures, of which only directions and turns are told.
+        human: False for creatures, of which only directions and turns are described.
     """
     track = Track.of(motion)
     if len(track) < 8:
@@ -42,9 +42,9 @@ def describe(motion: HandleMotion, human: bool = True) -> list[Phrase]:
         found = [phrase for phrase in found if phrase.kind != "go" or _overlap(phrase, jumps) < 0.2]
         bends = [phrase for phrase in find_bends(track) if _overlap(phrase, jumps) < 0.2]
         found += jumps + find_kicks(track) + find_arms(track) + bends + find_stillness(track)
-    places = Counter((phrase.start, phrase.stop, phrase.kind) for phrase in found)
+    occurrences = Counter((phrase.start, phrase.stop, phrase.kind) for phrase in found)
     # two of a kind in the very same frames have no order that a mirror would keep
-    found = [phrase for phrase in found if places[phrase.start, phrase.stop, phrase.kind] == 1]
+    found = [phrase for phrase in found if occurrences[phrase.start, phrase.stop, phrase.kind] == 1]
     return sorted(found, key=lambda phrase: (phrase.start, phrase.stop, phrase.kind))
 
 
@@ -101,14 +101,14 @@ def joined(phrases: Sequence[Phrase], variant: int = 0, most: int = 4) -> str:
         variant: Chooses rewordings and links.
         most: Phrases to name; standing still is left out first.
     """
-    told = list(phrases)
-    if len(told) > 1:
-        moving = [phrase for phrase in told if phrase.kind != "still"]
-        told = moving if len(told) > most and moving else told
-    told = told[:most]
+    described = list(phrases)
+    if len(described) > 1:
+        moving = [phrase for phrase in described if phrase.kind != "still"]
+        described = moving if len(described) > most and moving else described
+    described = described[:most]
     groups: list[str] = []
-    for index, (phrase, text) in enumerate(zip(told, _texts(told, variant), strict=True)):
-        before = told[index - 1]
+    for index, (phrase, text) in enumerate(zip(described, _texts(described, variant), strict=True)):
+        before = described[index - 1]
         together = min(before.stop, phrase.stop) - max(before.start, phrase.start)
         if index and together > 0.5 * min(before.stop - before.start, phrase.stop - phrase.start):
             groups[-1] += f" and {text}" if " and " not in groups[-1] + text else f", {text}"

@@ -40,7 +40,7 @@ def find_jumps(track: Track) -> list[Phrase]:
             or float(track.speed[start:stop].mean()) > 2.2
         ):
             continue
-        moved = track.place[stop] - track.place[start - 1]
+        moved = track.position[stop] - track.position[start - 1]
         angle = track.angle[start]
         ahead, aside = (
             moved[1] * np.cos(angle) + moved[0] * np.sin(angle),
@@ -253,8 +253,8 @@ def find_punches(track: Track) -> list[Phrase]:
         for top in find_peaks(reach, height=0.4, prominence=0.1)[0].tolist():
             start = max(top - track.frames(0.35), 0)
             if away[top, 2] > 0.25 and abs(away[top, 1]) < 0.3 and pace[start : top + 1].max() > 2.0:
-                told = ("{punch} with the # hand", "{throw} a # punch", "{throw} a punch with the # hand")
-                texts = tuple(text.replace("#", side) for text in (*told, "{hit} out with the # hand"))
+                punches = ("{punch} with the # hand", "{throw} a # punch", "{throw} a punch with the # hand")
+                texts = tuple(text.replace("#", side) for text in (*punches, "{hit} out with the # hand"))
                 found.append(Phrase("punch", texts, start, min(top + track.frames(0.3), len(track))))
     return found
 

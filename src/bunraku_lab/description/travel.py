@@ -25,7 +25,7 @@ def find_turns(track: Track) -> list[Phrase]:
                 continue
             if turn / seconds < 0.9 and track.speed[start:stop].min() > 0.3:
                 continue  # a curve that is walked
-            texts = _turn_words(turn, side, float(np.ptp(track.place[start:stop], axis=0).max()) < 0.5)
+            texts = _turn_words(turn, side, float(np.ptp(track.position[start:stop], axis=0).max()) < 0.5)
             if texts:
                 found.append(Phrase("turn", texts, start, stop))
     return found
@@ -133,7 +133,7 @@ def find_gaits(track: Track, turns: list[Phrase], human: bool = True) -> list[Ph
     }
     for name, mask in classes.items():
         for start, stop in runs(away & mask, track.frames(0.8), track.frames(0.25)):
-            length = float(np.linalg.norm(np.diff(track.place[start:stop], axis=0), axis=1).sum())
+            length = float(np.linalg.norm(np.diff(track.position[start:stop], axis=0), axis=1).sum())
             gait = _gait(track, start, stop, name)
             if length < 0.5 or gait is None or track.speed[start:stop].mean() < 0.35:
                 continue
@@ -146,7 +146,7 @@ def find_gaits(track: Track, turns: list[Phrase], human: bool = True) -> list[Ph
 
 def _circle(track: Track, start: int, stop: int, human: bool) -> Phrase | None:
     total, steady = _bend_of_path(track, start, stop)
-    length = float(np.linalg.norm(np.diff(track.place[start:stop], axis=0), axis=1).sum())
+    length = float(np.linalg.norm(np.diff(track.position[start:stop], axis=0), axis=1).sum())
     turned = track.angle[stop - 1] - track.angle[start]
     if abs(total) < 5.4 or not steady or abs(turned - total) > 1.2 or not 0.35 < length / abs(total) < 6:
         return None

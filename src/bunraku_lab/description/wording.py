@@ -183,19 +183,19 @@ def _of_creature(
     short = [
         phrase for phrase in label if len(phrase.split()) <= 2 and not _SAID.search(phrase) and verbs([phrase]) & _GOING
     ]
-    told = []
+    described = []
     for phrase in found:
         if phrase.kind == "go" and phrase.manner and short:
             phrase = replace(phrase, texts=(f"{_one(short, random)} {' '.join(phrase.manner[:2])}",))
-        told.append(phrase)
-    text = joined(told, variant)
-    if not short or told[0].kind != "go":
+        described.append(phrase)
+    text = joined(described, variant)
+    if not short or described[0].kind != "go":
         plain = [
             phrase for phrase in label if "," not in phrase and len(phrase.split()) <= 6 and not is_stative(phrase)
         ]
         if not plain:
             return None
-        text = f"{_one(plain, random)}, {conjugate(joined(told, variant, most=2), 'gerund')}"
+        text = f"{_one(plain, random)}, {conjugate(joined(described, variant, most=2), 'gerund')}"
     return fill(_one(_creature_frames(species), random), text)
 
 

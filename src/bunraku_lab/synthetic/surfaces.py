@@ -70,8 +70,8 @@ def strand(
     cap = np.stack([np.full(sides, first), ring, np.roll(ring, -1)], axis=1)
     end = np.stack([np.full(sides, last), np.roll(ring, -1) + (count - 1) * sides, ring + (count - 1) * sides], axis=1)
     faces = np.concatenate([sheet_faces(count, sides, wrap=True), cap, end])
-    place = np.concatenate([np.repeat(np.arange(count), sides), [0, count - 1]]).astype(float)
-    return points, _outwards(points, faces), place
+    index = np.concatenate([np.repeat(np.arange(count), sides), [0, count - 1]]).astype(float)
+    return points, _outwards(points, faces), index
 
 
 def _outwards(points: np.ndarray, faces: np.ndarray) -> np.ndarray:

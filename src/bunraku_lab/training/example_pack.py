@@ -1,18 +1,18 @@
 """Which stretches of captured clips the sampler may start from, packed into one file.
 
 Of each action the clearest are kept: those whose motion the ranker finds nearest to their own sentences, few of one
-clip. What is plain to see in the numbers (a turn, a punch) is cut out and told by them alone. Clips of validation and
-test are never among them. Gestures that hardly anybody has captured are made by code (`synthetic.gestures`).
+clip. What is plain to see in the numbers (a turn, a punch) is cut out and described by them alone. Clips of validation
+and test are never among them. Gestures that hardly anybody has captured are made by code (`synthetic.gestures`).
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,7 @@ from bunraku.diffusion.examples.pack import (
     write_pack,
 )  # fmt: skip
 from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
-from bunraku.diffusion.matching import RADIUS, Extractor, embed_motions, embed_sentences
-from bunraku.diffusion.ranking import load_ranker
+from bunraku.diffusion.matching import RADIUS, Extractor, embed_motions, embed_sentences, load_ranker
 from bunraku.errors import OptionError
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
@@ -45,8 +44,8 @@ from bunraku_lab.description.describe import inside
 from bunraku_lab.description.wording import computed_sentence
 from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING
 from bunraku_lab.synthetic.gestures.play import gesture_motion
-from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_clips
+from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
 
 __all__ = ["ExampleSettings", "build_examples"]
 
@@ -132,7 +131,7 @@ def build_examples(
         if not entry.get("species")
     }
     statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
-    rows = ClipSet(clips, statistics, "train", borrowed=0.0, creatures=0.0)
+    rows = ClipSet(clips, statistics, "train", mixture=Mixture(creatures=0.0, borrowed=0.0))
     found = [*_stretches(rows, clips), *_events(rows, settings.seed), *_gestures(), *_standing(rows)]
     progress("vectors", 0.0)
     texts, motions, owners = _vectors(found, ranker, encoder)
@@ -141,13 +140,13 @@ def build_examples(
     own /= np.maximum(np.bincount(owners, minlength=len(found)), 1)
     kept = _clearest(found, own, settings)
     data = []
-    for place, index in enumerate(kept):
+    for number, index in enumerate(kept):
         skeleton = found[index].skeleton or skeleton_from_handles(decode(found[index].features), rounds=1)
         data.append(packed_stretch(skeleton.root_translation, skeleton.rotations))
-        progress("pack", (place + 1) / len(kept))
+        progress("pack", (number + 1) / len(kept))
     examples = tuple(Example(one.name, one.texts, len(one.features), one.loop) for one in (found[i] for i in kept))
     chosen = np.isin(owners, kept)
-    place_of = {index: place for place, index in enumerate(kept)}
+    place_of = {index: number for number, index in enumerate(kept)}
     pack = ExamplePack(
         examples,
         tuple(data),
@@ -193,7 +192,7 @@ def _with_gestures(settings: ExampleSettings, ranker: Extractor, encoder: TextEn
     return pack
 
 
-def _stretches(rows: ClipSet, clips: dict[str, dict[str, Any]]) -> Iterator[_Stretch]:
+def _stretches(rows: ClipSet, clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
     for clip in rows.clips:
         if clip.watched and len(clip.values) <= LONGEST and clip.weight >= 0.5:
             kind = "action: " + " and ".join(clip.actions)
@@ -206,9 +205,9 @@ def _events(rows: ClipSet, seed: int) -> Iterator[_Stretch]:
         for index, phrase in members:
             clip = rows.clips[index]
             start, stop = max(phrase.start - _MARGIN, 0), min(phrase.stop + _MARGIN, len(clip.values))
-            told = [one for one in inside(pool.phrases[index], start, stop) if one.kind != "still"]
+            described = [one for one in inside(pool.phrases[index], start, stop) if one.kind != "still"]
             random = np.random.default_rng([seed, index, phrase.start])
-            made = [computed_sentence(told, [()], stop - start, random, None) for _ in range(_WORDINGS)]
+            made = [computed_sentence(described, [()], stop - start, random, None) for _ in range(_WORDINGS)]
             texts = tuple(dict.fromkeys(text for text in made if text))
             if texts and clip.weight >= 0.5 and _seen(texts, clip.texts):
                 features = rows.statistics.restore(clip.values[start:stop])
@@ -238,11 +237,11 @@ def _gestures() -> Iterator[_Stretch]:
         loop = None
         if gesture.cycle is not None:
             loop = round(gesture.cycle[1] * FPS), round(gesture.cycle[0] * FPS)
-        motion = gesture_motion(gesture, FPS)
+        motion = gesture_motion(gesture)
         features = encode(body_handle_motion(motion))
         name = f"{MADE}{gesture.name.replace(' ', '_')}_{number}"
         yield _Stretch(name, GESTURE, gesture.texts, features, loop, motion)
-    motion = gesture_motion(STANDING, FPS)
+    motion = gesture_motion(STANDING)
     yield _Stretch(f"{MADE}{STANDING.name}", GESTURE, (), encode(body_handle_motion(motion)), None, motion)
 
 
@@ -262,17 +261,17 @@ def _vectors(
     """Unit vectors of all sentences (2, T, V) and motions (2, E, V), as they are and in the mirror, and which stretch
     each sentence is of, (T,).
     """
-    owners = np.array([place for place, one in enumerate(found) for _ in one.texts])
+    owners = np.array([index for index, one in enumerate(found) for _ in one.texts])
     both = [[text for one in found for text in one.texts]]
     both.append(list(map(mirror_words, both[0])))
     vectors = embed_sentences(ranker, encoder, [text for texts in both for text in texts])
     texts = np.array([[vectors[text] for text in some] for some in both]) / RADIUS
     motions = np.array([embed_motions(ranker, [way(one.features) for one in found]) for way in (np.asarray, mirror)])
     motions /= RADIUS
-    for place, one in enumerate(found):
+    for index, one in enumerate(found):
         if one.kind == GESTURE and one.texts:  # the ranker has seen none of them, and they are what their sentences say
-            told = texts[:, owners == place].mean(axis=1)
-            motions[:, place] = told / np.linalg.norm(told, axis=-1, keepdims=True)
+            centre = texts[:, owners == index].mean(axis=1)
+            motions[:, index] = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
     return texts, motions, owners
 
 

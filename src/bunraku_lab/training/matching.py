@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import torch
 import tyro
@@ -19,7 +19,7 @@ from bunraku.diffusion.matching import Extractor, ExtractorConfig, save_extracto
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextEncoder
 from bunraku_lab.training.diffusion.text_bank import TextBank
-from bunraku_lab.training.runs.averaged_run import AveragedRun
+from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import StepSettings
 
 __all__ = ["MatchingRun", "MatchingTrainConfig", "captions_of", "for_encoder"]
@@ -104,7 +104,7 @@ class MatchingRun(AveragedRun[Extractor]):
         """The first columns of a row of the log."""
         return {"step": self.step, "minutes": self.seconds / 60}
 
-    def write(self, note: dict[str, Any]) -> Path:
+    def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
         notes = {"steps": self.step, "minutes": round(self.seconds / 60, 1), "clips": self.clip_count}
         return save_extractor(self.checkpoint, self.average, notes | note["results"], self.kind)

@@ -64,7 +64,7 @@ def test_takes():
 def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(denoiser):
     """Motions of a network that attends to examples differ from those that it makes where none is usable."""
     from bunraku.diffusion.examples import attended
-    from bunraku.diffusion.sampling.sampler import sample
+    from bunraku.diffusion.sampling.sampler import Solver, sample
     from bunraku.language.encoders import text_encoder
 
     name = "all-MiniLM-L6-v2+cues"
@@ -76,7 +76,7 @@ def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(denois
     assert attended.example_bank(model) is bank
     found = bank(text)
     assert found.values.shape[:2] == (1, 2) and (found.lengths > 0).all()
-    one = sample(model, text, 40, steps=2, seed=1).values
-    assert torch.equal(one, sample(model, text, 40, steps=2, seed=1).values)
+    one = sample(model, text, 40, Solver(2), seed=1).values
+    assert torch.equal(one, sample(model, text, 40, Solver(2), seed=1).values)
     model.layers[1].examples.out.weight.zero_()
-    assert (one - sample(model, text, 40, steps=2, seed=1).values).abs().max() > 1e-3
+    assert (one - sample(model, text, 40, Solver(2), seed=1).values).abs().max() > 1e-3

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from bunraku.body.from_handles import skeleton_from_handles
+from bunraku.diffusion.examples.guidance_examples import GuidanceExamples
 from bunraku.diffusion.examples.guide import circled, fills, fits_into, goes_on, hurried, laid, laid_script, liveliest
 from bunraku.diffusion.examples.joins import on_one_leg
-from bunraku.diffusion.examples.leads import Leads
 from bunraku.diffusion.examples.pack import ExamplePack, packed_stretch
 from bunraku.diffusion.examples.retrieve import Found
 from bunraku.diffusion.features import FeatureStatistics, decode, mirror
@@ -96,7 +96,7 @@ def test_sentences_without_an_example_are_the_samplers_own(pack, units):
 
 def test_other_seeds_and_candidates_take_others_and_the_same_ones_the_same(pack):
     axes = np.eye(4)
-    leads = Leads(
+    examples = GuidanceExamples(
         pack,
         {
             "someone waves": (clause_of("someone waves"), (axes[0] + axes[2]) / 2**0.5),
@@ -104,14 +104,14 @@ def test_other_seeds_and_candidates_take_others_and_the_same_ones_the_same(pack)
         },
     )
     script = [(clause_of("someone waves"), 60)]
-    first, second, again = (leads.lead(script, (7, 0), number) for number in (0, 1, 0))
+    first, second, again = (examples.of(script, (7, 0), number) for number in (0, 1, 0))
     assert first == again and {first.found[0].mirrored, second.found[0].mirrored} == {False, True}
-    assert len({leads.lead(script, (seed, 0), 0).found[0].mirrored for seed in range(20)}) == 2
-    assert leads.lead([(clause_of("jumps"), 60)], (7, 0), 0) is None
+    assert len({examples.of(script, (seed, 0), 0).found[0].mirrored for seed in range(20)}) == 2
+    assert examples.of([(clause_of("jumps"), 60)], (7, 0), 0) is None
 
 
 def test_the_next_sentence_takes_what_begins_as_the_last_one_ends(pack, monkeypatch):
-    monkeypatch.setattr("bunraku.diffusion.examples.leads.NEAREST", 1)
+    monkeypatch.setattr("bunraku.diffusion.examples.guidance_examples.NEAREST", 1)
     low = pack.features(1).copy()
     low[:, 3] -= 0.5
     skeleton = skeleton_from_handles(decode(low))
@@ -121,11 +121,11 @@ def test_the_next_sentence_takes_what_begins_as_the_last_one_ends(pack, monkeypa
         (*pack.examples, replace(pack.examples[1], name="low")), data, np.array([0, 0, 1, 2]),
         np.stack([axes[[0, 0, 1, 1]], axes[[2, 2, 3, 3]]]), np.stack([axes[[0, 1, 1]], axes[[2, 3, 3]]]), "none",
     )  # fmt: skip
-    leads = Leads(
+    examples = GuidanceExamples(
         more, {verb: (clause_of(verb), axes[number]) for number, verb in enumerate(("someone waves", "someone kicks"))}
     )
     script = [(clause_of("someone waves"), 40), (clause_of("someone kicks"), 40)]
-    assert {leads.lead(script, (seed, 0), 0).found[1].place for seed in range(20)} == {1}
+    assert {examples.of(script, (seed, 0), 0).found[1].number for seed in range(20)} == {1}
 
 
 def test_the_crouch_before_a_jump_is_not_held_but_a_seat_and_the_floor_are(pack, units):
@@ -134,7 +134,7 @@ def test_the_crouch_before_a_jump_is_not_held_but_a_seat_and_the_floor_are(pack,
         values[:, 3] = np.interp(np.arange(30), [5, 24], [first, last])
 
         class Known(ExamplePack):
-            def features(self, place):
+            def features(self, position):
                 return values
 
         known = Known(**vars(pack))
@@ -201,8 +201,8 @@ def test_an_example_that_begins_bent_is_passed_over_where_there_is_another(pack)
     standing = np.repeat(kick[:1], 40, axis=0)
 
     class Known(ExamplePack):
-        def features(self, place):
-            return (bent, kick, standing)[place]
+        def features(self, position):
+            return (bent, kick, standing)[position]
 
     axes = np.eye(4)
     examples = (
@@ -212,9 +212,9 @@ def test_an_example_that_begins_bent_is_passed_over_where_there_is_another(pack)
         examples, pack.data, np.array([0, 1]), np.stack([axes[[0, 0]], axes[[2, 2]]]),
         np.stack([axes[[0, 0, 1]], axes[[2, 2, 3]]]), "none",
     )  # fmt: skip
-    leads = Leads(known, {"kicks": (clause_of("a person kicks with the right leg"), axes[0])})
+    examples = GuidanceExamples(known, {"kicks": (clause_of("a person kicks with the right leg"), axes[0])})
     taken = {
-        leads.lead([(clause_of("kicks"), 40)], (seed, 0), number).found[0].place
+        examples.of([(clause_of("kicks"), 40)], (seed, 0), number).found[0].number
         for seed in range(8)
         for number in (0, 1)
     }
@@ -232,12 +232,12 @@ def test_a_gesture_made_by_code_is_told_apart_and_joined_to_standing_of_its_kind
     assert guide.made.all() and not laid(pack, KICK, 100, units, np.random.default_rng(0)).made.any()
     both = laid_script(made, [(None, 20), (KICK, 60)], 80, units, np.random.default_rng(0))
     assert not both.made[:20].any() and both.made[20:].all()
-    leads = Leads(made, {"kicks": (clause_of("a person kicks with the right leg"), np.eye(4)[1])})
-    assert leads.shows(clause_of("kicks")) and leads.made([(clause_of("kicks"), 40)])
-    assert not Leads(pack, {"kicks": (clause_of("a person kicks with the right leg"), np.eye(4)[1])}).made(
+    examples = GuidanceExamples(made, {"kicks": (clause_of("a person kicks with the right leg"), np.eye(4)[1])})
+    assert examples.shows(clause_of("kicks")) and examples.made([(clause_of("kicks"), 40)])
+    assert not GuidanceExamples(pack, {"kicks": (clause_of("a person kicks with the right leg"), np.eye(4)[1])}).made(
         [(clause_of("kicks"), 40)]
     )
-    assert not leads.shows(clause_of("sings")) and not leads.made([(clause_of("sings"), 40)])
+    assert not examples.shows(clause_of("sings")) and not examples.made([(clause_of("sings"), 40)])
 
 
 def test_a_loop_has_whole_cycles_that_close_and_none_of_what_is_done_once(pack, units):

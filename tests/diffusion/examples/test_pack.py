@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +15,17 @@ from bunraku.diffusion.examples.pack import (
     load_examples,
     packed_stretch,
     read_pack,
+    said_by,
+    said_path,
     unpacked_stretch,
     write_pack,
 )
 from bunraku.diffusion.features import decode, encode
 from bunraku.errors import WeightsError
+from bunraku.formats.files import weights_folder
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.language.captions.phrases import mirror_words
+from bunraku.language.lexicon.cues import said_cues
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.evaluation.motion.seams import posed_positions
 
@@ -85,3 +91,32 @@ def test_examples_of_another_ranker_and_none_at_all(pack, tmp_path, monkeypatch)
     own = replace(pack, ranker=fingerprint(tmp_path / "ranker.safetensors"))
     write_pack(tmp_path / "examples.safetensors", own, {})
     assert load_examples().examples == pack.examples
+
+
+def test_what_the_shipped_examples_say_is_stored_as_it_is_read_today():
+    path = weights_folder() / "examples.safetensors"
+    if not path.is_file():
+        pytest.skip("the shipped weights are not there")
+    pack = read_pack(path)
+    assert len(pack.stored) == len(pack.examples), "write it anew: pack.write_said(path, read_pack(path).examples)"
+    for index, one in enumerate(pack.examples):
+        assert pack.said(index) == said_by(one.texts), one.texts
+        told = frozenset().union(*(said_cues(mirror_words(text)) for text in one.texts))
+        assert pack.said(index).mirrored_cues == told, one.texts
+
+
+def test_what_is_stored_is_left_alone_where_the_sentences_or_the_lexicon_are_others(pack, tmp_path):
+    path = write_pack(tmp_path / "examples.safetensors", pack, {})
+    said = read_pack(path).said(0)
+    assert read_pack(path).stored and said == pack.said(0) and "left arm" in said.cues and said.actions == {"wave"}
+    table = json.loads(said_path(path).read_text())
+    for change in ({"of": "0" * 16}, None):
+        if change is None:
+            said_path(path).unlink()
+        else:
+            said_path(path).write_text(json.dumps(table | change))
+        assert not read_pack(path).stored and read_pack(path).said(0) == said
+    for bad in ("", "[", "3", json.dumps(table | {"rows": [["", 1, ""]] * 2}), json.dumps(table | {"rows": []})):
+        said_path(path).write_text(bad)
+        with pytest.raises(WeightsError, match=r"examples\.json"):
+            read_pack(path)

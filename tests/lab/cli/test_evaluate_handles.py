@@ -7,6 +7,7 @@ from bunraku.cli import main
 from bunraku.core.character import Character
 from bunraku.io import save_character
 from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku_lab.cli.evaluate.handles import EvaluateHandles, _report
 
 
 def test_bad_options_are_one_sentence(fails, tmp_path):
@@ -31,7 +32,7 @@ def test_the_table_and_its_json(tmp_path, capsys):
     )
     assert result["orientation_upright"] == 1 and result["orientation_creatures"] is None
     assert result["reached"]["orientation_upright"] and result["reached"]["orientation_creatures"] is None
-    assert main(words) == 0
+    EvaluateHandles().show(result, _report)
     text = capsys.readouterr().out
     row = next(line for line in text.splitlines() if line.startswith("root"))
     assert result["counts"]["humanoids"] == 1 and "<= 3.00%" in row

@@ -37,7 +37,7 @@ from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 SEED = 1
-MINUTES = 0.1
+MINUTES = 0.05
 
 
 def sources(count, seconds=10.0):
@@ -68,7 +68,7 @@ def motions(tmp_path_factory):
 @pytest.fixture(scope="module")
 def plan(motions):
     source = replace(wardrobe_sources(1, SEED)[0], split="train")
-    shards, left = plan_shards([source], choose_motions(motion_sources(motions), 2), minutes=MINUTES, longest=3.0)
+    shards, left = plan_shards([source], choose_motions(motion_sources(motions), 2), minutes=MINUTES, longest=1.5)
     assert not left
     clips = shards[0].clips
     return [replace(shards[0], clips=clips[:1]), replace(shards[0], part=1, clips=clips[1:])]
@@ -227,7 +227,7 @@ def test_a_second_run_mends_and_gives_the_same_bytes(built, plan, tmp_path):
 
 
 def test_old_data_are_mended_into_another_folder(built, tmp_path, capsys):
-    """Shards from before the push-out, their apparel moved into the body: mended once, and what is mended stays."""
+    """Shards from before the push-out, their apparel moved into the body: repaired once, and what is repaired stays."""
     old, new = tmp_path / "old", tmp_path / "new"
     (old / "shards").mkdir(parents=True)
     (old / "index.json").write_bytes((built / "index.json").read_bytes())

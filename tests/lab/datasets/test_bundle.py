@@ -36,11 +36,11 @@ def person(frames=50, seed=0):
 def apart(one, other):
     """Largest distance between where two motions put the handles [m]."""
     rest = reference_body().handles.positions
-    places = [
+    positions = [
         (motion.transforms(rest)[..., :3] @ rest[None, :, :, None])[..., 0] + motion.transforms(rest)[..., 3]
         for motion in (one, other)
     ]
-    return float(np.linalg.norm(places[0] - places[1], axis=-1).max())
+    return float(np.linalg.norm(positions[0] - positions[1], axis=-1).max())
 
 
 @pytest.fixture

@@ -7,8 +7,7 @@ import pytest
 
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import matrix_y
+from bunraku.geometry.rotations import heading, matrix_y
 from bunraku_lab.datasets.motions.clips import load_clip, write_clip
 from bunraku_lab.datasets.motions.turns import add_turns, find_turn
 

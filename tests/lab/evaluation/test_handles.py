@@ -11,7 +11,7 @@ from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.geometry.axes import ORIENTATIONS, upright_rotation
-from bunraku.handles.orientation import settle
+from bunraku.handles.orientation import resolve_axes
 from bunraku.io import save_character
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku.samples import sample_character
@@ -106,7 +106,7 @@ def test_orientation_is_what_settle_makes_of_each_turned_file(name):
     assert row["orientation_warned"] is None
     for up, front in ORIENTATIONS[::6]:
         vertices = one.character.vertices @ upright_rotation(up, front).astype(np.float32)
-        found = settle(Character(name, vertices, one.character.faces), suffix=".obj")
+        found = resolve_axes(Character(name, vertices, one.character.faces), suffix=".obj")
         assert (found.up, found.front) == (up, front)
 
 

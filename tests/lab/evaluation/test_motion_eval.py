@@ -8,11 +8,11 @@ from swings import PARTS, WordEncoder, swing
 
 from bunraku.body.reference import reference_body
 from bunraku.cli import main
-from bunraku.diffusion import networks
 from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.features import encode
+from bunraku.diffusion.generation import networks
 from bunraku.diffusion.matching import Extractor, ExtractorConfig, save_extractor
 from bunraku.errors import OptionError
 from bunraku.geometry.rotations import matrix_y
@@ -113,14 +113,14 @@ def test_all_rows_and_keys(folder, tmp_path):
 def test_what_is_chosen_has_a_row_of_its_own(folder, tmp_path):
     result = evaluate_motion(replace(settings(folder, tmp_path), best_of=2, mdm=None))
     rows = result["rows"]
-    assert set(rows) == {"real", "tapmo", "tapmo_pulled", "tapmo_led", "tapmo_chosen"}
+    assert set(rows) == {"real", "tapmo", "tapmo_guided", "tapmo_led", "tapmo_chosen"}
     assert len({rows[name]["fid"]["mean"] for name in rows}) == 5
     assert result["r_precision_1_over_real_chosen"] == pytest.approx(
         rows["tapmo_chosen"]["r_precision_1"]["mean"] / rows["real"]["r_precision_1"]["mean"]
     )
-    other = evaluate_motion(replace(settings(folder, tmp_path), best_of=2, mdm=None, pull=False, examples=False))[
-        "rows"
-    ]
+    other = evaluate_motion(
+        replace(settings(folder, tmp_path), best_of=2, mdm=None, classifier_guidance=False, examples=False)
+    )["rows"]
     assert set(other) == {"real", "tapmo", "tapmo_chosen"}
     assert other["tapmo_chosen"]["fid"]["mean"] != rows["tapmo_chosen"]["fid"]["mean"]
 
@@ -140,15 +140,15 @@ def test_a_broken_batch_is_made_again(tmp_path):
     torch.manual_seed(0)
     model = Denoiser(network()).eval().requires_grad_(False)
     requests = [Request("walk", 40), Request("jump", 30), Request("run", 40)]
-    how = {"folder": tmp_path, "digest": "a", "bf16": False}
-    first = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5), **how)
+    how = {"folder": tmp_path, "digest": "a"}
+    first = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5, bf16=False), **how)
     assert [len(motion) for motion in first] == [40, 30, 40]
     files = sorted(tmp_path.rglob("*.npz"))
     assert len(files) == 2
     files[0].write_bytes(b"not an archive")
-    again = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5), **how)
+    again = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5, bf16=False), **how)
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
-    make_motions(model, WordEncoder(), requests, SamplerSettings(3, 2.5), **how)
+    make_motions(model, WordEncoder(), requests, SamplerSettings(3, 2.5, bf16=False), **how)
     assert len(list(tmp_path.iterdir())) == 2  # other settings, another folder
     assert motion_samples.BATCH > 1
     with pytest.raises(OptionError, match="longer than the 60"):

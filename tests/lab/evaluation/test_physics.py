@@ -21,6 +21,7 @@ from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.physics import apparel_rig
 from bunraku.samples import sample_character
 from bunraku_lab.datasets.apparel.build import body_animation
+from bunraku_lab.datasets.apparel.plan import CharacterSource
 from bunraku_lab.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
 from bunraku_lab.evaluation.physics.penetration import nearest_joint_vertices, sample_apparel
 from bunraku_lab.evaluation.physics.table import PHYSICS_BARS, evaluate_physics, joined, measure_physics
@@ -223,7 +224,8 @@ def test_the_table_of_a_character(capsys):
 
 def test_processes_give_the_same_table_of_physics():
     """But for the time that simulations take."""
-    alone, shared = (evaluate_physics(wardrobe=[2, 1], seconds=3, quick=True, jobs=jobs) for jobs in (1, 2))
+    wardrobe = [CharacterSource(f"wardrobe {seed}", "test", seed) for seed in (2, 1)]
+    alone, shared = (evaluate_physics(wardrobe=wardrobe, seconds=3, quick=True, jobs=jobs) for jobs in (1, 2))
     assert [row["name"] for row in shared["characters"]] == ["wardrobe 2", "wardrobe 1"]
     for one, other in zip(alone["characters"], shared["characters"], strict=True):
         assert one | {"realtime_factor": 0, "motions": 0, "chain_stretch": 0} == other | {

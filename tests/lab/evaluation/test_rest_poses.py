@@ -21,22 +21,22 @@ def stick_figure(seed: int | None = None) -> TrainingCharacter:
     joints, parents = np.asarray(reference_body().joints, float), np.array(JOINT_PARENTS)
     none = np.zeros((0, 3))
 
-    def figure(places: np.ndarray) -> TrainingCharacter:
+    def figure(positions: np.ndarray) -> TrainingCharacter:
         weights = np.eye(22, dtype=np.float32)
         target = handle_target(weights, np.arange(22))
         return TrainingCharacter(
             "stick",
-            places,
+            positions,
             none,
             np.ones(22),
             none,
             weights,
-            places,
+            positions,
             parents,
             np.arange(22),
             target,
-            places[0],
-            float(np.ptp(places[:, 1])),
+            positions[0],
+            float(np.ptp(positions[:, 1])),
         )
 
     if seed is None:
@@ -49,18 +49,18 @@ def stick_figure(seed: int | None = None) -> TrainingCharacter:
 @pytest.mark.parametrize("pose", REST_POSES)
 def test_limbs_point_where_the_pose_says(pose, seed):
     figure = stick_figure(seed)
-    places = posed_limbs(figure, pose).astype(float)
+    positions = posed_limbs(figure, pose).astype(float)
     for part, want in limb_directions(pose).items():
         side, name = part.split("_")
         child = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}[name]
-        bone = places[J[f"{side}_{child}"]] - places[J[part]]
+        bone = positions[J[f"{side}_{child}"]] - positions[J[part]]
         before = figure.joints[J[f"{side}_{child}"]] - figure.joints[J[part]]
         assert np.linalg.norm(bone) == pytest.approx(np.linalg.norm(before), rel=1e-4)  # bones keep their lengths
         if name in ("hip", "knee") and pose != "sitting":
             assert abs(bone[2]) < 1e-4 and bone[1] < 0
         else:
             np.testing.assert_allclose(bone / np.linalg.norm(bone), want, atol=1e-4)
-    np.testing.assert_allclose(places[: J["left_hip"]], figure.joints[: J["left_hip"]], atol=1e-5)  # the root rests
+    np.testing.assert_allclose(positions[: J["left_hip"]], figure.joints[: J["left_hip"]], atol=1e-5)  # the root rests
 
 
 def test_the_body_in_t_pose_stays_nearly_as_it_is():

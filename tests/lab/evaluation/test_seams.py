@@ -8,10 +8,10 @@ from bunraku_lab.evaluation.motion.seams import measure_seams, posed_positions
 def sliding(path):
     """A body that slides along x."""
     frames = len(path)
-    place = np.zeros((frames, 3))
-    place[:, 0] = path
+    position = np.zeros((frames, 3))
+    position[:, 0] = path
     return HandleMotion(
-        np.zeros((frames, 30, 3)), np.tile(np.eye(3), (frames, 30, 1, 1)), place, np.tile(np.eye(3), (frames, 1, 1))
+        np.zeros((frames, 30, 3)), np.tile(np.eye(3), (frames, 30, 1, 1)), position, np.tile(np.eye(3), (frames, 1, 1))
     )
 
 

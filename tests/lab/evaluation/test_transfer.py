@@ -40,11 +40,11 @@ def test_motions_are_picked_by_caption_then_by_name(tmp_path):
 
 def test_angles_of_limbs():
     parts = RigParts.of(reference_body().character())
-    places = np.concatenate([reference_body().joints, np.zeros((8, 3))])[None]
+    positions = np.concatenate([reference_body().joints, np.zeros((8, 3))])[None]
     source = reference_body().joints[None]
-    assert np.abs(limb_angles(parts, places, source)).max() < 1e-3
+    assert np.abs(limb_angles(parts, positions, source)).max() < 1e-3
     turned = source @ matrix_from_axis_angle(np.array([0, 0, 0.5])).T
-    assert limb_angles(parts, places, turned)[0, 0] == pytest.approx(np.degrees(0.5), abs=0.5)
+    assert limb_angles(parts, positions, turned)[0, 0] == pytest.approx(np.degrees(0.5), abs=0.5)
 
 
 def test_the_table(tmp_path):

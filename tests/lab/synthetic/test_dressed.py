@@ -12,10 +12,16 @@ from bunraku.geometry.graph import mesh_parts, unique_edges
 from bunraku_lab.datasets.characters.dressed import build_dressed, training_dressed
 from bunraku_lab.datasets.characters.training_character import TrainingCharacter
 from bunraku_lab.synthetic.dressed import Wardrobe, dressed_person, extras
-from bunraku_lab.synthetic.dressed.shapes import random_body, random_proportions, rest_linear
 from bunraku_lab.synthetic.dressed.surfaces import melted, simplified
-from bunraku_lab.synthetic.dressed.wardrobe import Piece, Worn, joined, skirt_weights
-from bunraku_lab.synthetic.makehuman import BASE_VERTICES, BODY_VERTICES, MakeHumanBody, limb_rotations, pose_points
+from bunraku_lab.synthetic.dressed.wardrobe import BodyShape, Piece, joined, skirt_weights
+from bunraku_lab.synthetic.people.makehuman import (
+    BASE_VERTICES,
+    BODY_VERTICES,
+    MakeHumanBody,
+    limb_rotations,
+    pose_points,
+)
+from bunraku_lab.synthetic.people.proportions import random_body, random_proportions, rest_linear
 
 J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 
@@ -143,7 +149,7 @@ def test_makehuman_is_the_reference_body(wardrobe):
 
 def test_sleeves_trousers_and_skirts_are_labelled(wardrobe):
     vertices = wardrobe.body.shape({"gender": 1.0})
-    worn = Worn(vertices, wardrobe.body.joints(vertices))
+    worn = BodyShape(vertices, wardrobe.body.joints(vertices))
     shirt = wardrobe.wear(wardrobe.upper["male_casualsuit03"], worn)
     trousers = wardrobe.wear(wardrobe.lower["male_casualsuit03"], worn)
     assert {J["left_elbow"], J["right_elbow"], J["spine3"]} <= set(shirt.handles.argmax(axis=1))

@@ -3,7 +3,7 @@ import pytest
 
 from bunraku.body.layout import HANDLE_MIRROR, HANDLE_NAMES
 from bunraku.errors import OptionError
-from bunraku.geometry.normals import vertex_normals
+from bunraku.geometry.surface import vertex_normals
 from bunraku.samples.fields import ball, bar
 from bunraku.skeletons.bone_names import handle_of_joints
 from bunraku_lab.synthetic.families import EVALUATION_SEED, FAMILIES, code_made_character, code_made_names

@@ -22,9 +22,9 @@ KNEELING = ("kneel", "both knees", "propose")
 
 def palms(motion):
     """Middle of each palm by forward kinematics: 9 cm from the wrist along the hand, which lies along x at rest."""
-    rotations, places = motion.world()
+    rotations, positions = motion.world()
     return {
-        side: places[:, AT[f"{side}_wrist"]] + 0.09 * sign * rotations[:, AT[f"{side}_wrist"]][:, :, 0]
+        side: positions[:, AT[f"{side}_wrist"]] + 0.09 * sign * rotations[:, AT[f"{side}_wrist"]][:, :, 0]
         for side, sign in (("left", 1), ("right", -1))
     }
 
@@ -61,11 +61,11 @@ def test_every_gesture_is_whole(number):
         found = understood(text)
         assert found.ok and not found.unknown
     motion = gesture_motion(one)
-    rotations, places = motion.world()
+    rotations, positions = motion.world()
     assert len(motion) == round(20 * one.seconds) + 1
     np.testing.assert_allclose(np.linalg.det(rotations.reshape(-1, 3, 3)), 1, atol=1e-5)
     for side in ("left", "right"):
-        ankle = places[:, AT[f"{side}_ankle"]]
+        ankle = positions[:, AT[f"{side}_ankle"]]
         assert ankle[:, 1].min() > 0.07
         if one.name not in (*KNEELING, "hop") and not one.steps:
             assert np.ptp(ankle, axis=0).max() < 0.01  # feet stand, however the pelvis sways
@@ -78,24 +78,24 @@ def test_every_gesture_is_whole(number):
     if one.cycle is not None:
         start, stop = (round(20 * moment) for moment in one.cycle)
         assert 12 <= stop - start < len(motion)
-        hand = palms(motion)["right"] - places[:, 0] * [0, 0, 1]  # some go on meanwhile
+        hand = palms(motion)["right"] - positions[:, 0] * [0, 0, 1]  # some go on meanwhile
         assert np.linalg.norm(hand[stop] - hand[start]) < 0.04  # all but the sway
 
 
 def test_who_kneels_has_a_knee_on_the_ground_and_both_where_so_said():
     for name, count in (("kneel", 1), ("both knees", 2)):
-        _, places = gesture_motion(gesture(name)).world()
-        knees = places[-1, [AT["left_knee"], AT["right_knee"]], 1]
+        _, positions = gesture_motion(gesture(name)).world()
+        knees = positions[-1, [AT["left_knee"], AT["right_knee"]], 1]
         assert (knees < 0.12).sum() == count and knees.min() > 0.02
 
 
 def test_who_sits_has_the_feet_on_the_ground_and_the_thighs_level():
     for name, seated in (("sit", -1), ("stand up", 0)):
-        rotations, places = gesture_motion(gesture(name)).world()
-        pelvis, knee, ankle = (places[seated, AT[part]] for part in ("left_hip", "left_knee", "left_ankle"))
+        rotations, positions = gesture_motion(gesture(name)).world()
+        pelvis, knee, ankle = (positions[seated, AT[part]] for part in ("left_hip", "left_knee", "left_ankle"))
         assert abs(pelvis[1] - knee[1]) < 0.1 and knee[2] - pelvis[2] > 0.3 and abs(knee[2] - ankle[2]) < 0.1
         assert rotations[seated, AT["spine3"]][1, 1] > 0.95  # upright
-        assert places[-1 - seated, 0, 1] - places[seated, 0, 1] > 0.35
+        assert positions[-1 - seated, 0, 1] - positions[seated, 0, 1] > 0.35
         heights = lowest_of(gesture_motion(gesture(name)))
         assert heights.min() > -0.02 and heights.max() < 0.03
 
@@ -114,8 +114,8 @@ def test_a_punch_goes_straight_ahead_and_the_other_fist_stays_up():
 
 
 def test_who_hops_is_in_the_air_with_both_feet_and_lands_on_one():
-    _, places = gesture_motion(gesture("hop")).world()
-    right, left = (places[20:60, AT[f"{side}_ankle"], 1] for side in ("right", "left"))
+    _, positions = gesture_motion(gesture("hop")).world()
+    right, left = (positions[20:60, AT[f"{side}_ankle"], 1] for side in ("right", "left"))
     assert left.min() > 0.35 and right.min() < 0.1 and right.max() > 0.2
 
 
@@ -144,19 +144,19 @@ def test_who_leaves_the_ground_comes_back_to_it():
 
 
 def test_who_steps_on_the_spot_stays_there_and_lifts_one_knee_after_the_other():
-    _, places = gesture_motion(gesture("march in place")).world()
-    assert np.ptp(places[:, 0], axis=0)[[0, 2]].max() < 0.1
-    knees = places[:, [AT["left_knee"], AT["right_knee"]], 1] > 0.85
+    _, positions = gesture_motion(gesture("march in place")).world()
+    assert np.ptp(positions[:, 0], axis=0)[[0, 2]].max() < 0.1
+    knees = positions[:, [AT["left_knee"], AT["right_knee"]], 1] > 0.85
     assert knees[:, 0].any() and knees[:, 1].any() and not knees.all(axis=1).any()
 
 
 @pytest.mark.parametrize("name", ["zombie", "skip", "stumble", "throw"])
 def test_feet_that_are_down_do_not_slide(name):
     motion = gesture_motion(gesture(name))
-    _, places = motion.world()
-    assert places[-1, 0, 2] - places[0, 0, 2] > 0.5
+    _, positions = motion.world()
+    assert positions[-1, 0, 2] - positions[0, 0, 2] > 0.5
     for side in ("left", "right"):
-        ball = places[:, AT[f"{side}_foot"]]
+        ball = positions[:, AT[f"{side}_foot"]]
         down = (ball[1:, 1] < 0.032) & (ball[:-1, 1] < 0.032)
         assert down.mean() > 0.2
         assert np.linalg.norm(np.diff(ball[:, [0, 2]], axis=0), axis=1)[down].max() < 0.04
@@ -170,27 +170,27 @@ def test_hands_on_the_ground_stay_where_they_are():
 
 
 def test_who_does_sit_ups_lies_on_the_back_and_comes_up_to_the_knees():
-    rotations, places = gesture_motion(gesture("sit-up")).world()
+    rotations, positions = gesture_motion(gesture("sit-up")).world()
     chest = rotations[:, AT["spine3"]][:, 1, 1]  # of the upper body's axis, how far it is up
     assert chest.min() < 0.2 and chest.max() > 0.85
-    assert np.ptp(places[:, AT["left_ankle"]], axis=0).max() < 0.01 and places[:, 0, 1].max() < 0.2
+    assert np.ptp(positions[:, AT["left_ankle"]], axis=0).max() < 0.01 and positions[:, 0, 1].max() < 0.2
 
 
 def test_who_climbs_begins_on_the_ground_and_gets_up_in_rungs():
     for one in (one for one in GESTURES if one.name == "ladder"):
         motion = gesture_motion(one)
-        _, places = motion.world()
-        up = places[:, 0, 1] - places[0, 0, 1]
+        _, positions = motion.world()
+        up = positions[:, 0, 1] - positions[0, 0, 1]
         assert up[-1] > 1.5 and np.diff(up).min() > -0.002
         assert up[-1] % 0.6 == pytest.approx(0.0, abs=0.01) or up[-1] % 0.6 == pytest.approx(0.6, abs=0.01)
-        assert places[0, AT["left_ankle"], 1] == pytest.approx(0.081, abs=0.01)
+        assert positions[0, AT["left_ankle"], 1] == pytest.approx(0.081, abs=0.01)
         assert np.abs(np.diff(up)[-2:]).max() < 0.01  # at rest
 
 
 def test_a_throw_ends_its_whip_in_front_of_the_body():
     motion = gesture_motion(gesture("throw"))
-    _, places = motion.world()
-    ahead = palms(motion)["right"][:, 2] - places[:, 0, 2]
+    _, positions = motion.world()
+    ahead = palms(motion)["right"][:, 2] - positions[:, 0, 2]
     speed = np.linalg.norm(np.diff(palms(motion)["right"], axis=0), axis=1) * 20
     fastest = int(speed.argmax())
     assert ahead[: fastest - 2].min() < -0.15 and ahead[fastest : fastest + 6].max() > 0.4
@@ -210,21 +210,21 @@ def test_what_flows_passes_through_its_keys_and_stays_where_two_are_alike():
 def test_a_foot_rolls_over_its_ball_and_its_heel(pitch):
     bent = Pose(hips=(0, -0.15, 0), left_foot=foot_on(0.12, 0.2, pitch))
     motion = gesture_motion(Gesture("step", (), ((0.0, Pose()), (1.0, bent))))
-    rotations, places = motion.world()
-    flat = [places[-1, AT["left_ankle"]][2], places[-1, AT["left_foot"]][2]]
+    rotations, positions = motion.world()
+    flat = [positions[-1, AT["left_ankle"]][2], positions[-1, AT["left_foot"]][2]]
     if pitch >= 0:
-        assert places[-1, AT["left_foot"], 1] == pytest.approx(0.027, abs=0.006)
+        assert positions[-1, AT["left_foot"], 1] == pytest.approx(0.027, abs=0.006)
         assert flat[1] == pytest.approx(0.355, abs=0.012)
     else:
-        heel = places[-1, AT["left_ankle"]] + rotations[-1, AT["left_ankle"]] @ [0, -0.081, -0.05]
+        heel = positions[-1, AT["left_ankle"]] + rotations[-1, AT["left_ankle"]] @ [0, -0.081, -0.05]
         assert heel[1] == pytest.approx(0.0, abs=0.005) and heel[2] == pytest.approx(0.15, abs=0.01)
 
 
 def test_standing_goes_on_without_a_stop():
     motion = gesture_motion(STANDING)
-    _, places = motion.world()
-    assert 0.004 < np.ptp(places[:, 0], axis=0).max() < 0.03
-    assert len(motion) > 180 and np.ptp(places[:, AT["head"]], axis=0).max() > 0.01
+    _, positions = motion.world()
+    assert 0.004 < np.ptp(positions[:, 0], axis=0).max() < 0.03
+    assert len(motion) > 180 and np.ptp(positions[:, AT["head"]], axis=0).max() > 0.01
 
 
 def test_cycles_are_laid_evenly_between_two_rests():
@@ -237,10 +237,10 @@ def test_cycles_are_laid_evenly_between_two_rests():
 
 def test_both_arms_keep_their_bones():
     body = reference_body()
-    _, places = gesture_motion(gesture("violin")).world()
+    _, positions = gesture_motion(gesture("violin")).world()
     for side in ("left", "right"):
         for one, two in ((f"{side}_shoulder", f"{side}_elbow"), (f"{side}_elbow", f"{side}_wrist")):
-            length = np.linalg.norm(places[:, AT[one]] - places[:, AT[two]], axis=1)
+            length = np.linalg.norm(positions[:, AT[one]] - positions[:, AT[two]], axis=1)
             np.testing.assert_allclose(length, np.linalg.norm(body.joints[AT[one]] - body.joints[AT[two]]), atol=1e-4)
 
 
@@ -291,7 +291,7 @@ def test_a_wrong_row_is_named(tmp_path, wrong, right):
 
 def test_who_brushes_the_hair_strokes_it_from_the_top_down_beside_the_head():
     motion = gesture_motion(gesture("brush hair"))
-    _, places = motion.world()
-    hand = palms(motion)["right"][16:-12] - places[16:-12, AT["head"]]
+    _, positions = motion.world()
+    hand = palms(motion)["right"][16:-12] - positions[16:-12, AT["head"]]
     assert np.ptp(hand[:, 1]) > 0.25 and np.linalg.norm(hand, axis=1).max() < 0.4
     assert ((hand[1:-1, 1] < hand[:-2, 1]) & (hand[1:-1, 1] <= hand[2:, 1])).sum() == 3

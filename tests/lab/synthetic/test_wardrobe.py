@@ -15,13 +15,13 @@ from bunraku.core.character import Character
 from bunraku.core.mmd_model import MmdBody, mmd_model
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError
-from bunraku.formats.mmd.pmx_write import write_pmx
 from bunraku.physics.simulate import simulate
 from bunraku.skeletons.mmd_names import mmd_skeleton_map
+from bunraku_lab.synthetic.people.figure import Skin
 from bunraku_lab.synthetic.surfaces import strand
 from bunraku_lab.synthetic.wardrobe import build_wardrobe, wardrobe_character, wardrobe_costume
 from bunraku_lab.synthetic.wardrobe.kit.chains import Chains
-from bunraku_lab.synthetic.wardrobe.kit.figure import Skin
+from bunraku_lab.synthetic.wardrobe.kit.pmx_write import write_pmx
 from bunraku_lab.synthetic.wardrobe.makehuman import closet
 
 SEEDS = range(8)
@@ -184,12 +184,12 @@ def test_weights_between_chains() -> None:
 
 def test_strands_are_closed() -> None:
     curve = np.array([[0, 0, 0], [0, -0.1, 0.02], [0, -0.2, 0.02], [0.03, -0.3, 0]])
-    points, faces, place = strand(curve, np.array([0, 0, 1.0]), 0.02, 0.01, 7)
+    points, faces, position = strand(curve, np.array([0, 0, 1.0]), 0.02, 0.01, 7)
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
     a, b, c = (points[faces[:, corner]] for corner in range(3))
     assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0
-    assert place.min() == 0 and place.max() == 3
+    assert position.min() == 0 and position.max() == 3
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,7 +3,6 @@ import math
 import pytest
 import torch
 
-from bunraku.retarget.batched_fit import fit_locals
 from bunraku_lab.training.losses.adversarial_loss import (
     MeshMotionDiscriminator,
     adversarial_loss,
@@ -12,6 +11,7 @@ from bunraku_lab.training.losses.adversarial_loss import (
     handle_driven,
     skeleton_driven,
 )
+from bunraku_lab.training.losses.batched_fit import fit_locals
 
 
 def test_adversarial_loss_by_hand():

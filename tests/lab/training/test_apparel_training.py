@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.apparel.body.network import BodyConfig
 from bunraku.apparel.displacement.network import DisplacementConfig, DisplacementNetwork, load_displacement
-from bunraku.apparel.refinement.network import RefinementConfig, load_refinement
-from bunraku.apparel.refinement.seam import seam_of
 from bunraku.apparel.sampled_mesh import point_features
 from bunraku.apparel.segmentation.network import SegmentationConfig, load_segmentation
 from bunraku.apparel.skinning import eq4_transforms
@@ -24,7 +21,10 @@ from bunraku_lab.training.apparel.body import BodyTrainConfig, BodyTrainer, pose
 from bunraku_lab.training.apparel.displacement import DisplacementTrainConfig, DisplacementTrainer
 from bunraku_lab.training.apparel.mesh_bank import build_meshes
 from bunraku_lab.training.apparel.mesh_variation import varied, welded_parts
-from bunraku_lab.training.apparel.node_bank import build_bank, truth_wearer
+from bunraku_lab.training.apparel.networks.body import BodyConfig
+from bunraku_lab.training.apparel.networks.refinement import RefinementConfig, load_refinement
+from bunraku_lab.training.apparel.networks.seam import seam_of
+from bunraku_lab.training.apparel.node_bank import build_bank, truly_clothed
 from bunraku_lab.training.apparel.refinement import (
     RefinementTrainConfig,
     RefinementTrainer,
@@ -223,24 +223,24 @@ def test_the_refinement_is_learned(data, tmp_path):
     """Both modules' results are the truth with a torn seam; what is learned closes it."""
     found = ApparelData(data)
     clip = found.clips[0]
-    wearer = truth_wearer(found.character(clip))
+    clothed = truly_clothed(found.character(clip))
     frames = np.array([4, 8])
     network = DisplacementNetwork(DisplacementConfig(8, 1, 0)).eval()
     transforms = found.shard(clip.shard).frames("transforms", clip.first, clip.first + 9)
     truth = found.window(clip, 0, 9).vertices[frames]
-    sample = seam_sample(wearer, wearer.weights, transforms, truth, frames, network)
-    assert sample.places.shape == sample.truth.shape and len(sample.places) == 2
+    sample = seam_sample(clothed, clothed.weights, transforms, truth, frames, network)
+    assert sample.positions.shape == sample.truth.shape and len(sample.positions) == 2
     torn = sample.truth.copy()
     torn[:, ::3, 1] += 0.02
-    seam = seam_of(wearer, wearer.weights)
-    affine = eq4_transforms(transforms[frames], wearer.joints)
+    seam = seam_of(clothed, clothed.weights)
+    affine = eq4_transforms(transforms[frames], clothed.joints)
     rows = []
     for frame in range(2):
-        places = np.array(truth[frame], np.float32)
-        places[seam.vertices[::3], 1] += 0.02 * wearer.scale
-        rows.append(seam.frame(places, affine[frame]))
+        indices = np.array(truth[frame], np.float32)
+        indices[seam.vertices[::3], 1] += 0.02 * clothed.scale
+        rows.append(seam.frame(indices, affine[frame]))
     sample = replace(
-        sample, places=torn, inputs=np.stack([row.inputs for row in rows]),
+        sample, positions=torn, inputs=np.stack([row.inputs for row in rows]),
         vectors=np.stack([row.vectors for row in rows]), turns=np.stack([row.turns for row in rows]),
     )  # fmt: skip
     config = RefinementTrainConfig(

@@ -3,9 +3,9 @@ import torch
 
 from bunraku.core.animation import Animation
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.batched_fit import fit_locals
 from bunraku_lab.evaluation.motion.arap import animation_arap
 from bunraku_lab.training.adaptation.arap_labels import EdgeSystem, arap_labels, edge_system
+from bunraku_lab.training.losses.batched_fit import fit_locals
 
 
 def one_edge():
@@ -50,8 +50,8 @@ def test_labels_lower_the_loss_of_a_character(bank, gesture):
 def test_the_sampled_loss_is_that_of_the_whole_mesh(bank, gesture):
     """Of the dancer: what the bank's edges say is what `animation_arap` says of all edges, up to sampling."""
     from bunraku.handles.from_rig import rig_handles
-    from bunraku.retarget.batched_fit import posed_positions
     from bunraku.samples import sample_character
+    from bunraku_lab.training.losses.batched_fit import posed_positions
 
     character = sample_character("dancer", 0.5, rigged=True)
     handles = rig_handles(character).top(4)

@@ -8,7 +8,7 @@ from bunraku.diffusion.features import ROOT_SIZE, FeatureStatistics, mirror
 from bunraku.errors import FormatError
 from bunraku.language.captions.phrases import creature_variants
 from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.diffusion.training_clip import TrainingClip
 
 
@@ -24,7 +24,7 @@ def clips(features):
         "walk": entry(features("spine1", frames=37), "walk"),
     }
     statistics = FeatureStatistics.measure([clip["features"] for clip in found.values()])
-    return lambda **how: ClipSet(found, statistics, **{"frames": 120, **how})
+    return lambda **how: ClipSet(found, statistics, frames=120, mixture=Mixture(**how))
 
 
 def activity(values, statistics, handle):
@@ -121,7 +121,7 @@ def zoo(features, tmp_path):
             entries = entry(features(part, frames=30 + 3 * number), f"a horse does {action}")
             found[f"{name}_{action}"] = entries | {"species": "horse", "action": action, "character": f"animals/{name}"}
     statistics = FeatureStatistics.measure([clip["features"] for clip in found.values()])
-    return lambda **how: ClipSet(found, statistics, **{"frames": 120, "borrowed": 0.0, **how})
+    return lambda **how: ClipSet(found, statistics, frames=120, mixture=Mixture(**{"borrowed": 0.0, **how}))
 
 
 def test_creatures_are_a_share_of_the_draws_evenly_over_species_and_actions(zoo):
@@ -204,7 +204,7 @@ def test_computed_words_are_true_of_the_row_and_of_its_mirror_image():
     }
     statistics = FeatureStatistics.measure([clip["features"] for clip in found.values()])
     clips, random = (
-        ClipSet(found, statistics, frames=100, computed=1.0, borrowed=0.0, creatures=0.5),
+        ClipSet(found, statistics, frames=100, mixture=Mixture(computed=1.0, borrowed=0.0, creatures=0.5)),
         np.random.default_rng(0),
     )
     told = {None: 0, "animals/Bull": 0}
@@ -300,12 +300,12 @@ def test_rare_actions_are_drawn_as_often_as_common_ones():
     statistics = FeatureStatistics.measure([rest])
     shares = {}
     for balance in (0.0, 0.5, 1.0):
-        clips = ClipSet(found, statistics, balance=balance)
+        clips = ClipSet(found, statistics, mixture=Mixture(balance=balance))
         shares[balance] = clips.probability[[clip.name.startswith("kneel") for clip in clips.clips]].sum()
     assert shares[0.0] == pytest.approx(0.5) and shares[0.0] > shares[0.5] > shares[1.0]
     many = found | {f"walk_{index}": found["walk_0"] for index in range(40, 400)}
     many = {name: one for name, one in many.items() if name not in ("kneel_1", "kneel_2", "kneel_3")}
-    clips = ClipSet(many, statistics, balance=0.0, most_drawn=20)
+    clips = ClipSet(many, statistics, mixture=Mixture(balance=0.0, most_drawn=20))
     assert clips.probability.max() == pytest.approx(20 / (400 + 20))
 
 

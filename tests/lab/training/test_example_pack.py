@@ -57,13 +57,13 @@ def test_training_clips_alone_are_packed_with_the_vectors_of_both_sides(swings, 
 
     model = load_extractor(ranker, kind=RANKER)
     said = embed_sentences(model, encoder, ["a person waves with the left hand", "a person waves with the right hand"])
-    place = pack.examples.index(stretches[2])
-    row = int(np.flatnonzero(pack.owners == place)[0])
+    index = pack.examples.index(stretches[2])
+    row = int(np.flatnonzero(pack.owners == index)[0])
     np.testing.assert_allclose(pack.texts[0, row], said["a person waves with the left hand"] / RADIUS, atol=1e-6)
     np.testing.assert_allclose(pack.texts[1, row], said["a person waves with the right hand"] / RADIUS, atol=1e-6)
-    wave = pack.features(place)
+    wave = pack.features(index)
     both = embed_motions(model, [wave, mirror(wave)]) / RADIUS
-    np.testing.assert_allclose(pack.motions[:, place], both, atol=0.05)  # but for what a skeleton cannot do
+    np.testing.assert_allclose(pack.motions[:, index], both, atol=0.05)  # but for what a skeleton cannot do
     np.testing.assert_allclose(read_pack(settings.out).motions, pack.motions, atol=1e-3)
 
 
@@ -78,13 +78,13 @@ def test_of_each_action_only_the_clearest_are_kept(swings, ranker, encoder, tmp_
     names = [one.name for one in pack.examples]
     assert len([name for name in names if name.startswith("waves")]) == 2
     own = {
-        name: float(pack.texts[0, pack.owners == place].mean(axis=0) @ pack.motions[0, place])
-        for place, name in enumerate(names)
+        name: float(pack.texts[0, pack.owners == number].mean(axis=0) @ pack.motions[0, number])
+        for number, name in enumerate(names)
     }
     every = build_examples(ExampleSettings(swings, tmp_path / "all.safetensors", 9, 0, ranker=ranker), encoder)
     left = [one.name for one in every.examples if one.name.startswith("waves") and one.name not in names]
-    place = [one.name for one in every.examples].index(left[0])
-    dropped = float(every.texts[0, every.owners == place].mean(axis=0) @ every.motions[0, place])
+    number = [one.name for one in every.examples].index(left[0])
+    dropped = float(every.texts[0, every.owners == number].mean(axis=0) @ every.motions[0, number])
     assert dropped <= min(value for name, value in own.items() if name.startswith("waves")) + 1e-6
 
 
@@ -108,12 +108,12 @@ def test_gestures_made_by_code_are_packed_with_them(swings, ranker, encoder, tmp
 def test_a_pack_gets_the_gestures_that_it_lacks(swings, ranker, encoder, tmp_path):
     watched(swings)
     whole = build_examples(ExampleSettings(swings, tmp_path / "whole.safetensors", ranker=ranker), encoder)
-    lacks = [place for place, one in enumerate(whole.examples) if one.texts in {GESTURES[3].texts, GESTURES[40].texts}]
-    kept = [place for place in range(len(whole.examples)) if place not in lacks]
+    lacks = [index for index, one in enumerate(whole.examples) if one.texts in {GESTURES[3].texts, GESTURES[40].texts}]
+    kept = [index for index in range(len(whole.examples)) if index not in lacks]
     less = replace(
         whole,
-        examples=tuple(whole.examples[place] for place in kept),
-        data=tuple(whole.data[place] for place in kept),
+        examples=tuple(whole.examples[index] for index in kept),
+        data=tuple(whole.data[index] for index in kept),
         owners=np.array([kept.index(owner) for owner in whole.owners.tolist() if owner in kept], np.int32),
         texts=whole.texts[:, np.isin(whole.owners, kept)],
         motions=whole.motions[:, kept],
@@ -124,11 +124,11 @@ def test_a_pack_gets_the_gestures_that_it_lacks(swings, ranker, encoder, tmp_pat
     more = ExampleSettings(out=tmp_path / "more.safetensors", ranker=ranker, add_to=tmp_path / "less.safetensors")
     build_examples(more, encoder)
     pack = read_pack(more.out)
-    assert len(lacks) == 2 and [whole.examples[place] for place in kept + lacks] == list(pack.examples)
-    assert [whole.data[place] for place in kept + lacks] == list(pack.data)
+    assert len(lacks) == 2 and [whole.examples[index] for index in kept + lacks] == list(pack.examples)
+    assert [whole.data[index] for index in kept + lacks] == list(pack.data)
     np.testing.assert_allclose(pack.motions, whole.motions[:, kept + lacks], atol=1e-3)
-    for other, place in enumerate(kept + lacks):
-        mine, its = pack.texts[:, pack.owners == other], whole.texts[:, whole.owners == place]
+    for other, index in enumerate(kept + lacks):
+        mine, its = pack.texts[:, pack.owners == other], whole.texts[:, whole.owners == index]
         np.testing.assert_allclose(mine, its, atol=1e-3)
     assert load_checkpoint(more.out, KIND)[1]["notes"] == notes
     with pytest.raises(OptionError, match="another ranker"):

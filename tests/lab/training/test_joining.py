@@ -7,8 +7,8 @@ from bunraku_lab.training.diffusion.joining import link
 
 def order(sentence, words):
     """The words of a sentence in the order in which they happen: what comes "after" comes first."""
-    places = sorted((re.search(word, sentence).start(), word) for word in words)
-    found = [word for _, word in places]
+    positions = sorted((re.search(word, sentence).start(), word) for word in words)
+    found = [word for _, word in positions]
     late = re.search(r"\w+ (?:\w+ )*?after (?!that)", sentence)
     return found[::-1] if late and not sentence.startswith("after") else found
 

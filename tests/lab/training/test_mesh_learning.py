@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from bunraku.errors import FormatError
-from bunraku.retarget.character_bank import load_character_bank
+from bunraku_lab.datasets.characters.bank_file import load_character_bank
 from bunraku_lab.training.diffusion.mesh_bank import MeshBank, load_mesh_bank
 from bunraku_lab.training.diffusion.mesh_learning import MeshLearning, local_motion
 

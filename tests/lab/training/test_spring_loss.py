@@ -15,14 +15,14 @@ def test_the_springs_are_those_of_arms_and_legs():
 def test_spring_loss_by_hand():
     """Eq. 7 for one spring of rest length 0.5 that is 0.6 long in frame 1 and 0.55 in frame 2, sigma 0.1."""
     second = LIMB_SPRINGS[0][1]
-    rest, places = torch.zeros(1, 30, 3), torch.zeros(1, 2, 30, 3)
+    rest, positions = torch.zeros(1, 30, 3), torch.zeros(1, 2, 30, 3)
     rest[0, second, 1] = 0.5
-    places[0, 0, second, 1], places[0, 1, second, 0] = 0.6, 0.55
+    positions[0, 0, second, 1], positions[0, 1, second, 0] = 0.6, 0.55
     springs = torch.zeros(1, 12, dtype=torch.bool)
     springs[0, 0] = True
     want = math.exp(-0.6) * (0.1**2 + 0.05**2) + 0.1**2 + 0.05**2
-    assert math.isclose(float(spring_loss(places, rest, springs, 0.1)), want, rel_tol=1e-4)
-    assert float(spring_loss(places, rest, torch.zeros_like(springs), 0.1)) == 0  # absent handles have no springs
+    assert math.isclose(float(spring_loss(positions, rest, springs, 0.1)), want, rel_tol=1e-4)
+    assert float(spring_loss(positions, rest, torch.zeros_like(springs), 0.1)) == 0  # absent handles have no springs
     turned = rest[:, None] @ torch.tensor([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + 3
     assert float(spring_loss(turned, rest, springs)) < 1e-10  # rigid motion
 

@@ -96,7 +96,7 @@ class AnchorHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, inputs: Inputs) -> torch.Tensor:
-        """Displacement of each node in the frame of its carrying joint, over the wearer's size, shape (M, 3)."""
+        """Displacement of each node in the frame of its carrying joint, over the character's size, shape (M, 3)."""
         out = self.decoder(self.encoder(inputs.nodes(), inputs))
         share = MOST * torch.tanh(out[:, :BASIS])
         mixed: torch.Tensor = torch.einsum("mk,mka->ma", share, inputs.vectors[:, :BASIS]) + out[:, BASIS:]

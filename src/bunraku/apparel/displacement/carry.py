@@ -1,4 +1,4 @@
-"""From nodes to vertices: each apparel vertex goes with the nodes around it, their turns included."""
+"""From nodes to vertices: each apparel vertex goes with the nodes around it, their rotations included."""
 
 from __future__ import annotations
 
@@ -6,37 +6,37 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.nodes import ApparelNodes
-from bunraku.apparel.wearer import Wearer
 
 __all__ = ["Carrier", "node_turns", "polar_rotation"]
 
 NEAR = 4
 RIGID = 0.03
-"""How much the carrying joint's own turn counts in that of a node, over the spread of its neighbours."""
+"""How much the carrying joint's own rotation counts in that of a node, over the spread of its neighbours."""
 
 ROUND = 2e-3
 """Products of sums of a matrix' singular values, two by two, below which no rotation is nearer than others."""
 
 
 class Carrier:
-    """Takes the displacement of nodes to the apparel vertices of a wearer.
+    """Takes the displacement of nodes to the apparel vertices of a clothed character.
 
     Args:
-        wearer: The character.
+        clothed: The character.
         nodes: Its nodes; every part has some.
     """
 
-    def __init__(self, wearer: Wearer, nodes: ApparelNodes):
-        self.vertices = np.flatnonzero(wearer.part >= 0)
+    def __init__(self, clothed: ClothedCharacter, nodes: ApparelNodes):
+        self.vertices = np.flatnonzero(clothed.part >= 0)
         self.nodes = nodes
         self.index = np.zeros((len(self.vertices), NEAR), np.int64)
         self.share = np.zeros((len(self.vertices), NEAR), np.float32)
-        parts = wearer.part[self.vertices]
+        parts = clothed.part[self.vertices]
         for part in np.unique(parts):
             rows, own = np.flatnonzero(parts == part), np.flatnonzero(nodes.part == part)
             near = min(NEAR, len(own))
-            gap, found = cKDTree(nodes.rest[own]).query(wearer.rest[self.vertices[rows]], near)
+            gap, found = cKDTree(nodes.rest[own]).query(clothed.rest[self.vertices[rows]], near)
             gap, found = gap.reshape(len(rows), near), found.reshape(len(rows), near)
             # the farthest of the four counts for nothing, so that nothing jumps where another takes its place
             weight = 1 / (gap**2 + 1e-8)
@@ -44,16 +44,16 @@ class Carrier:
                 weight = np.maximum(weight - weight[:, -1:] * 0.999, 0)
             self.index[rows, :near] = own[found]
             self.share[rows, :near] = weight / weight.sum(axis=1, keepdims=True)
-        self._mixed(wearer, nodes)
+        self._mixed(clothed, nodes)
         neighbours = nodes.rest[nodes.neighbours] - nodes.rest[:, None]
         self.spokes = neighbours.astype(np.float32)
         reach = np.square(self.spokes).sum(axis=(1, 2)) / 3 + 1e-8
         self.prior = (RIGID * reach).astype(np.float32)
 
-    def _mixed(self, wearer: Wearer, nodes: ApparelNodes) -> None:
+    def _mixed(self, clothed: ClothedCharacter, nodes: ApparelNodes) -> None:
         """What of `displacements` and `places` is the same in all frames, as one matrix each."""
-        count, rest = len(self.vertices), wearer.rest[self.vertices].astype(np.float32)
-        weights = wearer.weights[self.vertices].astype(np.float32)
+        count, rest = len(self.vertices), clothed.rest[self.vertices].astype(np.float32)
+        weights = clothed.weights[self.vertices].astype(np.float32)
         whole = np.concatenate([rest, np.ones((count, 1), np.float32)], axis=1)
         self.skin = (weights[:, :, None] * whole[:, None]).reshape(count, -1)
         # a vertex near node i goes to rest_i + moved_i + turn_i (rest - rest_i), and then with its own joint
@@ -61,11 +61,11 @@ class Carrier:
         used, number = np.unique(pairs, return_inverse=True)
         self.joint, self.node = np.divmod(used, len(nodes))
         away = np.concatenate([rest[:, None] - nodes.rest[self.index], np.ones((count, NEAR, 1))], axis=2)
-        told = (self.share[..., None] * away).astype(np.float32)
+        mixed = (self.share[..., None] * away).astype(np.float32)
         columns = 4 * number.reshape(pairs.shape)[..., None] + np.arange(4)
         rows = np.broadcast_to(np.arange(count)[:, None, None], columns.shape)
-        heard = told != 0
-        self.mix = csr_matrix((told[heard], (rows[heard], columns[heard])), shape=(count, 4 * len(used)))
+        kept = mixed != 0
+        self.mix = csr_matrix((mixed[kept], (rows[kept], columns[kept])), shape=(count, 4 * len(used)))
 
     def displacements(self, moved: np.ndarray) -> np.ndarray:
         """Displacement of the apparel vertices in the frames of the joints that carry the nodes [m], shape (A, 3).
@@ -75,7 +75,7 @@ class Carrier:
         """
         return np.asarray(self.mix @ self._swung(moved)[self.node].reshape(-1, 3))
 
-    def places(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
+    def positions(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
         """Where the apparel vertices are [m], shape (A, 3).
 
         Args:

@@ -1,7 +1,7 @@
-"""What the displacement networks are told of each node, in the frame of the joint that carries it.
+"""Inputs of the displacement networks for each node, in the frame of the joint that carries it.
 
 All of it is vectors and plain numbers, so that a character's mirror image is its features with x turned round.
-Lengths are over the wearer's size (`Wearer.scale`).
+Lengths are over the character's size (`ClothedCharacter.scale`).
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.body_points import BodyPoints, body_points, nearest_point
 from bunraku.apparel.displacement.filters import FREQUENCIES, LAGS, PENDULUMS, MotionFilters, Pendulums
 from bunraku.apparel.displacement.lead_in import lead_in_transforms, rest_transforms
 from bunraku.apparel.nodes import ApparelNodes
 from bunraku.apparel.skinning import eq4_transforms
-from bunraku.apparel.wearer import Wearer
 from bunraku.body.layout import JOINT_COUNT, JOINT_MIRROR
 
 __all__ = [
@@ -28,8 +28,8 @@ RATE = 30.0
 LEAD_IN = 30
 """Frames from the rest pose into a clip."""
 BASIS = len(FREQUENCIES) + len(LAGS) + len(PENDULUMS) + 4
-"""Vectors that a displacement may be made of: sways, lagging turns, pendulums, the tilt, and three pushes out of the
-body.
+"""Vectors that a displacement may be made of: sways, lagging rotations, pendulums, the tilt, and three pushes out of
+the body.
 """
 VECTORS = BASIS + 6
 """Beside these: up, spin, velocity, acceleration, the body's normals at the node and where it hangs."""
@@ -44,7 +44,7 @@ CLEAR = 0.01  # how near to the body apparel may come that was farther off at re
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame of a wearer.
+    """One frame of a clothed character.
 
     Args:
         vectors: In the frames of the carrying joints, shape (M, VECTORS, 3); the first BASIS of them are a basis of
@@ -52,61 +52,61 @@ class Frame:
         scalars: Signed distances from the body of the carried node and of where it hangs, shape (M, SCALARS).
         whole: The body's pose seen from the pelvis, shape (GLOBAL,).
         turns: Frames R of the carrying joints, shape (M, 3, 3).
-        places: Carried places LBS(rest) [m], shape (M, 3).
-        body: Places and normals of the body's points [m], shape (B, 3) each.
+        positions: Carried positions LBS(rest) [m], shape (M, 3).
+        body: Positions and normals of the body's points [m], shape (B, 3) each.
     """
 
     vectors: np.ndarray
     scalars: np.ndarray
     whole: np.ndarray
     turns: np.ndarray
-    places: np.ndarray
+    positions: np.ndarray
     body: tuple[np.ndarray, np.ndarray]
 
 
-def static_features(wearer: Wearer, nodes: ApparelNodes) -> tuple[np.ndarray, np.ndarray]:
+def static_features(clothed: ClothedCharacter, nodes: ApparelNodes) -> tuple[np.ndarray, np.ndarray]:
     """What of the nodes never changes: vectors (M, STATIC_VECTORS, 3) and numbers (M, STATIC_SCALARS), float32."""
-    size = wearer.scale
-    points = body_points(wearer)
+    size = clothed.scale
+    points = body_points(clothed)
     distance, normal = nearest_point(nodes.rest, points.rest, points.normals)
     groups = np.eye(5, dtype=np.float32)[np.array(_GROUPS)[nodes.joint]]
-    vectors = np.stack([(nodes.rest - wearer.joints[nodes.joint]) / size, nodes.held / size, normal], axis=1)
+    vectors = np.stack([(nodes.rest - clothed.joints[nodes.joint]) / size, nodes.held / size, normal], axis=1)
     share = nodes.distance / nodes.length
-    sizes = np.bincount(nodes.part, minlength=len(wearer.stiffness))[nodes.part]
-    damping = np.clip(wearer.damping[nodes.part], *DAMPINGS)
+    sizes = np.bincount(nodes.part, minlength=len(clothed.stiffness))[nodes.part]
+    damping = np.clip(clothed.damping[nodes.part], *DAMPINGS)
     scalars = np.column_stack([
         nodes.distance / size, nodes.length / size, share, share**2, np.clip(distance / size, -0.2, 0.3) * 5,
-        wearer.stiffness[nodes.part], np.log10(1.0 - damping), np.log(sizes + 1.0) / 5, groups,
+        clothed.stiffness[nodes.part], np.log10(1.0 - damping), np.log(sizes + 1.0) / 5, groups,
     ])  # fmt: skip
     return vectors.astype(np.float32), scalars.astype(np.float32)
 
 
 class MotionFeatures:
-    """The features of a wearer, frame by frame; `advance` with one pose after the other.
+    """The features of a clothed character, frame by frame; `advance` with one pose after the other.
 
     Args:
-        wearer: The character.
+        clothed: The character.
         nodes: Its nodes.
         first: The first pose, `[R | t]` of the joints (Eq. 1), shape (22, 3, 4); what lies before it is taken to be at
             rest there.
         fps: Frames a second [1/s].
     """
 
-    def __init__(self, wearer: Wearer, nodes: ApparelNodes, first: np.ndarray, fps: float = RATE):
-        self.wearer, self.nodes, self.size = wearer, nodes, np.float32(wearer.scale)
-        self.points: BodyPoints = body_points(wearer)
+    def __init__(self, clothed: ClothedCharacter, nodes: ApparelNodes, first: np.ndarray, fps: float = RATE):
+        self.clothed, self.nodes, self.size = clothed, nodes, np.float32(clothed.scale)
+        self.points: BodyPoints = body_points(clothed)
         rest_gap = nearest_point(nodes.rest, self.points.rest, self.points.normals)[0]
         self.gap = np.minimum(rest_gap, CLEAR * self.size)
         self.push = np.zeros((len(nodes), 3), np.float32)
         self.follow = np.float32(1 - np.exp(-1 / (fps * 0.2)))
         self.before = np.asarray(first[:, :, :3], np.float32)
         self.fps = fps
-        places, turns = self._carried(self._affine(first))
-        self.filters = MotionFilters(places / self.size, first[:, :, :3], fps)
-        self.pendulums = Pendulums(places / self.size, nodes.held / self.size, turns, wearer.scale, fps)
+        positions, turns = self._carried(self._affine(first))
+        self.filters = MotionFilters(positions / self.size, first[:, :, :3], fps)
+        self.pendulums = Pendulums(positions / self.size, nodes.held / self.size, turns, clothed.scale, fps)
 
     def _affine(self, transforms: np.ndarray) -> np.ndarray:
-        return eq4_transforms(transforms[None], self.wearer.joints)[0]
+        return eq4_transforms(transforms[None], self.clothed.joints)[0]
 
     def _carried(self, affine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         blend = (self.nodes.weights @ affine.reshape(JOINT_COUNT, 12)).reshape(-1, 3, 4)
@@ -120,18 +120,18 @@ class MotionFeatures:
         """
         nodes, size = self.nodes, self.size
         affine = self._affine(np.asarray(transforms, np.float32))
-        places, turns = self._carried(affine)
+        positions, turns = self._carried(affine)
         joints = np.asarray(transforms[:, :, :3], np.float32)
-        velocity, acceleration = self.filters.advance(places / size, joints)
+        velocity, acceleration = self.filters.advance(positions / size, joints)
         held = nodes.held / size
         up = turns[:, 1, :]
         tilt = _tilted(held, up) - held
         body = self.points.posed(affine)
-        near, normal = nearest_point(places, *body)
-        near_hang, normal_hang = nearest_point(places + size * _turned(turns, tilt), *body)
+        near, normal = nearest_point(positions, *body)
+        near_hang, normal_hang = nearest_point(positions + size * _turned(turns, tilt), *body)
         late = [_turned(late[nodes.joint], held) for late in self.filters.late]
         spun = _cross(self._spin(joints)[nodes.joint], _turned(turns, held))
-        swung = self.pendulums.advance(places / size, turns)
+        swung = self.pendulums.advance(positions / size, turns)
         world = np.stack(
             [
                 *self.filters.sway, *late, *swung, normal, normal_hang, spun * 0.2, velocity * 0.3, acceleration * 0.05,
@@ -154,7 +154,12 @@ class MotionFeatures:
         )  # fmt: skip
         scalars = np.clip(gaps / size, -0.3, 0.3) * 5
         return Frame(
-            vectors.astype(np.float32), scalars.astype(np.float32), _whole(transforms, float(size)), turns, places, body
+            vectors.astype(np.float32),
+            scalars.astype(np.float32),
+            _whole(transforms, float(size)),
+            turns,
+            positions,
+            body,
         )
 
     def _spin(self, joints: np.ndarray) -> np.ndarray:
@@ -168,7 +173,7 @@ class MotionFeatures:
 
 
 def _turned(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """A turn for each vector, shapes (M, 3, 3) and (M, 3) -> (M, 3)."""
+    """A rotation for each vector, shapes (M, 3, 3) and (M, 3) -> (M, 3)."""
     return np.asarray((turns * vectors[:, None, :]).sum(axis=-1))
 
 
@@ -187,11 +192,11 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _whole(transforms: np.ndarray, size: float) -> np.ndarray:
-    """T seen from the pelvis: places over the size and the first two columns of the turns; and which way is up."""
+    """T seen from the pelvis: positions over the size and the first two columns of the rotations; and the up axis."""
     root = transforms[0, :, :3]
-    places = (transforms[:, :, 3] - transforms[0, :, 3]) @ root / size
+    positions = (transforms[:, :, 3] - transforms[0, :, 3]) @ root / size
     turns = np.einsum("ba,jbc->jac", root, transforms[:, :, :3])[:, :, :2]
-    joints = np.concatenate([places, turns.transpose(0, 2, 1).reshape(-1, 6)], axis=1)
+    joints = np.concatenate([positions, turns.transpose(0, 2, 1).reshape(-1, 6)], axis=1)
     return np.append(joints.reshape(-1), root[1]).astype(np.float32)
 
 
@@ -203,17 +208,17 @@ def mirror_global(whole: np.ndarray) -> np.ndarray:
     return np.concatenate([(joints * sign).reshape(*whole.shape[:-1], -1), up], axis=-1)
 
 
-def clip_features(wearer: Wearer, nodes: ApparelNodes, transforms: np.ndarray) -> list[Frame]:
+def clip_features(clothed: ClothedCharacter, nodes: ApparelNodes, transforms: np.ndarray) -> list[Frame]:
     """Features of all frames of a clip at 30 frames a second that begins from the rest pose, after `LEAD_IN` frames
     that lead there.
 
     Args:
-        wearer: The character.
+        clothed: The character.
         nodes: Its nodes.
         transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
     """
-    start = rest_transforms(wearer.joints, transforms[0])
-    state = MotionFeatures(wearer, nodes, start)
-    for pose in lead_in_transforms(wearer.joints, transforms[0], LEAD_IN):
+    start = rest_transforms(clothed.joints, transforms[0])
+    state = MotionFeatures(clothed, nodes, start)
+    for pose in lead_in_transforms(clothed.joints, transforms[0], LEAD_IN):
         state.advance(pose)
     return [state.advance(pose) for pose in transforms]

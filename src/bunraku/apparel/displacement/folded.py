@@ -1,4 +1,4 @@
-"""The displacement network for one wearer, frame by frame: what never changes is worked into its matrices.
+"""The displacement network for one clothed character, frame by frame: what never changes is worked into its matrices.
 
 It says what `AnchorHead` and `RecurrentPart` say, to float rounding, in less time: the static features and the
 biases are one sum, the pose of the body is one row that is added, no module is called, and what is small is done in
@@ -34,7 +34,7 @@ class FoldedNetwork:
 
     Args:
         network: The network.
-        static_vectors, static_scalars: Of the wearer's nodes (`static_features`).
+        static_vectors, static_scalars: Of the character's nodes (`static_features`).
         graph: Of the nodes.
     """
 
@@ -61,7 +61,7 @@ class FoldedNetwork:
 
     def recurrent(
         self, vectors: np.ndarray, scalars: np.ndarray, whole: np.ndarray, past: FoldedPast, anchor: np.ndarray,
-        turns: np.ndarray, places: np.ndarray,
+        turns: np.ndarray, positions: np.ndarray,
     ) -> tuple[np.ndarray, FoldedPast]:  # fmt: skip
         """The next displacement (M, 3) and the new past; the first three as above, the rest as
         `RecurrentPart.forward` takes them, whose formula this is.
@@ -72,9 +72,9 @@ class FoldedNetwork:
         state = [rest[0], change, change - before]
         if self.world:
             now = rest[0] + self._recurrent(_moving(vectors, scalars, *state), whole)
-            moved = _back(turns, now - places)
+            moved = _back(turns, now - positions)
             return moved, (np.stack([now, rest[0], rest[1]]), np.stack([moved, given[0]]), been)
-        inertia = _back(turns, 2 * been[0] - been[1] - places) - given[0]
+        inertia = _back(turns, 2 * been[0] - been[1] - positions) - given[0]
         late, own_change = given[0] - anchor, given[0] - given[1]
         head_change = rest[0] - late
         speed = np.sqrt(np.einsum("ma,ma->m", own_change, own_change))[:, None]
@@ -86,7 +86,7 @@ class FoldedNetwork:
         kept = rest[0] + shared - (1 - expit(out[:, 3:4])) * head_change
         left = memory.KEEP * expit(out[:, :1]) * kept + memory.MOST * np.tanh(out[:, 4:] / memory.MOST)
         moved = anchor + left
-        now = places + np.einsum("mab,mb->ma", turns, moved)
+        now = positions + np.einsum("mab,mb->ma", turns, moved)
         return moved, (np.stack([left, rest[0], rest[1]]), np.stack([moved, given[0]]), np.stack([now, been[0]]))
 
 
@@ -118,8 +118,8 @@ class _FoldedPart:
         moving /= self.std
         np.maximum(moving, -6, out=moving)
         np.minimum(moving, 6, out=moving)
-        heard = self.motion[0] @ whole + self.motion[1]
-        pose = self.pose @ (0.5 * heard * (1 + erf(heard * np.float32(np.sqrt(0.5)))))
+        hidden = self.motion[0] @ whole + self.motion[1]
+        pose = self.pose @ (0.5 * hidden * (1 + erf(hidden * np.float32(np.sqrt(0.5)))))
         with torch.inference_mode():
             x = F.gelu(torch.addmm(torch.from_numpy(self.still + pose), torch.from_numpy(moving), self.moving))
             x = _normed(self.norm, _linear(self.second, x))
@@ -137,7 +137,7 @@ class _FoldedBlock:
         own, neighbour = block.edge.own, block.edge.neighbour
         self.own, self.bias, self.neighbour = own.weight - neighbour.weight, own.bias, neighbour.weight
         # all first neighbours, then all second ones: the maximum over them is one over rows that lie together
-        self.around = graph.around.view(len(graph.place), -1).t().reshape(-1)
+        self.around = graph.around.view(len(graph.position), -1).t().reshape(-1)
         width = len(self.bias)
         self.rows, self.least = graph.part[:, None].expand(-1, width), torch.full((graph.parts, width), -1e4)
 
@@ -146,8 +146,8 @@ class _FoldedBlock:
         most = values.index_select(0, self.around).view(-1, *x.shape).amax(dim=0)
         largest = torch.scatter_reduce(self.least, 0, self.rows, x, "amax")
         pooled = F.linear(largest, self.pooled).index_select(0, self.part)
-        heard = F.linear(x, self.own, self.bias).add_(pooled).add_(most)
-        return F.gelu(_normed(self.norm, heard)).add_(x)
+        hidden = F.linear(x, self.own, self.bias).add_(pooled).add_(most)
+        return F.gelu(_normed(self.norm, hidden)).add_(x)
 
 
 def _moving(vectors: np.ndarray, *numbers: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ class NodeGraph:
 
     Args:
         ranks: Each node itself, then its n-th neighbours, shape (M,) each.
-        place: Each node's own number, shape (M,).
+        position: Each node's own number, shape (M,).
         part: Part of each node, counted over all characters, shape (M,).
         parts: How many there are.
         owner: Character of each node, shape (M,).
@@ -29,7 +29,7 @@ class NodeGraph:
     """
 
     ranks: tuple[torch.Tensor, ...]
-    place: torch.Tensor
+    position: torch.Tensor
     part: torch.Tensor
     parts: int
     owner: torch.Tensor
@@ -56,16 +56,16 @@ def node_graph(neighbours: Sequence[np.ndarray], parts: Sequence[np.ndarray]) ->
     here = np.arange(count)
     pairs = np.stack([np.repeat(here, table.shape[1]), table.reshape(-1)], axis=1)
     pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
-    place = torch.from_numpy(here)
-    ranks = (place, *(torch.from_numpy(np.ascontiguousarray(column)) for column in table.T))
+    index = torch.from_numpy(here)
+    ranks = (index, *(torch.from_numpy(np.ascontiguousarray(column)) for column in table.T))
     return NodeGraph(
-        ranks, place, torch.from_numpy(np.concatenate(part)), first, torch.from_numpy(np.concatenate(owner)),
+        ranks, index, torch.from_numpy(np.concatenate(part)), first, torch.from_numpy(np.concatenate(owner)),
         torch.from_numpy(pairs), torch.from_numpy(np.concatenate([here[:, None], table], axis=1).reshape(-1)),
     )  # fmt: skip
 
 
 def part_pool(x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
-    """The largest feature in the part of each node, shape (M, C) -> (M, C): what a node hears of its part beyond its
+    """The largest feature in the part of each node, shape (M, C) -> (M, C): what a node gets from its part beyond its
     neighbours, and nothing of other parts.
     """
     return _largest(x, graph).index_select(0, graph.part)
@@ -96,11 +96,11 @@ class EdgeBlock(nn.Module):
         """Grouped edge convolution: max over neighbours of MLP(H_i, H_j - H_i) [MMDMC 13].
 
         The linear map runs once a node (`nn.edge_conv.EdgeConv`); neighbours are of the same part, so parts do not
-        hear of one another.
+        pass messages to one another.
         """
         pooled: torch.Tensor = self.pooled(_largest(x, graph))  # of the parts, which are fewer than the nodes
-        heard = self._edges(x, graph) + pooled.index_select(0, graph.part)
-        out: torch.Tensor = x + nn.functional.gelu(self.norm(heard))
+        hidden = self._edges(x, graph) + pooled.index_select(0, graph.part)
+        out: torch.Tensor = x + nn.functional.gelu(self.norm(hidden))
         return out
 
     def _edges(self, x: torch.Tensor, graph: NodeGraph) -> torch.Tensor:

@@ -23,9 +23,9 @@ def rest_transforms(joints: np.ndarray, first: np.ndarray) -> np.ndarray:
     """
     mean = first[:, :, :3].mean(axis=0)
     yaw = np.asarray(matrix_y(np.array(np.arctan2(mean[0, 2] - mean[2, 0], mean[0, 0] + mean[2, 2]))))
-    places = joints @ yaw.T
-    places = places + first[:, :, 3].mean(axis=0) - places.mean(axis=0)
-    return np.concatenate([np.broadcast_to(yaw, (JOINT_COUNT, 3, 3)), places[..., None]], axis=2)
+    positions = joints @ yaw.T
+    positions = positions + first[:, :, 3].mean(axis=0) - positions.mean(axis=0)
+    return np.concatenate([np.broadcast_to(yaw, (JOINT_COUNT, 3, 3)), positions[..., None]], axis=2)
 
 
 def lead_in_transforms(joints: np.ndarray, first: np.ndarray, frames: int) -> np.ndarray:
@@ -49,14 +49,14 @@ def lead_in_transforms(joints: np.ndarray, first: np.ndarray, frames: int) -> np
     # bones as in the clip's frame, so that the way ends exactly there
     bones = np.einsum("jba,jb->ja", end[parents, :, :3], end[:, :, 3] - end[parents, :, 3])
     rest_bones = joints - joints[parents]
-    world, places = np.array(local), np.zeros((frames, JOINT_COUNT, 3))
-    places[:, 0] = start[0, :, 3] + share[:, None] * (end[0, :, 3] - start[0, :, 3])
+    world, positions = np.array(local), np.zeros((frames, JOINT_COUNT, 3))
+    positions[:, 0] = start[0, :, 3] + share[:, None] * (end[0, :, 3] - start[0, :, 3])
     for joint in range(1, JOINT_COUNT):
         parent = parents[joint]
         world[:, joint] = world[:, parent] @ local[:, joint]
         bone = rest_bones[joint] + share[:, None] * (bones[joint] - rest_bones[joint])
-        places[:, joint] = places[:, parent] + np.einsum("nab,nb->na", world[:, parent], bone)
-    return np.concatenate([world, places[..., None]], axis=3).astype(np.float32)
+        positions[:, joint] = positions[:, parent] + np.einsum("nab,nb->na", world[:, parent], bone)
+    return np.concatenate([world, positions[..., None]], axis=3).astype(np.float32)
 
 
 def _local(pose: np.ndarray, parents: np.ndarray) -> np.ndarray:

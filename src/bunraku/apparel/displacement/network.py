@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from torch import nn
@@ -51,7 +52,7 @@ class DisplacementNetwork(nn.Module):
 
 
 def save_displacement(
-    path: str | Path, model: DisplacementNetwork, note: dict[str, Any] | None = None, half: bool = False
+    path: str | Path, model: DisplacementNetwork, note: Mapping[str, object] | None = None, half: bool = False
 ) -> Path:
     """Write the weights with their config as a checkpoint of kind "apparel".
 

@@ -1,10 +1,11 @@
-"""Learned apparel, frame by frame: a pose in, the places of the apparel vertices out. What a game engine calls."""
+"""Learned apparel, frame by frame: a pose in, the positions of the apparel vertices out. What a game engine calls."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
 
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.body_points import body_points
 from bunraku.apparel.displacement.carry import Carrier
 from bunraku.apparel.displacement.features import LEAD_IN, Frame, MotionFeatures, static_features
@@ -16,7 +17,6 @@ from bunraku.apparel.displacement.recurrent import past_of_states
 from bunraku.apparel.displacement.safety import Safety
 from bunraku.apparel.nodes import apparel_nodes
 from bunraku.apparel.skinning import eq4_transforms
-from bunraku.apparel.wearer import Wearer
 
 __all__ = ["NODES", "ApparelPlayer"]
 
@@ -27,10 +27,10 @@ SAFE_POINTS = 1500
 
 
 class ApparelPlayer:
-    """A wearer whose apparel the network moves.
+    """A clothed character whose apparel the network moves.
 
     Args:
-        wearer: The character.
+        clothed: The character.
         network: The network.
         nodes: Most nodes.
         safe: Whether the safety stage runs.
@@ -38,16 +38,16 @@ class ApparelPlayer:
     """
 
     def __init__(
-        self, wearer: Wearer, network: DisplacementNetwork, *, nodes: int = NODES, safe: bool = True,
+        self, clothed: ClothedCharacter, network: DisplacementNetwork, *, nodes: int = NODES, safe: bool = True,
         recurrent: bool = True,
     ):  # fmt: skip
-        self.wearer, self.network = wearer, network
-        parts = int(wearer.part.max(initial=-1)) + 1
-        self.nodes = apparel_nodes(wearer, max(nodes, min(3 * parts, 512)))
-        self.carrier = Carrier(wearer, self.nodes)
+        self.clothed, self.network = clothed, network
+        parts = int(clothed.part.max(initial=-1)) + 1
+        self.nodes = apparel_nodes(clothed, max(nodes, min(3 * parts, 512)))
+        self.carrier = Carrier(clothed, self.nodes)
         graph = node_graph([self.nodes.neighbours], [self.nodes.part])
-        self.folded = FoldedNetwork(network, *static_features(wearer, self.nodes), graph)
-        self.safety = Safety(wearer, self.nodes, body_points(wearer, SAFE_POINTS), self.carrier) if safe else None
+        self.folded = FoldedNetwork(network, *static_features(clothed, self.nodes), graph)
+        self.safety = Safety(clothed, self.nodes, body_points(clothed, SAFE_POINTS), self.carrier) if safe else None
         self.recurrent = network.recurrent if recurrent else None
         self.features: MotionFeatures | None = None
         self.past: FoldedPast | None = None
@@ -59,8 +59,8 @@ class ApparelPlayer:
         Args:
             transforms: `[R | t]` of the joints (Eq. 1) in the first frame, shape (22, 3, 4).
         """
-        joints = self.wearer.joints
-        self.features = MotionFeatures(self.wearer, self.nodes, rest_transforms(joints, transforms))
+        joints = self.clothed.joints
+        self.features = MotionFeatures(self.clothed, self.nodes, rest_transforms(joints, transforms))
         self.past = self.known = None
         for pose in lead_in_transforms(joints, transforms, LEAD_IN):
             frame = self.features.advance(pose)
@@ -96,29 +96,29 @@ class ApparelPlayer:
             self.start(transforms)
         assert self.features is not None
         frame = self.features.advance(np.asarray(transforms, np.float32))
-        moved = self._moved(frame, transforms) * np.float32(self.wearer.scale)
-        affine = eq4_transforms(np.asarray(transforms, np.float32)[None], self.wearer.joints)[0]
+        moved = self._moved(frame, transforms) * np.float32(self.clothed.scale)
+        affine = eq4_transforms(np.asarray(transforms, np.float32)[None], self.clothed.joints)[0]
         if self.safety is None:
             return self._carried(moved, affine)
         moved = self.safety.share * moved
-        safe, unposed = self.safety(frame.places + np.einsum("mab,mb->ma", frame.turns, moved), affine)
-        moved = np.einsum("mba,mb->ma", frame.turns, safe - frame.places)
+        safe, unposed = self.safety(frame.positions + np.einsum("mab,mb->ma", frame.turns, moved), affine)
+        moved = np.einsum("mba,mb->ma", frame.turns, safe - frame.positions)
         return self.safety.vertices(self._carried(moved, affine), unposed)
 
     def _carried(self, moved: np.ndarray, affine: np.ndarray) -> np.ndarray:
         """The apparel vertices that go with the nodes [m], shape (A, 3), float32."""
-        return self.carrier.places(moved, affine)
+        return self.carrier.positions(moved, affine)
 
     def _carried_by(self, frame: Frame, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Frames of the carrying joints and carried places as the recurrent part takes them."""
+        """Frames of the carrying joints and carried positions as the recurrent part takes them."""
         root = transforms[0, :, 3] if self.network.recurrent is not None and self.network.recurrent.world else 0.0
-        return frame.turns, ((frame.places - root) / self.wearer.scale).astype(np.float32)
+        return frame.turns, ((frame.positions - root) / self.clothed.scale).astype(np.float32)
 
     def _past(self, *states: np.ndarray) -> FoldedPast:
         """`past_of_states` of arrays."""
         assert self.recurrent is not None
         past = past_of_states(self.recurrent, *(torch.from_numpy(np.ascontiguousarray(value)) for value in states))
-        return past.rest.numpy(), past.whole.numpy(), past.places.numpy()
+        return past.rest.numpy(), past.whole.numpy(), past.positions.numpy()
 
     def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
         """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
@@ -129,11 +129,11 @@ class ApparelPlayer:
                 return anchor
             self.known = FADE * self.known
             return np.asarray(anchor + self.known)
-        turns, places = self._carried_by(frame, transforms)
+        turns, positions = self._carried_by(frame, transforms)
         if self.past is None:  # at rest, as far as is known
             first = np.zeros_like(anchor) if self.recurrent.world else anchor
-            self.past = self._past(*(np.stack([value] * 3) for value in (first, anchor, turns, places)))
-        moved, self.past = self.folded.recurrent(*told, self.past, anchor, turns, places)
+            self.past = self._past(*(np.stack([value] * 3) for value in (first, anchor, turns, positions)))
+        moved, self.past = self.folded.recurrent(*told, self.past, anchor, turns, positions)
         return moved
 
     def clip(self, transforms: np.ndarray) -> np.ndarray:
@@ -148,5 +148,5 @@ class ApparelPlayer:
 
 
 def _told(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the network is told of a frame alone."""
+    """Input of the network for a frame alone."""
     return np.ascontiguousarray(frame.vectors), frame.scalars, frame.whole

@@ -18,7 +18,7 @@ from bunraku.apparel.displacement.anchor import Inputs, NodeEncoder
 __all__ = ["Past", "RecurrentPart", "node_state", "past_of_states"]
 
 KEEP = 0.97  # most of the difference from the head that a frame leaves
-MOST = 0.04  # largest change of it in a frame, over the wearer's size
+MOST = 0.04  # largest change of it in a frame, over the character's size
 BEGIN = (3.0, -0.8, -1.6, -0.2, 0.0, 0.0, 0.0)
 """What the decoder says before it has learned: about the best linear prediction of the wardrobe's apparel."""
 SPREADS = (0.02, 0.005, 0.003, 0.02, 0.03, 0.006, 0.005, 0.01)
@@ -35,16 +35,16 @@ class Past:
             (frame="world"), newest first, shape (3, M, 3).
         whole: The last two displacements that were given out, in the frame of the carrying joint, newest first, shape
             (2, M, 3).
-        places: Positions of the last two frames in the world, newest first, shape (2, M, 3).
+        positions: Positions of the last two frames in the world, newest first, shape (2, M, 3).
     """
 
     rest: torch.Tensor
     whole: torch.Tensor
-    places: torch.Tensor
+    positions: torch.Tensor
 
 
 def past_of_states(
-    part: RecurrentPart, states: torch.Tensor, heads: torch.Tensor, turns: torch.Tensor, places: torch.Tensor
+    part: RecurrentPart, states: torch.Tensor, heads: torch.Tensor, turns: torch.Tensor, positions: torch.Tensor
 ) -> Past:
     """The past after three frames whose displacements are known.
 
@@ -53,9 +53,9 @@ def past_of_states(
         states: Displacements, in the frames of the carrying joints, oldest first, shape (3, M, 3).
         heads: What the head says of these frames, shape (3, M, 3).
         turns: Frames of the carrying joints, shape (3, M, 3, 3).
-        places: Carried places, as `RecurrentPart.forward` takes them, shape (3, M, 3).
+        positions: Carried positions, as `RecurrentPart.forward` takes them, shape (3, M, 3).
     """
-    world = places + torch.einsum("fmab,fmb->fma", turns, states)
+    world = positions + torch.einsum("fmab,fmb->fma", turns, states)
     rest = world if part.world else states - heads
     return Past(rest.flip(0), states.flip(0)[:2], world.flip(0)[:2])
 
@@ -92,7 +92,7 @@ class RecurrentPart(nn.Module):
                 last.bias.copy_(torch.tensor(BEGIN))
 
     def forward(
-        self, inputs: Inputs, past: Past, anchor: torch.Tensor, turns: torch.Tensor, places: torch.Tensor
+        self, inputs: Inputs, past: Past, anchor: torch.Tensor, turns: torch.Tensor, positions: torch.Tensor
     ) -> tuple[torch.Tensor, Past]:
         """The next displacement: the last state and a change of it [MMDMC 11], shape (M, 3), and the new past.
 
@@ -108,17 +108,17 @@ class RecurrentPart(nn.Module):
             past: The last three states.
             anchor: What the head says, e*, shape (M, 3).
             turns: Frames of the carrying joints, shape (M, 3, 3).
-            places: Carried places over the wearer's size; from the pelvis where `world`, shape (M, 3).
+            positions: Carried positions over the character's size; from the pelvis where `world`, shape (M, 3).
         """
         state = node_state(past.rest)
         if self.world:
             change = self.decoder(self.encoder(torch.cat([inputs.nodes(), state], dim=1), inputs))
             now = past.rest[0] + change
-            moved = torch.einsum("mba,mb->ma", turns, now - places)
+            moved = torch.einsum("mba,mb->ma", turns, now - positions)
             whole = torch.stack([moved, past.whole[0]])
-            return moved, Past(torch.cat([now[None], past.rest[:2]]), whole, past.places)
-        carried_on = 2 * past.places[0] - past.places[1]
-        inertia = torch.einsum("mba,mb->ma", turns, carried_on - places) - past.whole[0]
+            return moved, Past(torch.cat([now[None], past.rest[:2]]), whole, past.positions)
+        carried_on = 2 * past.positions[0] - past.positions[1]
+        inertia = torch.einsum("mba,mb->ma", turns, carried_on - positions) - past.whole[0]
         late = past.whole[0] - anchor
         own_change = past.whole[0] - past.whole[1]
         head_change = past.rest[0] - late  # e*(t) - e*(t-1)
@@ -131,6 +131,6 @@ class RecurrentPart(nn.Module):
         kept = past.rest[0] + shares[:, :1] * state[:, 3:6] + shares[:, 1:2] * inertia - (1 - followed) * head_change
         rest = keep * kept + MOST * torch.tanh(out[:, 4:] / MOST)
         moved = anchor + rest
-        now = places + torch.einsum("mab,mb->ma", turns, moved)
+        now = positions + torch.einsum("mab,mb->ma", turns, moved)
         whole = torch.stack([moved, past.whole[0]])
-        return moved, Past(torch.cat([rest[None], past.rest[:2]]), whole, torch.cat([now[None], past.places[:1]]))
+        return moved, Past(torch.cat([rest[None], past.rest[:2]]), whole, torch.cat([now[None], past.positions[:1]]))

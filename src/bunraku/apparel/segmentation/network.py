@@ -1,15 +1,14 @@
 """The segmentation network f_c of section 4.1: which vertices are apparel, and how stiff they are.
 
 A PointNet (Qi et al. 2017): an MLP on each point, pooled over the mesh, and an MLP that reads both. Ours also pools
-over the loose part that a point belongs to, hears of its neighbours there, and is told of the nearest bones.
+over the loose part that a point belongs to, and is conditioned on its neighbours there and on the nearest bones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import nn
@@ -85,7 +84,7 @@ def mesh_block(meshes: Sequence[SampledMesh]) -> tuple[torch.Tensor, NodeGraph]:
 
 
 def save_segmentation(
-    path: str | Path, model: SegmentationNetwork, note: dict[str, Any] | None = None, half: bool = False
+    path: str | Path, model: SegmentationNetwork, note: Mapping[str, object] | None = None, half: bool = False
 ) -> Path:
     """Write the weights with their config as a checkpoint of kind "apparel-mask"."""
     return save_network(path, model, "apparel-mask", note, half)

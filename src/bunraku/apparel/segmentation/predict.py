@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from bunraku.apparel.clothed import SOFTEST, STIFFEST
 from bunraku.apparel.sampled_mesh import POINTS, sampled_mesh
 from bunraku.apparel.segmentation.network import SegmentationNetwork, load_segmentation, mesh_block
-from bunraku.apparel.wearer import SOFTEST, STIFFEST
 from bunraku.nn.checkpoints import dated_checkpoint
 
 __all__ = ["FoundApparel", "find_apparel"]
@@ -30,7 +30,7 @@ class FoundApparel:
 
     Args:
         likely: Probability to be apparel, shape (V,).
-        stiffness: As of `Wearer`, shape (V,).
+        stiffness: As of `ClothedCharacter`, shape (V,).
         damping: Share of the velocity that is lost in a second, shape (V,).
     """
 

@@ -31,7 +31,7 @@ class DirectingOptions:
     loop: bool = False
     """Make a loop: the clip ends in the pose that it starts in, at the same speed."""
     in_place: bool = False
-    """Take the way over the ground out: the character walks on the spot."""
+    """Take the travel over the ground out: the character walks on the spot."""
     after: Path | None = None
     """A .glb or .npz clip of Bunraku: start in its last pose."""
     path: PathOption = ""
@@ -79,7 +79,7 @@ def parse_pin(text: str) -> Pin:
         return Pin(found["part"].replace("-", "_"), float(found["time"]), (x, y, z), None, float(found["hold"] or 0))
     except ValueError:
         raise OptionError(
-            f"--pin is a part, a time and a place in metres, such as left_hand@2.0=0.3,1.4,0.2 (parts: "
+            f"--pin is a part, a time and a position in metres, such as left_hand@2.0=0.3,1.4,0.2 (parts: "
             f"{', '.join(PINNED)}), not '{text}'"
         ) from None
 
@@ -98,8 +98,8 @@ def parse_path(text: str) -> GroundPath | None:
     times: list[float] = []
     try:
         for word in text.split():
-            place, at, time = word.partition("@")
-            x, z = _numbers(place, 2)
+            coordinates, at, time = word.partition("@")
+            x, z = _numbers(coordinates, 2)
             points.append((x, z))
             if at:
                 times.append(float(time))

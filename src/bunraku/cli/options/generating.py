@@ -49,7 +49,7 @@ class GeneratingOptions:
     """
     without: WithoutOption = ()
 
-    anyway: bool = False
+    force: bool = False
     """Go on where no movement of the sentence is understood; the network then makes some motion."""
 
     def check(self) -> None:

@@ -14,9 +14,9 @@ from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
     from bunraku.core.character import Character
-    from bunraku.handles.orientation import Settled
+    from bunraku.handles.orientation import ResolvedAxes
 
-__all__ = ["AxisOption", "UnitOption", "check_axes", "said_axes", "settle_file", "stand_up", "stands_line"]
+__all__ = ["AxisOption", "UnitOption", "check_axes", "said_axes", "resolve_file", "stand_up", "stands_line"]
 
 AxisOption = Annotated[str, tyro.conf.arg(metavar="{auto,+x,-x,+y,-y,+z,-z}")]
 UnitOption = Literal["auto", "m", "cm", "mm", "in"]
@@ -55,26 +55,28 @@ def stand_up(character: Character, path: Path, up: str = "auto", front: str = "a
     from bunraku.formats.gltf.turning import turned
     from bunraku.io.units import in_metres
 
-    settled, line = settle_file(character, up, front)
+    resolved, line = resolve_file(character, up, front)
     if line:
         print(f"{path}: {line}", file=sys.stderr)
-    character, note = in_metres(turned(character, settled.up, settled.front), unit, "+y")
+    if (resolved.up, resolved.front) != ("+y", "+z"):
+        character = turned(character, resolved.up, resolved.front)
+    character, note = in_metres(character, unit, "+y")
     if note:
         print(f"{path}: {note}. Type --unit m to keep its numbers.", file=sys.stderr)
     return character
 
 
-def settle_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[Settled, str]:
+def resolve_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[ResolvedAxes, str]:
     """How a character of a file is taken to stand (`pipelines.standing`), and what there is to say about it."""
     from bunraku.pipelines.standing import file_standing
 
     found = file_standing(character, up, front)
     if not found.bones:
-        return found.settled, said_axes(found.settled, up, front, found.rule)
+        return found.resolved, said_axes(found.resolved, up, front, found.rule)
     if found.bones == "+z":
-        return found.settled, ""
+        return found.resolved, ""
     return (
-        found.settled,
+        found.resolved,
         f"its bones face {found.bones.upper()}, if left and right are named rightly; left as it is. Type --up +y "
         f"--front {found.bones} to turn it.",
     )
@@ -87,9 +89,9 @@ def stands_line(character: Character, up: str = "auto", front: str = "auto") -> 
         character: As the file has it.
         up, front: What the options say.
     """
-    settled, note = settle_file(character, up, front)
-    taken = f"stands with {settled.up.upper()} up, facing {settled.front.upper()}"
-    guess = settled.guess
+    resolved, note = resolve_file(character, up, front)
+    taken = f"stands with {resolved.up.upper()} up, facing {resolved.front.upper()}"
+    guess = resolved.guess
     if guess is None:
         return f"{taken}, as told"
     seen = _listed([f"{guess.up.upper()} up", f"facing {guess.front.upper()}"], [False, False],
@@ -97,23 +99,23 @@ def stands_line(character: Character, up: str = "auto", front: str = "auto") -> 
     return f"{taken}; it looks like {seen}" + (f" - {note}" if note else "")
 
 
-def said_axes(settled: Settled, up: str = "auto", front: str = "auto", rule: bool = False) -> str:
-    """What to tell about a guess: what was chosen, how sure it is, and what to type to settle it.
+def said_axes(resolved: ResolvedAxes, up: str = "auto", front: str = "auto", rule: bool = False) -> str:
+    """What to tell about a guess: what was chosen, how sure it is, and what to type to resolve_axes it.
 
     Nothing where nothing was guessed, and nothing where the guess is sure of what is usual.
 
     Args:
-        settled: How the character is taken to stand.
+        resolved: How the character is taken to stand.
         up, front: What the options say.
         rule: Whether its format says how it stands.
     """
     from bunraku.geometry.axes import default_orientation
 
-    guess = settled.guess
+    guess = resolved.guess
     if guess is None:
         return ""
     given = [value.strip().lower() != "auto" for value in (up, front)]
-    taken = (settled.up, settled.front)
+    taken = (resolved.up, resolved.front)
     usual = taken == default_orientation(*(axis if said else None for axis, said in zip(taken, given, strict=True)))
     seen = (guess.up, guess.front)
     if usual and guess.sure and taken == seen:
@@ -128,7 +130,7 @@ def said_axes(settled: Settled, up: str = "auto", front: str = "auto", rule: boo
     against = ", against the rule of its format" if rule and not usual else ""
     end = f"turned{against}" if guess.sure else f"a guess{against}"
     other = ("+y", "+z") if guess.sure and not any(given) else guess.next_best(*taken)
-    return f"taken as {looks}: {end}. To settle it, type {_typed(taken, given)}, or else {_typed(other, given)}."
+    return f"taken as {looks}: {end}. To set it, type {_typed(taken, given)}, or else {_typed(other, given)}."
 
 
 def _listed(words: list[str], given: list[bool], sure: tuple[float, float]) -> str:

@@ -70,13 +70,13 @@ def alone(files: Iterable[Path] = (), folders: Iterable[Path] = ()) -> Iterator[
     """
     texts = [tuple(os.path.realpath(path) for path in paths) for paths in (files, folders)]
     own = _Run(os.getpid(), _born(os.getpid()), texts[0], texts[1])
-    place = _place()
-    if place is None:  # a machine without a temporary folder has bigger troubles
+    lock = _place()
+    if lock is None:  # a machine without a temporary folder has bigger troubles
         yield
         return
-    mark = place / f"{own.process}-{time.monotonic_ns()}.json"
-    with _guarded(place):
-        for file in place.glob("*.json"):
+    mark = lock / f"{own.process}-{time.monotonic_ns()}.json"
+    with _guarded(lock):
+        for file in lock.glob("*.json"):
             other = _read(file)
             if other is None or not other.alive:
                 file.unlink(missing_ok=True)
@@ -84,7 +84,7 @@ def alone(files: Iterable[Path] = (), folders: Iterable[Path] = ()) -> Iterator[
                 raise FormatError(
                     met,
                     f"another run of Bunraku (process {other.process}) is writing here; wait until it is done, or "
-                    "choose another place with -o",
+                    "choose another path with -o",
                 )
         mark.write_text(
             json.dumps({"process": own.process, "born": own.born, "files": own.files, "folders": own.folders}),
@@ -100,18 +100,18 @@ def alone(files: Iterable[Path] = (), folders: Iterable[Path] = ()) -> Iterator[
 def _place() -> Path | None:
     """The folder of the files, which only this user may read."""
     try:
-        place = Path(tempfile.gettempdir()) / f"bunraku-runs-{getpass.getuser()}"
-        place.mkdir(mode=0o700, exist_ok=True)
-        mine = not hasattr(os, "getuid") or place.stat().st_uid == os.getuid()
-        return place if mine and not place.is_symlink() and os.access(place, os.W_OK) else None
+        folder = Path(tempfile.gettempdir()) / f"bunraku-runs-{getpass.getuser()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        mine = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
+        return folder if mine and not folder.is_symlink() and os.access(folder, os.W_OK) else None
     except (OSError, KeyError, ImportError):  # nobody's name is known
         return None
 
 
 @contextmanager
-def _guarded(place: Path) -> Iterator[None]:
+def _guarded(folder: Path) -> Iterator[None]:
     """While this lasts, no other run looks or writes in the folder."""
-    guard, until = place / GUARD, time.monotonic() + 2 * GUARD_SECONDS
+    guard, until = folder / GUARD, time.monotonic() + 2 * GUARD_SECONDS
     while True:
         try:
             os.close(os.open(guard, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))

@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bunraku.core.request.limits import SECONDS, Limit
+from bunraku.core.request.limits import WHOLE, Limit
 from bunraku.errors import FormatError, OptionError
-from bunraku.language.prompts import check_prompt
+from bunraku.language.prompts import check_prompt, split_name
 from bunraku.pipelines.requests.apparel import Apparel
 
 if TYPE_CHECKING:
@@ -43,12 +43,12 @@ def check_range(option: str, value: float | None, low: float, high: float) -> No
 
 def check_seconds(seconds: float) -> None:
     """Raise OptionError unless a clip of this length [s] can be made."""
-    SECONDS.check(seconds, "--seconds")
+    WHOLE.check(seconds, "--seconds")
 
 
-def check_sequence(prompt: str, seconds: float, anyway: bool) -> Sentence:
+def check_sequence(prompt: str, seconds: float, force: bool, named: bool = False) -> Sentence:
     """The sentence of a prompt, or of several in a row; one that is not understood is taken where it is to be made
-    `anyway`.
+    `force`, and the name of a clip may stand before one that is `named`.
 
     Raises:
         OptionError: It is none, or no clip of this length can be made.
@@ -56,9 +56,13 @@ def check_sequence(prompt: str, seconds: float, anyway: bool) -> Sentence:
     from bunraku.language.parse import parse
 
     check_seconds(seconds)
+    if named:
+        from dataclasses import replace
+
+        return replace(check_sequence(split_name(prompt)[1], seconds, force), prompt=prompt)
     if not prompt.strip() or ";" not in prompt:
         check_prompt(prompt)
-    return parse(prompt, seconds, anyway)
+    return parse(prompt, seconds, force)
 
 
 def check_input(path: Path) -> None:
@@ -138,7 +142,7 @@ def check_folder(folder: Path) -> None:
     if not nearest.exists():
         raise FormatError(folder, "the folder and the one above it do not exist; make them first")
     if not nearest.is_dir():
-        raise FormatError(nearest, "this is not a folder; choose another place to write to")
+        raise FormatError(nearest, "this is not a folder; choose another folder to write to")
     try:
         with tempfile.NamedTemporaryFile(dir=nearest, prefix=temporary_prefix("probe"), suffix=".tmp"):
             pass

@@ -1,5 +1,5 @@
 """What the verbs that make animations share: options of sampling, of fitting and of the files, and how these are
-checked and written.
+checked, written and reported.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import tyro
 from bunraku.cli.output.checks import check_different, check_output, make_folder, written_path
 from bunraku.cli.output.ledger import check_free, note_written
 from bunraku.cli.output.progress import Report
-from bunraku.cli.output.report import wrote
 from bunraku.errors import OptionError
 from bunraku.retarget.stages.switches import Stages
 
@@ -22,15 +21,19 @@ if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
 
 __all__ = [
-    "PREVIEWS",
     "OutputOption",
+    "PREVIEWS",
     "PreviewOption",
     "WithoutOption",
     "check_outputs",
     "check_stages",
     "fitting_stages",
     "save_all",
+    "save_clips_to",
+    "size_text",
+    "wrote",
 ]
+
 
 PREVIEWS = (".mp4", ".webp", ".gif", ".png")
 OUTPUTS = (
@@ -131,6 +134,32 @@ def save_all(
         note_written(written)
 
 
+def save_clips_to(
+    clips: Mapping[str, AnimatedCharacter], outputs: Sequence[Path], fps: float, add: bool, report: Report
+) -> None:
+    """Write clips of one character into each of some files, and name what was written, whatever became of the rest.
+
+    Args:
+        clips: By their names.
+        outputs: The files.
+        fps: Frames a second [1/s].
+        add: Whether the clips of files that are there are kept.
+        report: Called with a stage's name and the share done.
+    """
+    from bunraku.io.save_clips import save_clips
+
+    written: list[Path] = []
+    try:
+        for number, path in enumerate(outputs):
+            report("write", number / len(outputs))
+            written.append(save_clips(clips, path, fps=fps, add=add))
+        report("write", 1.0)
+    finally:  # what is whole stays
+        for path in written:
+            wrote(path, ", ".join(clips))
+        note_written(written)
+
+
 def check_stages(without: tuple[str, ...]) -> None:
     """Raise OptionError unless all these are names of stages."""
     for name in without:
@@ -144,3 +173,21 @@ def fitting_stages(without: tuple[str, ...], shape: bool = False) -> Stages | No
     if not without:
         return None
     return replace(Stages(shape=shape), **{name.replace("-", "_"): False for name in without})
+
+
+def wrote(path: Path, note: str = "") -> None:
+    """Print a line that names a file, or the folder of a sequence, and its size."""
+    files = [path] if path.is_file() else sorted(file for file in path.glob("*") if file.is_file())
+    size = size_text(sum(file.stat().st_size for file in files))
+    count = "" if path.is_file() else f"{len(files)} files, "
+    print(f"wrote {path} ({count}{size}{', ' + note if note else ''})")
+
+
+def size_text(size: int) -> str:
+    """A number of bytes for people: 1536 -> "1.5 kB"."""
+    value = float(size)
+    for unit in ("bytes", "kB", "MB"):
+        if value < 1000:
+            return f"{value:.0f} {unit}" if unit == "bytes" else f"{value:.1f} {unit}"
+        value /= 1000
+    return f"{value:.1f} GB"

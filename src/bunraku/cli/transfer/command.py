@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,12 +16,20 @@ from bunraku.cli.options.sampling import ApparelOptions
 from bunraku.cli.output.alone import alone
 from bunraku.cli.output.checks import check_folder, check_input, check_mask, written_path
 from bunraku.cli.output.ledger import begin, note, still_to_do
-from bunraku.cli.output.outputs import OutputOption, PreviewOption, WithoutOption, check_outputs, check_stages, save_all
+from bunraku.cli.output.outputs import (
+    OutputOption,
+    PreviewOption,
+    WithoutOption,
+    check_outputs,
+    check_stages,
+    save_all,
+    wrote,
+)
 from bunraku.cli.output.progress import stages
-from bunraku.cli.output.report import wrote
 from bunraku.cli.transfer.jobs import Pair, Settings, animation_of, holds_character, marks_of, pairs_of
 from bunraku.cli.transfer.runs import run_pairs
 from bunraku.errors import BunrakuError, FormatError, OptionError
+from bunraku.formats.files import open_once
 from bunraku.nn.spread import parse_jobs
 
 __all__ = ["Transfer"]
@@ -96,7 +105,10 @@ class Transfer:
         )  # fmt: skip
         settings.request().check("--")
         check_mask(self.apparel)
-        jobs, suffix = parse_jobs(self.jobs), _suffix(self.format)
+        with open_once() if len(self.files) + len(self.motions) == 2 else nullcontext():
+            return self._made(settings, parse_jobs(self.jobs), _suffix(self.format))
+
+    def _made(self, settings: Settings, jobs: int | str, suffix: str) -> int:
         characters, motions, bad = self._sorted()
         single = len(characters) == len(motions) == 1 and not bad and not self._folder()
         if single:

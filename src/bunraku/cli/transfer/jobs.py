@@ -41,7 +41,7 @@ class Settings:
     unit: str = "auto"
 
     def request(self, handles: Handles | None = None) -> TransferRequest:
-        """What is asked for of each pair.
+        """What is requested of each pair.
 
         Args:
             handles: The character's, where they are known.
@@ -78,13 +78,13 @@ def holds_character(path: Path) -> bool:
     Raises:
         FormatError: The file is missing, or its kind is unknown.
     """
-    from bunraku.formats.files import check_input
+    from bunraku.formats.files import check_input, open_input
     from bunraku.io.registry import detect
 
     if path.is_dir():
         return False
     size = check_input(path)
-    with path.open("rb") as file:
+    with open_input(path) as file:
         start = file.read(64)
         try:
             detect(path, start, "character")

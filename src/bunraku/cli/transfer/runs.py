@@ -11,7 +11,7 @@ from bunraku.nn.spread import spread
 __all__ = ["run_pairs"]
 
 _AT_ONCE = 4
-"""Pairs of one character that a worker does at most before it tells of them."""
+"""Pairs of one character that a worker does at most before it reports them."""
 
 
 def run_pairs(pairs: list[Pair], settings: Settings, jobs: int | str) -> Iterator[tuple[Pair, str]]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -15,13 +15,14 @@ from bunraku.cli.options.directing import DirectingOptions
 from bunraku.cli.options.generating import GeneratingOptions
 from bunraku.cli.options.orientation import stand_up
 from bunraku.cli.options.sampling import ApparelOptions
+from bunraku.cli.options.skeleton import SkeletonOption
 from bunraku.cli.output.alone import alone
 from bunraku.cli.output.checks import check_folder, check_input, check_mask, check_sequence, slug, written_path
-from bunraku.cli.output.ledger import fingerprint
-from bunraku.cli.output.outputs import check_outputs, fitting_stages, save_all
+from bunraku.cli.output.ledger import fingerprint, note_written
+from bunraku.cli.output.outputs import check_outputs, fitting_stages, save_all, save_clips_to, wrote
 from bunraku.cli.output.progress import Report, stages
 from bunraku.cli.verbs.batch import Clip, characters_of, clips_of, clips_to_do, make_clips, read_lines
-from bunraku.core.request.limits import TAKES
+from bunraku.core.request.limits import SECONDS, TAKES
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.nn.spread import parse_jobs
 from bunraku.pipelines.requests.request import Request
@@ -47,24 +48,41 @@ class Animate(GeneratingOptions):
     Several prompts in a row, parted by semicolons, blend into each other: "walks:4; jumps:2; waves:3". The numbers are
     seconds.
 
+    Several prompts of their own make as many clips in one file, as game engines take them, loops where what is done
+    goes on as it is: bunraku animate knight.glb "idle" "walks forward" "runs" "Attack=attacks" -o knight-moves.glb
+
     Example: bunraku animate dragon.glb "walks forward, then waves with the left hand" --seconds 6 -o wave.glb --preview
     wave.mp4
     """
 
     character: tyro.conf.Positional[Path]
     """The mesh to animate; or a folder of them, each of which gets a folder of clips in the one that -o names."""
-    prompt: tyro.conf.Positional[str] = ""
+    prompt: tyro.conf.Positional[tuple[str, ...]] = ()
     """What it does, in English (or German, French, Spanish, Japanese or Chinese, read through a table of words); or
-    several prompts in a row with their seconds.
+    several prompts in a row with their seconds. More than one makes as many clips in one GLB, each named by its words
+    or by what stands before an equals sign: "Walk=walks forward".
     """
     prompts: Path | None = None
     """A text file with one prompt a line, in place of PROMPT: each line gives a GLB in the folder that -o names. What
     was made of the same before is left as it is, so a run that was stopped goes on.
     """
+    one_file: bool = False
+    """Write the clips of --prompts into the one GLB that -o names."""
+    add: bool = False
+    """Keep what the GLB that -o names holds, and add to its clips; it may be CHARACTER itself."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the clips of --prompts or of a folder, or "ray" for a Ray cluster."""
     apparel: tyro.conf.OmitArgPrefixes[ApparelOptions] = field(default_factory=ApparelOptions)
     """How hair and clothes move."""
+    rig: Literal["auto", "own", "handles"] = "auto"
+    """What is moved: the bones of the file's "own" skeleton, which keeps its names, weights and other clips; the 30
+    "handles"; or by "auto" the bones where they are understood as those of a person or of four legs, and handles
+    otherwise.
+    """
+    skeleton: SkeletonOption = None
+    """Move a tree of joints in a T-pose with the names of Mixamo, VRM or Unreal, made of the handles, which engines'
+    humanoid retargeting takes. For persons.
+    """
     directing: tyro.conf.OmitArgPrefixes[DirectingOptions] = field(default_factory=DirectingOptions)
     """What the motion must meet."""
     takes: int = 1
@@ -74,6 +92,7 @@ class Animate(GeneratingOptions):
         prompts = self._prompts()
         self.check()
         batch = self._batch()
+        several = self.one_file or self.add or len(self.prompt) > 1
         if not batch:
             check_input(self.character)
         after = self.directing.after
@@ -81,46 +100,96 @@ class Animate(GeneratingOptions):
             check_input(after)
         self.apparel.check("--")
         check_mask(self.apparel)
-        self.request().check("--")
+        self._request().check("--")
+        if self.skeleton is not None and self.rig != "auto":
+            raise OptionError("--skeleton says what is moved; leave out --rig")
         TAKES.check(self.takes, "--takes")
         jobs = parse_jobs(self.jobs)
         if batch:
             return self._many([sentence.prompt for sentence in prompts], jobs)
         if jobs != 1:
             raise OptionError("--jobs shares the clips of --prompts, or of a folder of characters; leave it out")
-        named = self.output or (Path(f"{self.character.stem}-{slug(self.prompt)}.glb"),)
+        if several:
+            return self._one_file(prompts)
+        if prompts[0].seconds > SECONDS.high:
+            return self._long(prompts[0])
+        named = self.output or (Path(f"{self.character.stem}-{slug(self.prompt[0])}.glb"),)
         takes = [_numbered(named, self.preview, take, self.takes) for take in range(self.takes)]
         inputs = [self.character] + ([after] if after else [])
         with alone(written_path(path) for outputs, previews in takes for path in (*outputs, *previews)):
             for outputs, previews in takes:
                 check_outputs(outputs, previews, inputs, overwrite=self.overwrite)
-            self._make(prompts[0], takes)
+            self._make(replace(self._request(), sentence=prompts[0]), takes)
         return 0
 
-    def _make(self, sentence: Sentence, takes: list[tuple[tuple[Path, ...], tuple[Path, ...]]]) -> None:
+    def _make(self, request: Request, takes: list[tuple[tuple[Path, ...], tuple[Path, ...]]]) -> None:
         """Make and write each take: its files and its previews."""
         with stages() as report:
-            body, request = _ready(self, self.character, report)
-            request = replace(request, sentence=sentence)
-            _say_limits(self.character, body, [sentence])
+            body, request = _ready(self, request, self.character, report)
 
             from bunraku.pipelines.animator import Animator
 
-            animator = Animator.shipped(report)
+            animator = Animator.shipped(report, _limits_said(self.character, body))
             for take, (outputs, previews) in enumerate(takes):
                 animation = animator(body, request.with_seed(self.sampling.seed + take))
                 save_all(animation, outputs, previews, self.fps, report)
 
-    def request(self) -> Request:
-        """What is asked for; the clip that is followed is only named."""
+    def _long(self, sentence: Sentence) -> int:
+        """Make a clip stretch by stretch, and write it as it comes."""
+        named = self.output or (Path(f"{self.character.stem}-{slug(self.prompt[0])}.glb"),)
+        if self.preview or self.takes > 1 or len(named) > 1:
+            raise OptionError(
+                f"a clip of more than {SECONDS.high:g} seconds goes into one GLB, without --preview and --takes; leave "
+                "these out, or make it shorter"
+            )
+        with alone(named):
+            check_outputs(named, (), [self.character], (".glb",), overwrite=self.overwrite)
+            with stages() as report:
+                body, request = _ready(self, self._request(), self.character, report)
+
+                from bunraku.formats.gltf.stream import write_stretches
+                from bunraku.pipelines.animator import Animator
+
+                animator = Animator.shipped(report, _limits_said(self.character, body))
+                stretches = animator.stretches(body, replace(request, sentence=sentence))
+                written = write_stretches(stretches, named[0], fps=self.fps)
+        wrote(written)
+        note_written([written])
+        return 0
+
+    def _one_file(self, sentences: list[Sentence]) -> int:
+        """Make the clips of one file."""
+        inputs = [self.character] + ([self.directing.after] if self.directing.after else [])
+        named = self.output or (Path(f"{self.character.stem}-clips.glb"),)
+        if self.preview or self.takes > 1:
+            raise OptionError("several clips in one file have neither --preview nor --takes; leave these out")
+        with alone(named):
+            check_outputs(named, (), [] if self.add else inputs, (".glb",), overwrite=self.overwrite or self.add)
+            with stages() as report:
+                body, request = _ready(self, self._request(), self.character, report)
+                say = _limits_said(self.character, body)
+
+                from bunraku.pipelines.animator import Animator
+                from bunraku.pipelines.clips import clip_names, with_loops
+
+                names = clip_names(sentence.prompt for sentence in sentences)
+                asked = {
+                    name: replace(request, sentence=sentence) for name, sentence in zip(names, sentences, strict=True)
+                }
+                clips = dict(Animator.shipped(report, say).clips(body, with_loops(asked)))
+                save_clips_to(clips, named, self.fps, self.add, report)
+        return 0
+
+    def _request(self) -> Request:
+        """What is requested; the clip that is followed is only named."""
         return Request(
-            self.prompt, self.sampling, self.directing.constraints(), self.apparel,
-            fitting_stages(self.without, shape=True), self.handles, self.anyway,
+            self.prompt[0] if self.prompt else "", self.sampling, self.directing.constraints(), self.apparel,
+            fitting_stages(self.without, shape=True), self.handles, self.force, self.rig,
         )  # fmt: skip
 
     def _batch(self) -> bool:
         """Whether this makes clips in a folder."""
-        return self.prompts is not None or self.character.is_dir()
+        return (self.prompts is not None and not self.one_file) or self.character.is_dir()
 
     def _many(self, prompts: list[str], jobs: int | str) -> int:
         if self.character.is_dir():
@@ -162,7 +231,7 @@ class Animate(GeneratingOptions):
 
     def _mark(self, character: Path, prompt: str) -> str:
         """What a clip is made of."""
-        same = ("output", "preview", "overwrite", "character", "prompt", "prompts", "jobs")
+        same = ("output", "preview", "overwrite", "character", "prompt", "prompts", "jobs", "one_file", "add")
         options = {name: value for name, value in asdict(self).items() if name not in same}
         return fingerprint([character], "animate", prompt, options)
 
@@ -170,12 +239,20 @@ class Animate(GeneratingOptions):
         """All prompts, parsed."""
         if self.prompts is not None and self.prompt:
             raise OptionError("a prompt and --prompts are both given; leave one out")
+        if self.one_file and (self.prompts is None or self.character.is_dir()):
+            raise OptionError("--one-file is for the lines of --prompts and one character; leave it out")
+        if self.add and self._batch():
+            raise OptionError("--add is for one file; say --one-file, or leave it out")
         if self._batch() and (self.preview or self.directing.after or len(self.output) > 1 or self.takes > 1):
             what = "--prompts" if self.prompts is not None else "a folder of characters"
             raise OptionError(f"{what} makes GLB files in one folder (-o), without --preview, --after and --takes")
         if self.prompts is None:
-            return [check_sequence(self.prompt, self.sampling.seconds, self.anyway)]
-        return read_lines(self.prompts, self.sampling.seconds, self.anyway)
+            if self.character.is_dir() and len(self.prompt) > 1:
+                raise OptionError("a folder of characters takes one prompt, or the lines of --prompts")
+            several = self.add or len(self.prompt) > 1
+            said = self.prompt or ("",)
+            return [check_sequence(prompt, self.sampling.seconds, self.force, several) for prompt in said]
+        return read_lines(self.prompts, self.sampling.seconds, self.force, self.one_file)
 
 
 def _clips(verb: Animate, clips: list[Clip]) -> Iterator[str]:
@@ -187,10 +264,11 @@ def _clips(verb: Animate, clips: list[Clip]) -> Iterator[str]:
     done = 0
     try:
         body, request = _kept(verb, path)
-        sentences = [parse(prompt, verb.sampling.seconds, verb.anyway) for prompt in prompts]
-        _say_limits(path, body, [sentences[clip.place] for clip in clips])
+        sentences = [parse(prompt, verb.sampling.seconds, verb.force) for prompt in prompts]
         requests = [replace(request, sentence=sentence) for sentence in sentences]
-        animations = Animator.shipped().each(body, requests, {clip.place for clip in clips})
+        animations = Animator.shipped(note=_limits_said(path, body)).each(
+            body, requests, {clip.number for clip in clips}
+        )
         for clip in clips:
             next(animations).save(clip.path, fps=verb.fps)
             done += 1
@@ -213,36 +291,43 @@ def _clips(verb: Animate, clips: list[Clip]) -> Iterator[str]:
 @lru_cache(maxsize=1)
 def _kept(verb: Animate, path: Path) -> tuple[Body, Request]:
     """What `_ready` gives, for clips of one character that follow another."""
-    return _ready(verb, path, lambda stage, done: None)
+    return _ready(verb, verb._request(), path, lambda stage, done: None)
 
 
-def _ready(verb: Animate, path: Path, report: Report) -> tuple[Body, Request]:
-    """A character as it is to be animated, and what is asked of it."""
+def _ready(verb: Animate, request: Request, path: Path, report: Report) -> tuple[Body, Request]:
+    """A character as it is to be animated, and what is requested of it."""
     from bunraku.io import load_character
 
     report("load", 0.0)
-    character = stand_up(load_character(path, unit="m"), path, verb.up, verb.front, verb.unit)
+    character = stand_up(load_character(path, unit="m", clips=verb.fps), path, verb.up, verb.front, verb.unit)
     report("load", 1.0)
 
     from bunraku.pipelines.animator import Animator
 
-    request = verb.request()
+    if verb.skeleton is not None:
+        from bunraku.pipelines.animate import with_skeleton
+
+        character = with_skeleton(character, verb.skeleton, handles=verb.handles, progress=report)
+        request = replace(request, handles="predict", rig="own")
     body = Animator.shipped(report).body(character, request)
-    if verb.directing.after is not None and body.anatomy is not None:
+    if verb.directing.after is not None:
         before = _before(verb.directing.after, character, body.anatomy.handles)
         request = replace(request, constraints=request.constraints.following(before))
     return body, request
 
 
-def _say_limits(path: Path, body: Body, sentences: list[Sentence]) -> None:
-    """Say on standard error what sentences ask for that this body cannot do."""
-    if body.anatomy is None:  # its own rig moves it
-        return
-    from bunraku.pipelines.decisions import suited
+def _limits_said(path: Path, body: Body) -> Callable[[str], None]:
+    """Say on standard error what moves the body, where these are its own bones; gives what says there, each once, what
+    it cannot do.
+    """
+    if body.parts is not None:
+        print(f"{path}: its own {len(body.parts.parts)} bones move it (--rig handles for 30 handles)", file=sys.stderr)
 
-    plan = body.anatomy.plan
-    for note in dict.fromkeys(note for sentence in sentences for note in suited(sentence, plan).cannot):
+    @cache
+    def say(note: str) -> None:
         print(f"{path}: {note}", file=sys.stderr)
+
+    return say
 
 
 def _numbered(

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from bunraku.cli.output.checks import check_folder, check_input, check_sequence, slug
 from bunraku.cli.output.ledger import begin, note, still_to_do
+from bunraku.cli.output.outputs import wrote
 from bunraku.cli.output.progress import Report
-from bunraku.cli.output.report import wrote
 from bunraku.errors import FormatError, OptionError
 from bunraku.nn.spread import spread
 
@@ -25,8 +25,9 @@ __all__ = ["Clip", "characters_of", "clips_of", "clips_to_do", "make_clips", "pa
 LIMIT = 10_000
 
 
-def read_lines(path: Path, seconds: float, anyway: bool) -> list[Sentence]:
-    """The sentences of a text file, one a line; empty lines do not count.
+def read_lines(path: Path, seconds: float, force: bool, named: bool = False) -> list[Sentence]:
+    """The sentences of a text file, one a line, before which the name of a clip may stand where they are `named`; empty
+    lines do not count.
 
     Raises:
         FormatError: The file is missing, or is no text.
@@ -41,7 +42,7 @@ def read_lines(path: Path, seconds: float, anyway: bool) -> list[Sentence]:
     for number, line in enumerate(lines, 1):
         if line.strip():
             try:
-                prompts.append(check_sequence(line.strip(), seconds, anyway))
+                prompts.append(check_sequence(line.strip(), seconds, force, named))
             except OptionError as error:
                 raise OptionError(f"{path}, line {number}: {error}") from None
     if not 1 <= len(prompts) <= LIMIT:
@@ -75,7 +76,7 @@ class Clip:
     Args:
         path: Of the file.
         character: The file of who is shown.
-        place: Which of the prompts of its pass it shows.
+        number: Which of the prompts of its pass it shows.
         beside: All prompts of that pass, which are generated along, so that a clip has the same bytes whether those
             beside it are wanted or not.
         mark: The fingerprint of what it is made of.
@@ -83,7 +84,7 @@ class Clip:
 
     path: Path
     character: Path
-    place: int
+    number: int
     beside: tuple[str, ...]
     mark: str
 
@@ -128,7 +129,7 @@ def passes(clips: list[Clip]) -> list[list[Clip]]:
     out: list[list[Clip]] = []
     for clip in clips:
         last = out[-1][-1] if out else None
-        if last and (last.character, last.beside) == (clip.character, clip.beside) and last.place < clip.place:
+        if last and (last.character, last.beside) == (clip.character, clip.beside) and last.number < clip.number:
             out[-1].append(clip)
         else:
             out.append([clip])
@@ -142,7 +143,7 @@ def make_clips(
 
     Args:
         clips: What is to do.
-        work: Makes the clips of a pass, and tells of each what went wrong, "" for nothing; what processes can be
+        work: Makes the clips of a pass, and reports of each what went wrong, "" for nothing; what processes can be
             handed. In this process it may raise what ends all.
         jobs: How many processes, or "ray".
         report: Called with a stage's name and the share done.
@@ -187,7 +188,7 @@ def _resolved(clip: Clip) -> Clip:
 
 @dataclass(frozen=True)
 class _All:
-    """The work, done to its end before anything is told."""
+    """The work, done to its end before anything is reported."""
 
     work: Callable[[list[Clip]], Iterator[str]]
 

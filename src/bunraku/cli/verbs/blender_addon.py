@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from bunraku.cli.output.checks import check_output
-from bunraku.cli.output.report import wrote
+from bunraku.cli.output.outputs import wrote
 from bunraku.formats.files import atomic_write
 
 __all__ = ["BlenderAddon"]

@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from bunraku.cli.output.report import size_text
+from bunraku.cli.output.outputs import size_text
 
 __all__ = ["Doctor", "Finding"]
 
@@ -24,7 +24,7 @@ WEIGHTS = {
     "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
     "text": "sentences cannot be read; `bunraku animate` does not work",
     "ranker": "`bunraku animate` cannot choose among candidates; say --candidates 1",
-    "critic": "`bunraku animate` does not pull motions towards their sentences, and fewer do what these say",
+    "critic": "`bunraku animate` does not guide motions towards their sentences, and fewer do what these say",
 }
 EXTRAS = {
     "DracoPy": ("compressed", "GLB packed with Draco is not read"),
@@ -164,7 +164,7 @@ def _preview() -> Iterator[Finding]:
 
 def _weights() -> Iterator[Finding]:
     from bunraku.formats.files import weights_folder
-    from bunraku.language.known.pieces import encoder_file
+    from bunraku.language.known.tokenizer import encoder_file
 
     folder = weights_folder()
     for name, cost in WEIGHTS.items():

@@ -19,7 +19,6 @@ from bunraku.cli.output.checks import check_input, slug, written_path
 from bunraku.cli.output.outputs import check_outputs, fitting_stages, save_all
 from bunraku.cli.output.progress import Report, stages
 from bunraku.errors import OptionError
-from bunraku.language.understood import check_understood
 from bunraku.pipelines.requests.constraints import Constraints, Keep, Pose
 from bunraku.pipelines.requests.request import Request
 
@@ -64,8 +63,7 @@ class Edit(GeneratingOptions):
     def run(self) -> None:
         from bunraku.body.parts import kept_handles
 
-        check_understood(self.prompt, self.anyway)
-        request = self.request()
+        request = self.request().with_parsed()
         if self.keep:
             kept_handles(self.keep)
         elif not self.span and not self.pose:
@@ -91,13 +89,13 @@ class Edit(GeneratingOptions):
             save_all(edited(Animator.shipped(report), clip, request), outputs, self.preview, self.fps, report)
 
     def request(self) -> Request:
-        """What is asked for."""
+        """What is requested."""
         span = parse_span(self.span) if self.span else None
         stays = [Keep(self.keep, span)] if self.keep or span is not None else []
         pins = [parse_pin(pin) for pin in self.pin]
         return Request(
             self.prompt, self.sampling, Constraints((*stays, *map(Pose, self.pose), *pins)),
-            stages=fitting_stages(self.without), force=self.anyway,
+            stages=fitting_stages(self.without), force=self.force,
         )  # fmt: skip
 
     def _animation(self, report: Report) -> Animation:

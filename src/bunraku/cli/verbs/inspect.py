@@ -10,7 +10,7 @@ import tyro
 
 from bunraku.cli.options.orientation import UnitOption
 from bunraku.cli.output.checks import check_input
-from bunraku.cli.output.report import size_text
+from bunraku.cli.output.outputs import size_text
 from bunraku.errors import CharacterError, WeightsError
 
 if TYPE_CHECKING:
@@ -76,18 +76,19 @@ def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
         facts |= _document(character.source.document)
     if suffix not in GLTF:
         facts.pop("generator", None)  # the document stands for a file of another format
-    return facts | _body(character, facts["orientation"]) | fbx | mmd_facts(character) | vrm_facts(character)
+    up, front = facts["orientation"]["taken_up"], facts["orientation"]["taken_front"]
+    return facts | _body(character, up, front) | fbx | mmd_facts(character) | vrm_facts(character)
 
 
-def _body(character: Character, orientation: dict[str, Any]) -> dict[str, Any]:
+def _body(character: Character, up: str, front: str) -> dict[str, Any]:
     """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.formats.gltf.turning import turned
     from bunraku.handles.predict import predict_handles
-    from bunraku.pipelines.decisions import body_facts
+    from bunraku.pipelines.bodies import body_facts
 
     try:
-        standing = turned(character, orientation["taken_up"], orientation["taken_front"])
+        standing = turned(character, up, front)
         found = body_facts(Anatomy.of(standing, predict_handles(standing)))
     except (WeightsError, CharacterError) as error:
         return {"body": None, "body_note": str(error)}
@@ -192,33 +193,33 @@ def _count_parts(character: Character) -> tuple[int, int]:
 
 def _orientation(character: Character) -> dict[str, Any]:
     """How the character seems to stand, and what animate and rig make of it."""
-    from bunraku.cli.options.orientation import settle_file
+    from bunraku.cli.options.orientation import resolve_file
 
     try:
-        settled, note = settle_file(character)
+        resolved, note = resolve_file(character)
     except WeightsError as error:
         return {**_USUAL, "up_confidence": None, "front_confidence": None, "note": f"assumed: {error}"}
-    guess = settled.guess
+    guess = resolved.guess
     assert guess is not None
     return {
         "up": guess.up,
         "front": guess.front,
         "up_confidence": round(guess.up_confidence, 3),
         "front_confidence": round(guess.front_confidence, 3),
-        "taken_up": settled.up,
-        "taken_front": settled.front,
+        "taken_up": resolved.up,
+        "taken_front": resolved.front,
         "note": note,
     }
 
 
 def _unit(height: float, suffix: str, unit: str) -> dict[str, str]:
     """What unit the file is likely to be in, and what animate and rig make of it."""
-    from bunraku.io.units import NAMES, settle_unit
+    from bunraku.io.units import NAMES, resolve_unit
 
-    settled = settle_unit(height, suffix, "auto")
+    resolved = resolve_unit(height, suffix, "auto")
     if unit != "auto":
         return {"name": NAMES[unit], "note": ""}
-    return {"name": NAMES[settled.likely], "note": settled.note}
+    return {"name": NAMES[resolved.likely], "note": resolved.note}
 
 
 def _document(document: Document) -> dict[str, Any]:
@@ -251,7 +252,7 @@ def _document(document: Document) -> dict[str, Any]:
     }
 
 
-def _print(facts: dict[str, Any]) -> None:
+def _print(facts: dict[str, object]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

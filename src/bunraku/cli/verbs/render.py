@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes, stand_up
+from bunraku.cli.output.alone import alone
 from bunraku.cli.output.checks import check_input, check_output, check_range
 from bunraku.cli.output.ledger import check_free, note_written
-from bunraku.cli.output.outputs import PREVIEWS
+from bunraku.cli.output.outputs import PREVIEWS, wrote
 from bunraku.cli.output.progress import Report, stages
-from bunraku.cli.output.report import wrote
 from bunraku.core.request.limits import FPS
 from bunraku.errors import FormatError, OptionError
 
@@ -77,29 +77,32 @@ class Render:
             check_output(self.output, PREVIEWS, [self.file])
             check_free([self.output], self.overwrite)
 
-        with stages() as report:
+        with alone([self.output] if self.output else []), stages() as report:
             report("load", 0.0)
             animation = self._motion(report) if motion else self._clip()
             report("load", 1.0)
             output = self.output or Path(f"{self.file.stem}.{'png' if animation is None else 'mp4'}")
-            check_output(output, PREVIEWS, [self.file])
-            check_free([output], self.overwrite)
-            if animation is None:
-                self._still(output)
-            else:
-                from bunraku.render import save_preview
-
-                sheet = output.suffix.lower() == ".png"
-                save_preview(
-                    animation,
-                    output,
-                    size=None if sheet else self.size,
-                    fps=self.fps,
-                    color=self.color,
-                    progress=lambda done, total: report("preview", done / total),
-                )
+            with alone([output]):
+                check_output(output, PREVIEWS, [self.file])
+                check_free([output], self.overwrite)
+                self._draw(animation, output, report)
+                note_written([output])
         wrote(output)
-        note_written([output])
+
+    def _draw(self, animation: Animation | None, output: Path, report: Report) -> None:
+        if animation is None:
+            self._still(output)
+            return
+        from bunraku.render import save_preview
+
+        save_preview(
+            animation,
+            output,
+            size=None if output.suffix.lower() == ".png" else self.size,
+            fps=self.fps,
+            color=self.color,
+            progress=lambda done, total: report("preview", done / total),
+        )
 
     def _motion(self, report: Report) -> Animation:
         from bunraku.core.animation import Animation

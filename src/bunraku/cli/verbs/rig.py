@@ -9,12 +9,12 @@ from typing import Annotated, Literal
 import tyro
 
 from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes, stand_up
+from bunraku.cli.options.skeleton import SkeletonOption
 from bunraku.cli.output.alone import alone
 from bunraku.cli.output.checks import check_different, check_input, check_output, make_folder
 from bunraku.cli.output.ledger import check_free, note_written
-from bunraku.cli.output.outputs import OutputOption
+from bunraku.cli.output.outputs import OutputOption, wrote
 from bunraku.cli.output.progress import stages
-from bunraku.cli.output.report import wrote
 
 __all__ = ["Rig"]
 
@@ -39,6 +39,10 @@ class Rig:
     handles: Literal["predict", "rig"] = "predict"
     """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
     their names.
+    """
+    skeleton: SkeletonOption = None
+    """Write a tree of joints in a T-pose with the names of Mixamo, VRM or Unreal in place of the handles, which
+    engines' humanoid retargeting takes. For persons.
     """
     overwrite: bool = False
     """Replace files that are there already and that Bunraku did not write."""
@@ -76,14 +80,22 @@ class Rig:
 
             from bunraku.anatomy.anatomy import Anatomy
             from bunraku.pipelines.animate import rig
-            from bunraku.pipelines.decisions import body_facts
+            from bunraku.pipelines.bodies import body_facts
 
             handles = rig(character, handles=self.handles, progress=report)
-            facts = body_facts(Anatomy.of(character, handles))
+            anatomy = Anatomy.of(character, handles)
+            facts, joints = body_facts(anatomy), f"{len(handles.positions)} handles"
+            shown, joined = character, True
+            if self.skeleton is not None:
+                from bunraku.retarget.engine_skeleton import on_skeleton
+
+                shown, joined = on_skeleton(anatomy, self.skeleton), False
+                assert shown.rig is not None
+                joints = f"{len(shown.rig.names)} joints"
             try:
                 for number, path in enumerate(outputs):
                     report("write", number / len(outputs))
-                    written.append(save_character(character, path, handles=handles))
+                    written.append(save_character(shown, path, handles if joined else None, rig=not joined))
                 report("write", 1.0)
                 if self.preview is not None:
                     from bunraku.cli.options.orientation import stands_line
@@ -93,7 +105,7 @@ class Rig:
                     lines = [stands_line(given, self.up, self.front), f"height: {character.height:.3g} m", *facts.lines]
                     written.append(save_still(character, self.preview, handles, views=2, lines=lines))
             finally:  # what is whole stays
-                note = f"{len(handles.positions)} handles, {facts.plan.words}"
+                note = f"{joints}, {facts.plan.words}"
                 for path in written:
                     wrote(path, note if path in outputs else "")
                 note_written(written)

@@ -9,10 +9,11 @@ from typing import Annotated
 
 import tyro
 
+from bunraku.cli.output.alone import alone
 from bunraku.cli.output.checks import check_folder
 from bunraku.cli.output.ledger import check_free
+from bunraku.cli.output.outputs import wrote
 from bunraku.cli.output.progress import stages
-from bunraku.cli.output.report import wrote
 from bunraku.errors import OptionError
 
 __all__ = ["Samples"]
@@ -35,9 +36,7 @@ class Samples:
     """Only print the names."""
 
     def run(self) -> None:
-        from bunraku.formats.files import atomic_write
-        from bunraku.io import save_character
-        from bunraku.samples import sample_character, sample_names
+        from bunraku.samples import sample_names
 
         known = tuple(sample_names())
         for name in self.names:
@@ -48,15 +47,23 @@ class Samples:
             return
         check_folder(self.output)
 
+        outputs = {name: self.output / f"{name}.glb" for name in self.names or known}
+        with alone(outputs.values()):
+            self._write(outputs)
+
+    def _write(self, outputs: dict[str, Path]) -> None:
+        """Make the samples and write those that are not there yet."""
+        from bunraku.formats.files import atomic_write
+        from bunraku.io import save_character
+        from bunraku.samples import sample_character
+
         with stages() as report, tempfile.TemporaryDirectory() as scratch:
-            names = self.names or known
-            made = {name: Path(scratch) / f"{name}.glb" for name in names}
+            made = {name: Path(scratch) / f"{name}.glb" for name in outputs}
             for number, name in enumerate(made):
                 report("samples", number / len(made))
                 save_character(sample_character(name), made[name])
             report("samples", 1.0)
             todo = {name: path.read_bytes() for name, path in made.items()}
-        outputs = {name: self.output / f"{name}.glb" for name in todo}
         there = [name for name, path in outputs.items() if path.is_file() and path.read_bytes() == todo[name]]
         check_free([path for name, path in outputs.items() if name not in there], self.overwrite, ours=False)
         if there:

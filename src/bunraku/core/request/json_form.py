@@ -6,23 +6,64 @@ and texts are bounded, so that what a file or a page sends is either an object o
 
 from __future__ import annotations
 
+import json
 import math
+import re
 import types
 from dataclasses import MISSING, fields, is_dataclass
-from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NoReturn, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from bunraku.errors import OptionError
 
-__all__ = ["from_json", "to_json"]
+__all__ = ["from_json", "read_json", "to_json"]
 
 Kind = TypeVar("Kind")
 MOST_ENTRIES = 1000
 """Entries of a list."""
 MOST_LETTERS = 10_000
 """Letters of a text."""
+MOST_BYTES = 4 << 20
+"""Bytes of a JSON text."""
+MOST_VALUES = 400_000
+"""Values of a JSON text; each takes some 60 to 100 bytes of memory once it is parsed."""
+DEEPEST = 16
+"""Lists and objects within each other."""
+_STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"?', re.DOTALL)
+_SIGNS = bytes(sign for sign in range(256) if sign not in b"[]{}")
 _COUNTS = {2: "two", 3: "three", 4: "four"}
+
+
+def read_json(data: bytes, name: str, most: int = MOST_BYTES) -> Any:
+    """The value of a JSON text that nobody vouches for. How much it would become is counted before it is parsed.
+
+    Args:
+        data: The text in UTF-8.
+        name: What it is called in messages.
+        most: Bytes that are read.
+
+    Raises:
+        OptionError: It is no JSON, too large, or nested too deeply.
+    """
+    if len(data) > most:
+        raise OptionError(f"{name} has more than {most >> 20} MiB of JSON; leave out what is not needed")
+    bare = _STRING.sub(b'""', data)
+    if sum(bare.count(sign) for sign in (b",", b":", b"[", b"{")) > MOST_VALUES:
+        raise OptionError(f"{name} has more than {MOST_VALUES:,} values; leave out what is not needed")
+    brackets = bare.translate(None, _SIGNS)
+    for _ in range(DEEPEST):
+        brackets = brackets.replace(b"[]", b"").replace(b"{}", b"")
+    if brackets:
+        raise OptionError(f"{name} is no JSON, or is nested more than {DEEPEST} deep; write it again")
+    try:
+        return json.loads(data.decode("utf-8-sig"), parse_constant=_no_constant)
+    except (ValueError, RecursionError):
+        raise OptionError(f"{name} is no JSON; write it again") from None
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON")
 
 
 def to_json(thing: object) -> Any:

@@ -1,4 +1,4 @@
-"""How much may be asked for, stated here alone: Python, the command line, the studio and its files hold to it."""
+"""How much may be requested, stated here alone: Python, the command line, the studio and its files hold to it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bunraku.errors import OptionError
 
-__all__ = ["CANDIDATES", "FPS", "GUIDANCE", "SECONDS", "SEED", "STEPS", "STIFFNESS", "TAKES", "Limit"]
+__all__ = ["CANDIDATES", "FPS", "GUIDANCE", "SECONDS", "SEED", "STEPS", "STIFFNESS", "TAKES", "WHOLE", "Limit"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,8 @@ class Limit:
 
 
 SECONDS = Limit("seconds", 0.5, 120.0)
+"""Length of a clip that is made in one pass [s]; longer ones are made stretch by stretch."""
+WHOLE = Limit("seconds", 0.5, 36_000.0)
 """Length of a clip, and of each of its parts [s]."""
 FPS = Limit("frames a second", 1, 240)
 """Rate of a clip, of a file and of a video [1/s]."""

@@ -15,8 +15,7 @@ from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_layers import RetrievedExamples
 from bunraku.diffusion.examples.pack import ExamplePack, load_examples
 from bunraku.diffusion.features import FeatureStatistics, mirror
-from bunraku.diffusion.matching import RADIUS, Extractor
-from bunraku.diffusion.ranking import load_ranker
+from bunraku.diffusion.matching import RADIUS, Extractor, load_ranker
 from bunraku.errors import WeightsError
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextBatch, TextEncoder, text_encoder
@@ -99,10 +98,10 @@ class ExampleBank:
         values = torch.zeros(len(rows), self.count, longest, len(self.statistics.mean))
         pooled = torch.zeros(len(rows), self.count, self.encoder.pooled_size)
         for row, own in enumerate(found):
-            for place, (features, vector) in enumerate(own):
-                lengths[row, place] = len(features)
-                values[row, place, : len(features)] = torch.from_numpy(features.astype(np.float32))
-                pooled[row, place] = vector
+            for index, (features, vector) in enumerate(own):
+                lengths[row, index] = len(features)
+                values[row, index, : len(features)] = torch.from_numpy(features.astype(np.float32))
+                pooled[row, index] = vector
         return RetrievedExamples(values, lengths, pooled)
 
     def _example(self, index: int, mirrored: bool) -> tuple[np.ndarray, torch.Tensor]:

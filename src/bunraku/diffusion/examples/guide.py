@@ -20,7 +20,7 @@ from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
 
 __all__ = [
-    "CROUCH", "Guide", "Lead", "circled",
+    "CROUCH", "Guide", "GuidanceExample", "circled",
     "fills", "fits_into", "goes_on", "hurried", "laid", "laid_script", "liveliest",
     "pose_distance",
 ]  # fmt: skip
@@ -37,7 +37,7 @@ CROUCH = 0.12
 """Height [m] by which somebody who stands is lower at the most."""
 NEAR = 1.0
 """Difference of two poses, in network units, up to which what rests is joined to standing; what stands in mid-motion is
-joined whatever it is. The sampler mends what is between.
+joined whatever it is. The sampler repairs what is between.
 """
 AIRBORNE = 0.1
 """Height of the root over standing [m] from which on nobody stays."""
@@ -70,12 +70,12 @@ class Guide:
 
 def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example is done within so many frames, or can be cut anywhere."""
-    return goes_on(pack, found) or pack.examples[found.place].frames <= HURRY * frames
+    return goes_on(pack, found) or pack.examples[found.number].frames <= HURRY * frames
 
 
 def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example goes on for most of so many frames."""
-    return goes_on(pack, found) or pack.examples[found.place].frames >= FILLED * frames
+    return goes_on(pack, found) or pack.examples[found.number].frames >= FILLED * frames
 
 
 def laid(
@@ -97,10 +97,10 @@ def laid(
         random: Draws when it begins.
         closed: Make a loop: what goes on is done a whole number of times, and what is done once is no example.
     """
-    features = pack.features(found.place)
+    features = pack.features(found.number)
     if found.mirrored:
         features = mirror(features)
-    made = np.full(frames, pack.examples[found.place].made)
+    made = np.full(frames, pack.examples[found.number].made)
     loop = _loop(pack, found)
     if closed:
         share = np.full(frames, loop is not None, np.float32)
@@ -160,7 +160,7 @@ def _end(
 
 def goes_on(pack: ExamplePack, found: Found) -> bool:
     """Whether an example can be played on."""
-    loop = pack.examples[found.place].loop
+    loop = pack.examples[found.number].loop
     if loop is not None and loop[0] - loop[1] >= SHORTEST_LOOP:
         return True  # without a look at its frames, which takes 10 ms
     return _loop(pack, found) is not None
@@ -170,10 +170,10 @@ def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
     """Frames (i, j) such that playing on from j after i goes on with what is done: the whole example, where that is at
     least as smooth as the frames that were found for it; None where it is done once, or they span half a movement.
     """
-    loop = pack.examples[found.place].loop
-    if loop is None or pack.examples[found.place].made:
+    loop = pack.examples[found.number].loop
+    if loop is None or pack.examples[found.number].made:
         return loop  # a gesture's cycle is between two rests
-    features = pack.features(found.place)
+    features = pack.features(found.number)
     whole = len(features) - 1, 0
     poses = features[:, 3:]
     if pose_distance(*poses[[*whole]]) <= pose_distance(*poses[[*loop]]):
@@ -272,7 +272,7 @@ def laid_script(
 
 
 @dataclass(frozen=True)
-class Lead:
+class GuidanceExample:
     """The examples that one candidate starts from.
 
     Args:

@@ -1,17 +1,21 @@
 """Captured examples in one file: short stretches of motion with sentences, and where the ranker's network places both.
 
 A stretch is kept as the motion of a skeleton of 22 joints: the root's position and the joints' rotations at 20 frames a
-second, in steps of half a millimetre and of a milliradian, their differences packed by LZMA: 50 bytes a frame.
+second, in steps of half a millimetre and of a milliradian, their differences packed by LZMA: 50 bytes a frame. What the
+sentences say is kept in a JSON file beside it, so that no run reads them again.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import json
 import lzma
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +23,8 @@ from bunraku.body.layout import JOINT_COUNT
 from bunraku.errors import WeightsError
 from bunraku.formats.whole_steps import lzma_filters, pack_steps, unpack_steps
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.language.lexicon.cues import said_cues
+from bunraku.language.lexicon.reading import main_actions, said_traits
 
 __all__ = [
     "FPS",
@@ -26,18 +32,24 @@ __all__ = [
     "MADE",
     "Example",
     "ExamplePack",
+    "Said",
     "fingerprint",
     "load_examples",
     "packed_stretch",
     "read_pack",
+    "said_by",
+    "said_path",
     "unpacked_stretch",
     "write_pack",
+    "write_said",
 ]
 
 KIND = "examples"
 FPS = 20.0
 MADE = "gesture_"
 """How the names of those begin that are made by code."""
+_AND = ", "
+_OTHER_SIDE = {"left": "right", "right": "left"}
 MOST_FRAMES = 2_000
 """Of one stretch; what a file says beyond is damage."""
 _METRES, _RADIANS = 5e-4, 1e-3
@@ -68,6 +80,35 @@ class Example:
         return self.name.startswith(MADE)
 
 
+class Said(NamedTuple):
+    """What the sentences of an example say, by the lexicon.
+
+    Args:
+        actions: What they agree on (`main_actions`).
+        cues: Of all of them.
+        traits: Of all of them.
+    """
+
+    actions: frozenset[str]
+    cues: frozenset[str]
+    traits: frozenset[str]
+
+    @property
+    def mirrored_cues(self) -> frozenset[str]:
+        """The cues of the sentences with left and right exchanged."""
+        found = set()
+        for cue in self.cues:
+            side, _, part = cue.partition(" ")
+            found.add(f"{_OTHER_SIDE[side]} {part}" if side in _OTHER_SIDE else cue)
+        return frozenset(found)
+
+
+def said_by(texts: Sequence[str]) -> Said:
+    """What the sentences of an example say."""
+    cues, traits = (frozenset[str]().union(*map(read, texts)) for read in (said_cues, said_traits))
+    return Said(frozenset(main_actions(texts)), cues, traits)
+
+
 @dataclass(frozen=True, eq=False)
 class ExamplePack:
     """Examples with their vectors, each as it is and in the mirror.
@@ -79,6 +120,8 @@ class ExamplePack:
         texts: Unit vectors of the sentences and of the mirrored ones, shape (2, T, V).
         motions: Unit vectors of the stretches and of their mirror images, shape (2, E, V).
         ranker: What tells the ranker's weights that made the vectors.
+        stored: Actions, cues and traits that the sentences of each example say, parted by commas; none where nobody
+            stored them.
     """
 
     examples: tuple[Example, ...]
@@ -87,6 +130,7 @@ class ExamplePack:
     texts: np.ndarray
     motions: np.ndarray
     ranker: str
+    stored: Sequence[Sequence[str]] = ()
 
     @functools.cached_property
     def standing(self) -> tuple[int, ...]:
@@ -96,6 +140,13 @@ class ExamplePack:
         return tuple(
             index for index, one in enumerate(self.examples) if not one.texts and not on_one_leg(self.features(index))
         )
+
+    def said(self, index: int) -> Said:
+        """What the sentences of an example say."""
+        if not self.stored:
+            return said_by(self.examples[index].texts)
+        actions, cues, traits = [frozenset(names.split(_AND)) - {""} for names in self.stored[index]]
+        return Said(actions, cues, traits)
 
     def features(self, index: int) -> np.ndarray:
         """What the denoiser sees of an example (see `diffusion.features`), shape (N, 271)."""
@@ -140,8 +191,10 @@ def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
     return values[:, :3] * _METRES, matrix_from_axis_angle(turns)
 
 
-def write_pack(path: str | Path, pack: ExamplePack, notes: dict[str, Any]) -> Path:
-    """Write examples with what is to be known of them: where they are from, and how they were chosen."""
+def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:
+    """Write examples with what is to be known of them: where they are from, and how they were chosen; and beside them
+    (`said_path`) what their sentences say.
+    """
     import torch
 
     from bunraku.nn.checkpoints import save_checkpoint
@@ -155,7 +208,56 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: dict[str, Any]) -> Pa
         "motions": pack.motions.astype(np.float16),
     }
     state = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
+    write_said(path, pack.examples)
     return save_checkpoint(path, state, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND)
+
+
+def said_path(path: str | Path) -> Path:
+    """Where it stands what the sentences of a pack say: beside it."""
+    return Path(path).with_suffix(".json")
+
+
+def write_said(path: str | Path, examples: Sequence[Example]) -> None:
+    """Write what the sentences of a pack say beside it.
+
+    Args:
+        path: Of the pack.
+        examples: In it.
+    """
+    from bunraku.formats.files import atomic_write
+
+    rows = [json.dumps([_AND.join(sorted(names)) for names in said_by(one.texts)]) for one in examples]
+    text = f'{{"of": "{_sentences(examples)}", "rows": [\n' + ",\n".join(rows) + "\n]}\n"
+    with atomic_write(said_path(path)) as file:
+        file.write(text.encode())
+
+
+def _sentences(examples: Sequence[Example]) -> str:
+    """What tells the sentences of a pack, and the lexicon that reads them, from others."""
+    found = hashlib.sha256(resources.files("bunraku.language.lexicon").joinpath("lexicon.json").read_bytes())
+    found.update(json.dumps([one.texts for one in examples]).encode())
+    return found.hexdigest()[:16]
+
+
+def _stored(path: str | Path, examples: Sequence[Example]) -> list[list[str]]:
+    """What the sentences of a pack say; none where it was not stored, or of other sentences or by another lexicon.
+
+    Raises:
+        WeightsError: The file is damaged.
+    """
+    file = said_path(path)
+    if not file.is_file():
+        return []
+    try:
+        told = json.loads(file.read_bytes())
+        if told["of"] != _sentences(examples):
+            return []
+        rows: list[list[str]] = told["rows"]
+        if len(rows) != len(examples) or {(len(row), *map(type, row)) for row in rows} - {(3, str, str, str)}:
+            raise ValueError
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
+        raise WeightsError(f"{file}: what the examples say is damaged; take the file away") from error
+    return rows
 
 
 def read_pack(path: str | Path) -> ExamplePack:
@@ -173,14 +275,14 @@ def read_pack(path: str | Path) -> ExamplePack:
         data = state["data"].numpy().tobytes()
         if min(sizes, default=0) < 0 or ends[-1] != len(data):
             raise ValueError("the sizes of the stretches do not add up")
-        examples = tuple(
+        examples = [
             Example(str(name), tuple(map(str, texts)), int(frames), (int(loop[0]), int(loop[1])) if loop else None)
             for name, texts, frames, loop in config["examples"]
-        )
+        ]
         owners = state["owners"].numpy()
         found = ExamplePack(
-            examples,
-            tuple(data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)),
+            tuple(examples),
+            tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]),
             owners,
             state["texts"].numpy(),
             state["motions"].numpy(),
@@ -189,7 +291,7 @@ def read_pack(path: str | Path) -> ExamplePack:
         fits = found.texts.shape[:2] == (2, len(owners)) and found.motions.shape[:2] == (2, len(examples))
         if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
             raise ValueError("its tables have different lengths")
-    return found
+    return replace(found, stored=_stored(path, examples))
 
 
 def load_examples() -> ExamplePack | None:

@@ -1,20 +1,17 @@
 """Which captured examples show what a sentence says.
 
-An example must do the very actions that are asked for, on the side and in the direction that is asked for; of those,
+An example must do the very actions that are requested, on the requested side and in the requested direction; of those,
 the nearest are taken by the ranker's vectors of sentences and motions.
 """
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import numpy as np
 
-from bunraku.diffusion.examples.pack import ExamplePack
-from bunraku.language.captions.phrases import mirror_words
-from bunraku.language.lexicon.cues import said_cues
-from bunraku.language.lexicon.reading import goes_ahead, main_actions, said_traits
+from bunraku.diffusion.examples.pack import ExamplePack, Said, said_by
+from bunraku.language.lexicon.reading import goes_ahead
 from bunraku.language.sentence import Clause
 
 __all__ = ["Found", "retrieve"]
@@ -34,10 +31,10 @@ SAME = 0.9
 is what its words say: the ranker has never seen it, and takes sit-ups for sitting down.
 """
 _PACE = {"slow", "fast"}
-"""What an example must not say that was not asked for."""
-_NOTHING = frozenset(main_actions([]))
+"""What an example must not say that was not requested."""
+_NOTHING = said_by([]).actions
 _TURNS = {"turn", "turn around", "spin", "circle"}
-_SIDED = frozenset(f"{side} {place}" for side in ("left", "right") for place in ("arm", "leg", "turn", "go")) | {
+_SIDED = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("arm", "leg", "turn", "go")) | {
     "forward",
     "backwards",
     "sideways",
@@ -57,12 +54,12 @@ class Found(NamedTuple):
     """An example that fits a sentence.
 
     Args:
-        place: Which one of the pack.
+        number: Which one of the pack.
         mirrored: Its mirror image is meant.
         score: Mean of the cosine of the sentence with its nearest sentence, and of that with its motion.
     """
 
-    place: int
+    number: int
     mirrored: bool
     score: float
 
@@ -75,7 +72,8 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> list[Foun
         clause: Of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    asked = _Asked(frozenset(clause.actions) or _NOTHING, clause.cues, clause.traits)
+    asked = Said(frozenset(clause.actions) or _NOTHING, clause.cues, clause.traits)
+    wanted = _shown(asked)
     sided = any(cue.startswith(("left", "right")) for cue in asked.cues)
     least = WALKING if asked.actions <= {"walk", "run"} else LEAST
     found = []
@@ -89,33 +87,25 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> list[Foun
             if one.made and mirrored and not sided:  # made by code with the hand that most people take
                 continue
             near = 0.0 if one.made and asked.actions != _NOTHING else float(best[index])
-            if _fits(one.texts, mirrored, asked, near):
+            if _fits(pack.said(index), mirrored, asked, wanted, near):
                 found.append(Found(index, mirrored, float(score[index])))
     found.sort(key=lambda one: -one.score)
-    made = bool(found) and pack.examples[found[0].place].made
+    made = bool(found) and pack.examples[found[0].number].made
     made = made and asked.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
-    away = [NEAR if pack.examples[one.place].made or not made else NEAR_MADE for one in found]
+    away = [NEAR if pack.examples[one.number].made or not made else NEAR_MADE for one in found]
     return [one for one, most in zip(found, away, strict=True) if one.score >= found[0].score - most][:MOST]
 
 
-class _Asked(NamedTuple):
-    """What a clause asks for: its actions, cues and traits."""
-
-    actions: frozenset[str]
-    cues: frozenset[str]
-    traits: frozenset[str]
-
-    @property
-    def shown(self) -> frozenset[str]:
-        """Cues that an example must say too: "forward" of who goes, "around" of who turns."""
-        idle = frozenset[str]() if goes_ahead(self.actions) else {"forward"}
-        return (self.cues & _SIDED) - idle - (frozenset[str]() if self.actions & _TURNS else {"half", "full"})
+def _shown(asked: Said) -> frozenset[str]:
+    """Cues that an example must say too: "forward" of who goes, "around" of who turns."""
+    idle = frozenset[str]() if goes_ahead(asked.actions) else {"forward"}
+    return (asked.cues & _SIDED) - idle - (frozenset[str]() if asked.actions & _TURNS else {"half", "full"})
 
 
-def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) -> bool:
-    if near < SAME and frozenset(main_actions(texts)) != asked.actions:
+def _fits(said: Said, mirrored: bool, asked: Said, wanted: frozenset[str], near: float) -> bool:
+    if near < SAME and said.actions != asked.actions:
         return False
-    shown = _told(texts)
+    shown = said.traits
     for here, there in (("chair", "floor"), ("floor", "chair")):
         if here in asked.traits and there in shown:
             return False
@@ -131,11 +121,5 @@ def _fits(texts: tuple[str, ...], mirrored: bool, asked: _Asked, near: float) ->
         return False
     if asked.actions <= {"walk", "run"} and "halts" in shown and "halts" not in asked.traits:
         return False
-    told = frozenset[str]().union(*(said_cues(mirror_words(text) if mirrored else text) for text in texts))
-    return asked.shown <= told and told & _PACE <= asked.cues
-
-
-@functools.lru_cache(maxsize=1024)
-def _told(texts: tuple[str, ...]) -> frozenset[str]:
-    """The traits that sentences of an example tell."""
-    return frozenset[str]().union(*map(said_traits, texts))
+    told = said.mirrored_cues if mirrored else said.cues
+    return wanted <= told and told & _PACE <= asked.cues

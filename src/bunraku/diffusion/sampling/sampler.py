@@ -10,14 +10,23 @@ from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_layers import RetrievedExamples
-from bunraku.diffusion.sampling.schedule import sampling_steps
-from bunraku.diffusion.sampling.solvers import ancestral, dpm_solver
+from bunraku.diffusion.sampling.solvers import ancestral, dpm_solver, sampling_steps
 from bunraku.language.encoders import TextBatch
 from bunraku.nn.threads import side_by_side
 
 __all__ = [
-    "Known", "Sample", "Window", "guided", "row_noise", "sample", "sample_windows", "starting_noise", "token_share",
-]  # fmt: skip
+    "Known",
+    "Sample",
+    "Solver",
+    "Steering",
+    "Window",
+    "guided",
+    "row_noise",
+    "sample",
+    "sample_windows",
+    "starting_noise",
+    "token_share",
+]
 
 # Guidance acts while the diffusion step, 0 to 999, is at least this; below it the sentence's own prediction is taken,
 # which costs half. The early, noisy steps decide what is done. In the late ones the scale only enlarges details: waves
@@ -122,21 +131,55 @@ def token_share(frames: int, patch: int) -> Tensor:
     return 1 - ((torch.arange(frames) % patch + 0.5) * 2 / patch - 1).abs()
 
 
+@dataclass(frozen=True)
+class Solver:
+    """How motions are denoised.
+
+    Args:
+        steps: Predictions of x0 that are made, one after the other.
+        guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
+        rescale: Share of guidance rescaling, 0 to 1.
+        method: "dpm", or "ddpm" for the ancestral reference.
+        bf16: Let matrix products run in bfloat16.
+        progress: Called with (done, total) steps.
+    """
+
+    steps: int = 20
+    guidance: float = 3.0
+    rescale: float = 0.0
+    method: str = "dpm"
+    bf16: bool = False
+    progress: Progress | None = None
+
+
+@dataclass(frozen=True)
+class Steering:
+    """What acts on the predicted x0 of a time line at each step, in this order.
+
+    Args:
+        classifier_guidance: Changes what the network predicts (F, D) at the step that it is told.
+        guide: What is predicted while the noise is strong, how far, and down to which step, at most `LED_UNTIL`, shapes
+            (F, D), (F, 1) and (F, 1): where the motion starts from.
+        refine: Changes the predicted x0 (F, D).
+        known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
+    """
+
+    classifier_guidance: Callable[[Tensor, int], Tensor] | None = None
+    guide: tuple[Tensor, Tensor, Tensor] | None = None
+    refine: Callable[[Tensor], Tensor] | None = None
+    known: tuple[Tensor, Tensor] | None = None
+
+
 @torch.inference_mode()
 def sample(
     model: Denoiser,
     text: TextBatch,
     frames: int | Sequence[int],
+    solver: Solver = Solver(),
     *,
     mesh_features: Tensor | None = None,
-    steps: int = 20,
-    guidance: float = 3.0,
-    rescale: float = 0.0,
     seed: int = 0,
     known: Known | None = None,
-    method: str = "dpm",
-    bf16: bool = False,
-    progress: Progress | None = None,
 ) -> Sample:
     """Draw one motion for each sentence, all in one batch.
 
@@ -145,15 +188,10 @@ def sample(
         text: B encoded sentences.
         frames: Length N of the motions, at most the model's `frames`; or that of each, and all are padded with zeros to
             the longest.
+        solver: How they are denoised.
         mesh_features: f_phi of each row's character, shape (B, 448); None for no mesh in particular.
-        steps: Predictions of x0 that are made, one after the other.
-        guidance: Scale of classifier-free guidance; 1 is the conditional model alone and takes half the time.
-        rescale: Share of guidance rescaling, 0 to 1.
         seed: Of the starting noise.
         known: What to keep: it overwrites the predicted x0 at each step (section A.3).
-        method: "dpm", or "ddpm" for the ancestral reference.
-        bf16: Let matrix products run in bfloat16.
-        progress: Called with (done, total) steps.
     """
     rows = len(text.mask)
     lengths = [frames] * rows if isinstance(frames, int) else list(frames)
@@ -163,11 +201,8 @@ def sample(
         for row, length in enumerate(lengths)
     ]
     noise = starting_noise(rows, longest, model.config.features, seed).flatten(0, 1)
-    found = sample_windows(
-        model, text, windows, noise, mesh_features=mesh_features, steps=steps, guidance=guidance, rescale=rescale,
-        seed=seed,
-        known=None if known is None else known.spread(), method=method, bf16=bf16, progress=progress,
-    )  # fmt: skip
+    steering = Steering(known=None if known is None else known.spread())
+    found = sample_windows(model, text, windows, noise, solver, steering, mesh_features=mesh_features, seed=seed)
     return Sample(found.values.unflatten(0, (rows, longest)), found.adaptation.unflatten(0, (rows, longest)))
 
 
@@ -177,19 +212,11 @@ def sample_windows(
     text: TextBatch,
     windows: Sequence[Window],
     noise: Tensor,
+    solver: Solver = Solver(),
+    steering: Steering = Steering(),
     *,
     mesh_features: Tensor | None = None,
-    steps: int = 20,
-    guidance: float = 3.0,
-    rescale: float = 0.0,
     seed: int = 0,
-    known: tuple[Tensor, Tensor] | None = None,
-    guide: tuple[Tensor, Tensor, Tensor] | None = None,
-    pull: Callable[[Tensor, int], Tensor] | None = None,
-    refine: Callable[[Tensor], Tensor] | None = None,
-    method: str = "dpm",
-    bf16: bool = False,
-    progress: Progress | None = None,
 ) -> Sample:
     """Denoise a time line through windows, all of them at each step: where they overlap, x0 is the mean of what they
     predict.
@@ -203,24 +230,15 @@ def sample_windows(
         text: Encoded sentences, which the windows name by their rows.
         windows: What the denoiser sees at once.
         noise: x_T on the time line, shape (F, D).
+        solver: How it is denoised.
+        steering: What acts on the predictions.
         mesh_features: f_phi of each sentence's character, shape (B, 448).
-        steps: As in `sample`.
-        guidance: As in `sample`.
-        rescale: As in `sample`.
         seed: Of the noise that the ancestral sampler adds.
-        known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
-        guide: What is predicted while the noise is strong, how far, and down to which step, at most `LED_UNTIL`, shapes
-            (F, D), (F, 1) and (F, 1): where the motion starts from.
-        pull: Changes what the network predicts (F, D) at the step that it is told, before the guide overwrites it.
-        refine: Changes the predicted x0 (F, D) at each step, before what is known overwrites it.
-        method: As in `sample`.
-        bf16: As in `sample`.
-        progress: As in `sample`.
 
     Returns:
         Values (F, D) and adaptation (F, K, 3); zero in frames that no window counts in.
     """
-    device, config = model.mean.device, model.config
+    device, config, bf16, guide = model.mean.device, model.config, solver.bf16, steering.guide
     text, noise = text.to(device), noise.to(device)
     order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
     led_whole = [guide is not None and bool((guide[1][window.frames.cpu()] >= 1).all()) for window in order]
@@ -231,7 +249,7 @@ def sample_windows(
         examples = example_bank(model)(text).to(device)
     with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
         groups = [
-            _Group(model, text, some[start : start + GROUP], mesh_features, examples, guidance, rescale, led)
+            _Group(model, text, some[start : start + GROUP], mesh_features, examples, solver, led)
             for led in (False, True)
             for some in [[window for window, own in zip(order, led_whole, strict=True) if own == led]]
             for start in range(0, len(some), GROUP)
@@ -240,9 +258,9 @@ def sample_windows(
     for group in groups:
         total.index_add_(0, group.frames[group.real], group.share[group.real][:, None])
     total = total.clamp(min=1e-8)
-    held = None if known is None else (known[0].to(device), known[1].to(device))
+    held = None if steering.known is None else tuple(part.to(device) for part in steering.known)
     led = None if guide is None else tuple(part.to(device) for part in guide)
-    visited = sampling_steps(steps)
+    visited = sampling_steps(solver.steps)
     last = torch.zeros(len(noise), config.handles, 3, device=device)
 
     def predict(x: Tensor, step: int) -> Tensor:
@@ -259,22 +277,22 @@ def sample_windows(
         x0 /= total
         if step == visited[-1]:
             last.copy_(adaptation / total[..., None])
-        if pull is not None:
-            x0 = pull(x0, step)
+        if steering.classifier_guidance is not None:
+            x0 = steering.classifier_guidance(x0, step)
         if led is not None:
             pose = slice(ROOT.stop, None)
             x0[:, ROOT] = torch.lerp(x0[:, ROOT], led[0][:, ROOT], led[1])
             x0[:, pose] = torch.lerp(x0[:, pose], led[0][:, pose], led[1] * (step >= led[2]))
-        if refine is not None:
-            x0 = refine(x0)
+        if steering.refine is not None:
+            x0 = steering.refine(x0)
         return x0 if held is None else torch.lerp(x0, *held)
 
-    if method == "dpm":
-        values = dpm_solver(predict, noise, visited, progress)
-    elif method == "ddpm":
-        values = ancestral(predict, noise, visited, _generator(seed, -1), progress)
+    if solver.method == "dpm":
+        values = dpm_solver(predict, noise, visited, solver.progress)
+    elif solver.method == "ddpm":
+        values = ancestral(predict, noise, visited, _generator(seed, -1), solver.progress)
     else:
-        raise ValueError(f"there is no sampler '{method}'; take 'dpm' or 'ddpm'")
+        raise ValueError(f"there is no sampler '{solver.method}'; take 'dpm' or 'ddpm'")
     return Sample(values, last)
 
 
@@ -290,14 +308,14 @@ class _Group:
         windows: Sequence[Window],
         mesh_features: Tensor | None,
         examples: RetrievedExamples | None,
-        guidance: float,
-        rescale: float,
+        solver: Solver,
         led: bool,
     ):
         self.led = led
         device = model.mean.device
         count, longest = len(windows), max(len(window.frames) for window in windows)
-        self.guidance, self.rescale, self.twice = guidance, rescale, 1 if guidance == 1 else 2
+        self.guidance, self.rescale = solver.guidance, solver.rescale
+        self.twice = 1 if solver.guidance == 1 else 2
         self.lengths = torch.tensor([len(window.frames) for window in windows], device=device)
         self.real = torch.arange(longest, device=device) < self.lengths[:, None]
         self.frames = torch.zeros(count, longest, dtype=torch.long, device=device)
@@ -335,18 +353,18 @@ class _Group:
     def _run(self, model: Denoiser, x: Tensor, step: int, lengths: Tensor) -> tuple[Tensor, Tensor]:
         count, twice = len(x), self.twice if step >= GUIDED_FROM else 1
         lengths = lengths.repeat(twice)
-        condition = tuple(part[: twice * count] for part in self.condition)
+        condition = tuple([part[: twice * count] for part in self.condition])
         seen, steps = x.repeat(twice, 1, 1), torch.full_like(lengths, step)
 
         def run(rows: slice) -> tuple[Tensor, Tensor]:
-            return model(seen[rows], steps[rows], lengths[rows], tuple(part[rows] for part in condition))
+            return model(seen[rows], steps[rows], lengths[rows], tuple([part[rows] for part in condition]))
 
         if len(seen) == 1 or x.device.type != "cpu" or torch.is_autocast_enabled("cpu"):
             motion, adaptation = run(slice(None))
         else:  # in halves on every processor, whether or not they run at once, so that all give the same
             half = (len(seen) + 1) // 2
             parts = side_by_side(lambda: run(slice(half)), lambda: run(slice(half, None)))
-            motion, adaptation = (torch.cat(both) for both in zip(*parts, strict=True))
+            motion, adaptation = map(torch.cat, zip(*parts, strict=True))
         motion = motion.float()
         if twice == 2:
             real = torch.arange(x.shape[1], device=x.device) < lengths[:count, None]

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.sampling.sampler import Sample, Window, row_noise, sample_windows
+from bunraku.diffusion.sampling.sampler import Sample, Solver, Steering, Window, row_noise, sample_windows
 from bunraku.language.encoders import TextBatch
 
 __all__ = ["Plan", "drawn_noise", "plan_windows", "sample_plans"]
@@ -100,10 +99,11 @@ def sample_plans(
     model: Denoiser,
     text: TextBatch,
     plans: Sequence[Plan],
+    solver: Solver,
+    steering: Steering | None = None,
     *,
     seeds: int | Sequence[int] | Sequence[tuple[int, int]] = 0,
     mesh_features: Tensor | None = None,
-    **options: Any,
 ) -> list[Sample]:
     """Make several motions in one batch.
 
@@ -111,10 +111,11 @@ def sample_plans(
         model: The denoiser.
         text: The sentences of the first plan, then those of the second, and so on.
         plans: One for each motion.
+        solver: How they are denoised.
+        steering: What acts on the predictions; their time lines stand one after the other in it.
         seeds: Of the starting noise; one number gives each motion noise of its own, the first as when it is alone. See
             `drawn_noise`.
         mesh_features: f_phi for each sentence, shape (B, 448).
-        options: Others of `sample_windows`.
 
     Returns:
         One sample for each plan, values (N, D) and adaptation (N, K, 3).
@@ -128,7 +129,14 @@ def sample_plans(
     drawn = drawn_noise(seeds, len(plans))
     noise = [row_noise(length, size, *pair) for length, pair in zip(lengths, drawn, strict=True)]
     found = sample_windows(
-        model, text, windows, torch.cat(noise), mesh_features=mesh_features, seed=drawn[0][0], **options
+        model,
+        text,
+        windows,
+        torch.cat(noise),
+        solver,
+        steering or Steering(),
+        mesh_features=mesh_features,
+        seed=drawn[0][0],
     )
     return [Sample(*parts) for parts in zip(found.values.split(lengths), found.adaptation.split(lengths), strict=True)]
 

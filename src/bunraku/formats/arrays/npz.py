@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bunraku.body.layout import handle_names
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import FormatError
 from bunraku.formats.arrays.npy import npz_names, open_npz, read_member
 from bunraku.formats.files import atomic_write
-from bunraku.formats.handle_names import handle_names
 from bunraku.geometry.rotations import matrix_from_6d
 
 if TYPE_CHECKING:

@@ -85,7 +85,7 @@ def parse_hierarchy(path: Path, text: str) -> tuple[list[BvhJoint], int]:
                     path, f"its joint '{here.name}' announces {count} channels and names {len(kinds)}; export it again"
                 )
             here.channels = [
-                ("xyz".index(channel[0]), channel[1:], columns + place) for place, channel in enumerate(kinds)
+                ("xyz".index(channel[0]), channel[1:], columns + index) for index, channel in enumerate(kinds)
             ]
             columns += len(kinds)
         else:

@@ -192,20 +192,20 @@ def _rotations(values: np.ndarray, joints: list[BvhJoint]) -> np.ndarray:
     """Local rotation of each joint, shape (N, J, 3, 3), float32."""
     out = np.empty((len(values), len(joints), 3, 3), np.float32)
     groups: dict[tuple[int, ...], list[int]] = {}
-    for place, joint in enumerate(joints):
-        groups.setdefault(tuple(axis for axis, kind, _ in joint.channels if kind == "rotation"), []).append(place)
-    for axes, places in groups.items():
-        turns = [[column for _, kind, column in joints[place].channels if kind == "rotation"] for place in places]
+    for index, joint in enumerate(joints):
+        groups.setdefault(tuple(axis for axis, kind, _ in joint.channels if kind == "rotation"), []).append(index)
+    for axes, indices in groups.items():
+        turns = [[column for _, kind, column in joints[index].channels if kind == "rotation"] for index in indices]
         if len(set(axes)) != len(axes):  # an axis twice
-            for place, own in zip(places, turns, strict=True):
-                out[:, place] = np.eye(3)
+            for index, own in zip(indices, turns, strict=True):
+                out[:, index] = np.eye(3)
                 for axis, column in zip(axes, own, strict=True):
-                    out[:, place] = out[:, place] @ _euler(np.radians(values[:, None, column, None]), (axis,))[:, 0]
+                    out[:, index] = out[:, index] @ _euler(np.radians(values[:, None, column, None]), (axis,))[:, 0]
             continue
-        whole = len(places) == len(joints)
+        whole = len(indices) == len(joints)
         for start in range(0, len(values), CHUNK):
-            angles = np.radians(values[start : start + CHUNK][:, np.array(turns, np.int64).reshape(len(places), -1)])
-            out[start : start + CHUNK, slice(None) if whole else places] = _euler(angles, axes)
+            angles = np.radians(values[start : start + CHUNK][:, np.array(turns, np.int64).reshape(len(indices), -1)])
+            out[start : start + CHUNK, slice(None) if whole else indices] = _euler(angles, axes)
     return out
 
 
@@ -243,30 +243,30 @@ def _assembled(
     path: Path, joints: list[BvhJoint], tree: list[int], values: np.ndarray, rotations: np.ndarray, fps: float
 ) -> SkeletalMotion:
     """The tree as a skeletal motion in the file's unit and axes."""
-    number = {joint: place for place, joint in enumerate(tree)}
+    number = {joint: index for index, joint in enumerate(tree)}
     parents = np.array([number.get(joints[joint].parent, -1) for joint in tree])
-    places = [_positions(joints[joint], values) for joint in tree]
-    if max(float(np.abs(place).max()) for place in places) > 1e9:
+    positions = [_positions(joints[joint], values) for joint in tree]
+    if max(float(np.abs(index).max()) for index in positions) > 1e9:
         raise FormatError(path, "its joints are a billion units apart; export it again")
-    offsets = np.array([place.mean(axis=0) for place in places])
+    offsets = np.array([index.mean(axis=0) for index in positions])
     size = max(float(np.linalg.norm(offsets[1:], axis=-1).sum()), 1e-9)
-    root, path_of_root = 0, places[0]
+    root, path_of_root = 0, positions[0]
     while True:  # the hips below a root that stays behind
         moving = [
             j
             for j in np.flatnonzero(parents == root)
-            if len(places[j]) > 1 and np.ptp(places[j], axis=0).max() > 0.003 * size
+            if len(positions[j]) > 1 and np.ptp(positions[j], axis=0).max() > 0.003 * size
         ]
         lower = next((int(j) for j in moving if 2 * len(_below(parents, int(j))) >= len(_below(parents, root))), None)
         if lower is None:
             break
         path_of_root = path_of_root + np.einsum(
-            "nij,nj->ni", rotations[:, root], np.broadcast_to(places[lower], (len(values), 3))
+            "nij,nj->ni", rotations[:, root], np.broadcast_to(positions[lower], (len(values), 3))
         )
         rotations[:, lower] = rotations[:, root] @ rotations[:, lower]
         root = lower
     kept = _below(parents, root)
-    again = {joint: place for place, joint in enumerate(kept)}
+    again = {joint: index for index, joint in enumerate(kept)}
     above = np.array([again.get(int(parents[joint]), -1) for joint in kept])
     skeleton = Skeleton(tuple(joints[tree[joint]].name for joint in kept), above, offsets[kept])
     if len(kept) < len(tree):

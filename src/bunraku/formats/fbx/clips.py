@@ -51,8 +51,8 @@ def read_clips(scene: FbxScene) -> list[FbxClip]:
         for layer in scene.below(stack, "AnimationLayer"):
             for group in scene.below(layer, "AnimationCurveNode"):
                 for owner, what in scene.owners.get(group.id, ()):
-                    if what in PROPERTIES and owner in scene.places and (scene.places[owner], what) not in curves:
-                        curves[scene.places[owner], what] = _curves(scene, group, owner, what)
+                    if what in PROPERTIES and owner in scene.indices and (scene.indices[owner], what) not in curves:
+                        curves[scene.indices[owner], what] = _curves(scene, group, owner, what)
         keys = [curve.times for trio in curves.values() for curve in trio if isinstance(curve, Curve)]
         if not keys:
             continue  # Mixamo and Maya leave an empty "Take 001" behind

@@ -135,16 +135,16 @@ class _Builder:
         model, mesh, skin = self.scene.models[placed.model], placed.mesh, placed.skin
         geometric = geometric_matrix(model)
         if skin is None:
-            place = np.eye(4)
-            place[:3, :3] = self.frame.hand
-            place[:3] = place[:3] @ geometric
+            matrix = np.eye(4)
+            matrix[:3, :3] = self.frame.hand
+            matrix[:3] = matrix[:3] @ geometric
         else:
             bound = skin.clusters[0].bind @ skin.clusters[0].transform  # where the mesh stood when it was bound
-            place = np.eye(4)
-            place[:3, :3] = self.frame.axes
-            place = place @ bound @ geometric
-        linear = place[:3, :3]
-        positions = self.frame.metres * (mesh.points @ linear.T + place[:3, 3])
+            matrix = np.eye(4)
+            matrix[:3, :3] = self.frame.axes
+            matrix = matrix @ bound @ geometric
+        linear = matrix[:3, :3]
+        positions = self.frame.metres * (mesh.points @ linear.T + matrix[:3, 3])
         attributes: dict[str, int] = {
             "POSITION": self.builder.array(positions[mesh.index].astype(np.float32), ARRAY_BUFFER)
         }
@@ -164,7 +164,7 @@ class _Builder:
         if skin is not None:
             self._add_weights(attributes, skin, mesh.index)
             node["skin"] = self._bind(
-                skin, place @ np.linalg.inv(geometric) if abs(np.linalg.det(geometric)) > 1e-30 else place, shared
+                skin, matrix @ np.linalg.inv(geometric) if abs(np.linalg.det(geometric)) > 1e-30 else matrix, shared
             )
             node["name"] = model.name
         node["mesh"] = self.builder.add(
@@ -201,23 +201,23 @@ class _Builder:
             attributes[f"JOINTS_{part}"] = self.builder.array(np.ascontiguousarray(joints[:, columns]), ARRAY_BUFFER)
             attributes[f"WEIGHTS_{part}"] = self.builder.array(np.ascontiguousarray(shares[:, columns]), ARRAY_BUFFER)
 
-    def _bind(self, skin: FbxSkin, place: np.ndarray, shared: list[int]) -> int:
+    def _bind(self, skin: FbxSkin, index: np.ndarray, shared: list[int]) -> int:
         """Add the skin of a mesh that stands at a place; joints that nothing is bound to come after those of the
         clusters.
         """
-        places = [self.scene.places[cluster.joint.id] for cluster in skin.clusters]
-        extra = [joint for joint in shared if joint not in places]
+        indices = [self.scene.indices[cluster.joint.id] for cluster in skin.clusters]
+        extra = [joint for joint in shared if joint not in indices]
         scale = np.diag([*3 * [self.frame.metres], 1.0])
         hand = np.eye(4)
         hand[:3, :3] = self.frame.hand
-        back = np.linalg.inv(scale @ place)
+        back = np.linalg.inv(scale @ index)
         into = scale @ hand
         inverse = [
-            inverses(self.normalise[place][None])[0] @ into @ cluster.transform @ back
-            for place, cluster in zip(places, skin.clusters, strict=True)
+            inverses(self.normalise[index][None])[0] @ into @ cluster.transform @ back
+            for index, cluster in zip(indices, skin.clusters, strict=True)
         ]
         inverse += [inverses((self.frame.world(self.binds[joint]) @ self.normalise[joint])[None])[0] for joint in extra]
-        return self._add_skin([self.nodes[joint] for joint in places + extra], np.stack(inverse))
+        return self._add_skin([self.nodes[joint] for joint in indices + extra], np.stack(inverse))
 
     def _add_skin(self, joints: list[int], inverse: np.ndarray) -> int:
         stored = inverse.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
@@ -255,12 +255,12 @@ class _Builder:
 def _placed_meshes(scene: FbxScene) -> list[_Placed]:
     """All meshes with faces that are not hidden, wherever models place them."""
     found: list[tuple[int, FbxObject]] = []
-    for place, model in enumerate(scene.models):
-        found += [(place, geometry) for geometry in scene.below(model, "Geometry", "Mesh")]
-    shown = [(place, geometry) for place, geometry in found if scene.models[place].number("Visibility", 1) > 0]
+    for index, model in enumerate(scene.models):
+        found += [(index, geometry) for geometry in scene.below(model, "Geometry", "Mesh")]
+    shown = [(index, geometry) for index, geometry in found if scene.models[index].number("Visibility", 1) > 0]
     read: dict[int, tuple[FbxMesh, FbxSkin | None]] = {}
     out, total = [], 0
-    for place, geometry in shown or found:
+    for index, geometry in shown or found:
         if geometry.id not in read:
             mesh = read_mesh(scene, geometry)
             read[geometry.id] = mesh, read_skin(scene, geometry, len(mesh.points))
@@ -269,7 +269,7 @@ def _placed_meshes(scene: FbxScene) -> list[_Placed]:
         if total > MAX_VERTICES:
             scene.tree.fail(f"it has more than {MAX_VERTICES:,} vertices; simplify the mesh first")
         if len(mesh.triangles):
-            out.append(_Placed(place, geometry, mesh, skin))
+            out.append(_Placed(index, geometry, mesh, skin))
     if not out:
         scene.tree.fail("it holds no mesh with faces; export the character with its mesh")
     return out

@@ -44,7 +44,7 @@ def blender_command() -> list[str]:
     for variable in (BLENDER, BLENDER_PYTHON):
         if os.environ.get(variable) and shutil.which(os.environ[variable]) is None:
             raise BunrakuError(
-                f"{variable} names {os.environ[variable]}, which is no program that can be run; mend or remove it"
+                f"{variable} names {os.environ[variable]}, which is no program that can be run; correct or remove it"
             )
     blender = shutil.which(os.environ.get(BLENDER) or "blender")
     if blender is not None and (os.environ.get(BLENDER) or not os.environ.get(BLENDER_PYTHON)):
@@ -138,7 +138,7 @@ def _run(command: list[str], target: Path, path: Path, timeout: float) -> None:
         ) from None
     except OSError as error:
         raise BunrakuError(
-            f"{path}: {command[0]} cannot be run ({(error.strerror or str(error)).lower()}); mend {BLENDER}"
+            f"{path}: {command[0]} cannot be run ({(error.strerror or str(error)).lower()}); correct {BLENDER}"
         ) from None
     if done.returncode or not target.is_file() or not target.stat().st_size:
         lines = [line.strip() for line in (done.stderr + "\n" + done.stdout).splitlines() if line.strip()]

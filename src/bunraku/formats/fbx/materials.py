@@ -90,8 +90,8 @@ class Materials:
         path = self.scene.tree.path
         for name in filter(None, names):
             last = name.replace("\\", "/").rsplit("/", 1)[-1]
-            for place in (name, last, f"{path.stem}.fbm/{last}", f"textures/{last}"):
-                found: Path | None = beside(path, place)
+            for file in (name, last, f"{path.stem}.fbm/{last}", f"textures/{last}"):
+                found: Path | None = beside(path, file)
                 if found is not None:
                     return embeddable(found)
         return None

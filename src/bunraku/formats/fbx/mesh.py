@@ -129,21 +129,21 @@ def _layer(
         return None
     values = layer.array(values_name).astype(float)
     values = np.nan_to_num(values[: len(values) // width * width].reshape(-1, width), posinf=0, neginf=0)
-    place = _places(layer.text("MappingInformationType"), corners, polygon)
-    if place is None:
+    rows = _rows_of(layer.text("MappingInformationType"), corners, polygon)
+    if rows is None:
         return None
     if layer.text("ReferenceInformationType") != "Direct":
         index = layer.array(index_name).astype(np.int64)
         if len(index):
-            if place.max(initial=0) >= len(index):
+            if rows.max(initial=0) >= len(index):
                 return None
-            place = index[place]
-    if not len(values) or place.min(initial=0) < 0 or place.max(initial=0) >= len(values):
+            rows = index[rows]
+    if not len(values) or rows.min(initial=0) < 0 or rows.max(initial=0) >= len(values):
         return None
-    return values[place]
+    return values[rows]
 
 
-def _places(mapping: str, corners: np.ndarray, polygon: np.ndarray) -> np.ndarray | None:
+def _rows_of(mapping: str, corners: np.ndarray, polygon: np.ndarray) -> np.ndarray | None:
     kinds = {
         "ByPolygonVertex": np.arange(len(corners)),
         "ByVertice": corners,
@@ -180,9 +180,9 @@ def _unique_rows(columns: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(
         first, kind="stable"
     )  # in the order of the file, so that the first corner of a vertex keeps its place
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    return first[order], place[label]
+    index = np.empty_like(order)
+    index[order] = np.arange(len(order))
+    return first[order], index[label]
 
 
 def read_clusters(scene: FbxScene, geometry: FbxObject) -> list[Cluster]:
@@ -190,7 +190,7 @@ def read_clusters(scene: FbxScene, geometry: FbxObject) -> list[Cluster]:
     out = []
     for skin in scene.below(geometry, "Deformer", "Skin"):
         for thing in scene.below(skin, "Deformer", "Cluster"):
-            joint = next((model for model in scene.below(thing, "Model") if model.id in scene.places), None)
+            joint = next((model for model in scene.below(thing, "Model") if model.id in scene.indices), None)
             transform, bind = (_matrix(thing.node.array(name)) for name in ("Transform", "TransformLink"))
             if joint is not None and transform is not None and bind is not None:
                 out.append(Cluster(joint, transform, bind, thing))

@@ -82,9 +82,9 @@ def _above(scene: FbxScene, model: int, chosen: dict[int, int]) -> int:
 def _joints(scene: FbxScene, clip: FbxClip) -> list[int]:
     """The joints of the skeleton that a clip moves most of, root first and parents before children."""
     moved = {model for model, _ in clip.curves}
-    bones = [place for place, model in enumerate(scene.models) if model.subtype in BONES]
+    bones = [index for index, model in enumerate(scene.models) if model.subtype in BONES]
     chosen = dict.fromkeys(
-        bones or [place for place, model in enumerate(scene.models) if place in moved and model.subtype != "Camera"], 0
+        bones or [index for index, model in enumerate(scene.models) if index in moved and model.subtype != "Camera"], 0
     )
     trees: dict[int, list[int]] = {}
     root_of: dict[int, int] = {}
@@ -119,7 +119,7 @@ def _bind_pose(scene: FbxScene) -> dict[int, np.ndarray]:
     out: dict[int, np.ndarray] = {}
     for pose in scene.of_kind("Pose"):
         for entry in pose.node.all("PoseNode"):
-            matrix, model = entry.array("Matrix"), scene.places.get(entry.value("Node", 0), -1)
+            matrix, model = entry.array("Matrix"), scene.indices.get(entry.value("Node", 0), -1)
             if pose.subtype == "BindPose" and len(matrix) == 16 and np.isfinite(matrix).all() and model >= 0:
                 out.setdefault(model, matrix.astype(float).reshape(4, 4).T)
     return out

@@ -123,9 +123,9 @@ class FbxScene:
         return [thing for thing in self.objects.values() if thing.kind == kind]
 
     @cached_property
-    def places(self) -> dict[int, int]:
+    def indices(self) -> dict[int, int]:
         """Index of each model by its number."""
-        return {model.id: place for place, model in enumerate(self.models)}
+        return {model.id: index for index, model in enumerate(self.models)}
 
     @cached_property
     def frame(self) -> Frame:
@@ -198,8 +198,8 @@ def _hierarchy(
         ordered.extend(children.get(model.id, []))
     if len(ordered) != len(found):
         tree.fail(f"its objects form a cycle; {BROKEN}")
-    places = {model.id: place for place, model in enumerate(ordered)}
-    return tuple(ordered), np.array([places.get(above[model.id], -1) for model in ordered], int)
+    indices = {model.id: index for index, model in enumerate(ordered)}
+    return tuple(ordered), np.array([indices.get(above[model.id], -1) for model in ordered], int)
 
 
 def _properties(node: FbxNode) -> dict[str, list[Any]]:

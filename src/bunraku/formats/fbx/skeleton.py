@@ -26,19 +26,19 @@ def bind_matrices(scene: FbxScene, world: np.ndarray, clusters: list[Cluster]) -
     """
     known: dict[int, np.ndarray] = {}
     for cluster in clusters:
-        known.setdefault(scene.places[cluster.joint.id], cluster.bind)
-    bones = [place for place, model in enumerate(scene.models) if model.subtype in BONES]
+        known.setdefault(scene.indices[cluster.joint.id], cluster.bind)
+    bones = [index for index, model in enumerate(scene.models) if model.subtype in BONES]
     if not known:
-        return {place: world[place] for place in bones}
-    for place in reversed(bones):  # up the tree first, so that roots that move nothing stand where their children say
-        parent = int(scene.parents[place])
-        if place in known and parent >= 0 and parent not in known and scene.models[parent].subtype in BONES:
-            known[parent] = known[place] @ inverses(world[place][None])[0] @ world[parent]
-    for place in bones:
-        parent = int(scene.parents[place])
-        if place not in known:
-            known[place] = (
-                known[parent] @ inverses(world[parent][None])[0] @ world[place] if parent in known else world[place]
+        return {index: world[index] for index in bones}
+    for index in reversed(bones):  # up the tree first, so that roots that move nothing stand where their children say
+        parent = int(scene.parents[index])
+        if index in known and parent >= 0 and parent not in known and scene.models[parent].subtype in BONES:
+            known[parent] = known[index] @ inverses(world[index][None])[0] @ world[parent]
+    for index in bones:
+        parent = int(scene.parents[index])
+        if index not in known:
+            known[index] = (
+                known[parent] @ inverses(world[parent][None])[0] @ world[index] if parent in known else world[index]
             )
     return dict(sorted(known.items()))
 

@@ -100,8 +100,8 @@ def world_matrices(scene: FbxScene, values: Values, chosen: list[int]) -> list[n
     return [known[model].matrix for model in chosen]
 
 
-def _placed(model: FbxObject, place: int, values: Values, parent: _World | None) -> _World:
-    moving = [values.get((place, name), model.numbers(name, default)[None]) for name, default in PROPERTIES.items()]
+def _placed(model: FbxObject, index: int, values: Values, parent: _World | None) -> _World:
+    moving = [values.get((index, name), model.numbers(name, default)[None]) for name, default in PROPERTIES.items()]
     translation, degrees, scale = moving
     if model.number("RotationActive", 0) and not model.number("RotationSpaceForLimitOnly", 0):
         order = _ORDERS[min(max(int(model.number("RotationOrder", 0)), 0), 6)]

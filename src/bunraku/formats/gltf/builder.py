@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -26,15 +27,15 @@ class GltfBuilder:
         tree: The JSON object; its `accessors` and `bufferViews` start empty.
     """
 
-    def __init__(self, tree: dict[str, Any]):
-        self.tree = tree
+    def __init__(self, tree: dict[str, object]):
+        self.tree: dict[str, Any] = tree  # our own from here on: what is added is what glTF says
         self.length = 0
-        self._chunks: list[bytes | memoryview] = []
+        self._chunks: list[bytes | memoryview | Callable[[], bytes]] = []
         for key in ("accessors", "bufferViews", "buffers"):
             tree.pop(key, None)
 
-    def _append(self, key: str, entry: dict[str, Any]) -> int:
-        entries = self.tree.setdefault(key, [])
+    def _append(self, key: str, entry: dict[str, object]) -> int:
+        entries: list[dict[str, object]] = self.tree.setdefault(key, [])
         entries.append(entry)
         return len(entries) - 1
 
@@ -50,7 +51,7 @@ class GltfBuilder:
         self.length += len(data) + padding
         return self._append("bufferViews", entry)
 
-    def array(self, values: np.ndarray, target: int | None = None, bounds: bool = False, **extra: Any) -> int:
+    def array(self, values: np.ndarray, target: int | None = None, bounds: bool = False, **extra: object) -> int:
         """Add an array of shape (count, components) as an accessor and return its index.
 
         Args:
@@ -72,21 +73,38 @@ class GltfBuilder:
         entry["bufferView"] = self.view(values.reshape(-1).view(np.uint8).data, target, stride)
         return self._append("accessors", entry)
 
-    def zeros(self, accessor: dict[str, Any]) -> int:
+    def later(self, count: int, size: int, make: Callable[[int], bytes]) -> int:
+        """Add an accessor of 32-bit floats whose bytes are made when the document is written, and return its index.
+
+        Args:
+            count: How many elements.
+            size: Components of each.
+            make: Gives the bytes of that many elements.
+        """
+        length = 4 * count * size
+        entry: dict[str, object] = {"buffer": 0, "byteOffset": self.length, "byteLength": length}
+        self._chunks.append(lambda: make(count))
+        self.length += length
+        view = self._append("bufferViews", entry)
+        return self._append(
+            "accessors", {"componentType": 5126, "count": count, "type": _KINDS[size], "bufferView": view}
+        )
+
+    def zeros(self, accessor: dict[str, object]) -> int:
         """Add an accessor that has no data behind it and return its index."""
         return self._append("accessors", accessor)
 
-    def image(self, data: bytes | memoryview, mime: str, **extra: Any) -> int:
+    def image(self, data: bytes | memoryview, mime: str, **extra: object) -> int:
         """Add an embedded image and return its index."""
         return self._append("images", {**extra, "mimeType": mime, "bufferView": self.view(data)})
 
-    def add(self, key: str, entry: dict[str, Any]) -> int:
+    def add(self, key: str, entry: dict[str, object]) -> int:
         """Add an entry to a top-level list and return its index."""
         return self._append(key, entry)
 
     def document(self, path: Path) -> Document:
         """The document as one in memory."""
-        data = b"".join(self._chunks)
+        data = b"".join(chunk() if callable(chunk) else chunk for chunk in self._chunks)
         if data:
             self.tree["buffers"] = [{"byteLength": len(data)}]
         return Document(path, self.tree, [data] if data else [], {})
@@ -109,7 +127,7 @@ class GltfBuilder:
         if self.length:
             file.write(struct.pack("<II", self.length, 0x004E4942))
             for chunk in self._chunks:
-                file.write(chunk)
+                file.write(chunk() if callable(chunk) else chunk)
 
 
 def mesh_document(
@@ -120,7 +138,7 @@ def mesh_document(
     normals: np.ndarray | None = None,
     uvs: np.ndarray | None = None,
     colors: np.ndarray | None = None,
-    materials: list[dict[str, Any]] | None = None,
+    materials: list[dict[str, object]] | None = None,
     images: list[tuple[bytes, str]] | None = None,
 ) -> Document:
     """A glTF document of one mesh, for files of formats that are not glTF.

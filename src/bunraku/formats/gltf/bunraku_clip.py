@@ -1,4 +1,4 @@
-"""The handle motion inside a GLB that Bunraku wrote.
+"""The handle motion inside a GLB that Bunraku wrote: as channels of its nodes, and as it is.
 
 The channels of a GLB are quaternions at the frame rate of the file, from which the motion that was fitted cannot be had
 back to the last bit, nor the one of the reference body at all. So an NPZ with both travels in a buffer view of its own,
@@ -23,10 +23,24 @@ from bunraku.formats.gltf.container.open import open_document
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
+from bunraku.body.layout import handle_names
+from bunraku.geometry.rotations import quaternion_from_matrix
 
-__all__ = ["add_clip", "clip_handles", "drop_clip", "packed_motion", "read_motion"]
+__all__ = [
+    "add_clip",
+    "add_joints",
+    "add_motion",
+    "clip_handles",
+    "drop_clip",
+    "joint_tracks",
+    "packed_motion",
+    "read_motion",
+]
+
 
 KEY = "bunraku_motion"
+RIGID = "bunraku_rigid"
+"""Mark of the root joint of a figure whose blocks do not bend."""
 
 
 def add_clip(builder: GltfBuilder, animation: Animation) -> None:
@@ -35,13 +49,14 @@ def add_clip(builder: GltfBuilder, animation: Animation) -> None:
     asset["extras"] = {**(asset["extras"] if isinstance(asset.get("extras"), dict) else {}), KEY: view}
 
 
-def drop_clip(tree: dict[str, Any]) -> dict[str, Any]:
+def drop_clip(tree: dict[str, object]) -> dict[str, Any]:
     """The tree without the mark of a motion that it may have been carried over with."""
-    extras = tree["asset"].get("extras")
-    if isinstance(extras, dict) and KEY in extras:
+    asset = tree["asset"]
+    extras = asset.get("extras") if isinstance(asset, dict) else None
+    if isinstance(asset, dict) and isinstance(extras, dict) and KEY in extras:
         del extras[KEY]
         if not extras:
-            del tree["asset"]["extras"]
+            del asset["extras"]
     return tree
 
 
@@ -95,9 +110,21 @@ def clip_handles(path: Path, character: Character) -> Handles:
     weights = rig.dense_weights()[:, order]
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     played = np.array(roles, np.int64)[order]
+    rigid = _rigid(character) and weights.max(axis=1).min() > 0.999
     return Handles(
-        rig.positions[order], weights, roles=None if np.array_equal(played, np.arange(len(played))) else played
+        rig.positions[order],
+        weights,
+        roles=None if np.array_equal(played, np.arange(len(played))) else played,
+        rigid=bool(rigid),
     )
+
+
+def _rigid(character: Character) -> bool:
+    """Whether a joint of the file is marked as the root of blocks that do not bend."""
+    document = getattr(character.source, "document", None)
+    nodes = [] if document is None else document.items("nodes")
+    marks = (node.get("extras") for node in nodes if node.get("name") == HANDLE_NAMES[0])
+    return any(isinstance(mark, dict) and mark.get(RIGID) is True for mark in marks)
 
 
 def _role(name: str) -> int | None:
@@ -106,3 +133,74 @@ def _role(name: str) -> int | None:
     if name in HANDLE_NAMES:
         return HANDLE_NAMES.index(name)
     return HANDLE_NAMES.index(plain) if number.isdecimal() and plain in HANDLE_NAMES else None
+
+
+def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:
+    """Add one node for each handle, handle 0 above the others, and return the nodes.
+
+    Args:
+        builder: The document.
+        handles: The K handles.
+    """
+    h = handles.positions.astype(np.float64)
+    names = handle_names(handles)
+    first = len(builder.tree.get("nodes", []))
+    for handle, name in enumerate(names):
+        offset = (h[handle] - h[0] if handle else h[0]).astype(np.float32)
+        builder.add("nodes", {"name": name, "translation": offset.tolist()})
+    if handles.rigid:
+        builder.tree["nodes"][first]["extras"] = {RIGID: True}
+    if len(h) > 1:
+        builder.tree["nodes"][first]["children"] = list(range(first + 1, first + len(h)))
+    return list(range(first, first + len(h)))
+
+
+def joint_tracks(positions: np.ndarray, motion: HandleMotion) -> tuple[np.ndarray, np.ndarray]:
+    """What the nodes of `add_joints` do: translations [m] (N, K, 3) and rotations (N, K, 4), quaternions xyzw, float64.
+
+    The root node gets translation h_0 + t_g and rotation R_g; joint k, its child, gets h_k + t_k - h_0 and R_k (Eq. 3).
+
+    Args:
+        positions: Handle positions h in the rest pose [m], shape (K, 3).
+        motion: N frames of K handles.
+    """
+    h = positions.astype(np.float64)
+    translations = h + motion.translations
+    translations[:, 1:] -= h[0]
+    translations[:, 0] = h[0] + motion.root_translation
+    rotations = quaternion_from_matrix(motion.rotations.astype(np.float64))
+    rotations[:, 0] = quaternion_from_matrix(motion.root_rotation.astype(np.float64))
+    flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
+    rotations[1:] *= np.cumprod(flips, axis=0)[
+        ..., None
+    ]  # an interpolated quaternion must not change its sign on the way
+    return translations, rotations
+
+
+def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, motion: HandleMotion, name: str) -> None:
+    """Add an animation: a translation and a rotation channel for each joint, constant ones as one key."""
+    translations, rotations = joint_tracks(positions, motion)
+    h = positions.astype(np.float64)
+    times = (np.arange(len(motion)) / motion.fps).astype(np.float32)[:, None]
+    every = builder.array(times, bounds=True)
+    single: int | None = None
+    extent = max(float(np.ptp(h, axis=0).max()), 1e-9)
+    tracks = (("translation", translations, 1e-7 * extent), ("rotation", rotations, 1e-7))
+    moving = {
+        (path, k): np.ptp(values[:, k], axis=0).max() > small for path, values, small in tracks for k in range(len(h))
+    }
+    if not any(moving.values()):
+        moving["translation", 0] = True  # one channel keeps the length of a motion that stands still
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
+    for joint in range(len(h)):
+        for path, values, _ in tracks:
+            track = values[:, joint].astype(np.float32)
+            if moving[path, joint]:
+                clock = every
+            else:
+                single = builder.array(times[:1], bounds=True) if single is None else single
+                track, clock = track[:1], single
+            channels.append({"sampler": len(samplers), "target": {"node": joints[joint], "path": path}})
+            samplers.append({"input": clock, "output": builder.array(track), "interpolation": "LINEAR"})
+    builder.add("animations", {"name": name, "channels": channels, "samplers": samplers})

@@ -2,7 +2,7 @@
 
 Every accessor that a mesh uses gets its elements copied into a buffer view of its own. So nothing that the old skins
 and animations left behind travels along, strides and alignments are right whatever they were, and what no valid file
-may hold (numbers that are not, normals without a direction) is mended on the way.
+may hold (numbers that are not, normals without a direction) is repaired on the way.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def image_type(start: bytes) -> str | None:
     return "image/webp" if start[:4] == b"RIFF" and start[8:12] == b"WEBP" else None
 
 
-def used_extensions(tree: dict[str, Any]) -> None:
+def used_extensions(tree: dict[str, object]) -> None:
     """Make the lists of extensions name those that the tree still uses, and no others."""
     found: set[str] = set()
     stack: list[Any] = [tree]
@@ -88,13 +88,13 @@ def used_extensions(tree: dict[str, Any]) -> None:
         if isinstance(item, dict):
             if isinstance(item.get("extensions"), dict):
                 found.update(item["extensions"])
-            stack.extend(value for key, value in item.items() if key != "extras")
+            stack += {**item, "extras": None}.values()
         elif isinstance(item, list):
             stack.extend(item)
-    if "KHR_mesh_quantization" in tree.get("extensionsUsed", []):
+    used, needed = (tree.pop(key, []) for key in ("extensionsUsed", "extensionsRequired"))
+    if isinstance(used, list) and "KHR_mesh_quantization" in used:
         found.add("KHR_mesh_quantization")
-    required = [name for name in tree.pop("extensionsRequired", []) if name in found]
-    tree.pop("extensionsUsed", None)
+    required = [name for name in needed if name in found] if isinstance(needed, list) else []
     if found:
         tree["extensionsUsed"] = sorted(found)
     if required:
@@ -113,13 +113,14 @@ class MeshCarrier:
         self.source, self.document, self.builder = source, source.document, builder
         self._carried: dict[tuple[int, str], int] = {}
 
-    def mesh(self, part: MeshPart, rest: np.ndarray | None) -> dict[str, Any]:
+    def mesh(self, part: MeshPart, rest: np.ndarray | None, index: np.ndarray) -> dict[str, Any]:
         """A mesh entry without joints and weights.
 
         Args:
             part: The mesh where a node places it.
             rest: Positions that replace the raw ones [m], shape (V, 3) over its groups; its normals, tangents and morph
                 targets are bent as its skin bends them. None keeps everything as it is.
+            index: Vertex of the character of each of them, shape (V,).
         """
         old = self.document.item("meshes", part.mesh)
         mesh: dict[str, Any] = {key: copy.deepcopy(old[key]) for key in ("name", "extras") if key in old}
@@ -131,7 +132,10 @@ class MeshCarrier:
             bend = None
             if rest is not None:
                 matrices = skin_matrices(self.document, self.source.tree, self.source.skins, part, number)
-                bend = _Bend(rest[start:stop], group.vertices, matrices)
+                posed = self.source.moved
+                if posed is not None:
+                    matrices = posed[index[start:stop]] @ matrices
+                bend = _Bend(rest[start:stop], group.vertices, matrices, posed is not None)
             first = old["primitives"][group.primitives[0]]
             shared = self._vertex_data(first, stop - start, bend)
             for member, triangles in zip(group.primitives, group.triangles, strict=True):
@@ -148,7 +152,7 @@ class MeshCarrier:
             mesh["weights"] = copy.deepcopy(weights)
         return mesh
 
-    def primitive(self, old: dict[str, Any], count: int) -> dict[str, Any]:
+    def primitive(self, old: dict[str, object], count: int) -> dict[str, Any]:
         """A primitive as it is, without joints and weights.
 
         Args:
@@ -157,7 +161,9 @@ class MeshCarrier:
         """
         return self._primitive(old, self._vertex_data(old, count, None), None)
 
-    def _primitive(self, old: dict[str, Any], data: dict[str, Any], triangles: np.ndarray | None) -> dict[str, Any]:
+    def _primitive(
+        self, old: dict[str, object], data: dict[str, object], triangles: np.ndarray | None
+    ) -> dict[str, Any]:
         primitive = {**data}
         primitive.update((key, copy.deepcopy(old[key])) for key in ("material", "mode", "extras") if key in old)
         if triangles is not None and len(triangles):
@@ -172,9 +178,9 @@ class MeshCarrier:
                 primitive["extensions"] = kept
         return primitive
 
-    def _vertex_data(self, old: dict[str, Any], count: int, bend: _Bend | None) -> dict[str, Any]:
+    def _vertex_data(self, old: dict[str, object], count: int, bend: _Bend | None) -> dict[str, Any]:
         attributes = {}
-        for name, accessor in old["attributes"].items():
+        for name, accessor in self.document.entry(old, "attributes").items():
             if name.startswith(("JOINTS_", "WEIGHTS_")) or self.document.count(accessor) != count or not count:
                 continue
             if str(self.document.item("accessors", accessor).get("type")).startswith("MAT"):
@@ -185,7 +191,7 @@ class MeshCarrier:
                 )
                 bent = bend.attribute(name, values, keep_base="targets" in old)
                 attributes[name] = self.builder.array(
-                    _mended(name, bent.astype(np.float32)), ARRAY_BUFFER, bounds=name == "POSITION"
+                    _repaired(name, bent.astype(np.float32)), ARRAY_BUFFER, bounds=name == "POSITION"
                 )
             else:
                 attributes[name] = self._carry(accessor, name)
@@ -195,7 +201,7 @@ class MeshCarrier:
             data["targets"] = [self._target(target, count, bend) for target in targets]
         return data
 
-    def _target(self, target: dict[str, Any], count: int, bend: _Bend | None) -> dict[str, int]:
+    def _target(self, target: dict[str, object], count: int, bend: _Bend | None) -> dict[str, int]:
         out = {}
         for name, accessor in target.items():
             if self.document.count(accessor) != count:
@@ -209,7 +215,7 @@ class MeshCarrier:
                 out[name] = self._carry(accessor, f"target {name}")
         return out
 
-    def _carry(self, index: int, role: str) -> int:
+    def _carry(self, index: Any, role: str) -> int:
         key = (index, role)
         if key not in self._carried:
             self._carried[key] = self._copy(index, role)
@@ -234,13 +240,13 @@ class MeshCarrier:
             if len(values) and values.itemsize < 4 and int(values.max()) == np.iinfo(values.dtype).max:
                 values = values.astype("<u2" if values.itemsize == 1 else "<u4")  # the largest index means restart
             return self.builder.array(values, ELEMENT_ARRAY_BUFFER, **extra)
-        return self.builder.array(_mended(role, values), ARRAY_BUFFER, bounds=bounds, **extra)
+        return self.builder.array(_repaired(role, values), ARRAY_BUFFER, bounds=bounds, **extra)
 
 
 class _Bend:
     """How a skin, or a mirroring node, bends the vertex data of a mesh into its rest pose."""
 
-    def __init__(self, rest: np.ndarray, vertices: np.ndarray, matrices: np.ndarray):
+    def __init__(self, rest: np.ndarray, vertices: np.ndarray, matrices: np.ndarray, posed: bool = False):
         self.rest, self.matrices = rest, matrices
         self.linear = matrices[:, :3, :3]
         a, b, c = self.linear[:, :, 0], self.linear[:, :, 1], self.linear[:, :, 2]
@@ -248,7 +254,7 @@ class _Bend:
         self.sign = np.where((a * cofactors[:, :, 0]).sum(axis=1) < 0, -1.0, 1.0)
         self.normal = cofactors * self.sign[:, None, None]
         size = float(np.ptp(vertices, axis=0).max(initial=0))
-        self.faithful = bool(
+        self.faithful = posed or bool(
             np.abs(vertices - rest).max(initial=0) <= 1e-5 * size + 1e-6 * np.abs(vertices).max(initial=0)
         )
 
@@ -277,7 +283,7 @@ class _Bend:
         return out
 
 
-def _mended(role: str, values: np.ndarray) -> np.ndarray:
+def _repaired(role: str, values: np.ndarray) -> np.ndarray:
     """Values that a valid file may hold: finite, unit normals, colours from 0 to 1. Good values come back as they
     are.
     """

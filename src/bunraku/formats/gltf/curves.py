@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from bunraku.formats.gltf.container.document import Document
@@ -23,7 +21,7 @@ Curves = dict[tuple[int, str], tuple[np.ndarray, np.ndarray, str]]
 _DEFAULTS = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1]}
 
 
-def clip_curves(document: Document, animation: dict[str, Any]) -> Curves:
+def clip_curves(document: Document, animation: dict[str, object]) -> Curves:
     """Times (M,), values (M, C) or (M, 3, C), and interpolation of each animated (node, property)."""
     samplers = document.objects(animation, "samplers")
     curves, total, last = {}, 0, max(len(document.items("nodes")) - 1, 0)
@@ -112,7 +110,7 @@ def _front(document: Document) -> np.ndarray:
     return np.diag([-1.0, 1, -1, 1]) if isinstance(extensions, dict) and "VRM" in extensions else np.eye(4)
 
 
-def _local(document: Document, node: dict[str, Any], index: int, curves: Curves, moments: np.ndarray) -> np.ndarray:
+def _local(document: Document, node: dict[str, object], index: int, curves: Curves, moments: np.ndarray) -> np.ndarray:
     parts = {}
     for kind, default in _DEFAULTS.items():
         if (index, kind) in curves:

@@ -36,6 +36,8 @@ class Source:
         index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats
             have fewer vertices than their document where a seam splits one in two.
         suffix: The format of the file.
+        moved: What took each vertex of the character from the pose of the tree to where it rests now, shape (V, 4, 4);
+            None for nothing.
     """
 
     document: Document
@@ -44,6 +46,7 @@ class Source:
     parts: tuple[MeshPart, ...]
     index: np.ndarray
     suffix: str = ".glb"
+    moved: np.ndarray | None = None
 
 
 def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
@@ -116,7 +119,8 @@ def character_from_document(
         if rig is not None:
             rig = Rig(rig.names, rig.parents, rig.transforms, rig.indices[first], rig.weights[first])
     source = Source(document, tree, skins, parts, index, suffix)
-    return Character(name, vertices, triangles, rig, colors, source, read_vrm(document))
+    avatar = read_vrm(document) if document.tree.get("extensions") else None
+    return Character(name, vertices, triangles, rig, colors, source, avatar)
 
 
 def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[MeshPart, ...]) -> Rig:

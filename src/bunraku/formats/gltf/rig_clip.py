@@ -10,7 +10,7 @@ from bunraku.formats.gltf.builder import GltfBuilder
 from bunraku.geometry.resampling import Resampling
 from bunraku.geometry.rotations import nearest_rotation, quaternion_from_matrix
 
-__all__ = ["add_bone_clip"]
+__all__ = ["add_bone_clip", "bone_tracks", "placed"]
 
 SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still
 
@@ -29,9 +29,8 @@ def add_bone_clip(
         name: The clip's name.
     """
     nodes = builder.tree["nodes"]
-    linear = local[..., :3, :3]
-    scale = np.linalg.norm(linear, axis=-2)
-    rotation = quaternion_from_matrix(nearest_rotation(linear / np.maximum(scale, 1e-12)[..., None, :]))
+    scale = np.linalg.norm(local[..., :3, :3], axis=-2)
+    _, rotation = bone_tracks(local)
     flips = np.where((rotation[1:] * rotation[:-1]).sum(-1) < 0, -1.0, 1.0)
     rotation[1:] *= np.cumprod(flips, axis=0)[..., None]
     between = Resampling.of(len(local), have, want)
@@ -47,7 +46,7 @@ def add_bone_clip(
     channels: list[dict[str, Any]] = []
     samplers: list[dict[str, Any]] = []
     for joint, node in enumerate(joints):
-        rest = _placed(nodes[node])
+        rest = placed(nodes[node])
         for kind, values, small in tracks:
             track = values[:, joint].astype(np.float32)
             limit = small if small is not None else 1e-4 * float(np.abs(rest["scale"]).max())
@@ -67,10 +66,17 @@ def add_bone_clip(
             "input": every,
             "output": builder.array(np.repeat(turned[:1, 0].astype(np.float32), len(between), axis=0)),
         }
-    builder.tree["animations"] = [{"name": name, "channels": channels, "samplers": samplers}]
+    builder.add("animations", {"name": name, "channels": channels, "samplers": samplers})
 
 
-def _placed(node: dict[str, Any]) -> dict[str, np.ndarray]:
+def bone_tracks(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Translations [m] (N, J, 3) and rotations (N, J, 4), quaternions xyzw, of transforms of shape (N, J, 4, 4)."""
+    linear = local[..., :3, :3]
+    scale = np.linalg.norm(linear, axis=-2)
+    return local[..., :3, 3], quaternion_from_matrix(nearest_rotation(linear / np.maximum(scale, 1e-12)[..., None, :]))
+
+
+def placed(node: dict[str, object]) -> dict[str, np.ndarray]:
     """Translation, rotation and scale of a node's entry; a matrix is taken apart, as animated nodes may have none."""
     if "matrix" in node:
         matrix = np.array(node.pop("matrix"), float).reshape(4, 4).T

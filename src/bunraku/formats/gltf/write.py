@@ -5,6 +5,7 @@ channels.
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +16,8 @@ from bunraku.core.resample import checked_fps, resample
 from bunraku.errors import CharacterError, FormatError
 from bunraku.formats.files import atomic_write
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, GltfBuilder, mesh_document
-from bunraku.formats.gltf.bunraku_clip import add_clip, drop_clip
+from bunraku.formats.gltf.bunraku_clip import add_clip, add_joints, add_motion, drop_clip
 from bunraku.formats.gltf.carry import MeshCarrier, carry_images, carry_tree, used_extensions
-from bunraku.formats.gltf.handle_channels import add_joints, add_motion
 from bunraku.formats.gltf.read import Source, character_from_document
 from bunraku.formats.gltf.scene.colors import linear_from_srgb
 from bunraku.formats.gltf.scene.mesh import MeshPart, PrimitiveData
@@ -33,6 +33,7 @@ __all__ = [
     "keeps_positions",
     "write_animation",
     "write_character",
+    "write_clips",
 ]
 
 
@@ -49,10 +50,28 @@ def write_animation(animation: Animation, path: Path, *, fps: float | None = Non
         FormatError: The file cannot be written.
         OptionError: `fps` is no number from 1 to 1000.
     """
-    motion = resample(animation.motion, checked_fps(fps, animation.motion.fps))
-    builder, joints = build_document(animation.character, animation.handles, path)
-    add_motion(builder, joints, animation.handles.positions, motion, str(name) if name else path.stem)
-    add_clip(builder, animation)
+    return write_clips({str(name) if name else path.stem: animation}, path, fps=fps)
+
+
+def write_clips(clips: Mapping[str, Animation], path: Path, *, fps: float | None = None) -> Path:
+    """Write several animations of one character by the same handles as GLB, each as a clip of its name. The motion that
+    Bunraku reads back is that of the first.
+
+    Args:
+        clips: At least one.
+        path: The file.
+        fps: Frames a second of the channels [1/s]; those of each motion by default.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: `fps` is no number from 1 to 1000.
+    """
+    first = next(iter(clips.values()))
+    motions = {name: resample(clip.motion, checked_fps(fps, clip.motion.fps)) for name, clip in clips.items()}
+    builder, joints = build_document(first.character, first.handles, path)
+    for name, motion in motions.items():
+        add_motion(builder, joints, first.handles.positions, motion, name)
+    add_clip(builder, first)
     return finish_document(builder, path)
 
 
@@ -147,7 +166,7 @@ def _add_part(
     """Add a mesh with its node, and its skin where there are handles; return the node."""
     rest = character.vertices[index]
     kept = keeps_positions(part, rest, character)
-    mesh = carrier.mesh(part, None if kept else rest)
+    mesh = carrier.mesh(part, None if kept else rest, index)
     transform = part.transform if kept and part.transform is not None else np.eye(4)
     old = carrier.document.item("nodes", part.node)
     node: dict[str, Any] = {"name": str(old.get("name") or f"mesh_{part.mesh}"), "mesh": builder.add("meshes", mesh)}
@@ -159,7 +178,7 @@ def _add_part(
         return builder.add("nodes", node)
     start = 0
     for group in part.groups:
-        _add_influences(builder, mesh, group, handles.weights[index[start : start + len(group.vertices)]])
+        _add_influences(builder, mesh["primitives"], group, handles.weights[index[start : start + len(group.vertices)]])
         start += len(group.vertices)
     inverse = np.tile(np.eye(4), (len(joints), 1, 1))
     inverse[:, :3, 3] = -handles.positions.astype(np.float64)
@@ -174,13 +193,15 @@ def _add_part(
     return builder.add("nodes", node)
 
 
-def _add_influences(builder: GltfBuilder, mesh: dict[str, Any], group: PrimitiveData, weights: np.ndarray) -> None:
+def _add_influences(
+    builder: GltfBuilder, primitives: list[dict[str, Any]], group: PrimitiveData, weights: np.ndarray
+) -> None:
     if not len(weights):
         return
     joints, shares = joint_attributes(weights)
     added = {"JOINTS_0": builder.array(joints, ARRAY_BUFFER), "WEIGHTS_0": builder.array(shares, ARRAY_BUFFER)}
     for member in group.primitives:
-        mesh["primitives"][member]["attributes"].update(added)
+        primitives[member]["attributes"].update(added)
 
 
 def keeps_positions(part: MeshPart, rest: np.ndarray, character: Character) -> bool:

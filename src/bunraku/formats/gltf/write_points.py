@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bunraku.body.layout import handle_names
 from bunraku.core.animation import Animation
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
@@ -21,10 +22,9 @@ from bunraku.core.resample import checked_fps
 from bunraku.core.skin_decomposition import RigidBones, decomposed
 from bunraku.errors import OptionError
 from bunraku.formats.gltf.builder import GltfBuilder
-from bunraku.formats.gltf.handle_channels import add_motion
+from bunraku.formats.gltf.bunraku_clip import add_motion
 from bunraku.formats.gltf.morph_targets import Shapes, key_shapes, mixed_shapes
 from bunraku.formats.gltf.write import build_document, document_of, finish_document, joint_attributes, keeps_positions
-from bunraku.formats.handle_names import handle_names
 
 if TYPE_CHECKING:
     from bunraku.core.character import Character
@@ -133,15 +133,15 @@ def _joined(animation: Animation, moving: np.ndarray, found: RigidBones) -> Anim
     weights[moving] = 0
     weights[moving, count:] = found.weights
     rest = animation.character.vertices[moving].astype(np.float64)
-    places = found.weights.T @ rest / np.maximum(found.weights.sum(axis=0), 1e-9)[:, None]
+    positions = found.weights.T @ rest / np.maximum(found.weights.sum(axis=0), 1e-9)[:, None]
     # R p + t = R (p - h) + h + s, so s = R h + t - h
-    shifts = np.einsum("nbac,bc->nba", found.rotations, places) + found.translations - places
+    shifts = np.einsum("nbac,bc->nba", found.rotations, positions) + found.translations - positions
     whole = HandleMotion(
         translations=np.concatenate([motion.translations, shifts], axis=1),
         rotations=np.concatenate([motion.rotations, found.rotations], axis=1),
         root_translation=motion.root_translation, root_rotation=motion.root_rotation, fps=motion.fps,
     )  # fmt: skip
-    return Animation(animation.character, Handles(np.concatenate([handles.positions, places]), weights), whole)
+    return Animation(animation.character, Handles(np.concatenate([handles.positions, positions]), weights), whole)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,8 +171,8 @@ def shapes_of_meshes(character: Character, moving: np.ndarray, shapes: np.ndarra
         shapes: How far each shape takes them [m], shape (T, M, 3).
     """
     source = document_of(character)
-    place = np.full(len(character.vertices), -1)
-    place[moving] = np.arange(len(moving))
+    numbering = np.full(len(character.vertices), -1)
+    numbering[moving] = np.arange(len(moving))
     out: list[list[GroupShapes]] = []
     start = 0
     for part in source.parts:
@@ -182,12 +182,12 @@ def shapes_of_meshes(character: Character, moving: np.ndarray, shapes: np.ndarra
         if not len(index):
             continue
         out.append([])
-        if (place[index] < 0).all():
+        if (numbering[index] < 0).all():
             continue
         kept = keeps_positions(part, character.vertices[index], character) and part.transform is not None
         back = np.linalg.inv(part.transform[:3, :3]) if kept and part.transform is not None else np.eye(3)
         for group in part.groups:
-            own = place[source.index[at : at + len(group.vertices)]]
+            own = numbering[source.index[at : at + len(group.vertices)]]
             at += len(group.vertices)
             rows = np.flatnonzero(own >= 0)
             values = np.ascontiguousarray((shapes @ back.T)[:, own[rows]], "<f4")

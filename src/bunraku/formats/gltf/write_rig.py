@@ -1,4 +1,4 @@
-"""Write a rig's animation as GLB: the file's own nodes, skins, materials and meshes with one animation.
+"""Write animations of a rig as GLB: the file's own nodes, skins, materials, meshes and clips, and the new clips first.
 
 Nodes keep their order, names and extras, so extensions that name them (those of VRM avatars) still mean the same.
 Meshes and images are carried over value by value (see `gltf_carry`); joints and weights are those that were read, which
@@ -9,27 +9,62 @@ rig.
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bunraku.core.character import Character
 from bunraku.core.resample import checked_fps
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.errors import FormatError
+from bunraku.errors import CharacterError, FormatError
 from bunraku.formats.files import check_output_folder
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, GltfBuilder
 from bunraku.formats.gltf.bunraku_clip import drop_clip
 from bunraku.formats.gltf.carry import MeshCarrier, carry_images, carry_tree
+from bunraku.formats.gltf.carry_clips import carry_clips
 from bunraku.formats.gltf.read import Source
 from bunraku.formats.gltf.rig_clip import add_bone_clip
 from bunraku.formats.gltf.scene.mesh import MeshPart
 from bunraku.formats.gltf.scene.nodes import read_nodes
 from bunraku.formats.gltf.write import document_of, finish_document
 
-__all__ = ["save_rig_animation"]
+__all__ = ["RigDocument", "save_rig_animation", "save_rig_clips", "write_rigged"]
 
 _KEPT = ("asset", "nodes", "scene", "scenes", "cameras", "extensions", "extras", "extensionsUsed", "extensionsRequired")
+
+
+@dataclass(frozen=True, eq=False)
+class RigDocument:
+    """A document with the bones of a character, to which clips are added.
+
+    Args:
+        builder: The document.
+        nodes: Node of each bone, length J.
+        source: The character's document where its own nodes are kept.
+        above: From the space of that document's scene to ours, shape (4, 4).
+    """
+
+    builder: GltfBuilder
+    nodes: list[int]
+    source: Source | None
+    above: np.ndarray
+
+    @classmethod
+    def of(cls, character: Character) -> RigDocument:
+        """That of a character with a rig."""
+        source = character.source
+        own = source if isinstance(source, Source) and _fits(source, character) else None
+        if own is None:
+            return cls(*_plain_rig(character), None, np.eye(4))
+        builder, nodes = _own_rig(own)
+        return cls(builder, nodes, own, _above_all(own, builder))
+
+    def local(self, animation: RigAnimation) -> np.ndarray:
+        """Transform of each bone's node in its parent, shape (N, J, 4, 4)."""
+        return _plain_local(animation) if self.source is None else _local(self.source, animation, self.above)
 
 
 def save_rig_animation(
@@ -48,13 +83,32 @@ def save_rig_animation(
         OptionError: `fps` is no number from 1 to 1000.
     """
     path = Path(path)
-    rate = checked_fps(fps, animation.fps)
+    return save_rig_clips({str(name) if name else path.stem: animation}, path, fps=fps)
+
+
+def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float | None = None) -> Path:
+    """Write several animations of one character as GLB, each as a clip of its name, and the file's own clips after
+    them.
+
+    Args:
+        clips: At least one, all of the same character.
+        path: The file.
+        fps: Frames a second of the channels [1/s]; those of each motion by default.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: `fps` is no number from 1 to 1000.
+    """
+    animation = next(iter(clips.values()))
+    rates = {name: checked_fps(fps, clip.fps) for name, clip in clips.items()}
     check_output_folder(path)
-    source = animation.character.source
     try:
-        own = isinstance(source, Source) and _fits(source, animation)
-        builder, joints, local = _own_rig(source, animation) if own else _plain_rig(animation)
-        add_bone_clip(builder, joints, local, animation.fps, rate, str(name) if name else path.stem)
+        written = RigDocument.of(animation.character)
+        builder, own = written.builder, written.source
+        for name, clip in clips.items():
+            add_bone_clip(builder, written.nodes, written.local(clip), clip.fps, rates[name], name)
+        if own:
+            carry_clips(own.document, builder, {node: node for node in range(len(own.document.items("nodes")))})
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {str(error)[:80]}"
         raise FormatError(
@@ -63,21 +117,33 @@ def save_rig_animation(
     return finish_document(builder, path)
 
 
-def _fits(source: Source, animation: RigAnimation) -> bool:
+def write_rigged(character: Character, path: Path) -> Path:
+    """Write a character with its rig as GLB, without motion: joints that are not turned where they rest, in a tree.
+
+    Raises:
+        CharacterError: It has no rig.
+        FormatError: The file cannot be written.
+    """
+    if character.rig is None:
+        raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
+    check_output_folder(path)
+    return finish_document(_plain_rig(character)[0], path)
+
+
+def _fits(source: Source, character: Character) -> bool:
     """Whether the document's joints are the rig's bones."""
-    rig = animation.character.rig
+    rig = character.rig
     assert rig is not None
     return (
         len(source.skins.nodes) == len(rig.names)
+        and source.moved is None
         and len(source.index) > 0
-        and int(source.index.max()) + 1 == len(animation.character.vertices)
+        and int(source.index.max()) + 1 == len(character.vertices)
     )
 
 
-def _own_rig(source: Source, animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndarray]:
-    """The document with its own nodes; also the nodes of the bones, and their transforms in their parents, shape (N, J,
-    4, 4).
-    """
+def _own_rig(source: Source) -> tuple[GltfBuilder, list[int]]:
+    """The document with its own nodes and without clips; also the nodes of the bones."""
     document = source.document
     tree = carry_tree(document)
     tree.update({key: copy.deepcopy(document.tree[key]) for key in _KEPT if key in document.tree})
@@ -101,27 +167,29 @@ def _own_rig(source: Source, animation: RigAnimation) -> tuple[GltfBuilder, list
             node["extensions"].pop("EXT_mesh_gpu_instancing", None)  # it names accessors
             if not node["extensions"]:
                 del node["extensions"]
-    _lift_skinned(tree)
-    return builder, source.skins.nodes, _local(source, animation, builder)
+    _lift_skinned(builder)
+    return builder, source.skins.nodes
 
 
-def _lift_skinned(tree: dict[str, Any]) -> None:
+def _lift_skinned(builder: GltfBuilder) -> None:
     """Put nodes with a skinned mesh on top of the scene, without a place of their own: what is above them moves
     nothing, by glTF's rule.
     """
-    nodes = tree.get("nodes", [])
+    nodes = builder.tree.get("nodes", [])
     lifted = {
         number for number, node in enumerate(nodes) if "mesh" in node and "skin" in node and not node.get("children")
     }
     above = {int(child): node for node in nodes for child in node.get("children", [])}
-    for scene in tree.get("scenes", []):
+    for scene in builder.tree.get("scenes", []):
         stack, shown = list(scene.get("nodes", [])), set()
         while stack:
             number = stack.pop()
             if number not in shown:
                 shown.add(number)
                 stack.extend(nodes[number].get("children", []))
-        scene["nodes"] = scene.get("nodes", []) + sorted(number for number in lifted & shown if number in above)
+        listed = scene.get("nodes", []) + sorted(number for number in lifted & shown if number in above)
+        if listed:  # a list may not be empty
+            scene["nodes"] = listed
     for number in lifted:
         for key in ("matrix", "translation", "rotation", "scale"):
             nodes[number].pop(key, None)
@@ -131,12 +199,10 @@ def _lift_skinned(tree: dict[str, Any]) -> None:
                 del above[number]["children"]
 
 
-def _local(source: Source, animation: RigAnimation, builder: GltfBuilder) -> np.ndarray:
-    """Transform of each bone's node in its parent, shape (N, J, 4, 4). A character that was turned upright gets a node
-    above all.
+def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
+    """From the space of the file's scene to ours, shape (4, 4). A character that was turned upright gets a node above
+    all.
     """
-    rig = animation.character.rig
-    assert rig is not None
     file = read_nodes(source.document)  # turned to the front where the file is a VRM 0.x
     raw = np.eye(4)
     extensions = source.document.tree.get("extensions")
@@ -145,7 +211,25 @@ def _local(source: Source, animation: RigAnimation, builder: GltfBuilder) -> np.
     roots = np.flatnonzero(source.tree.parents < 0)
     turn = source.tree.local[roots[0]] @ np.linalg.inv(file.local[roots[0]]) if len(roots) else np.eye(4)
     turn = np.round(turn) if np.allclose(turn, np.round(turn), atol=1e-6) else np.eye(4)
-    above_all = turn @ raw  # from the space of the file's scene to ours
+    if not np.array_equal(turn, np.eye(4)):
+        nodes = builder.tree["nodes"]
+        for scene in builder.tree.get("scenes", []):
+            free = [
+                node for node in scene.get("nodes", []) if "skin" in nodes[node] and not nodes[node].get("children")
+            ]
+            below = [node for node in scene.get("nodes", []) if node not in free]
+            if below:
+                scene["nodes"] = [
+                    *free,
+                    builder.add("nodes", {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}),
+                ]
+    return np.asarray(turn @ raw)
+
+
+def _local(source: Source, animation: RigAnimation, above_all: np.ndarray) -> np.ndarray:
+    """Transform of each bone's node in its parent, shape (N, J, 4, 4)."""
+    rig = animation.character.rig
+    assert rig is not None
     moved = animation.transforms().astype(np.float64)
     bones = {node: bone for bone, node in enumerate(source.skins.nodes)}
     frames = len(moved)
@@ -163,18 +247,6 @@ def _local(source: Source, animation: RigAnimation, builder: GltfBuilder) -> np.
         here[:, :3, 3] += moved[:, bone, :, 3]
         here[:, 3, 3] = 1
         world[node], out[:, bone] = here, np.linalg.pinv(above) @ here
-    if not np.array_equal(turn, np.eye(4)):
-        nodes = builder.tree["nodes"]
-        for scene in builder.tree.get("scenes", []):
-            free = [
-                node for node in scene.get("nodes", []) if "skin" in nodes[node] and not nodes[node].get("children")
-            ]
-            below = [node for node in scene.get("nodes", []) if node not in free]
-            if below:
-                scene["nodes"] = [
-                    *free,
-                    builder.add("nodes", {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}),
-                ]
     return out
 
 
@@ -235,11 +307,11 @@ def _influences(builder: GltfBuilder, joints: np.ndarray, weights: np.ndarray, s
     return out
 
 
-def _plain_rig(animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndarray]:
-    """The meshes with one skin made of the rig, whose bones turn in the world's axes where they rest; the rest as
-    `_own_rig`.
+def _plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
+    """The meshes with one skin made of the rig, whose bones turn in the world's axes where they rest; also the nodes of
+    the bones.
     """
-    character, rig = animation.character, animation.character.rig
+    rig = character.rig
     assert rig is not None
     source = document_of(character)
     builder = GltfBuilder(drop_clip(carry_tree(source.document)))
@@ -247,8 +319,8 @@ def _plain_rig(animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndar
     rest = rig.positions
     for bone, label in enumerate(rig.names):
         parent = int(rig.parents[bone])
-        place = rest[bone] - (rest[parent] if parent >= 0 else 0)
-        entry: dict[str, Any] = {"name": label, "translation": place.astype(np.float32).tolist()}
+        number = rest[bone] - (rest[parent] if parent >= 0 else 0)
+        entry: dict[str, Any] = {"name": label, "translation": number.astype(np.float32).tolist()}
         children = [int(child) for child in np.flatnonzero(rig.parents == bone)]
         builder.add("nodes", {**entry, "children": children} if children else entry)
     nodes = list(range(len(rest)))
@@ -265,7 +337,7 @@ def _plain_rig(animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndar
         start += len(index)
         if not len(index):
             continue
-        mesh, first = carrier.mesh(part, character.vertices[index]), 0
+        mesh, first = carrier.mesh(part, character.vertices[index], index), 0
         for group in part.groups:
             own = index[first : first + len(group.vertices)]
             first += len(own)
@@ -275,7 +347,15 @@ def _plain_rig(animation: RigAnimation) -> tuple[GltfBuilder, list[int], np.ndar
         label = str(source.document.item("nodes", part.node).get("name") or f"mesh_{part.mesh}")
         roots.append(builder.add("nodes", {"name": label, "mesh": builder.add("meshes", mesh), "skin": skin}))
     builder.tree["scenes"][0]["nodes"] = roots
+    return builder, nodes
+
+
+def _plain_local(animation: RigAnimation) -> np.ndarray:
+    """Transform of each bone in its parent, shape (N, J, 4, 4)."""
+    rig = animation.character.rig
+    assert rig is not None
+    rest = rig.positions
     local = np.tile(np.eye(4), (len(animation), len(rest), 1, 1))
     local[..., :3, :3] = animation.rotations
     local[..., :3, 3] = rest - np.where(rig.parents[:, None] >= 0, rest[rig.parents], 0) + animation.translations
-    return builder, nodes, local
+    return local

@@ -106,7 +106,7 @@ def _document(path: Path, vertices: dict[str, np.ndarray], triangles: np.ndarray
     image = embeddable(target) if target is not None and os.path.isfile(target) else None
     if image is not None:
         shader["baseColorTexture"] = {"index": 0}
-    materials = [{"name": path.stem, "pbrMetallicRoughness": shader}]
+    materials: list[dict[str, object]] = [{"name": path.stem, "pbrMetallicRoughness": shader}]
     images = [image] if image else None
     return mesh_document(
         path, positions, [(triangles, 0)], normals=normals, uvs=uvs, colors=colors, materials=materials, images=images

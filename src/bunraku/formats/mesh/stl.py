@@ -1,6 +1,6 @@
 """Read STL, text or binary.
 
-Its triangles repeat their corners; corners at exactly the same place become one vertex, so that the surface hangs
+Its triangles repeat their corners; corners at exactly the same position become one vertex, so that the surface hangs
 together.
 """
 
@@ -26,7 +26,7 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 def read_stl(path: Path, data: bytes) -> Character:
     """Read an STL file; vertices are numbered as they come first, triangles keep their order.
 
-    Triangles with two corners at one place have no surface and are dropped.
+    Triangles with two corners at one position have no surface and are dropped.
 
     Args:
         path: The file.
@@ -46,7 +46,7 @@ def read_stl(path: Path, data: bytes) -> Character:
         check_text(path, data)
     corners = _text(path, data) if text else _binary(path, data, count)
     vertices, triangles = _welded(corners)
-    material = {
+    material: dict[str, object] = {
         "name": path.stem,
         "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.9, "baseColorFactor": [0.6, 0.6, 0.6, 1]},
     }

@@ -22,7 +22,7 @@ def read_body(reader: MmdReader, name: str, bone: int, origin: np.ndarray) -> Mm
         reader: Behind its bone.
         name: Its name.
         bone: Its bone.
-        origin: What its place counts from [m], shape (3,).
+        origin: What its position counts from [m], shape (3,).
     """
     group, mask, shape = reader.values("BHB")
     size, position, angles = reader.floats(3), reader.floats(3), reader.floats(3)
@@ -35,7 +35,7 @@ def read_body(reader: MmdReader, name: str, bone: int, origin: np.ndarray) -> Mm
 
 
 def read_joint(reader: MmdReader, name: str, bodies: tuple[int, int]) -> MmdJoint:
-    """A joint from its place on."""
+    """A joint from its position on."""
     position, angles, lower, upper, angle_lower, angle_upper, spring, angle_spring = reader.floats(24).reshape(8, 3)
     low, high = mmd_points([lower, upper])
     low[2], high[2] = high[2], low[2]  # z is turned round
@@ -64,8 +64,8 @@ def check_physics(
         elif (body.size[: (1 if body.shape == "sphere" else 3 if body.shape == "box" else 2)] < 0).any():
             note("rigid bodies have a negative size and are left out", body.name)
         else:
-            kept[index] = _mended(body, bones, note)
-    number = {index: place for place, index in enumerate(kept)}
+            kept[index] = _repaired(body, bones, note)
+    number = {index: row for row, index in enumerate(kept)}
     good = []
     for joint in joints:
         a, b = joint.bodies
@@ -80,7 +80,7 @@ def check_physics(
     return tuple(kept.values()), tuple(good)
 
 
-def _mended(body: MmdBody, bones: int, note: Note) -> MmdBody:
+def _repaired(body: MmdBody, bones: int, note: Note) -> MmdBody:
     if not -1 <= body.bone < bones:
         note("rigid bodies are on a bone that does not exist and hang on none", body.name)
         body = replace(body, bone=-1)

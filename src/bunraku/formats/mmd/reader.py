@@ -1,4 +1,4 @@
-"""A place in the bytes of a PMX or PMD file that never leaves them."""
+"""A position in the bytes of a PMX or PMD file that never leaves them."""
 
 from __future__ import annotations
 

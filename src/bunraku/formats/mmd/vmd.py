@@ -39,7 +39,7 @@ class VmdTrack:
 
     Args:
         frames: Frame of each key at 30 frames a second, rising, shape (K,).
-        positions: How far the bone is moved from its rest place, in its parent's axes [m], shape (K, 3).
+        positions: How far the bone is moved from its rest position, in its parent's axes [m], shape (K, 3).
         rotations: How it is turned from its rest pose, xyzw, shape (K, 4).
         curves: Control points x1, y1, x2, y2 from 0 to 1 of the way from the key before to this one, for x, y, z and
             the rotation, shape (K, 4, 4).

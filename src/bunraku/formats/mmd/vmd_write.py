@@ -33,7 +33,7 @@ class MmdClip:
     """Motion of the bones of a model at 30 frames a second.
 
     Args:
-        bones: By their names: how far each is moved from its rest place, in its parent's axes [m], shape (N, 3), and
+        bones: By their names: how far each is moved from its rest position, in its parent's axes [m], shape (N, 3), and
             how it is turned from its rest pose, shape (N, 3, 3).
         model: Name of the model.
         ik_off: Bones whose inverse kinematics are off.

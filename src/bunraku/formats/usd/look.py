@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ class Look:
         textures: Images that are needed: bytes by file name.
     """
 
-    usd: dict[str, Any]
+    usd: dict[str, ModuleType]
     stage: Any
     root: str
     folder: str
@@ -185,14 +186,14 @@ def pieces(character: Character) -> list[Piece]:
     return out
 
 
-def _coordinates(document: Document, primitive: dict[str, Any], count: int) -> np.ndarray | None:
+def _coordinates(document: Document, primitive: dict[str, object], count: int) -> np.ndarray | None:
     """The texture coordinates that the base colour of a primitive is read by, with v upwards."""
     texture = None
     if type(primitive.get("material")) is int:
         rough = document.item("materials", primitive["material"]).get("pbrMetallicRoughness")
         texture = rough.get("baseColorTexture") if isinstance(rough, dict) else None
     number = texture.get("texCoord", 0) if isinstance(texture, dict) else 0
-    accessor = primitive["attributes"].get(f"TEXCOORD_{number}")
+    accessor = document.entry(primitive, "attributes").get(f"TEXCOORD_{number}")
     if accessor is None or document.count(accessor) != count:
         return None
     uv = np.nan_to_num(document.accessor(accessor, ("VEC2",)).astype(np.float32), posinf=0.0, neginf=0.0)
@@ -200,7 +201,7 @@ def _coordinates(document: Document, primitive: dict[str, Any], count: int) -> n
 
 
 def add_mesh(
-    usd: dict[str, Any], stage: Any, path: str, piece: Piece, character: Character, rest: np.ndarray, look: Look
+    usd: dict[str, ModuleType], stage: Any, path: str, piece: Piece, character: Character, rest: np.ndarray, look: Look
 ) -> Any:
     """Add a piece as a mesh and return it.
 

@@ -12,15 +12,16 @@ import shutil
 import tempfile
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bunraku.body.layout import handle_names
 from bunraku.core.resample import checked_fps
 from bunraku.errors import FormatError, MissingExtraError, OptionError
 from bunraku.formats.files import check_output_folder, open_to_others, writing
 from bunraku.formats.frames import UNITS, FileFrame
-from bunraku.formats.handle_names import handle_names
 from bunraku.formats.usd.look import Look, add_mesh, pieces, prim_name
 from bunraku.geometry.rotations import quaternion_from_matrix
 
@@ -47,7 +48,7 @@ def write_usd(
         fps: Frames a second [1/s]; those of the motion by default.
         up: "+y", as USD has it by default, or "+z"; the stage's `upAxis` says which.
         unit: Unit of lengths, one of `bunraku.formats.frames.UNITS`; the stage's `metersPerUnit` says which.
-        points: Write the place of every vertex in every frame instead of a skeleton.
+        points: Write the position of every vertex in every frame instead of a skeleton.
 
     Returns:
         The file that was written.
@@ -110,7 +111,7 @@ def check_available() -> None:
     _library()
 
 
-def _library() -> dict[str, Any]:
+def _library() -> dict[str, ModuleType]:
     try:
         return {
             name: import_module(f"pxr.{name}")
@@ -120,7 +121,7 @@ def _library() -> dict[str, Any]:
         raise MissingExtraError("usd-core", "usd", "writing USD") from error
 
 
-def _stage(usd: dict[str, Any], motion: HandleMotion, up: str, unit: str) -> Any:
+def _stage(usd: dict[str, ModuleType], motion: HandleMotion, up: str, unit: str) -> Any:
     stage = usd["Usd"].Stage.CreateInMemory()
     usd["UsdGeom"].SetStageUpAxis(stage, up[1:].upper())
     usd["UsdGeom"].SetStageMetersPerUnit(stage, UNITS[unit])
@@ -132,7 +133,9 @@ def _stage(usd: dict[str, Any], motion: HandleMotion, up: str, unit: str) -> Any
     return stage
 
 
-def _skinned(usd: dict[str, Any], stage: Any, root: str, animation: Animation, frame: FileFrame, look: Look) -> None:
+def _skinned(
+    usd: dict[str, ModuleType], stage: Any, root: str, animation: Animation, frame: FileFrame, look: Look
+) -> None:
     Gf, UsdSkel, Vt = usd["Gf"], usd["UsdSkel"], usd["Vt"]
     handles, motion = animation.handles, animation.motion
     names = [prim_name(name) for name in handle_names(handles)]
@@ -144,7 +147,7 @@ def _skinned(usd: dict[str, Any], stage: Any, root: str, animation: Animation, f
     skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
     skeleton.CreateJointsAttr(joints)
     for make, positions in ((skeleton.CreateBindTransformsAttr, h), (skeleton.CreateRestTransformsAttr, local)):
-        make(Vt.Matrix4dArray([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*place)) for place in positions.tolist()]))
+        make(Vt.Matrix4dArray([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*matrix)) for matrix in positions.tolist()]))
     clip = UsdSkel.Animation.Define(stage, f"{root}/Skeleton/Animation")
     clip.CreateJointsAttr(joints)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([clip.GetPath()])
@@ -219,7 +222,7 @@ def _check_textures(path: Path, look: Look) -> None:
         raise FormatError(path, f"{folder} exists and holds other files; choose another name for the USD file")
 
 
-def _export(usd: dict[str, Any], stage: Any, path: Path, look: Look) -> Path:
+def _export(usd: dict[str, ModuleType], stage: Any, path: Path, look: Look) -> Path:
     """Write the stage and its textures to a folder beside the target, from which they take their places when they are
     whole.
     """
@@ -246,7 +249,7 @@ def _export(usd: dict[str, Any], stage: Any, path: Path, look: Look) -> Path:
             written = bool(usd["UsdUtils"].CreateNewUsdzPackage(str(layer), str(package)))
             layer = package
         if not written:
-            raise FormatError(path, "USD cannot write the file; choose another place or free some space")
+            raise FormatError(path, "USD cannot write the file; choose another folder or free some space")
         open_to_others(layer)
         if look.textures and suffix != ".usdz":
             shutil.rmtree(path.parent / look.folder, ignore_errors=True)

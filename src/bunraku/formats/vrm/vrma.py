@@ -93,8 +93,8 @@ def _motion(document: Document) -> SkeletalMotion:
     nodes = [bones[name] for name in bones]
     chosen = {node: joint for joint, node in enumerate(nodes)}
     order = [node for node in tree.order if node in chosen]
-    place = {node: joint for joint, node in enumerate(order)}
-    found, above = tree.nearest(place), tree.parents[order]
+    index = {node: joint for joint, node in enumerate(order)}
+    found, above = tree.nearest(index), tree.parents[order]
     parents = np.where(above >= 0, found[above], -1)
     if (parents < 0).sum() != 1 or parents[0] >= 0 or order[0] != bones["hips"]:
         document.fail("its humanoid bones do not all hang on the hips; the file is broken, export it again")

@@ -1,4 +1,4 @@
-"""Write VRMA: the humanoid's rotations relative to the T-pose, and the place of the hips, for any VRM character to
+"""Write VRMA: the humanoid's rotations relative to the T-pose, and the position of the hips, for any VRM character to
 play.
 """
 

@@ -229,7 +229,7 @@ def _article(name: str) -> str:
 
 @functools.lru_cache(maxsize=4096)
 def creature_variants(species: str, action: str, mirrored: bool = False) -> tuple[str, ...]:
-    """All sentences for what a creature does: by its name, as "it", and as a person or character would be told.
+    """All sentences for what a creature does: by its name, as "it", and as for a person or character.
 
     Args:
         species: What it is: "horse", "shiba inu".

@@ -12,8 +12,7 @@ from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import matrix_y
+from bunraku.geometry.rotations import heading, matrix_y
 
 __all__ = ["SIDES", "Phrase", "Track", "runs", "smooth"]
 
@@ -77,7 +76,7 @@ class Track:
 
     Args:
         fps: Frames a second [1/s].
-        place: Path of the root on the ground (x, z) [m], shape (N, 2).
+        position: Path of the root on the ground (x, z) [m], shape (N, 2).
         height: Root over its rest height, over the ground near it in time [m], shape (N,).
         up: Cosine of the root's tilt, 1 upright, shape (N,).
         angle: Heading [rad], positive to the left, smooth, shape (N,).
@@ -88,7 +87,7 @@ class Track:
     """
 
     fps: float
-    place: np.ndarray
+    position: np.ndarray
     height: np.ndarray
     up: np.ndarray
     angle: np.ndarray
@@ -111,18 +110,18 @@ class Track:
             1,
         )
         ground = minimum_filter1d(feet.min(1), 2 * int(1.2 * fps) + 1, mode="nearest")
-        place = motion.root_translation[:, [0, 2]].astype(float)
+        position = motion.root_translation[:, [0, 2]].astype(float)
         angle = smooth(heading(motion.root_rotation, fps), 0.2, fps)
-        step = np.gradient(place, axis=0) * fps if len(place) > 1 else np.zeros_like(place)
+        step = np.gradient(position, axis=0) * fps if len(position) > 1 else np.zeros_like(position)
         drift = smooth(step, 0.25, fps)
         back = matrix_y(-angle)
         own = np.einsum("nij,nj->ni", back, np.stack([drift[:, 0], 0 * drift[:, 0], drift[:, 1]], 1))
         course = np.unwrap(np.arctan2(drift[:, 0], drift[:, 1]))
         height = motion.root_translation[:, 1].astype(float) - ground
-        return cls(fps, place, height, turn[:, 1, 1], angle, own[:, [2, 0]], course, points, feet - ground[:, None])
+        return cls(fps, position, height, turn[:, 1, 1], angle, own[:, [2, 0]], course, points, feet - ground[:, None])
 
     def __len__(self) -> int:
-        return len(self.place)
+        return len(self.position)
 
     def frames(self, seconds: float) -> int:
         """How many frames a time takes, at least one."""
@@ -136,5 +135,5 @@ class Track:
     def relative(self, name: str) -> np.ndarray:
         """A handle seen from the root in its heading: to the left, height in the world, forward [m], shape (N, 3)."""
         offset = self.points[name].copy()
-        offset[:, [0, 2]] -= self.place
+        offset[:, [0, 2]] -= self.position
         return np.einsum("nij,nj->ni", matrix_y(-self.angle), offset)

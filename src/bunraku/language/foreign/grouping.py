@@ -70,29 +70,29 @@ _MARKERS = frozenset("用把将在向往朝")
 def _measures(words: Sequence[Concept]) -> list[Concept]:
     """Numbers with what they count: "three steps", "twice", "90 degrees"; sides said of one part as "both"."""
     found: list[Concept] = []
-    place = 0
-    while place < len(words):
-        word = words[place]
-        after = words[place + 1] if place + 1 < len(words) else None
+    index = 0
+    while index < len(words):
+        word = words[index]
+        after = words[index + 1] if index + 1 < len(words) else None
         if word.kind == "times":
             word = replace(word, kind="count", value=_times(word.value.split()[0]))
         elif word.kind == "number" and after and after.kind == "unit":
             kind = "count" if after.value in ("times", "turns") else after.value
             word = replace(word, kind=kind, value=_measure(word.value, after.value), stop=after.stop)
-            place += 1
+            index += 1
         elif word.kind == "number" and after and after.kind == "part" and word.value in ("1", "2"):
             word = replace(word, kind="side", value="one" if word.value == "1" else "both")
         elif word.kind == "unit":
             if word.value != "steps":
-                place += 1
+                index += 1
                 continue
             word = replace(word, kind="steps", value="a step")
         elif word.kind == "side":
-            pair = words[place : place + 3]
+            pair = words[index : index + 3]
             if [one.kind for one in pair] == ["side", "and", "side"] and pair[0].value != pair[2].value:
-                word, place = replace(word, value="both"), place + 2
+                word, index = replace(word, value="both"), index + 2
         found.append(word)
-        place += 1
+        index += 1
     return found
 
 
@@ -156,7 +156,7 @@ def _clauses(words: Sequence[Concept], language: str) -> list[Clause]:
     clauses = [Clause()]
     waiting: list[Concept] = []  # Chinese: what stands before its verb
     ahead, like = False, False
-    for place, word in enumerate(words):
+    for index, word in enumerate(words):
         now = clauses[-1]
         if word.kind == "ignored":
             ahead = True
@@ -193,9 +193,9 @@ def _clauses(words: Sequence[Concept], language: str) -> list[Clause]:
             now.verb = word.value
             now.items += waiting
             waiting, ahead = [], False
-            if language == "ja" and place + 1 < len(words):
-                after = words[place + 1].kind
-                if after not in ("then", "and", "while", "before", "after", "stop") and _verb_later(words, place):
+            if language == "ja" and index + 1 < len(words):
+                after = words[index + 1].kind
+                if after not in ("then", "and", "while", "before", "after", "stop") and _verb_later(words, index):
                     clauses.append(Clause(link="then"))
         elif word.kind == "like":
             if language == "ja" and now.items and now.items[-1].kind in ("being", "noun"):
@@ -224,8 +224,8 @@ def _same(one: str, other: str) -> bool:
     return head_of(one) == head_of(other) and (one.startswith(other) or other.startswith(one))
 
 
-def _verb_later(words: Sequence[Concept], place: int) -> bool:
-    return any(word.kind == "verb" for word in words[place + 1 :])
+def _verb_later(words: Sequence[Concept], index: int) -> bool:
+    return any(word.kind == "verb" for word in words[index + 1 :])
 
 
 def _adjectives(clauses: list[Clause]) -> list[Clause]:
@@ -254,30 +254,30 @@ def _adjectives(clauses: list[Clause]) -> list[Clause]:
 def _ordered(clauses: list[Clause], asian: bool) -> list[Clause]:
     """Clauses in the order in which things happen: "before" and "after" become "then"."""
     found: list[Clause] = []
-    place = 0
-    while place < len(clauses):
-        clause = clauses[place]
-        after = clauses[place + 1] if place + 1 < len(clauses) else None
+    index = 0
+    while index < len(clauses):
+        clause = clauses[index]
+        after = clauses[index + 1] if index + 1 < len(clauses) else None
         if asian and after and after.link == "before" and after.verb:  # "before" stands after its verb
             found += [replace(after, link=clause.link, subject=clause.subject or after.subject)]
             found += [replace(clause, link="then", subject="")]
-            place += 2
+            index += 2
             continue
         if not asian and clause.link in ("before", "after"):
             if not found and after:  # "bevor er springt, läuft er"
                 first, second = (after, clause) if clause.link == "before" else (clause, after)
                 subject = clause.subject or after.subject
                 found += [replace(first, link="", subject=subject), replace(second, link="then", subject="")]
-                place += 2
+                index += 2
                 continue
             if found and clause.link == "after":
                 last = found.pop()
                 found += [replace(clause, link=last.link, subject=last.subject), replace(last, link="then", subject="")]
-                place += 1
+                index += 1
                 continue
             clause = replace(clause, link="then" if found else "")
         found.append(clause)
-        place += 1
+        index += 1
     if len(found) > 1:
         first, second = found[:2]
         leads = first.link == "while" and second.link != "while"  # "während er läuft, winkt er"

@@ -80,8 +80,8 @@ def _phrase(clause: Clause) -> str:
         given = _object(items, slot.group(1), head)
         verb = _SLOT.sub(_named(given, slot.group(1)) if given else slot.group(1), verb)
     phrases = [_said(item, verb, head, bool(slot)) for item in items if item is not given]
-    told = dict.fromkeys(text for _, text in sorted(phrases, key=lambda phrase: phrase[0]) if text)
-    return " ".join([verb, *told]).strip()
+    described = dict.fromkeys(text for _, text in sorted(phrases, key=lambda phrase: phrase[0]) if text)
+    return " ".join([verb, *described]).strip()
 
 
 def _object(items: Sequence[Concept], default: str, head: str) -> Concept | None:
@@ -114,7 +114,7 @@ def _said(item: Concept, verb: str, head: str, slot: bool) -> tuple[float, str]:
             return 1, ""
         return 1, f"{'on' if head in _ON and not slot else 'with'} {_part(item)}"
     if item.kind in ("noun", "being"):
-        name, _, place = item.value.partition("/")
+        name, _, position = item.value.partition("/")
         if name in words or (name == "water" and slot):
             return 2, ""
         if head == "climb" and name in _CLIMBED:
@@ -122,8 +122,8 @@ def _said(item: Concept, verb: str, head: str, slot: bool) -> tuple[float, str]:
         if item.kind == "noun" and (head in _COMES or head in lexicon().locomotion) and name in _PLACES:
             return 2, f"to the {name}"
         if "} up" in verb and head in ("stand", "get"):
-            return 2, place.replace("on ", "from ")
-        return 2, place or f"with {with_article(name)}"
+            return 2, position.replace("on ", "from ")
+        return 2, position or f"with {with_article(name)}"
     if item.kind == "likeness":
         return 4, f"like {with_article(item.value.split('/')[0])}"
     if item.kind == "direction":

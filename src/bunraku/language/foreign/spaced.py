@@ -69,7 +69,7 @@ def _lexicon(language: str) -> dict[str, list[_Form]]:
     def add(form: _Form) -> None:
         found.setdefault(form.words[0], []).append(form)
 
-    for text, kind, value, place in forms(language, fold):
+    for text, kind, value, position in forms(language, fold):
         *others, head = text.split("&")
         needed = [pair for other in others for pair in zip(*_split(other), strict=True)]
         reflexive = any(word in ("se", "sich") for word, _ in needed)
@@ -80,7 +80,7 @@ def _lexicon(language: str) -> dict[str, list[_Form]]:
             for joined in (particles[0], particles[0] + "zu", particles[0] + "ge"):
                 add(_Form((joined + words[0], *words[1:]), stem, kind, value, beside, "", reflexive))
         particle = particles[0] if particles else ""
-        add(_Form(words, stem, kind, value, beside, particle, reflexive, kind == "part" and place > 0))
+        add(_Form(words, stem, kind, value, beside, particle, reflexive, kind == "part" and position > 0))
     return found
 
 
@@ -112,9 +112,9 @@ class _Scan:
         self.tokens = [fold(word) for word in self.raw]
         self.taken = [False] * len(self.tokens)
 
-    def first_words(self, place: int) -> Iterator[tuple[_Form, bool]]:
+    def first_words(self, index: int) -> Iterator[tuple[_Form, bool]]:
         """Forms that may begin here, each with whether a reflexive pronoun hangs on it."""
-        lexicon, token = _lexicon(self.language), self.tokens[place]
+        lexicon, token = _lexicon(self.language), self.tokens[index]
         variants = [(token, False)]
         if self.language == "es":
             variants += [
@@ -130,23 +130,23 @@ class _Scan:
                     if form.stem[0] or not ending:
                         yield form, pronoun
 
-    def in_a_row(self, form: _Form, place: int) -> bool:
-        rest = self.tokens[place + 1 : place + len(form.words)]
+    def in_a_row(self, form: _Form, index: int) -> bool:
+        rest = self.tokens[index + 1 : index + len(form.words)]
         return (
             len(rest) == len(form.words) - 1
-            and not any(self.taken[place : place + len(form.words)])
+            and not any(self.taken[index : index + len(form.words)])
             and all(
                 _is(token, word, stem, self.language)
                 for token, word, stem in zip(rest, form.words[1:], form.stem[1:], strict=True)
             )
         )
 
-    def scattered(self, form: _Form, place: int, pronoun: bool, clause: tuple[int, int]) -> list[int] | None:
+    def scattered(self, form: _Form, at: int, pronoun: bool, clause: tuple[int, int]) -> list[int] | None:
         """Tokens of a clause that a form needs besides those in a row; None where they are not all there."""
-        own = range(place, place + len(form.words))
+        own = range(at, at + len(form.words))
         free = [index for index in range(*clause) if index not in own and not self.taken[index]]
         if form.reflexive and not pronoun:
-            near = free if self.language == "de" else [index for index in free if index in (place - 1, place + 1)]
+            near = free if self.language == "de" else [index for index in free if index in (at - 1, at + 1)]
             if not any(self.tokens[index] in _REFLEXIVE for index in near):
                 return None
         used = []
@@ -167,19 +167,19 @@ class _Scan:
 
     def clauses(self) -> list[tuple[int, int]]:
         """For each token the first of its clause and the one after its last: what connectors and stops part."""
-        edges, place = [-1], 0
-        while place < len(self.tokens):
+        edges, index = [-1], 0
+        while index < len(self.tokens):
             found = [
                 form
-                for form, _ in self.first_words(place)
-                if not form.others and not form.particle and not form.reflexive and self.in_a_row(form, place)
+                for form, _ in self.first_words(index)
+                if not form.others and not form.particle and not form.reflexive and self.in_a_row(form, index)
             ]
             best = max(found, key=_weight, default=None)
-            inside = self.language == "de" and place and self.tokens[place - 1][0].isalnum() and place - 1 not in edges
+            inside = self.language == "de" and index and self.tokens[index - 1][0].isalnum() and index - 1 not in edges
             then = best is not None and best.kind == "then" and len(best.words) == 1
-            if not self.tokens[place][0].isalnum() or (best and best.kind in _BOUNDARIES and not (then and inside)):
-                edges.append(place)
-            place += len(best.words) if best else 1
+            if not self.tokens[index][0].isalnum() or (best and best.kind in _BOUNDARIES and not (then and inside)):
+                edges.append(index)
+            index += len(best.words) if best else 1
         edges.append(len(self.tokens))
         spans: list[tuple[int, int]] = []
         for first, last in zip(edges, edges[1:], strict=False):
@@ -199,41 +199,41 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
     # verbs of several words first, so that what belongs to them is not read as something else
     best: dict[int, _Form] = {}
     options = []
-    for place in range(len(scan.tokens)):
-        for form, pronoun in scan.first_words(place):
-            if form.kind == "determiners" or not scan.in_a_row(form, place):
+    for at in range(len(scan.tokens)):
+        for form, pronoun in scan.first_words(at):
+            if form.kind == "determiners" or not scan.in_a_row(form, at):
                 continue
-            noun = place > 0 and scan.tokens[place - 1] in determiners and form.kind in ("noun", "part", "being")
+            noun = at > 0 and scan.tokens[at - 1] in determiners and form.kind in ("noun", "part", "being")
             weight = _weight(form)
-            options.append((weight[0] + (0.5 if noun else 0), weight[1:], -place, form, pronoun))
+            options.append((weight[0] + (0.5 if noun else 0), weight[1:], -at, form, pronoun))
     for _, _, negative, form, pronoun in sorted(options, key=lambda option: option[:3], reverse=True):
-        place = -negative
-        if not scan.in_a_row(form, place):
+        at = -negative
+        if not scan.in_a_row(form, at):
             continue
-        used = scan.scattered(form, place, pronoun, clauses[place])
+        used = scan.scattered(form, at, pronoun, clauses[at])
         if used is not None:
-            best[place] = form
-            for index in (*range(place, place + len(form.words)), *used):
+            best[at] = form
+            for index in (*range(at, at + len(form.words)), *used):
                 scan.taken[index] = True
-    place = 0
-    while place < len(scan.tokens):
-        start, stop = scan.spans[place]
-        token = scan.tokens[place]
-        if place in best:
-            form = best[place]
+    at = 0
+    while at < len(scan.tokens):
+        start, stop = scan.spans[at]
+        token = scan.tokens[at]
+        if at in best:
+            form = best[at]
             mark = "plural" if form.plural else ""
             if form.kind == "verb" and len(form.words) == 1:
                 mark = "infinitive" if token.endswith(_INFINITIVE[language]) else ""
                 mark = "gerund" if token.endswith(_GERUND[language]) else mark
             elif form.kind == "verb" and not any(form.stem) and not form.others:
                 mark = "adverb"  # "de puntillas", "à quatre pattes"
-            elif form.kind == "then" and clauses[place][0] < place < clauses[place][1]:
+            elif form.kind == "then" and clauses[at][0] < at < clauses[at][1]:
                 mark = "inside"  # "und springt dann hoch"
-            stop = scan.spans[place + len(form.words) - 1][1]
+            stop = scan.spans[at + len(form.words) - 1][1]
             found.append(Concept(form.kind, form.value, start, stop, mark))
-            place += len(form.words)
+            at += len(form.words)
             continue
-        if not scan.taken[place]:
+        if not scan.taken[at]:
             if token.isdigit():
                 found.append(Concept("number", token, start, stop))
             elif not token[0].isalnum():
@@ -241,6 +241,6 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
             elif token in _REFLEXIVE:
                 found.append(Concept("ignored", token, start, stop))
             else:
-                found.append(Concept("unknown", scan.raw[place], start, stop))
-        place += 1
+                found.append(Concept("unknown", scan.raw[at], start, stop))
+        at += 1
     return found

@@ -67,9 +67,9 @@ def forms(language: str, fold: Callable[[str], str] = str) -> list[tuple[str, st
         fold: What is done to the forms of a row.
     """
     return [
-        (form, _KINDS.get(section, section), row["en"], place)
+        (form, _KINDS.get(section, section), row["en"], index)
         for section, rows in table().items()
         for row in rows
-        for place, form in enumerate(fold(row.get(language, "")).split(", "))
+        for index, form in enumerate(fold(row.get(language, "")).split(", "))
         if form
     ]

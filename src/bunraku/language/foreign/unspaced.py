@@ -94,44 +94,44 @@ def scan_unspaced(text: str, language: str) -> list[Concept]:
         wide if len(wide := unicodedata.normalize("NFKC", letter)) == 1 else letter for letter in text
     ).lower()
     found: list[Concept] = []
-    place = 0
-    while place < len(plain):
-        letter = plain[place]
+    index = 0
+    while index < len(plain):
+        letter = plain[index]
         if letter.isspace():
-            place += 1
+            index += 1
             continue
         if not letter.isalnum() and letter not in "ー々":
-            found.append(Concept("comma" if letter in "、,，；;：:" else "stop", letter, place, place + 1))
-            place += 1
+            found.append(Concept("comma" if letter in "、,，；;：:" else "stop", letter, index, index + 1))
+            index += 1
             continue
-        digits = _DIGITS.match(plain, place)
+        digits = _DIGITS.match(plain, index)
         if digits:
-            found.append(Concept("number", digits.group(), place, digits.end()))
-            place = digits.end()
+            found.append(Concept("number", digits.group(), index, digits.end()))
+            index = digits.end()
             continue
-        most = min(longest, len(plain) - place)
-        size = next((size for size in range(most, 0, -1) if plain[place : place + size] in lexicon), 0)
+        most = min(longest, len(plain) - index)
+        size = next((size for size in range(most, 0, -1) if plain[index : index + size] in lexicon), 0)
         if size:
-            concept, place = _read(plain, place, size, lexicon[plain[place : place + size]], language, found)
+            concept, index = _read(plain, index, size, lexicon[plain[index : index + size]], language, found)
             found.append(concept)
             continue
-        stop = place + 1
+        stop = index + 1
         if letter.isascii():
-            stop = place + len(re.match(r"[a-z0-9'-]+", plain[place:]).group())  # type: ignore[union-attr]
-        if found and found[-1].kind == "unknown" and found[-1].stop == place and not letter.isascii():
+            stop = index + len(re.match(r"[a-z0-9'-]+", plain[index:]).group())  # type: ignore[union-attr]
+        if found and found[-1].kind == "unknown" and found[-1].stop == index and not letter.isascii():
             found[-1] = Concept("unknown", text[found[-1].start : stop], found[-1].start, stop)
         else:
-            found.append(Concept("unknown", text[place:stop], place, stop))
-        place = stop
+            found.append(Concept("unknown", text[index:stop], index, stop))
+        index = stop
     return found
 
 
 def _read(
-    plain: str, place: int, size: int, rows: list[tuple[str, str, str]], language: str, before: list[Concept]
+    plain: str, index: int, size: int, rows: list[tuple[str, str, str]], language: str, before: list[Concept]
 ) -> tuple[Concept, int]:
     """One word, what hangs on it, and where the next begins."""
     kind, value, mark = rows[0]
-    after = place + size
+    after = index + size
     last = before[-1] if before else None
     if language == "ja":
         kinds = {row[0]: row for row in rows}
@@ -147,4 +147,4 @@ def _read(
             tail = _AFTER_STEM.match(plain, after)
             if tail:
                 after, mark = tail.end(), "plain"
-    return Concept(kind, value, place, after, mark), after
+    return Concept(kind, value, index, after, mark), after

@@ -44,21 +44,21 @@ def _phrases() -> tuple[tuple[str, str, frozenset[str]], ...]:
 @functools.cache
 def _index() -> tuple[dict[str, tuple[int, ...]], dict[str, float], dict[str, list[str]]]:
     """Phrases by stem, the weight of each stem (rare ones say more), and stems by the pairs of letters in them."""
-    places: dict[str, list[int]] = {}
-    for place, (_, _, stems) in enumerate(_phrases()):
+    indices: dict[str, list[int]] = {}
+    for index, (_, _, stems) in enumerate(_phrases()):
         for one in stems:
-            places.setdefault(one, []).append(place)
-    weights = {one: math.log(1 + len(_phrases()) / len(where)) for one, where in places.items()}
+            indices.setdefault(one, []).append(index)
+    weights = {one: math.log(1 + len(_phrases()) / len(where)) for one, where in indices.items()}
     looks: dict[str, list[str]] = {}
-    for one in places:
+    for one in indices:
         for pair in _pairs(one):
             looks.setdefault(pair, []).append(one)
-    return {one: tuple(where) for one, where in places.items()}, weights, looks
+    return {one: tuple(where) for one, where in indices.items()}, weights, looks
 
 
 def _pairs(word: str) -> frozenset[str]:
     padded = f" {word} "
-    return frozenset(padded[place : place + 2] for place in range(len(padded) - 1))
+    return frozenset(padded[index : index + 2] for index in range(len(padded) - 1))
 
 
 def _alike(word: str, most: int = 6) -> list[tuple[str, float]]:
@@ -86,19 +86,19 @@ def nearest_sentences(words: Sequence[str], unknown: Sequence[str] = (), count: 
                 continue
             wanted[one] = max(wanted.get(one, 0.0), 0.5 * share)
     for one, share in wanted.items():
-        for place in where.get(one, ()):
-            scores[place] += share * weights[one]  # type: ignore[assignment]
+        for index in where.get(one, ()):
+            scores[index] += share * weights[one]  # type: ignore[assignment]
     phrases = _phrases()
     usual = Counter(verb for _, verb, _ in phrases if verb not in _DOING)  # where nothing is near: what is done most
 
-    def rank(place: int) -> tuple[float, int, int, int]:
-        _, verb, stems = phrases[place]
-        return -scores[place] / (2 + len(stems)), -usual[verb], len(stems), place
+    def rank(index: int) -> tuple[float, int, int, int]:
+        _, verb, stems = phrases[index]
+        return -scores[index] / (2 + len(stems)), -usual[verb], len(stems), index
 
     order = sorted(range(len(phrases)), key=rank)
     found: dict[str, str] = {}
-    for place in order:
-        sentence, verb, _ = phrases[place]
+    for index in order:
+        sentence, verb, _ = phrases[index]
         if verb not in found:
             found[verb] = sentence
         if len(found) == count:

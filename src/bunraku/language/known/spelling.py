@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 
-from bunraku.language.known.pieces import word_pieces
+from bunraku.language.known.tokenizer import word_pieces
 from bunraku.language.known.vocabulary import FUNCTION_WORDS, known_words, stem
 
 __all__ = ["corrected", "slips"]
@@ -56,8 +56,8 @@ def corrected(word: str) -> str:
     near = [*_often().get(plain[0], ()), *(other for other in _often().get(plain[1], ()) if other[1] == plain[0])]
     letters = set(plain)
     found = [
-        (slips(plain, other, most), place, other)
-        for place, other in enumerate(near)
+        (slips(plain, other, most), index, other)
+        for index, other in enumerate(near)
         if len(letters.symmetric_difference(other)) <= 2 * most
     ]
     best = min((item for item in found if item[0] <= most and _likely(plain, item[2])), default=None)
@@ -70,5 +70,5 @@ def _likely(word: str, other: str) -> bool:
     """
     if len(word) != len(other) + 1 or len(word) >= _LONG:
         return True
-    twice = [place for place in range(len(other)) if word[place] == word[place + 1]]
-    return any(word[:place] + word[place + 1 :] == other for place in twice)
+    twice = [index for index in range(len(other)) if word[index] == word[index + 1]]
+    return any(word[:index] + word[index + 1 :] == other for index in twice)

@@ -1,17 +1,23 @@
 """Sentences as numbers of word pieces, as BERT's uncased tokenizer gives them (Devlin et al. 2019; Wu et al. 2016).
 
 The package `tokenizers` does the same and brings a client for model hubs and 40 MB with it; a test holds the two
-together.
+together. Its words and the encoder's config travel in the header of the weights.
 """
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 import unicodedata
 from functools import lru_cache
+from pathlib import Path
 
-__all__ = ["WordPieces"]
+from bunraku.errors import WeightsError
+from bunraku.formats.files import weights_folder
+
+__all__ = ["WordPieces", "encoder_file", "read_header", "word_pieces"]
+
 
 FIRST, LAST, UNKNOWN = "[CLS]", "[SEP]", "[UNK]"
 LONGEST_WORD = 100
@@ -77,10 +83,10 @@ class WordPieces:
 
 def _words(text: str) -> list[str]:
     """Words in small letters without accents, and signs, each by itself."""
-    plain = "".join(_cleaned(letter) for letter in text)
-    bare = "".join(letter for letter in unicodedata.normalize("NFD", plain) if unicodedata.category(letter) != "Mn")
-    small = "".join(letter.lower() for letter in bare)
-    return "".join(f" {letter} " if _is_sign(letter) else letter for letter in small).split()
+    plain = "".join(map(_cleaned, text))
+    bare = [letter for letter in unicodedata.normalize("NFD", plain) if unicodedata.category(letter) != "Mn"]
+    small = "".join(map(str.lower, bare))
+    return "".join([f" {letter} " if _is_sign(letter) else letter for letter in small]).split()
 
 
 @lru_cache(maxsize=4096)
@@ -90,7 +96,8 @@ def _cleaned(letter: str) -> str:
         return " "
     if letter in "\0\ufffd" or unicodedata.category(letter) in ("Cc", "Cf", "Co", "Cs"):
         return ""
-    return f" {letter} " if any(low <= ord(letter) <= high for low, high in _IDEOGRAPHS) else letter
+    ideograph = ord(letter) >= _IDEOGRAPHS[1][0] and any(low <= ord(letter) <= high for low, high in _IDEOGRAPHS)
+    return f" {letter} " if ideograph else letter
 
 
 @lru_cache(maxsize=4096)
@@ -98,3 +105,36 @@ def _is_sign(letter: str) -> bool:
     code = ord(letter)
     ascii_sign = 33 <= code <= 47 or 58 <= code <= 64 or 91 <= code <= 96 or 123 <= code <= 126
     return ascii_sign or unicodedata.category(letter)[0] == "P"
+
+
+def encoder_file() -> Path:
+    """The text encoder's weights: in the folder that BUNRAKU_WEIGHTS names, where they are there, or in the package."""
+    path = weights_folder() / "text.safetensors"
+    return path if path.is_file() else Path(__file__).resolve().parents[2] / "weights" / path.name
+
+
+def read_header(path: Path) -> dict[str, str]:
+    """The "config" and the "tokenizer" of the text encoder, as JSON.
+
+    Raises:
+        WeightsError: The file is missing, damaged or another.
+    """
+    from safetensors import safe_open
+
+    try:
+        with safe_open(path, framework="np") as file:
+            header: dict[str, str] = file.metadata() or {}
+    except Exception as error:
+        raise WeightsError(f"{path}: the text encoder cannot be read ({error}); install Bunraku again") from error
+    if header.get("kind") != "text" or not {"config", "tokenizer"} <= header.keys():
+        raise WeightsError(f"{path}: this is not a text encoder of Bunraku; install Bunraku again")
+    return header
+
+
+@functools.cache
+def word_pieces() -> frozenset[str]:
+    """Whole words and pieces that the text encoder knows; empty where its file is not there."""
+    try:
+        return frozenset(json.loads(read_header(encoder_file())["tokenizer"])["model"]["vocab"])
+    except (WeightsError, ValueError, KeyError, TypeError):
+        return frozenset()

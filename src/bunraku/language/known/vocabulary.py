@@ -104,8 +104,8 @@ def known_words() -> dict[str, int]:
     """
     written: dict[str, int] = _written()["words"]
     named = [row["en"].replace("/", " ") for section in ("beings", "parts") for row in table()[section]]
-    told = (*lexicon().words, *lexicon().verbs, _THINGS)
-    listed = " ".join((*known_phrases(), *creature_words(), *named, *told))
+    lexical = (*lexicon().words, *lexicon().verbs, _THINGS)
+    listed = " ".join((*known_phrases(), *creature_words(), *named, *lexical))
     return dict.fromkeys(re.findall(r"[a-z]+", listed.lower()), 1) | dict.fromkeys(FUNCTION_WORDS, 1) | written
 
 

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.language.lexicon.reading import said_phrases
+from bunraku.language.lexicon.reading import said_phrases, words_of
 from bunraku.language.lexicon.tables import lexicon
-from bunraku.language.lexicon.tokens import words_of
 
 __all__ = ["CUES", "said_cues", "sentence_cues"]
 
@@ -31,13 +30,13 @@ def _place_of(words: list[str], at: int) -> str:
     """
     known = lexicon().places
     for word in words[at + 1 : at + 3]:
-        for place, noun in _NOUNS:
+        for part, noun in _NOUNS:
             if word in known[noun]:
-                return place
+                return part
     for word in [*reversed(words[:at]), *words[at + 1 :]]:
-        for place, verb in _VERBS:
+        for part, verb in _VERBS:
             if word in known[verb]:
-                return place
+                return part
     return "go"
 
 

@@ -1,17 +1,42 @@
-"""What a text says by the lexicon: actions, cues, traits, the way of moving, and known words in place of rare ones."""
+"""What a text says by the lexicon: its words, actions, cues, traits, the locomotion, and known words in place of
+rare ones.
+"""
 
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Iterable, Sequence
 
 from bunraku.language.lexicon.tables import Phrase, lexicon
-from bunraku.language.lexicon.tokens import words_of
 
 __all__ = [
-    "actions_of", "goes_ahead", "in_known_words", "is_cyclic", "locomotion_of", "main_actions", "said_otherwise",
-    "said_phrases", "said_traits",
-]  # fmt: skip
+    "actions_of",
+    "goes_ahead",
+    "in_known_words",
+    "is_cyclic",
+    "locomotion_of",
+    "main_actions",
+    "said_otherwise",
+    "said_phrases",
+    "said_traits",
+    "words_of",
+]
+
+
+_WORD = re.compile(r"[^\W_]+|[^\w\s'’-]")
+
+
+def words_of(text: str) -> tuple[list[str], list[tuple[int, int]]]:
+    """The words of a text in small letters and where each stands; a sign of punctuation is a word, and hyphens and
+    apostrophes part words.
+    """
+    words: list[str] = []
+    spans: list[tuple[int, int]] = []
+    for found in _WORD.finditer(text):
+        words.append(found.group().lower())
+        spans.append(found.span())
+    return words, spans
 
 
 @functools.lru_cache(maxsize=4096)
@@ -43,15 +68,15 @@ def _end(phrase: Phrase, words: Sequence[str], start: int) -> int:
         return stop if any(word in sets[-1] for word in words[start + 1 :]) else 0  # type: ignore[operator]
     if stop > len(words) or (last and stop != len(words)):
         return 0
-    for place in range(start + 1, stop):
-        allowed = sets[place - start]
-        if (words[place] not in allowed) if allowed is not None else not words[place].isalnum():
+    for index in range(start + 1, stop):
+        allowed = sets[index - start]
+        if (words[index] not in allowed) if allowed is not None else not words[index].isalnum():
             return 0
     if ahead:
-        place = stop
+        index = stop
         for allowed in after:
-            if place < len(words) and words[place] in allowed:
-                place += 1
+            if index < len(words) and words[index] in allowed:
+                index += 1
             elif "" not in allowed:
                 return 0
     elif after and stop < len(words) and words[stop] in after[0]:
@@ -99,7 +124,7 @@ def said_traits(text: str) -> frozenset[str]:
 
 
 def locomotion_of(predicate: str) -> str:
-    """The way of moving of the first verb that has one; "" where none has."""
+    """The locomotion of the first verb that has one; "" where none has."""
     known = lexicon().locomotion
     return next((known[word] for word in words_of(predicate)[0] if word in known), "")
 
@@ -112,11 +137,11 @@ def said_otherwise(predicate: str, verb: str) -> str:
         verb: In the third person.
     """
     known = lexicon().locomotion
-    words, places = words_of(predicate)
+    words, spans = words_of(predicate)
     for number, word in enumerate(words):
         if word in known:
-            start = 0 if number == 1 and words[0] == "is" else places[number][0]
-            return predicate[:start] + verb + predicate[places[number][1] :]
+            start = 0 if number == 1 and words[0] == "is" else spans[number][0]
+            return predicate[:start] + verb + predicate[spans[number][1] :]
     return predicate
 
 
@@ -125,25 +150,25 @@ def in_known_words(text: str) -> str:
     if not said_phrases(text)["synonyms"]:
         return text
     table = lexicon()
-    words, places = words_of(text)
-    out, copied, place = "", 0, 0
-    while place < len(words):
+    words, spans = words_of(text)
+    out, copied, index = "", 0, 0
+    while index < len(words):
         best: tuple[int, Phrase] | None = None
-        for phrase in table.phrases.get(words[place], ()):
+        for phrase in table.phrases.get(words[index], ()):
             if phrase.section == "synonyms":
-                stop = _end(phrase, words, place)
+                stop = _end(phrase, words, index)
                 if stop and (best is None or stop > best[0]):
                     best = stop, phrase
         if best is None:
-            place += 1
+            index += 1
             continue
         stop, phrase = best
         known = table.synonyms[phrase.name]
         if known:
-            first = text[places[place][0] : places[place][1]]
-            out += text[copied : places[place][0]] + (first if known == "=" else _in_form(known, words[place]))
-            copied = places[stop - 1][1]
-        place = stop
+            first = text[spans[index][0] : spans[index][1]]
+            out += text[copied : spans[index][0]] + (first if known == "=" else _in_form(known, words[index]))
+            copied = spans[stop - 1][1]
+        index = stop
     return out + text[copied:]
 
 

@@ -7,10 +7,10 @@
 | `actions` | a canonical word and what is known of it (see `Action`), the more special first |
 | `locomotion`, `parts` | verbs that move, or move a part of the body, otherwise than the action that they say |
 | `ground` | how somebody who moves so is on the ground, as `Clause.moves`; "stay" is for all others |
-| `otherwise` | what some kinds of body do in place of a way of moving (see `Otherwise`); the first that fits counts |
+| `otherwise` | what some kinds of body do in place of a locomotion (see `Otherwise`); the first that fits counts |
 | `cues` | what `cues.sentence_cues` counts and the network is conditioned on: training knows it, it stays as it is |
 | `places` | what a "left" or "right" may be the side of |
-| `traits` | what else is told of a clause (`Clause.traits`) |
+| `traits` | what else a clause says (`Clause.traits`) |
 | `synonyms` | words that training hardly has, and what is read in their place: "" where they stay, "=" for the first |
 
 A phrase is words in a row, with these signs: `walk/run` either; `{walk}` a verb, plain, in the third
@@ -31,7 +31,7 @@ import functools
 import json
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 __all__ = ["Action", "Lexicon", "Otherwise", "Phrase", "lexicon"]
 
@@ -46,7 +46,7 @@ class Action:
 
     Args:
         said: Phrases that say it.
-        locomotion: The way of moving of its verbs: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none.
+        locomotion: The locomotion of its verbs: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none.
         part: What its verbs move: "legs", "arms", "head", "arms and head"; "" for neither or all.
         cyclic: It is still the same when it is done again.
         seconds: How long captured people take for it when it is done once, a median, rounded up [s]; 0 for what goes
@@ -77,11 +77,11 @@ class Otherwise:
     """A row of `otherwise`.
 
     Args:
-        locomotion: Ways of moving.
+        locomotion: Kinds of locomotion.
         bodies: Kinds of body (`language.bodies.KINDS`).
         verb: What is said in place of the verb, in the third person; "" for nothing else.
         moves: How the body then moves, as `Clause.moves`.
-        note: What somebody is told then; "{clause}" stands for what was said.
+        note: The note that is printed then; "{clause}" stands for the clause.
     """
 
     locomotion: tuple[str, ...]
@@ -129,14 +129,14 @@ class Lexicon:
         gerund: All gerunds.
         lemmas: The verb of each form, its own plain one among them.
         actions: The rows of that section.
-        locomotion: The way of moving of each form of a verb that has one.
+        locomotion: The locomotion of each form of a verb that has one.
         parts: What each form of a verb moves, where it moves a part of the body.
         phrases: All phrases by the words that they may begin with.
         names: Names of the rows of each section.
         places: What a side may be the side of, and the words that say it.
         synonyms: What is read in place of each synonym, by its name.
         ground: How somebody who moves so is on the ground.
-        otherwise: What some kinds of body do in place of a way of moving.
+        otherwise: What some kinds of body do in place of a locomotion.
         words: All words of the phrases, and of the rows' names.
     """
 
@@ -156,10 +156,28 @@ class Lexicon:
     words: frozenset[str]
 
 
+class _Table(TypedDict):
+    """What `lexicon.json` holds, as its head says it."""
+
+    verbs: dict[str, str]
+    actions: dict[str, dict[str, Any]]
+    locomotion: dict[str, str]
+    parts: dict[str, str]
+    classes: dict[str, str]
+    cues: dict[str, list[str]]
+    traits: dict[str, list[str]]
+    places: dict[str, list[str]]
+    synonyms: list[tuple[str, str]]
+    ground: dict[str, str]
+    otherwise: list[dict[str, Any]]
+
+
 @functools.cache
 def lexicon() -> Lexicon:
     """The lexicon of the package."""
-    data = json.loads(resources.files("bunraku.language.lexicon").joinpath("lexicon.json").read_text(encoding="utf-8"))
+    data: _Table = json.loads(
+        resources.files("bunraku.language.lexicon").joinpath("lexicon.json").read_text(encoding="utf-8")
+    )
     verbs: dict[str, tuple[str, ...]] = {}
     lemmas: dict[str, str] = {}
     third, gerund = set(), set()
@@ -193,25 +211,25 @@ def lexicon() -> Lexicon:
         for verb, value in found.items():
             for form in (verb, *verbs[verb]):
                 forms_of[form] = value
-    data["classes"]["verb"] = " ".join("{" + verb + "}" for verb in verbs)
-    data["classes"]["going"] = " ".join("{" + verb + "+}" for verb, way in moving.items() if way in _LEGS)
+    data["classes"]["verb"] = " ".join(["{" + verb + "}" for verb in verbs])
+    data["classes"]["going"] = " ".join(["{" + verb + "+}" for verb, way in moving.items() if way in _LEGS])
     phrases, words = _phrases(data, verbs)
     otherwise = []
     for row in data["otherwise"]:
         otherwise.append(Otherwise(**{**row, "locomotion": tuple(row["locomotion"]), "bodies": tuple(row["bodies"])}))
-    places: dict[str, frozenset[str]] = {}
+    where: dict[str, frozenset[str]] = {}
     for starting in phrases.values():
         for one in starting:
             if one.section == "places":
-                places[one.name] = one.words[0] or frozenset()
+                where[one.name] = one.words[0] or frozenset()
     return Lexicon(
         verbs, frozenset(third), frozenset(gerund), lemmas, actions, by_form[0], by_form[1], phrases,
-        {section: tuple(data[section]) for section in ("actions", "cues", "traits")}, places,
+        {section: tuple(data[section]) for section in ("actions", "cues", "traits")}, where,
         dict(data["synonyms"]), data["ground"], tuple(otherwise), words,
     )  # fmt: skip
 
 
-def _phrases(data: dict[str, Any], verbs: dict[str, tuple[str, ...]]) -> tuple[dict[str, list[Phrase]], frozenset[str]]:
+def _phrases(data: _Table, verbs: dict[str, tuple[str, ...]]) -> tuple[dict[str, list[Phrase]], frozenset[str]]:
     """All phrases by the words that they may begin with, and all words in them."""
     sets: dict[str, frozenset[str]] = {}  # of what stands between two spaces
     index: dict[str, list[Phrase]] = {}

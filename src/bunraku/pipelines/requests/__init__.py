@@ -1,1 +1,1 @@
-"""What is asked for: a sentence or a motion, how it is drawn, what it must meet, and how apparel moves."""
+"""What is requested: a sentence or a motion, how it is drawn, what it must meet, and how apparel moves."""

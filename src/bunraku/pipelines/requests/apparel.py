@@ -1,4 +1,4 @@
-"""How apparel is asked to move."""
+"""How apparel moves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bunraku.errors import OptionError
 __all__ = ["APPAREL", "Apparel"]
 
 APPAREL = ("auto", "none", "rigid", "simulate", "learn")
-"""How apparel may move, beside a mask; "rigid" is "none"."""
+"""How apparel may move, beside a mask; "rigid" is another word for "none"."""
 MASKS = (".npy", ".txt", ".ply", ".glb")
 
 
@@ -22,7 +22,7 @@ class Apparel:
     """How hair and clothes move.
 
     Args:
-        motion: "none" or "rigid" moves them with the body; "simulate" by the rigid bodies or springs of an MMD or VRM
+        motion: "none" (or "rigid") moves them with the body; "simulate" by the rigid bodies or springs of an MMD or VRM
             file, on the bones of its own rig; "learn" by a network that finds them on any mesh; "auto" simulates where
             the file has physics and learns where the mesh has apparel; or the file of a mask of what is to be learned.
         stiffness: How stiff learned apparel is, as a factor, 0.001 to 1000.
@@ -62,7 +62,7 @@ class Apparel:
 
         Args:
             constraints: Those of a request.
-            handles: Whether handles are given or asked for.
+            handles: Whether handles are given or requested.
             dashes: What stands before the names of options in messages.
 
         Raises:

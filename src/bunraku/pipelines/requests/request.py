@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from bunraku.core.request.json_form import from_json, to_json
-from bunraku.core.request.limits import CANDIDATES, GUIDANCE, SECONDS, SEED, STEPS
+from bunraku.core.request.limits import CANDIDATES, GUIDANCE, SEED, STEPS, WHOLE
 from bunraku.errors import OptionError
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints
@@ -16,10 +17,12 @@ if TYPE_CHECKING:
     from bunraku.language.sentence import Sentence
     from bunraku.retarget.fit import Stages
 
-__all__ = ["HANDLES", "Request", "Sampling", "check_handles"]
+__all__ = ["HANDLES", "RIGS", "Request", "Sampling", "check_handles"]
 
 HANDLES = ("predict", "rig")
 """How handles are made where none are given."""
+RIGS = ("auto", "own", "handles")
+"""What of a character moves."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class Sampling:
     """How a motion is drawn from a sentence.
 
     Args:
-        seconds: Length of the clip, 0.5 to 120; prompts in a row without seconds of their own share it.
+        seconds: Length of the clip, at least 0.5, and at most 120 in one pass; prompts in a row without seconds of
+            their own share it.
         seed: The same seed and version give the same motion.
         steps: Sampling steps, 1 to 1000; more is slower. Default: 20.
         guidance: How closely to follow the sentence, 0 to 20. Default: 3.5.
@@ -50,7 +54,7 @@ class Sampling:
         Raises:
             OptionError: A number is outside its limits.
         """
-        SECONDS.check(self.seconds, f"{dashes}seconds")
+        WHOLE.check(self.seconds, f"{dashes}seconds")
         SEED.check(self.seed, f"{dashes}seed")
         STEPS.check(self.steps, f"{dashes}steps")
         GUIDANCE.check(self.guidance, f"{dashes}guidance")
@@ -71,6 +75,8 @@ class Request:
         stages: Which stages fit the motion to the character; the defaults when None.
         handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
         force: Go on even where no movement of the sentence is understood.
+        rig: What moves: "own" the bones of the file's skeleton, "handles" the 30 handles, "auto" the bones where they
+            are understood as those of a person or of four legs and no handles are requested, and handles otherwise.
     """
 
     sentence: str | Sentence
@@ -80,6 +86,7 @@ class Request:
     stages: Stages | None = None
     handles: Handles | Literal["predict", "rig"] = "predict"
     force: bool = False
+    rig: Literal["auto", "own", "handles"] = "auto"
 
     def __post_init__(self) -> None:
         if not isinstance(self.constraints, Constraints):
@@ -90,12 +97,28 @@ class Request:
         """The sentence as it was typed."""
         return self.sentence if isinstance(self.sentence, str) else self.sentence.prompt
 
+    @cached_property
+    def parsed(self) -> Sentence:
+        """The sentence, parsed.
+
+        Raises:
+            OptionError: It is empty, too long or not understood, or a length is out of range.
+        """
+        from bunraku.language.parse import parse
+
+        given = self.sentence
+        return parse(given, self.sampling.seconds, self.force) if isinstance(given, str) else given
+
+    def with_parsed(self) -> Request:
+        """The same with its sentence parsed, which is then not parsed again."""
+        return replace(self, sentence=self.parsed)
+
     def with_seed(self, seed: int) -> Request:
         """The same with another seed."""
         return replace(self, sampling=replace(self.sampling, seed=seed))
 
     def check(self, dashes: str = "", clip: bool = False) -> None:
-        """Whether this can be asked for; what the sentence says is checked where it is read.
+        """Whether this can be requested; what the sentence says is checked where it is read.
 
         Args:
             dashes: What stands before the names of options in messages.
@@ -108,8 +131,16 @@ class Request:
         self.apparel.check(dashes)
         check_handles(self.handles)
         self.constraints.check(dashes, clip)
-        given = not isinstance(self.handles, str) or self.handles != "predict"
-        self.apparel.check_with(self.constraints, given, dashes)
+        if self.rig not in RIGS:
+            raise OptionError(f"what moves is 'auto', 'own' or 'handles', not '{self.rig}'; choose one of the three")
+        if self.rig == "own" and self.handles_given:
+            raise OptionError(f"handles are no bones of the file; leave out {dashes}rig own or {dashes}handles")
+        self.apparel.check_with(self.constraints, self.handles_given or self.rig == "handles", dashes)
+
+    @property
+    def handles_given(self) -> bool:
+        """Whether it says which handles there are, or that they are made in another way than by default."""
+        return not isinstance(self.handles, str) or self.handles != "predict"
 
     def to_json(self) -> dict[str, Any]:
         """The JSON form.
@@ -123,7 +154,7 @@ class Request:
             "sentence": self.prompt, "sampling": to_json(self.sampling),
             "constraints": self.constraints.to_json(), "apparel": to_json(self.apparel),
             "stages": None if self.stages is None else to_json(self.stages), "handles": self.handles,
-            "force": self.force,
+            "force": self.force, "rig": self.rig,
         }  # fmt: skip
 
     @classmethod
@@ -131,7 +162,7 @@ class Request:
         """The request of a JSON form, checked.
 
         Raises:
-            OptionError: It is none, or cannot be asked for.
+            OptionError: It is none, or cannot be requested.
         """
         form = from_json(_Form, data, "the request")
         stages = None
@@ -140,7 +171,9 @@ class Request:
 
             stages = from_json(Stages, form.stages, "stages")
         constraints = Constraints.from_json(form.constraints)
-        found = cls(form.sentence, form.sampling, constraints, form.apparel, stages, form.handles, form.force)
+        found = cls(
+            form.sentence, form.sampling, constraints, form.apparel, stages, form.handles, form.force, form.rig
+        )  # fmt: skip
         found.check(clip=any(one.kind in ("keep", "pose") for one in constraints))
         return found
 
@@ -156,6 +189,7 @@ class _Form:
     stages: object = None
     handles: Literal["predict", "rig"] = "predict"
     force: bool = False
+    rig: Literal["auto", "own", "handles"] = "auto"
 
 
 def check_handles(handles: object) -> None:

@@ -20,7 +20,7 @@ __all__ = ["ONTO", "RATE", "TransferRequest"]
 ONTO = ("auto", "handles", "rig")
 """What of a character a motion goes onto."""
 RATE = 30.0
-"""Frames a second [1/s] of what is transferred, unless another rate is asked for."""
+"""Frames a second [1/s] of what is transferred, unless another rate is requested."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class TransferRequest:
     clip: int | str = 0
 
     def check(self, dashes: str = "") -> None:
-        """Whether this can be asked for.
+        """Whether this can be requested.
 
         Args:
             dashes: What stands before the names of options in messages.

@@ -108,18 +108,20 @@ def draw_grid(
 
 
 def shade(
-    window: tuple[int, int, int, int], screen: np.ndarray, faces: np.ndarray, points: np.ndarray, normals: np.ndarray,
-    colors: np.ndarray, ids: np.ndarray, base: np.ndarray, axes: np.ndarray, eye: np.ndarray, focal: float,
-    ground: float, light: np.ndarray, lights: np.ndarray, heights: np.ndarray, floor_shadow: np.ndarray,
-    corner: tuple[float, float], texel: float, encode: np.ndarray, out: np.ndarray,
-) -> None:  # fmt: skip
+    window: tuple[int, int, int, int],
+    mesh: reference.Drawn,
+    view: reference.View,
+    lighting: reference.Lighting,
+    shadows: reference.ShadowMap,
+    ids: np.ndarray,
+    base: np.ndarray,
+    out: np.ndarray,
+) -> None:
     height, width = ids.shape[:2]
     if not _call(
-        "shade", width, height, np.array(window, np.int32), screen, faces, points, normals, colors, ids, base,
-        _doubles(axes), _doubles(eye), focal, float(ground), _doubles(light), _doubles(lights), heights, floor_shadow,
-        len(heights), *map(float, (*corner, texel)), encode, len(encode) - 1, out,
+        "shade", width, height, np.array(window, np.int32), *mesh, ids, base, _doubles(view.axes), _doubles(view.eye),
+        view.focal, float(lighting.ground), _doubles(lighting.light), _doubles(lighting.lights), shadows.heights,
+        shadows.floor, len(shadows.heights), *map(float, (*shadows.corner, shadows.texel)), lighting.encode,
+        len(lighting.encode) - 1, out,
     ):  # fmt: skip
-        reference.shade(
-            window, screen, faces, points, normals, colors, ids, base, axes, eye, focal, ground, light, lights, heights,
-            floor_shadow, corner, texel, encode, out,
-        )  # fmt: skip
+        reference.shade(window, mesh, view, lighting, shadows, ids, base, out)

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 __all__ = [
-    "LINE_WIDTH", "accumulate_normals", "draw_grid", "drop_shadow", "measure", "project", "rasterise", "rays", "shade",
+    "LINE_WIDTH",
+    "Drawn",
+    "Lighting",
+    "ShadowMap",
+    "View",
+    "accumulate_normals",
+    "draw_grid",
+    "drop_shadow",
+    "measure",
+    "project",
+    "rasterise",
+    "rays",
+    "shade",
     "soften",
-]  # fmt: skip
+]
 
 # Four samples a pixel on a rotated grid, as graphics cards place them.
 SAMPLES = ((0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875))
@@ -215,21 +228,64 @@ def _occlusion(heights: np.ndarray, x: np.ndarray, y: np.ndarray, height: np.nda
     return np.where(inside, total / 9, 0)
 
 
+class Drawn(NamedTuple):
+    """A posed mesh: `screen` of `project`, faces (F, 3), and points [m], normals and linear colours (V, 3)."""
+
+    screen: np.ndarray
+    faces: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    colors: np.ndarray
+
+
+class View(NamedTuple):
+    """Axes of the camera (rows right, up, back), its place [m], and its focal length [pixels]."""
+
+    axes: np.ndarray
+    eye: np.ndarray
+    focal: float
+
+
+class Lighting(NamedTuple):
+    """Height of the floor [m]; direction towards the key light; linear colours of the key light, the sky, the bounce
+    from the floor and the rim, shape (4, 3); and the sRGB value of linear 0..2 in equal steps, highlights compressed.
+    """
+
+    ground: float
+    light: np.ndarray
+    lights: np.ndarray
+    encode: np.ndarray
+
+
+class ShadowMap(NamedTuple):
+    """Maps of `Shadows`, the x and z of their corner, and the side of a texel [m]."""
+
+    heights: np.ndarray
+    floor: np.ndarray
+    corner: tuple[float, float]
+    texel: float
+
+
 def shade(
-    window: tuple[int, int, int, int], screen: np.ndarray, faces: np.ndarray, points: np.ndarray, normals: np.ndarray,
-    colors: np.ndarray, ids: np.ndarray, base: np.ndarray, axes: np.ndarray, eye: np.ndarray, focal: float,
-    ground: float, light: np.ndarray, lights: np.ndarray, heights: np.ndarray, floor_shadow: np.ndarray,
-    corner: tuple[float, float], texel: float, encode: np.ndarray, out: np.ndarray,
-) -> None:  # fmt: skip
+    window: tuple[int, int, int, int],
+    mesh: Drawn,
+    view: View,
+    lighting: Lighting,
+    shadows: ShadowMap,
+    ids: np.ndarray,
+    base: np.ndarray,
+    out: np.ndarray,
+) -> None:
     """Shade the samples of each pixel of a rectangle, once for each face that it sees, and average them into `out`
     (H, W, 3), uint8.
-
-    `lights` holds the linear colours of the key light, the sky, the bounce from the floor and the rim, shape (4, 3),
-    and `encode` the sRGB value of linear 0..2 in equal steps, highlights compressed.
     """
     left, top, right, bottom = window
     if left >= right or top >= bottom:
         return
+    screen, faces, points, normals, colors = mesh
+    axes, eye, focal = view
+    ground, light, lights, encode = lighting
+    heights, floor_shadow, corner, texel = shadows
     size = (ids.shape[1], ids.shape[0])
     rows, columns = (side.ravel() for side in np.mgrid[top:bottom, left:right])
     found = ids[rows, columns]
@@ -261,15 +317,15 @@ def shade(
         length = np.linalg.norm(n, axis=1)
         # Rows grow downwards, so a face turned to the viewer has a negative area here.
         n = n / np.where(length > 0, np.where(area < 0, length, -length), np.where(area < 0, 1, -1))[:, None]
-        view = (eye - q) / np.linalg.norm(eye - q, axis=1, keepdims=True)
+        towards = (eye - q) / np.linalg.norm(eye - q, axis=1, keepdims=True)
         facing = n @ light
         # The bias grows where the light grazes the surface; lifting along the normal keeps creases clean.
         lifted = q + n * (texel * (1.5 + 2.5 * (1 - np.maximum(facing, 0))))[:, None]
         rise = lifted[:, 1] - ground
         hidden = _occlusion(heights, *on_map(lifted[:, [0, 2]] - rise[:, None] * slopes), rise + 1.5 * texel)
         key, sky = np.maximum((facing + 0.2) / 1.2, 0) * (1 - 0.7 * hidden), 0.5 + 0.5 * n[:, 1]
-        rim = (1 - np.maximum(np.einsum("pi,pi->p", n, view), 0)) ** 3 * sky
-        half = (view + light) / np.linalg.norm(view + light, axis=1, keepdims=True)
+        rim = (1 - np.maximum(np.einsum("pi,pi->p", n, towards), 0)) ** 3 * sky
+        half = (towards + light) / np.linalg.norm(towards + light, axis=1, keepdims=True)
         gloss = 0.05 * np.maximum(np.einsum("pi,pi->p", n, half), 0) ** 16 * (1 - hidden)
         value = albedo * (np.stack([key, sky, 1 - sky], axis=1) @ lights[:3]) + rim[:, None] * lights[3]
         value += gloss[:, None]

@@ -10,8 +10,8 @@ import numpy as np
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
-from bunraku.geometry.heading import heading
 from bunraku.geometry.rotations import (
+    heading,
     matrix_from_axis_angle,
     matrix_from_quaternion,
     matrix_y,

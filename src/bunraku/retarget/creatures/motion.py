@@ -112,7 +112,7 @@ def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: 
 
     Args:
         rig: Facing +Z.
-        turns: World turn of each bone from the rest pose, shape (N, J, 3, 3).
+        turns: World rotation of each bone from the rest pose, shape (N, J, 3, 3).
         positions: Where its head is [m], shape (N, J, 3).
         fps: Frames a second [1/s].
     """

@@ -10,6 +10,7 @@ import numpy as np
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import SkeletalMotion, local_rotations
 from bunraku.geometry.rotations import matrix_y, nearest_rotation, rotation_between
+from bunraku.geometry.steady import tallest_steady
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 
 __all__ = ["Limbs", "Stance", "find_limbs", "find_stance"]
@@ -43,8 +44,8 @@ class Stance:
     Args:
         turns: World rotation of each joint, shape (J, 3, 3).
         positions: Of the joints [m], shape (J, 3).
-        rest: Whether it is the skeleton's rest pose; otherwise the mean of the frames in which the animal stands, and
-            of its left and right legs.
+        rest: Whether it is the skeleton's rest pose; otherwise the mean of the tallest steady frames in which the
+            animal stands, and of its left and right legs.
     """
 
     turns: np.ndarray
@@ -97,6 +98,8 @@ def find_stance(motion: SkeletalMotion, limbs: Limbs, parts: np.ndarray) -> Stan
     standing = _stands(positions.astype(np.float64), limbs)
     if standing.mean() < LEAST:
         return None
+    # a trunk may be as level in a sitting or a crouching animal
+    standing[standing] = tallest_steady(_heights(positions[standing].astype(np.float64), limbs), motion.fps)
     return _mean_stance(motion, world[standing].astype(np.float64), _heading(positions[standing], limbs), limbs)
 
 
@@ -123,7 +126,7 @@ def _mean_stance(motion: SkeletalMotion, world: np.ndarray, headings: np.ndarray
 
 
 def _evening(positions: np.ndarray, limbs: Limbs) -> dict[int, np.ndarray]:
-    """The turns of the bones of the legs of an animal that faces +Z to where they and their mirror images meet."""
+    """The rotations of the bones of the legs of an animal that faces +Z to where they and their mirror images meet."""
     out: dict[int, np.ndarray] = {}
     for left, right in (limbs.hind, limbs.front):
         if len(left) != len(right):
@@ -144,6 +147,15 @@ def _heading(positions: np.ndarray, limbs: Limbs) -> np.ndarray:
     """Where the trunk points, about +Y from +Z [rad], shape (N,)."""
     ahead = _tops(positions, limbs.front) - _tops(positions, limbs.hind)
     return np.asarray(np.arctan2(ahead[:, 0], ahead[:, 2]))
+
+
+def _heights(positions: np.ndarray, limbs: Limbs) -> np.ndarray:
+    """How high the hips and the shoulders are over the lower foot of their pair, in the mean [m], shape (N,)."""
+    pairs = [
+        _tops(positions, lines)[:, 1] - np.min([positions[:, line[-1], 1] for line in lines], axis=0)
+        for lines in (limbs.hind, limbs.front)
+    ]
+    return np.asarray(np.mean(pairs, axis=0))
 
 
 def _stands(positions: np.ndarray, limbs: Limbs) -> np.ndarray:

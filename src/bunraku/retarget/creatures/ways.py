@@ -18,10 +18,8 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
-from bunraku.retarget.creatures.lying import laid
-from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
+from bunraku.retarget.fit import posed
 from bunraku.retarget.stages.ground import Ground
 from bunraku.retarget.stages.tail import Tail
 
@@ -40,7 +38,6 @@ BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [
 BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
 SPEED = {"swim": 0.7, "slither": 0.5}  # heights of the root in a second
 STAYS = 0.25  # who gets ahead by less than this share of that gets no farther alone
-BARE = Stages(feet=False, ground=False, smooth=False, floor=False, support=False)
 AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
 """How long before and after a frame the ground is touched at the latest [s]; who steps has one foot on it always."""
 LEAST = 0.01  # what hovers by less, over the height, is left to the stages of fitting
@@ -66,7 +63,7 @@ def wing_swing(motion: HandleMotion, held: float | None = None) -> float:
 
 
 def moved_so(motion: HandleMotion, way: str, where: slice, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
-    """The motion with what a way of moving needs in some of its frames; as it is for other ways than "fly", "swim" and
+    """The motion with what a locomotion needs in some of its frames; as it is for other kinds than "fly", "swim" and
     those of `AIR`. "Stay" is to be in the air for no longer than a jump, and "lie" to be on the ground with all but the
     front.
 
@@ -81,6 +78,8 @@ def moved_so(motion: HandleMotion, way: str, where: slice, anatomy: Anatomy, loo
     if way not in ("fly", *WAVE, *AIR) or len(frames) < 2:
         return motion
     if way in ("lie", "slither"):
+        from bunraku.retarget.creatures.lying import laid
+
         turned, root = laid(motion, _amount(len(motion), frames, motion.fps))
         motion = replace(_attached(motion, turned, motion.root_translation.astype(np.float64)), root_rotation=root)
     if way == "fly":
@@ -106,11 +105,8 @@ def _grounded(motion: HandleMotion, way: str, frames: np.ndarray, anatomy: Anato
         return motion
     share = _amount(len(motion), frames, motion.fps)
     motion = _tail_lowered(motion, share, anatomy)
-    fitted = fit_motion(motion, anatomy, BARE)
-    hovers = share * gaussian_filter1d(
-        Ground().hovering(fitted, anatomy, AIR[way]),
-        AIR[way] / 3 * motion.fps, mode="nearest",
-    )  # fmt: skip
+    hovers = Ground().hovering(posed(motion, anatomy), anatomy, AIR[way])
+    hovers = share * gaussian_filter1d(hovers, AIR[way] / 3 * motion.fps, mode="nearest")
     least = Ground().flies[0] if way == "stay" else LEAST  # what `fit_motion` sets down
     if hovers.max() < least * anatomy.mesh.height:
         return motion

@@ -31,9 +31,9 @@ def pose_work(model: MmdModel) -> int:
     """
     parents = model.parents
     below = np.ones(len(parents), np.int64)  # a bone and those under it
-    for place in reversed(bone_order(parents)):
-        if parents[place] >= 0:
-            below[parents[place]] += below[place]
+    for index in reversed(bone_order(parents)):
+        if parents[index] >= 0:
+            below[parents[index]] += below[index]
     work = len(parents)
     for goal, bone in enumerate(model.bones):
         if bone.append is not None:

@@ -122,12 +122,12 @@ def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:
         {bone for line in lines.values() for bone in line[: line.index(root) + 1]},
         key=lambda bone: (len(line_up(bone, parents)), bone),
     )
-    place = {bone: number for number, bone in enumerate(chosen)}
-    above = np.array([place.get(int(parents[bone]), -1) if bone != root else -1 for bone in chosen])
+    index = {bone: number for number, bone in enumerate(chosen)}
+    above = np.array([index.get(int(parents[bone]), -1) if bone != root else -1 for bone in chosen])
     rest = poses.model.positions[chosen]
     offsets = rest - np.where(above[:, None] >= 0, rest[above], 0)
     local = local_rotations(poses.rotations[:, chosen].astype(float), above)
     skeleton = Skeleton(tuple(poses.model.names[bone] for bone in chosen), above, offsets)
     motion = SkeletalMotion(skeleton, local, poses.positions[:, root], poses.fps)
-    joints = tuple(place[joint] if joint >= 0 else -1 for joint in found.joints)
+    joints = tuple(index[joint] if joint >= 0 else -1 for joint in found.joints)
     return to_smpl(motion, SkeletonMap(joints, found.how, found.convention))

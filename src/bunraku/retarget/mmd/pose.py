@@ -61,8 +61,8 @@ def pose_mmd(
 
     Args:
         model: The model.
-        tracks: By bones' names: how far each is moved from its rest place [m] (N, 3), and how it is turned (N, 3, 3),
-            in its parent's axes. Bones without a track rest; names that the model lacks are passed over.
+        tracks: By bones' names: how far each is moved from its rest position [m] (N, 3), and how it is turned (N, 3,
+            3), in its parent's axes. Bones without a track rest; names that the model lacks are passed over.
         ik: By names of bones with inverse kinematics: whether they are on, shape (N,), bool; on where nothing is said.
         frames: N, where there are no tracks to tell.
         fps: Frames a second [1/s].
@@ -264,8 +264,8 @@ class _State:
         chosen: np.ndarray,
     ) -> None:
         """One step of the descent: turn a link so that the target comes as near to the goal as it can."""
-        bone, frame, place = link.bone, self.rotations[chosen, link.bone], self.positions[chosen, link.bone]
-        now, want = _into(frame, self.positions[chosen, ik.target] - place), _into(frame, where - place)
+        bone, frame, position = link.bone, self.rotations[chosen, link.bone], self.positions[chosen, link.bone]
+        now, want = _into(frame, self.positions[chosen, ik.target] - position), _into(frame, where - position)
         if axis is not None and link.lower is not None and link.upper is not None:
             y, z = (axis + 1) % 3, (axis + 2) % 3
             turn = np.arctan2(

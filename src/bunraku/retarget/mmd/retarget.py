@@ -1,9 +1,9 @@
 """Onto the bones of MMD models: the motion of SMPL's 22 joints, and any animation of a model's rig, as keys for a VMD.
 
-A model rests in an A-pose and SMPL in a T-pose. With C the turns of `rotations_of_rest`, which take the T-pose to the
-model's rest pose, a bone's world rotation is `W = W_smpl C^T`, the way back of `to_smpl`. The centre bone carries the
-pelvis and the path, so both halves of the trunk start from it; the path is scaled by the ratio of leg lengths. Inverse
-kinematics of legs are off, since rotations say it all.
+A model rests in an A-pose and SMPL in a T-pose. With C the rotations of `rotations_of_rest`, which take the T-pose to
+the model's rest pose, a bone's world rotation is `W = W_smpl C^T`, the way back of `to_smpl`. The centre bone carries
+the pelvis and the path, so both halves of the trunk start from it; the path is scaled by the ratio of leg lengths.
+Inverse kinematics of legs are off, since rotations say it all.
 """
 
 from __future__ import annotations

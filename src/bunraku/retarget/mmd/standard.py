@@ -53,13 +53,13 @@ def standard_model() -> MmdModel:
     bones: list[MmdBone] = []
     number: dict[str, int] = {}
 
-    def add(name: str, place: np.ndarray, parent: str = "", moves: bool = False, ik: MmdIk | None = None) -> None:
+    def add(name: str, position: np.ndarray, parent: str = "", moves: bool = False, ik: MmdIk | None = None) -> None:
         number[name] = len(bones)
         bones.append(
             MmdBone(
                 name,
                 "",
-                np.asarray(place, float),
+                np.asarray(position, float),
                 number.get(parent, -1),
                 layer=int(ik is not None),
                 moves=moves,

@@ -50,7 +50,6 @@ def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarr
 class Feet(Stage):
     """Standing feet do not slide.
 
-
     The root's path and then the legs make up for what they would slide.
 
     Args:

@@ -31,7 +31,6 @@ _PARTS = [part for arm in _ARMS for part in arm]
 class Fins(Stage):
     """Fins, claws and forelegs that nothing was drawn for stay near their rest.
 
-
     Args:
         undrawn: Arms that are off the trunk's turn by no more on average were not drawn [rad].
         aside: Each part of a fin is held so far from its rest at the most, but for its swings [rad].

@@ -17,8 +17,7 @@ from bunraku.anatomy.ground import lowest
 from bunraku.anatomy.joints import attach_joints
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
+from bunraku.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.stages.stage import Fitting, Stage
 
 __all__ = ["Front"]
@@ -29,7 +28,6 @@ _TRUNK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "n
 @dataclass(frozen=True)
 class Front(Stage):
     """Heads of bodies that lie along their spine are kept above the ground.
-
 
     Args:
         sink: A head may be so far under the ground, over the height.

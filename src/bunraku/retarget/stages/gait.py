@@ -37,7 +37,6 @@ def _swings(motion: HandleMotion) -> np.ndarray:
 class Gait(Stage):
     """Legs beyond those of a person step in turn.
 
-
     Args:
         shortest: Shortest cycle of steps [s].
         longest: Longest one [s].

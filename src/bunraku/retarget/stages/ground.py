@@ -1,4 +1,6 @@
-"""Feet on the floor: how high a character stands and how its lowest point follows the reference body's."""
+"""How high a character stands: its lowest point follows the reference body's, and nothing sinks into the ground: the
+stages `ground` and `floor` of fitting.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +8,23 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.linalg import solveh_banded
+from scipy.ndimage import convolve1d, gaussian_filter1d, maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.bending import move_feet
 from bunraku.anatomy.ground import lowest, standing
+from bunraku.anatomy.legs import Leg, foot_points
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
+from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.easing import smooth_step
-from bunraku.retarget.stages.stage import Fitting, Stage
+from bunraku.retarget.stages.feet import add_bending
+from bunraku.retarget.stages.stage import Contacts, Fitting, Stage
 
-__all__ = ["Ground"]
+__all__ = ["Floor", "Ground", "enough"]
+
 
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 
@@ -24,7 +32,6 @@ _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 @dataclass(frozen=True)
 class Ground(Stage):
     """The lowest point is as high above the ground as the reference body's.
-
 
     That of what the character stands on, in its own scale. A reference body that drifts off the ground for longer than
     a jump lasts is set back on it. A motion that brings its own height keeps it where the body has wings or no legs or
@@ -34,6 +41,7 @@ class Ground(Stage):
         flies: Heights over the ground, as shares of the body's, between which what hovers becomes what flies.
         jump: Nobody stays in the air for twice as long [s].
         soft: How softly the ground of a hovering body is found [s].
+        held: How far below feet, seat and back the hands are of who stands on them [m].
     """
 
     name: ClassVar[str] = "ground"
@@ -41,6 +49,7 @@ class Ground(Stage):
     flies: tuple[float, float] = (0.12, 0.2)
     jump: float = 0.75
     soft: float = 0.25
+    held: float = 0.25
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         motion = fitting.motion
@@ -48,7 +57,7 @@ class Ground(Stage):
             return fitting.moved(self.followed(fitting.source, motion, anatomy, fitting.heights))
         wings = bool(anatomy.joints.present[_WINGS].all())
         flies = not anatomy.legs or anatomy.upright or wings  # who is upright may climb or hang
-        return fitting.moved(self.settled(motion, anatomy, flies))
+        return fitting.moved(self.grounded(motion, anatomy, flies))
 
     def followed(
         self,
@@ -71,21 +80,13 @@ class Ground(Stage):
                 shape (N,).
         """
         character, handles, stands = anatomy.mesh, anatomy.mesh_handles, anatomy.stands
-        body = reference_body()
-        want = (
-            lowest(body.vertices, body.handle_weights, motion, body.handles.positions) if heights is None else heights
-        )
-        window = 2 * round(self.jump * motion.fps) + 1
-        drift = gaussian_filter1d(
-            minimum_filter1d(want, window, mode="nearest"), self.soft * motion.fps, mode="nearest"
-        )
+        below = self._standing_of(motion) if heights is None else None
+        want = self._ground_of(motion, below) if below is not None else np.asarray(heights)
+        drift = self._local_ground(want, motion.fps)
         have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions)
         seen = character.surface
-        if heights is None and stands.sum() < seen.sum():
-            feet = standing(body.character(), body.handles)
-            hands_down = (
-                lowest(body.vertices[feet], body.handle_weights[feet], motion, body.handles.positions) > want + 0.01
-            )
+        if below is not None and stands.sum() < seen.sum():
+            hands_down = below > want + 0.01
             if hands_down.any():
                 have = np.where(
                     hands_down, lowest(character.vertices[seen], handles.weights[seen], fitted, handles.positions), have
@@ -95,7 +96,38 @@ class Ground(Stage):
         moved[:, 1] += lift
         return replace(fitted, root_translation=moved)
 
-    def settled(self, fitted: HandleMotion, anatomy: Anatomy, flies: bool = True) -> HandleMotion:
+    def _standing_of(self, motion: HandleMotion) -> np.ndarray:
+        """Height of the lowest point of all that the reference body may stand on [m], shape (N,): not of its arms."""
+        body = reference_body()
+        some = standing(body.character(), body.handles)
+        return lowest(body.vertices[some], body.handle_weights[some], motion, body.handles.positions)
+
+    def _ground_of(self, motion: HandleMotion, stands: np.ndarray) -> np.ndarray:
+        """Height of the lowest point of the reference body [m], shape (N,), but for hands that have sunk in.
+
+        The ground is where feet, seat or back are, which come down to it again and again. Hands below it have sunk in,
+        and must not lift the feet. Hands carry the body where they are far below all else for longer than a jump lasts.
+
+        Args:
+            motion: Of the reference body.
+            stands: Height of the lowest point of what it may stand on [m], shape (N,).
+        """
+        body = reference_body()
+        whole = lowest(body.vertices, body.handle_weights, motion, body.handles.positions)
+        carried = minimum_filter1d(stands - whole, self._window(motion.fps), mode="nearest") > self.held
+        ground = np.where(carried, whole, self._local_ground(stands, motion.fps))
+        return np.asarray(np.minimum(stands, np.maximum(whole, ground)))
+
+    def _local_ground(self, heights: np.ndarray, fps: float) -> np.ndarray:
+        """Where the ground is in each frame [m], shape (N,): nobody stays in the air for twice as long as `jump`."""
+        low = minimum_filter1d(heights, self._window(fps), mode="nearest")
+        return np.asarray(gaussian_filter1d(low, self.soft * fps, mode="nearest"))
+
+    def _window(self, fps: float, air: float | None = None) -> int:
+        """Frames in which a body touches the ground once at least, from half of the time in the air [s]."""
+        return 2 * round((self.jump if air is None else air) * fps) + 1
+
+    def grounded(self, fitted: HandleMotion, anatomy: Anatomy, flies: bool = True) -> HandleMotion:
         """A motion that was generated for this very body, set down where it hovers: it brings its own height over the
         floor, and generators are a few centimetres off.
 
@@ -127,10 +159,162 @@ class Ground(Stage):
         """
         character, handles, stands = anatomy.mesh, anatomy.mesh_handles, anatomy.stands
         have = lowest(character.vertices[stands], handles.weights[stands], fitted, handles.positions) - anatomy.floor
-        window = 2 * round((self.jump if air is None else air) * fitted.fps) + 1
-        low = minimum_filter1d(have, window, mode="nearest")
         if air is None:
-            hovers = gaussian_filter1d(low, self.soft * fitted.fps, mode="nearest")
+            hovers = self._local_ground(have, fitted.fps)
         else:
-            hovers = maximum_filter1d(low, window, mode="nearest")
+            window = self._window(fitted.fps, air)
+            hovers = maximum_filter1d(minimum_filter1d(have, window, mode="nearest"), window, mode="nearest")
         return np.asarray(np.maximum(hovers, 0))
+
+
+def enough(need: np.ndarray, reach: int) -> np.ndarray:
+    """A smooth curve that is nowhere below another one and nowhere larger than that is within twice `reach` frames,
+    shape (N,).
+    """
+    if not need.any():
+        return np.zeros(len(need))
+    window = np.hanning(2 * reach + 3)[1:-1]
+    return np.asarray(
+        convolve1d(maximum_filter1d(need, 2 * reach + 1, mode="nearest"), window / window.sum(), mode="nearest")
+    )
+
+
+def _lifted(motion: HandleMotion, lift: np.ndarray) -> HandleMotion:
+    if not lift.any():
+        return motion
+    path = motion.root_translation.astype(np.float64)
+    path[:, 1] += lift
+    return replace(motion, root_translation=path)
+
+
+@dataclass(frozen=True)
+class Floor(Stage):
+    """Nothing sinks into the ground, and feet that stand are on it.
+
+    Args:
+        hand: How far from the wrist a hand reaches, over the arm's length; farther out is what it holds.
+        depth: What sinks less than this share of the height is left as it is.
+        spread: How long before and after it is needed a lift begins and ends [s].
+        lowered: How far a standing foot that floats is put down at the most, over the leg's length.
+        hold: Weight of the heights of standing feet, over the acceleration of their correction.
+        pull: Weight of the heights of other feet.
+        air: On legs that do not bend nobody stays in the air for twice as long [s].
+        flies: Who is farther up than between these shares of the height climbs or flies on such legs.
+    """
+
+    name: ClassVar[str] = "floor"
+
+    hand: float = 0.45
+    depth: float = 0.002
+    spread: float = 0.15
+    lowered: float = 0.08
+    hold: float = 10.0
+    pull: float = 0.05
+    air: float = 0.75
+    flies: tuple[float, float] = (0.12, 0.2)
+
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        motion = fitting.motion
+        stiff = bool(anatomy.legs) and all(leg.upper == leg.lower for leg in anatomy.legs)
+        if stiff and fitting.heights is None:
+            motion = self.vaulted(motion, fitting.source, anatomy)
+        return fitting.moved(self.grounded(motion, anatomy, fitting.contacts))
+
+    def vaulted(self, motion: HandleMotion, source: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+        """A motion on legs that do not bend, as high in each frame as the reference body over the ground: no knee makes
+        up for a body that goes up and down otherwise than its legs do.
+
+        Args:
+            motion: Of the character.
+            source: Of the reference body.
+            anatomy: Of the character.
+        """
+        character, handles, stands, body = anatomy.mesh, anatomy.mesh_handles, anatomy.stands, reference_body()
+        have = lowest(character.vertices[stands], handles.weights[stands], motion, handles.positions) - anatomy.floor
+        want = lowest(body.vertices, body.handle_weights, source, body.handles.positions)
+        air = want - minimum_filter1d(want, 2 * round(self.air * source.fps) + 1, mode="nearest")
+        up = air * anatomy.scale - have
+        return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / character.height, *self.flies)), up))
+
+    def _foot_lifts(self, heights: np.ndarray, trust: np.ndarray, most: float, depth: float, reach: int) -> np.ndarray:
+        """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands, out of it where it
+        does not.
+
+        Args:
+            heights: Of its lowest point over the ground [m], shape (N,).
+            trust: How much it stands, shape (N,).
+            most: How far it is put down at the most [m].
+            depth: What may sink [m].
+            reach: How many frames before and after it is needed a lift begins and ends.
+        """
+        goal = np.maximum(-heights, -most)
+        band = np.zeros((3, len(heights)))
+        band[2] = self.hold * trust + self.pull * (1 - trust) + 1e-4
+        add_bending(band)
+        lifts = solveh_banded(band, self.hold * trust * goal)
+        return np.asarray(lifts + enough(np.maximum(-(heights + lifts) - depth, 0), reach))
+
+    def _solid(self, anatomy: Anatomy) -> np.ndarray:
+        """Vertices that must not sink, shape (V,), bool: what the character stands on, its arms and its hands, but not
+        what they hold.
+        """
+        character, handles, out = anatomy.mesh, anatomy.mesh_handles, anatomy.stands.copy()
+        for arm in anatomy.arms:
+            out |= character.surface & (handles.weights[:, [arm.upper, arm.lower]].sum(axis=1) > 0.5)
+            out[self._held(character, arm, True)] = True
+        for stump in anatomy.stumps:
+            out |= character.surface & (handles.weights[:, [stump.upper, stump.lower]].max(axis=1) > 0.5)
+        return out
+
+    def _held(self, character: Character, arm: Leg, near: bool) -> np.ndarray:
+        """Vertices of a hand that are near its wrist, or those that are not and so what it holds, shape (n,)."""
+        away = np.linalg.norm(character.vertices[arm.foot_area] - arm.joints[2], axis=1)
+        return np.asarray(arm.foot_area[(away < self.hand * arm.length) == near])
+
+    def grounded(
+        self,
+        motion: HandleMotion,
+        anatomy: Anatomy,
+        contacts: Contacts | None,
+    ) -> HandleMotion:
+        """The motion with nothing below the ground, and standing feet on it.
+
+        Args:
+            motion: Of the character.
+            anatomy: Of the character. What may stand on the ground, arms and hands must not sink, but what hands hold
+                may.
+            contacts: Of its feet; None where they are not known.
+        """
+        character, handles, legs, arms = anatomy.mesh, anatomy.mesh_handles, anatomy.legs, anatomy.arms
+        floor = anatomy.floor
+        depth, reach = self.depth * character.height, max(1, round(self.spread * motion.fps))
+        solid = self._solid(anatomy)
+        limbs = [
+            *legs,
+            *(replace(arm, sole=np.intersect1d(arm.sole, self._held(character, arm, True))) for arm in arms),
+            *anatomy.stumps,
+        ]
+        limbs = [limb for limb in limbs if len(limb.sole)]
+
+        def need(some: np.ndarray) -> np.ndarray:
+            if not some.any():
+                return np.zeros(len(motion))
+            return np.maximum(
+                floor - depth - lowest(character.vertices[some], handles.weights[some], motion, handles.positions), 0
+            )
+
+        ends = np.zeros(len(character.vertices), bool)
+        for limb in limbs:
+            ends[limb.foot_area] = True
+        motion = _lifted(motion, enough(need(solid & ~ends), reach))
+        if limbs and len(motion) > 2:
+            shifts, transforms = np.zeros((len(motion), len(limbs), 3)), motion.transforms(handles.positions)
+            for number, limb in enumerate(limbs):
+                heights = foot_points(limb, character, handles, transforms)[..., 1].min(axis=1) - floor
+                trust = np.zeros(len(motion))
+                if contacts is not None and number < len(legs):
+                    held = contacts.stands[:, number]
+                    trust[0], trust[-1], trust[1:-1] = held[0], held[-1], np.maximum(held[1:], held[:-1])
+                shifts[:, number, 1] = self._foot_lifts(heights, trust, self.lowered * limb.length, depth, reach)
+            motion = move_feet(motion, handles, anatomy.joints, limbs, shifts)
+        return _lifted(motion, enough(need(solid), reach))

@@ -30,8 +30,7 @@ __all__ = ["Hands"]
 _PARTS = {"head": ("head", "head_top", "face"), "spine3": ("spine2", "spine3", "left_wing", "right_wing"),
 "pelvis": ("pelvis", "spine1"),
           "left_hip": ("left_hip",), "right_hip": ("right_hip",)}  # fmt: skip
-_H = {name: index for index, name in enumerate(HANDLE_NAMES)}
-_WRISTS = (_H["left_wrist"], _H["right_wrist"])
+_WRISTS = (HANDLE_NAMES.index("left_wrist"), HANDLE_NAMES.index("right_wrist"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +47,12 @@ class _Part:
 class Hands(Stage):
     """Hands that touch the body stay near it.
 
-
     Args:
         near: Distance from a palm's middle to the body at which it begins to count [m of the reference body].
         touches: Distance at which it counts wholly [m of the reference body].
         rests: Speed of a palm along a part below which it may touch it [m/s of the reference body].
         passes: Speed over which it only passes by [m/s of the reference body].
-        close: A hand that is off its place by less than this stays where it is [m of the reference body].
+        close: A hand that is off its position by less than this stays where it is [m of the reference body].
         blend: Deviation of the smoothing in time [s].
         most: How far a hand is moved at the most, over the arm's length.
         palm: What of a hand is this near to its wrist, over the arm's length, is no tool that it holds.
@@ -136,7 +134,7 @@ class Hands(Stage):
                 total += share**4
                 closest = np.maximum(closest, share)
             shifts[:, number] = want / np.maximum(total, 1e-9)[:, None] * closest[:, None]
-        if len(positions) == 2 and {place[0] for place in positions} == set(_WRISTS):
+        if len(positions) == 2 and {position[0] for position in positions} == set(_WRISTS):
             self._joined(positions, shifts, motion, fitted, scale)
         for number, arm in enumerate(arms):
             off = np.linalg.norm(shifts[:, number], axis=1, keepdims=True)
@@ -167,16 +165,16 @@ class Hands(Stage):
         shifts[:, 1] -= half
 
     def _rest(self, local: np.ndarray, fps: float) -> np.ndarray:
-        """How much a palm rests on a part, 0 to 1, by its places in the part's frame (N, 3)."""
+        """How much a palm rests on a part, 0 to 1, by its positions in the part's frame (N, 3)."""
         speed = np.linalg.norm(np.gradient(local, axis=0), axis=1) * fps
         return smooth_step(gaussian_filter1d(speed, self.blend * fps, mode="nearest"), self.passes, self.rests)
 
     def _parts(self, vertices: np.ndarray, weights: np.ndarray, played: np.ndarray) -> dict[str, _Part]:
         out = {}
         for name, members in _PARTS.items():
-            columns = np.isin(played, [_H[member] for member in members])
+            columns = np.isin(played, [HANDLE_NAMES.index(member) for member in members])
             points = vertices[weights[:, columns].sum(axis=1) > 0.5].astype(np.float64)
-            handle = np.flatnonzero(played == _H[name])
+            handle = np.flatnonzero(played == HANDLE_NAMES.index(name))
             if len(points) < 4 or not len(handle) or not (weights[:, handle[0]] > 0.1).any():
                 continue
             low, high = np.quantile(points, [self.box, 1 - self.box], axis=0)

@@ -1,4 +1,4 @@
-"""Pins: a hand or a foot that is at a place, and turned as is asked, at a time.
+"""Pins: a hand or a foot that is at a position, and rotated as is requested, at a time.
 
 A limb is bent so that its end is where it should be, by two-bone inverse kinematics as feet are held; what is out of
 its reach the root goes the rest of the way, and feet stay where they were. The correction sets in before the pin and
@@ -26,7 +26,7 @@ from bunraku.errors import OptionError
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
-__all__ = ["PINNED", "LimbEnd", "Pin", "end_places", "limb_ends", "meet_pins"]
+__all__ = ["PINNED", "LimbEnd", "Pin", "end_positions", "limb_ends", "meet_pins"]
 
 PINNED = ("left_hand", "right_hand", "left_foot", "right_foot")
 """Parts that can be pinned; of further limbs of a kind the first."""
@@ -122,11 +122,11 @@ def limb_ends(anatomy: Anatomy) -> list[LimbEnd]:
     return [out[part] for part in PINNED if part in out]
 
 
-def end_places(motion: HandleMotion, handles: Handles, ends: Sequence[LimbEnd]) -> np.ndarray:
+def end_positions(motion: HandleMotion, handles: Handles, ends: Sequence[LimbEnd]) -> np.ndarray:
     """Where ends of limbs are [m], shape (N, L, 3), float64."""
     world = motion.transforms(handles.positions).astype(np.float64)
-    places = [world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3] for end in ends]
-    return np.stack(places, axis=1) if places else np.zeros((len(motion), 0, 3))
+    positions = [world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3] for end in ends]
+    return np.stack(positions, axis=1) if positions else np.zeros((len(motion), 0, 3))
 
 
 def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> HandleMotion:
@@ -157,9 +157,9 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
     asked = ~np.isnan(goals[..., 0])
     limbs, height = [end.limb for end in ends], character.height
     feet = [number for number, end in enumerate(ends) if end.part.endswith("foot")]
-    planted = end_places(motion, handles, ends)
+    planted = end_positions(motion, handles, ends)
     for _ in range(ROUNDS):
-        off = np.where(asked[..., None], goals - end_places(motion, handles, ends), 0)
+        off = np.where(asked[..., None], goals - end_positions(motion, handles, ends), 0)
         if np.abs(off).max() <= CLOSE * height:
             break
         shifts = np.stack(
@@ -167,7 +167,7 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
         )
         reach |= np.abs(shifts).max(axis=(1, 2)) > 0
         motion = move_feet(motion, handles, joints, limbs, shifts)
-        off = np.where(asked[..., None], goals - end_places(motion, handles, ends), 0)
+        off = np.where(asked[..., None], goals - end_positions(motion, handles, ends), 0)
         if np.abs(off).max() <= CLOSE * height:
             break
         frames = asked.any(axis=1)  # what the limbs do not reach
@@ -178,12 +178,12 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
         stay = np.zeros_like(shifts)
         for number in feet:  # the root moved, and feet that nobody asked for stay where they were
             free = 1 - spread(asked[:, number], np.ones((len(motion), 1)), LEAD * motion.fps)
-            stay[:, number] = free * (planted - end_places(motion, handles, ends))[:, number]
+            stay[:, number] = free * (planted - end_positions(motion, handles, ends))[:, number]
         motion = move_feet(motion, handles, joints, limbs, stay)
-    off = np.where(asked[..., None], goals - end_places(motion, handles, ends), 0)
+    off = np.where(asked[..., None], goals - end_positions(motion, handles, ends), 0)
     worst = np.linalg.norm(off, axis=-1)
     if worst.max() > MISSED * height:
-        frame, missed = (int(place) for place in np.unravel_index(int(worst.argmax()), worst.shape))
+        frame, missed = (int(index) for index in np.unravel_index(int(worst.argmax()), worst.shape))
         raise OptionError(
             f"the pin of {ends[missed].part.replace('_', ' ')} at {frame / motion.fps:g} s is missed by "
             f"{worst.max():.2f} m: the pins of that time are too far apart for this body; move them together"
@@ -251,9 +251,9 @@ def spread(asked: np.ndarray, values: np.ndarray, lead: float) -> np.ndarray:
         return out
     count, time = len(values), np.arange(len(values))
     knots: list[tuple[float, np.ndarray]] = [(frames[0] - lead, np.zeros(values.shape[1]))]
-    for place, frame in enumerate(frames):
+    for index, frame in enumerate(frames):
         knots.append((float(frame), values[frame]))
-        after = frames[place + 1] if place + 1 < len(frames) else count + 4 * lead
+        after = frames[index + 1] if index + 1 < len(frames) else count + 4 * lead
         if after - frame > 2 * lead:
             knots.append((frame + lead, np.zeros(values.shape[1])))
             knots.append((after - lead, np.zeros(values.shape[1])))

@@ -1,4 +1,6 @@
-"""How the rest pose of a character is met: limbs are turned, and the pelvis of a lying body tilts less."""
+"""How the rest pose of a character is met: limbs are turned and stay joined, and the pelvis of a lying body tilts less:
+the stages `rest_pose`, `attach` and `level` of fitting.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +10,18 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
+from bunraku.anatomy.joints import attach_joints, reference_joints
+from bunraku.body.reference import reference_body
+from bunraku.body.residuals import capped
+from bunraku.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
 from bunraku.retarget.stages.stage import Fitting, Stage
 
-__all__ = ["Level", "RestPose"]
+__all__ = ["Attach", "Level", "RestPose"]
 
 
 @dataclass(frozen=True)
 class RestPose(Stage):
-    """Limbs are turned from the character's rest direction into the reference body's.
+    """Limbs are rotated from the character's rest direction into the reference body's.
 
     A limb that rests in another direction (arms down, A-pose, sitting, the front legs of a dog) is first turned into
     the reference's, so the motion means the same (`Anatomy.rotations`).
@@ -53,3 +57,25 @@ class Level(Stage):
         facing = matrix_y(heading(root, fitting.source.fps))
         tilt = axis_angle_from_matrix(facing.transpose(0, 2, 1) @ root)
         return replace(fitting, root_rotation=np.asarray(facing @ matrix_from_axis_angle(tilt / self.parts)))
+
+
+@dataclass(frozen=True)
+class Attach(Stage):
+    """Handles stay joined to their parents.
+
+    Each is joined at the place where its weights and its parent's meet. This takes the place of the learned adaptation
+    delta (section 3.2 of TapMo) where bones are longer or shorter than the reference's. Soft bending and shrugs, which
+    the motion has beyond stiff joints, are added in the character's scale; rigid blocks have none.
+    """
+
+    name: ClassVar[str] = "attach"
+
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        source, handles, joints = fitting.source, anatomy.handles, anatomy.joints
+        rotations, translations = attach_joints(fitting.rotations, handles, joints)
+        if handles.rigid:
+            return replace(fitting, rotations=rotations, translations=translations)
+        stiff = attach_joints(source.rotations.astype(np.float64), reference_body().handles, reference_joints())[1]
+        residual = capped(source.translations - stiff, source.soft)
+        translations += residual[:, handles.played] * anatomy.scale * joints.present[:, None]
+        return replace(fitting, rotations=rotations, translations=translations)

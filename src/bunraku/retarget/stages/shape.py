@@ -28,7 +28,6 @@ __all__ = ["Shape"]
 class Shape(Stage):
     """Handles move a little where that keeps the mesh's edges at their lengths.
 
-
     Args:
         looked_at: Edges among which those are found that can change: a sample, where a mesh has more.
         edges: How many of them count.
@@ -53,6 +52,9 @@ class Shape(Stage):
     steps: int = 2
     stride: int = 2
     chunk: int = 32
+
+    def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
+        return not anatomy.handles.rigid
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         moves = self.moves(fitting.rotations, fitting.translations, anatomy.character, anatomy.handles, anatomy.scale)
@@ -88,7 +90,7 @@ class Shape(Stage):
         return Resampling(low, high, at - low).linear(moved.astype(float))
 
     def some_edges(self, character: Character) -> tuple[np.ndarray, int]:
-        """At most `looked_at` edges, and how many there are; edges at the same place count once.
+        """At most `looked_at` edges, and how many there are; edges at the same position count once.
 
         They are drawn by a hash of the place of their middle, so neither seams nor the order of vertices and faces make
         a difference.
@@ -101,13 +103,13 @@ class Shape(Stage):
         )  # coarse enough that rounding of coordinates hardly ever matters
         middle = (character.vertices[edges[:, 0]] + character.vertices[edges[:, 1]]) / 2 - used.min(axis=0)
         middle = np.floor(middle * fine + 0.37).astype(np.int64).astype(np.uint64)
-        place = (middle * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(
+        position = (middle * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)).sum(
             axis=1, dtype=np.uint64
         )
-        place ^= place >> np.uint64(29)  # as in the finishing steps of splitmix64
-        place *= np.uint64(0xBF58476D1CE4E5B9)
-        place ^= place >> np.uint64(32)
-        first = np.unique(place, return_index=True)[1]
+        position ^= position >> np.uint64(29)  # as in the finishing steps of splitmix64
+        position *= np.uint64(0xBF58476D1CE4E5B9)
+        position ^= position >> np.uint64(32)
+        first = np.unique(position, return_index=True)[1]
         return edges[first[: self.looked_at]], len(first)
 
 

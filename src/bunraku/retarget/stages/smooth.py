@@ -30,7 +30,6 @@ KERNEL = (
 class Smooth(Stage):
     """The generator's noise is taken out; fast moves stay.
 
-
     Args:
         local: Over how long power is measured [s].
         floor: The noise floor is exceeded by the power of all frames but this share.

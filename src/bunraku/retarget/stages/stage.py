@@ -92,7 +92,7 @@ class Stage:
     needs: ClassVar[tuple[str, ...]] = ()
     """Stages without which it does not run."""
     asked: ClassVar[bool] = False
-    """Whether it runs only where it is asked for."""
+    """Whether it runs only on request."""
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         """Whether there is something for it to do."""

@@ -18,8 +18,7 @@ from bunraku.anatomy.bending import move_feet
 from bunraku.anatomy.legs import Leg, foot_points
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
+from bunraku.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
 from bunraku.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.retarget.stages.stage import Fitting, Stage
 
@@ -38,7 +37,6 @@ def _ends(handles: Handles, legs: list[Leg]) -> tuple[list[int], list[int]]:
 @dataclass(frozen=True)
 class Support(Stage):
     """Legs stay under the trunk of a body on four legs.
-
 
     Args:
         lifted: A leg whose foot is higher, over its length, carries nothing.
@@ -128,8 +126,8 @@ class Support(Stage):
         return out
 
 
-def _joint(world: np.ndarray, handle: int, place: np.ndarray) -> np.ndarray:
-    return np.asarray(world[:, handle, :, :3] @ place + world[:, handle, :, 3], np.float64)
+def _joint(world: np.ndarray, handle: int, position: np.ndarray) -> np.ndarray:
+    return np.asarray(world[:, handle, :, :3] @ position + world[:, handle, :, 3], np.float64)
 
 
 def _slope(direction: np.ndarray) -> np.ndarray:

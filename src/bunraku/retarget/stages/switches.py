@@ -15,7 +15,8 @@ class Stages:
     Args:
         smooth: The generator's noise is taken out; fast moves stay.
         gait: Legs beyond those of a person step in turn.
-        rest_pose: Limbs are turned from the character's rest direction into the reference body's.
+        blocks: Arms and legs of one rigid block point to where a person's hand or foot is.
+        rest_pose: Limbs are rotated from the character's rest direction into the reference body's.
         fins: Fins, claws and forelegs that nothing was drawn for stay near their rest.
         tail: Tails that are held up higher than they rest are lowered.
         front: Heads of bodies that lie along their spine are kept above the ground.
@@ -32,6 +33,7 @@ class Stages:
 
     smooth: bool = True
     gait: bool = True
+    blocks: bool = True
     rest_pose: bool = True
     fins: bool = True
     tail: bool = True

@@ -19,9 +19,8 @@ from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import matrix_from_axis_angle, matrix_y
-from bunraku.retarget.stages.floor import enough
+from bunraku.geometry.rotations import heading, matrix_from_axis_angle, matrix_y
+from bunraku.retarget.stages.ground import enough
 from bunraku.retarget.stages.stage import Fitting, Stage
 
 __all__ = ["Tail", "TailClear"]
@@ -32,7 +31,6 @@ _TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
 @dataclass(frozen=True)
 class Tail(Stage):
     """Tails that are held up higher than they rest are lowered.
-
 
     Args:
         highest: A tail that rests lower is held up so far at the most, but for its swings [rad].
@@ -98,7 +96,6 @@ class Tail(Stage):
 @dataclass(frozen=True)
 class TailClear(Stage):
     """A tail that would sink into the ground is turned up.
-
 
     Args:
         step: Turns upwards are tried so far apart, up to a right angle [degrees].

@@ -112,7 +112,7 @@ def import_take(context, path):
 
 
 def nearest_weights(source, target):
-    """Give a mesh the vertex groups of another one at the same place, each vertex those of the nearest."""
+    """Give a mesh the vertex groups of another one at the same position, each vertex those of the nearest."""
     tree = importlib.import_module("mathutils.kdtree").KDTree(len(source.data.vertices))
     for vertex in source.data.vertices:
         tree.insert(source.matrix_world @ vertex.co, vertex.index)
@@ -171,9 +171,9 @@ def animate(context, target, address, prompt, seconds, seed):
     armature.data.pose_position = "POSE"
     for modifier in [one for one in target.modifiers if one.type == "ARMATURE"]:
         target.modifiers.remove(modifier)
-    place = target.matrix_world.copy()
+    matrix = target.matrix_world.copy()
     target.parent = armature
-    target.matrix_world = place
+    target.matrix_world = matrix
     target.modifiers.new("Bunraku", "ARMATURE").object = armature
     if armature.animation_data and armature.animation_data.action:
         armature.animation_data.action.name = prompt[:60]

@@ -1,1 +1,1 @@
-"""What the page asks for, by what it is about."""
+"""What the page requests, by what it is about."""

@@ -4,13 +4,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from typing import Any
 
 from starlette.requests import Request
 
+from bunraku.core.request.json_form import read_json
 from bunraku.core.request.limits import Limit
 from bunraku.errors import OptionError
 from bunraku.studio.state import State
@@ -38,16 +38,13 @@ async def body_of(request: Request) -> dict[str, Any]:
         data += chunk
         if len(data) > MOST_JSON:
             raise OptionError(f"a request of more than {MOST_JSON >> 20} MiB is not taken")
-    try:
-        found = json.loads(bytes(data) or b"{}")
-    except (ValueError, RecursionError):
-        raise OptionError("the request is no JSON") from None
+    found = read_json(bytes(data) or b"{}", "the request", MOST_JSON)
     if not isinstance(found, dict):
         raise OptionError("the request is no JSON object")
     return found
 
 
-def number(body: dict[str, Any], name: str, limit: Limit, default: float) -> float:
+def number(body: dict[str, object], name: str, limit: Limit, default: float) -> float:
     """A number of a request, or the default where it says nothing.
 
     Raises:
@@ -62,7 +59,7 @@ def number(body: dict[str, Any], name: str, limit: Limit, default: float) -> flo
     return value
 
 
-def text(body: dict[str, Any], name: str, most: int, default: str = "") -> str:
+def text(body: dict[str, object], name: str, most: int, default: str = "") -> str:
     """A text of a request.
 
     Raises:
@@ -76,7 +73,7 @@ def text(body: dict[str, Any], name: str, most: int, default: str = "") -> str:
     return value
 
 
-def choice(body: dict[str, Any], name: str, known: Sequence[str], default: str) -> str:
+def choice(body: dict[str, object], name: str, known: Sequence[str], default: str) -> str:
     """One of some words.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Characters: dropped, sampled, mended, shown."""
+"""Characters: dropped, sampled, repaired, shown."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ async def characters(request: Request) -> Any:
             f"{title}{suffix}", f"this is no format of characters; they are {', '.join((*CHARACTERS, '.zip'))}"
         )
     record = state.store.new("characters", _fresh(title, ""))
-    place = state.store.place("characters", record["id"])
+    folder = state.store.folder_of("characters", record["id"])
     try:
-        source = place / "source"
+        source = folder / "source"
         source.mkdir()
         file = source / f"{title}{suffix}"
         await receive(request, file)
-        name = file.relative_to(place).as_posix()
+        name = file.relative_to(folder).as_posix()
         if suffix == ".zip":
             name = f"source/{await run_in_threadpool(unpack, file, source)}"
             file.unlink()
-        return JSONResponse(_opened(state, record["id"], name), 202)
+        return JSONResponse(state.open(record["id"], name), 202)
     except BaseException:
         state.store.drop("characters", record["id"])
         raise
@@ -64,21 +64,13 @@ def _sampled(state: State, sample: str) -> dict[str, Any]:
         raise OptionError(f"there is no sample '{sample[:40]}'; there are {', '.join(sample_names())}")
     record = state.store.new("characters", _fresh(sample, ""))
     try:
-        source = state.store.place("characters", record["id"]) / "source"
+        source = state.store.folder_of("characters", record["id"]) / "source"
         source.mkdir()
         save_character(sample_character(sample), source / f"{sample}.glb")
-        return _opened(state, record["id"], f"source/{sample}.glb")
+        return state.open(record["id"], f"source/{sample}.glb")
     except BaseException:
         state.store.drop("characters", record["id"])
         raise
-
-
-def _opened(state: State, name: str, file: str) -> dict[str, Any]:
-    """Queue the opening of a character."""
-    record = state.change("characters", name, file=file, state="opening", error="")
-    params = {"character": name, "file": file, "settings": record["settings"]}
-    job = state.jobs.submit("open", f"open {record['name']}", params, {"character": name, "opens": name})
-    return {"character": record, "job": job["id"]}
 
 
 async def character(request: Request) -> Any:
@@ -111,7 +103,7 @@ async def character(request: Request) -> Any:
     if state.busy("characters", name):
         raise OptionError("something is being made of this character; wait for it, or cancel it")
     state.change("characters", name, settings=settings)
-    made = _opened(state, name, record["file"])
+    made = state.open(name, record["file"])
     return JSONResponse(made, 202)
 
 
@@ -128,10 +120,10 @@ async def copy(request: Request) -> Any:
     old = state.store.get("characters", name)
     record = state.store.new("characters", {**_fresh(f"{old['name']} copy"[:80], ""), "settings": old["settings"]})
     await run_in_threadpool(
-        shutil.copytree, state.store.place("characters", name) / "source",
-        Path(state.store.place("characters", record["id"])) / "source",
+        shutil.copytree, state.store.folder_of("characters", name) / "source",
+        Path(state.store.folder_of("characters", record["id"])) / "source",
     )  # fmt: skip
-    return JSONResponse(_opened(state, record["id"], old["file"]), 202)
+    return JSONResponse(state.open(record["id"], old["file"]), 202)
 
 
 ROUTES = [

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-import json
-from collections.abc import AsyncIterator
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.responses import JSONResponse
 
-from bunraku.errors import BunrakuError
+from bunraku.errors import BunrakuError, OptionError
 from bunraku.studio.jobs import public
 from bunraku.studio.routes.asked import body_of, state_of, text
+from bunraku.studio.routes.files import shown_project
 from bunraku.studio.uploads import CHARACTERS, MOST_BYTES, MOTIONS, PROJECTS
 
 __all__ = ["ROUTES"]
+
+LONGEST_NUMBER = 15
+"""Digits of a number in an address."""
 
 
 async def about(request: Request) -> Any:
@@ -35,10 +37,12 @@ async def about(request: Request) -> Any:
         "study": state.session is not None,
         "folder": state.store.folder.name,
         "worker": {"warm": state.jobs.warm, "process": state.jobs.process_id},
-        "event": state.jobs.last_event,
+        "event": state.jobs.changes.last,
+        "trouble": state.store.trouble,
+        "set_aside": state.store.set_aside,
         "characters": state.store.all("characters"),
         "takes": state.store.all("takes"),
-        "projects": state.store.all("projects"),
+        "projects": [shown_project(record) for record in state.store.all("projects")],
         "jobs": [public(job) for job in state.jobs.all() if job["state"] in ("waiting", "running", "interrupted")],
     }
 
@@ -85,22 +89,13 @@ async def understand(request: Request) -> Any:
     }
 
 
-async def events(request: Request) -> Response:
-    """What happens, as server-sent events; `Last-Event-ID`, or `?after=`, says from where on."""
-    state = state_of(request)
-    given = request.headers.get("last-event-id") or request.query_params.get("after", "")
-    after = int(given) if given.isdecimal() else state.jobs.last_event
-
-    async def lines() -> AsyncIterator[bytes]:
-        yield b": open\n\n"
-        async for event in state.jobs.events(after):
-            if event is None:
-                yield b": still there\n\n"
-            else:
-                data = json.dumps(event[2], ensure_ascii=False)
-                yield f"id: {event[0]}\nevent: {event[1]}\ndata: {data}\n\n".encode()
-
-    return StreamingResponse(lines(), media_type="text/event-stream", headers={"x-accel-buffering": "no"})
+async def changes(request: Request) -> Any:
+    """What has changed after the number `?after=`; without it, the number to ask with."""
+    found = state_of(request).jobs.changes
+    given = request.query_params.get("after", str(found.last))
+    if not given.isascii() or not given.isdecimal() or len(given) > LONGEST_NUMBER:
+        raise OptionError("after must be a whole number; reload the page")
+    return found.since(int(given))
 
 
 async def jobs(request: Request) -> Any:
@@ -129,7 +124,7 @@ ROUTES = [
     ("/about", ("GET",), about),
     ("/login", ("POST",), login),
     ("/understand", ("POST",), understand),
-    ("/events", ("GET",), events),
+    ("/changes", ("GET",), changes),
     ("/jobs", ("GET",), jobs),
     ("/jobs/{name}", ("GET", "DELETE"), job),
     ("/jobs/{name}/again", ("POST",), again),

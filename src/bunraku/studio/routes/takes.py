@@ -8,18 +8,21 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
-from bunraku.core.request.json_form import from_json
+from bunraku.core.request.json_form import from_json, to_json
 from bunraku.core.request.limits import FPS
 from bunraku.errors import FormatError, OptionError
+from bunraku.pipelines.clips import clip_names
 from bunraku.pipelines.requests.apparel import Apparel
-from bunraku.studio.forms import ChangeForm, DressForm, TakeForm
-from bunraku.studio.routes.asked import body_of, choice, number, state_of, text
+from bunraku.studio.forms import ChangeForm, ClipsForm, DressForm, TakeForm, TakeRecordForm, read_script
+from bunraku.studio.routes.asked import body_of, choice, number, state_of
 from bunraku.studio.state import State
 from bunraku.studio.uploads import CHARACTERS, MOTIONS, plain_name, receive
 
 __all__ = ["ROUTES"]
 
 SUFFIXES = ("glb", "bvh", "vrma", "vmd", "npz", "fbx", "usdz", "usdc", "mp4", "gif")
+MOST_NAME = 40
+"""Letters of a sentence in a file's name."""
 
 
 def _ready(state: State, name: str) -> dict[str, Any]:
@@ -39,7 +42,7 @@ async def takes(request: Request) -> Any:
     return JSONResponse(await run_in_threadpool(_make, state, owner, body), 202)
 
 
-def _make(state: State, owner: str, body: dict[str, Any]) -> Any:
+def _make(state: State, owner: str, body: dict[str, object]) -> Any:
     character = _ready(state, owner)
     form = from_json(TakeForm, body, "the request")
     request = form.request(character["settings"]["handles"])
@@ -47,11 +50,16 @@ def _make(state: State, owner: str, body: dict[str, Any]) -> Any:
         before = state.store.get("takes", form.after)
         if before["character"] != owner or before["state"] != "done" or before.get("skin") != "handles":
             raise OptionError("what is followed must be a finished take of handles of the same character")
+    script = to_json(read_script(form.script))
     made = state.new_takes(
-        owner, len(form.seeds), how="animate", script=body["script"], asked=form.asked(), seeds=list(form.seeds)
+        owner, len(form.seeds), how="animate", script=script, asked=form.asked(), seeds=list(form.seeds)
     )
     params = {"request": request.to_json(), "seeds": list(form.seeds), "draft": form.draft}
-    return state.make("animate", request.prompt, owner, made, params)
+    return {**state.make("animate", request.prompt, owner, _ids(made), params), "script": script}
+
+
+def _ids(takes: list[dict[str, Any]]) -> list[str]:
+    return [take["id"] for take in takes]
 
 
 def _factor(word: str | None) -> float | None:
@@ -70,9 +78,8 @@ async def take(request: Request) -> Any:
         return state.change("takes", name, deleted=True)
     if request.method == "PATCH":
         body = await body_of(request)
-        values: dict[str, Any] = {key: bool(body[key]) for key in ("star", "deleted") if key in body}
-        if "title" in body:
-            values["title"] = text(body, "title", 80)
+        from_json(TakeRecordForm, body, "the request")
+        values = {name: value for name, value in body.items() if value is not None}
         return state.change("takes", name, **values) if values else record
     return record
 
@@ -91,7 +98,7 @@ async def change(request: Request) -> Any:
     return JSONResponse(await run_in_threadpool(_change, state, name, body), 202)
 
 
-def _change(state: State, name: str, body: dict[str, Any]) -> Any:
+def _change(state: State, name: str, body: dict[str, object]) -> Any:
     parent = state.store.get("takes", name)
     if parent["state"] != "done":
         raise OptionError("this take is not finished; wait for it")
@@ -99,9 +106,9 @@ def _change(state: State, name: str, body: dict[str, Any]) -> Any:
     _ready(state, owner)
     form = from_json(ChangeForm, body, "the request")
     stiffness = parent.get("stiffness")
-    worn = Apparel("learn" if stiffness else "rigid", stiffness or 1.0)
+    apparel = Apparel("learn" if stiffness else "rigid", stiffness or 1.0)
     if form.prompt.strip():
-        return _edit(state, parent, form, worn)
+        return _edit(state, name, form, apparel)
     seeds = [parent.get("seed", 0)]
     asked: dict[str, Any]
     params: dict[str, Any]
@@ -112,27 +119,28 @@ def _change(state: State, name: str, body: dict[str, Any]) -> Any:
         asked, params = {**old, **changed}, {**changed, "without": list(form.without)}
     elif form.pins:
         kind, title = "bend", "bend to the pins"
-        own: dict[str, Any] = {"apparel": worn.motion, "stiffness": worn.stiffness}
+        own: dict[str, Any] = {"apparel": apparel.motion, "stiffness": apparel.stiffness}
         asked, params = {**own, "pins": list(form.pins)}, {**own, "constraints": form.bends().to_json()}
     else:
         raise OptionError("type what is done instead, or pin a hand or a foot")
     made = state.new_takes(owner, 1, how=kind, parent=name, script=parent["script"], asked=asked, seeds=seeds)
-    return state.make(kind, title, owner, made, {**params, "parent": name})
+    return state.make(kind, title, owner, _ids(made), {**params, "parent": name})
 
 
-def _edit(state: State, parent: dict[str, Any], form: ChangeForm, worn: Apparel) -> Any:
+def _edit(state: State, name: str, form: ChangeForm, apparel: Apparel) -> Any:
     """Takes of which parts of another are kept."""
+    parent = state.store.get("takes", name)
     owner = parent["character"]
     for pose in form.poses:
         if pose.take is not None and state.store.get("takes", pose.take)["character"] != owner:
             raise OptionError("a pose must be of a take of the same character")
-    request = form.request(worn)
+    request = form.request(apparel)
     made = state.new_takes(
-        owner, len(form.seeds), how="edit", parent=parent["id"], script=parent["script"], asked=form.asked(worn),
+        owner, len(form.seeds), how="edit", parent=parent["id"], script=parent["script"], asked=form.asked(apparel),
         seeds=list(form.seeds),
     )  # fmt: skip
     params = {"request": request.to_json(), "seeds": list(form.seeds), "parent": parent["id"]}
-    return state.make("edit", request.prompt, owner, made, params)
+    return state.make("edit", request.prompt, owner, _ids(made), params)
 
 
 async def transfer(request: Request) -> Any:
@@ -144,19 +152,19 @@ async def transfer(request: Request) -> Any:
         raise FormatError(f"{title}{suffix}", f"this is no format of motions; they are {', '.join(MOTIONS)} and .fbx")
     told = {"apparel": request.query_params.get("apparel"), "stiffness": _factor(request.query_params.get("stiffness"))}
     form = from_json(DressForm, {name: value for name, value in told.items() if value is not None})
-    worn = {"apparel": form.apparel, "stiffness": form.stiffness}
+    apparel = {"apparel": form.apparel, "stiffness": form.stiffness}
     onto = choice(dict(request.query_params), "onto", ("auto", "handles"), "handles")
     (made,) = state.new_takes(
-        owner, 1, how="transfer", script=[{"text": title, "seconds": 0}], asked={"file": title, **worn}
+        owner, 1, how="transfer", script=[{"text": f"{title}{suffix}", "seconds": 0}], asked={"file": title, **apparel}
     )
     try:
-        file = state.store.place("takes", made["id"]) / f"motion-source{suffix}"
+        file = state.store.folder_of("takes", made["id"]) / f"motion-source{suffix}"
         await receive(request, file)
     except BaseException:
         state.drop("takes", made["id"])
         raise
-    params = {"file": file.name, **worn, "onto": onto}
-    return JSONResponse(state.make("transfer", f"transfer {title}", owner, [made], params), 202)
+    params = {"file": file.name, **apparel, "onto": onto}
+    return JSONResponse(state.make("transfer", f"transfer {title}", owner, [made["id"]], params), 202)
 
 
 async def export(request: Request) -> Any:
@@ -169,8 +177,7 @@ async def export(request: Request) -> Any:
     if record["state"] != "done":
         raise OptionError("this take is not finished; wait for it")
     title = state.store.get("characters", record["character"])["name"]
-    words = "-".join("".join(c if c.isalnum() else " " for c in record["script"][0]["text"][:40]).split()) or "take"
-    made = state.store.new("exports", {"file": f"take.{suffix}", "title": f"{title}-{words}.{suffix}"})
+    made = state.new_export(f"take.{suffix}", f"{title}-{_short(record['script'][0]['text'])}.{suffix}")
     try:
         job = state.jobs.submit(
             "export",
@@ -186,6 +193,40 @@ async def export(request: Request) -> Any:
     return JSONResponse({"job": job["id"], "export": made["id"], "title": made["title"]}, 202)
 
 
+async def clips(request: Request) -> Any:
+    """Write several takes of a character as the clips of one GLB, each named by its title or its words."""
+    state, owner = state_of(request), request.path_params["name"]
+    title = state.store.get("characters", owner)["name"]
+    body = await body_of(request)
+    form = from_json(ClipsForm, body, "the request")
+    records = [state.store.get("takes", name) for name in form.takes]
+    if any(record["character"] != owner or record["state"] != "done" for record in records):
+        raise OptionError("the clips of one file are finished takes of one character; wait for them, or leave some out")
+    names = list(clip_names(record.get("title") or record["script"][0]["text"] for record in records))
+    made = state.new_export("clips.glb", f"{title}-clips.glb")
+    params = {
+        "export": made["id"], "file": made["file"], "takes": list(form.takes), "names": names, "character": owner,
+        "fps": form.fps,
+    }  # fmt: skip
+    try:
+        job = state.jobs.submit("export-clips", f"write {made['title']}", params, {"export": made["id"]})
+    except BaseException:
+        state.store.drop("exports", made["id"])
+        raise
+    return JSONResponse({"job": job["id"], "export": made["id"], "title": made["title"], "clips": names}, 202)
+
+
+def _short(sentence: str) -> str:
+    """The first words of a sentence, as a part of a file's name."""
+    words = "".join(letter if letter.isalnum() else " " for letter in sentence).split()
+    name = words[0][:MOST_NAME] if words else "take"
+    for word in words[1:]:
+        if len(name) + 1 + len(word) > MOST_NAME:
+            break
+        name += f"-{word}"
+    return name
+
+
 async def exported(request: Request) -> Response:
     """The file of an export."""
     state, name = state_of(request), request.path_params["name"]
@@ -199,6 +240,7 @@ async def exported(request: Request) -> Response:
 ROUTES = [
     ("/characters/{name}/takes", ("GET", "POST"), takes),
     ("/characters/{name}/transfer", ("POST",), transfer),
+    ("/characters/{name}/exports", ("POST",), clips),
     ("/takes/{name}", ("GET", "PATCH", "DELETE"), take),
     ("/takes/{name}/clip", ("GET",), clip),
     ("/takes/{name}/change", ("POST",), change),

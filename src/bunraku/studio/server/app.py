@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import logging
-import os
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,7 @@ from starlette.staticfiles import StaticFiles
 
 from bunraku.errors import BunrakuError
 from bunraku.studio.jobs import QueueFull
-from bunraku.studio.responses import sentence_of
+from bunraku.studio.responses import is_full, sentence_of
 from bunraku.studio.routes import characters, files, general, studies, takes
 from bunraku.studio.server.safety import Guard, Keys
 from bunraku.studio.state import State
@@ -30,8 +28,6 @@ from bunraku.studio.uploads import TooLarge
 __all__ = ["STATIC", "studio_app"]
 
 STATIC = Path(__file__).parents[1] / "static"
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_FULL_WORDS = tuple(os.strerror(number).lower() for number in _FULL)
 
 
 def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None, warm: bool = True) -> Starlette:
@@ -102,11 +98,10 @@ def _answer(error: Exception) -> Response:
         status = 404
     elif isinstance(error, TooLarge):
         status = 413
-    elif isinstance(error, BunrakuError):
-        full = any(word in str(error) for word in _FULL_WORDS)
-        status = 507 if full else 429 if isinstance(error, QueueFull) else 400
-    elif isinstance(error, OSError) and error.errno in _FULL:
+    elif is_full(error):
         status = 507
+    elif isinstance(error, BunrakuError):
+        status = 429 if isinstance(error, QueueFull) else 409 if isinstance(error, files.Newer) else 400
     else:
         logging.getLogger(__name__).error("a request failed", exc_info=error)
         status = 500

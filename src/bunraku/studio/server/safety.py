@@ -85,11 +85,15 @@ class Guard:
     def _refusal(self, scope: Scope) -> tuple[int, str] | None:
         headers = Headers(scope=scope)
         host = headers.get("host", "")
-        name = urlsplit(f"//{host}").hostname or ""
+        origin = headers.get("origin")
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+            source = None if origin is None else urlsplit(origin).netloc
+        except ValueError:  # such as "[::1"
+            return 400, "the request names no host that can be read; open the address that the studio printed"
         if self.keys.hosts and name not in self.keys.hosts:
             return 403, "the studio answers to this machine's own name only; open the address that it printed"
-        origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        if source is not None and source != host:
             return 403, "another page asked for this; the studio answers only to its own page"
         if headers.get("sec-fetch-site") in ("cross-site", "same-site") and scope["path"].startswith("/api"):
             return 403, "another page asked for this; the studio answers only to its own page"

@@ -68,6 +68,10 @@ def serve(
     address = f"http://{'localhost' if local else host}:{port}/#token={keys.token}"
     print(f"studio: {address}")
     print(f"folder: {folder}")
+    store = app.state.studio.store
+    for line in (store.trouble, *store.set_aside):
+        if line:
+            print(f"note: {line}")
     print("press Ctrl-C to end it", flush=True)
 
     class Server(uvicorn.Server):

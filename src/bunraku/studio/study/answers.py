@@ -135,7 +135,7 @@ def load_answers(study: Study) -> list[Answer]:
         except ValueError:
             if number == len(lines):
                 continue
-            raise FormatError(path, f"line {number} is broken; mend or remove it") from None
+            raise FormatError(path, f"line {number} is broken; correct or remove it") from None
         if found is None:
             continue
         try:
@@ -146,7 +146,7 @@ def load_answers(study: Study) -> list[Answer]:
                 float(found.get("seconds", 0)),
             )
         except (KeyError, TypeError, ValueError, AttributeError):
-            raise FormatError(path, f"line {number} is no answer; mend or remove it") from None
+            raise FormatError(path, f"line {number} is no answer; correct or remove it") from None
         trial = study.trial(answer.trial)
         if trial is None or any(sorted(ranks) != sorted(trial["clips"]) for ranks in answer.ranks.values()):
             raise FormatError(path, f"line {number} answers a trial of another study; remove it")

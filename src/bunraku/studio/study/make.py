@@ -19,7 +19,7 @@ from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
 from bunraku.formats.files import atomic_write, check_text, read_bounded, writing
-from bunraku.formats.gltf.handle_channels import add_motion
+from bunraku.formats.gltf.bunraku_clip import add_motion
 from bunraku.formats.gltf.write import build_document, finish_document
 from bunraku.io.play import load_animation
 from bunraku.studio.study.answers import FROZEN, VERSION
@@ -96,7 +96,7 @@ def make_study(
     for number, line in enumerate(lines):
         if progress:
             progress("clips", number / len(lines))
-        files = {name: place / f"{number + 1}.glb" for name, place in methods.items()}
+        files = {name: home / f"{number + 1}.glb" for name, home in methods.items()}
         clips = {name: load_animation(file, 0, FPS) for name, file in files.items()}
         frames = min(len(clip.motion) for clip in clips.values())
         cut = {name: replace(clip, motion=clip.motion.take(slice(frames))) for name, clip in clips.items()}
@@ -134,7 +134,7 @@ def _trial(line: Line, clips: list[str]) -> dict[str, Any]:
     }
 
 
-def _write(path: Path, content: dict[str, Any]) -> None:
+def _write(path: Path, content: dict[str, object]) -> None:
     with atomic_write(path) as file:
         file.write(json.dumps(content, indent=1, ensure_ascii=False).encode())
 

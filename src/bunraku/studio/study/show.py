@@ -32,7 +32,7 @@ def placed(participant: int, trial: int, count: int) -> list[int]:
     """Which clip stands at each place: rows of a Latin square, then the same mirrored, so that each clip is at each
     place equally often.
     """
-    row = [(place + participant + trial) % count for place in range(count)]
+    row = [(index + participant + trial) % count for index in range(count)]
     return row[::-1] if (participant // count) % 2 else row
 
 
@@ -67,11 +67,11 @@ class Session:
         number = self._number(participant)
         trials = self.study.trials
         order = trial_order(number, len(trials))
-        left = [place for place in order if (participant, trials[place]["id"]) not in self._done]
+        left = [index for index in order if (participant, trials[index]["id"]) not in self._done]
         out: dict[str, Any] = {"participant": participant, "total": len(trials), "done": len(trials) - len(left)}
         if left:
             trial = trials[left[0]]
-            clips = [trial["clips"][place] for place in placed(number, left[0], len(trial["clips"]))]
+            clips = [trial["clips"][index] for index in placed(number, left[0], len(trial["clips"]))]
             out["trial"] = {"id": trial["id"], "prompt": trial["prompt"], "clips": clips}
             out["questions"] = QUESTIONS
         return out

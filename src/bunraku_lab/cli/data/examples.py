@@ -19,7 +19,7 @@ class Examples:
     """Pack the clearest stretches of captured clips, from which `animate` lets some of its candidates start.
 
     The file takes the place of the shipped one where BUNRAKU_WEIGHTS names its folder. It works with the ranker that
-    its vectors were made with.
+    its vectors were made with. What its sentences say is written beside it, in a file of the same name with .json.
 
     A gesture that is new in `gestures.toml` comes into a pack by --add-to.
 

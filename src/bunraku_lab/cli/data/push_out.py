@@ -1,4 +1,4 @@
-"""`bunraku data push-out`: apparel data whose truth is mended without being simulated again."""
+"""`bunraku data push-out`: apparel data whose truth is repaired without being simulated again."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bunraku.errors import OptionError
 from bunraku_lab.cli.data.apparel import process_count
 
 if TYPE_CHECKING:
-    from bunraku_lab.datasets.apparel.mend import MendState
+    from bunraku_lab.datasets.apparel.repair import RepairState
 
 __all__ = ["PushOutData"]
 
@@ -42,15 +42,15 @@ class PushOutData:
         jobs = process_count(self.jobs)
         check_folder(self.output)
         if self.data.resolve() == self.output.resolve():
-            raise OptionError("the mended data need a folder of their own; name another with -o")
-        from bunraku_lab.datasets.apparel.mend import mend_apparel
+            raise OptionError("the repaired data need a folder of their own; name another with -o")
+        from bunraku_lab.datasets.apparel.repair import repair_apparel
 
         with stages() as report:
 
-            def tell(state: MendState) -> None:
+            def tell(state: RepairState) -> None:
                 report("apparel", (state.done + len(state.failed)) / max(state.shards, 1))
 
-            state = mend_apparel(self.data, self.output, jobs=jobs, progress=tell)
+            state = repair_apparel(self.data, self.output, jobs=jobs, progress=tell)
         for name, reason in state.failed.items():
             print(f"left out {name}: {reason}", file=sys.stderr)
         rigid, before, after = 100 * np.mean(state.inside or [[0.0, 0.0, 0.0]], axis=0)

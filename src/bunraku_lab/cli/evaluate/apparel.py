@@ -8,13 +8,14 @@ from typing import Any
 
 from bunraku.cli.output.checks import check_input, check_range, check_source
 from bunraku.cli.output.progress import stages
-from bunraku.cli.output.report import measured
+from bunraku_lab.cli.evaluate.printed import Printed
+from bunraku_lab.evaluation.report import Report, Table, bar_table
 
 __all__ = ["EvaluateApparel"]
 
 
 @dataclass(frozen=True)
-class EvaluateApparel:
+class EvaluateApparel(Printed):
     """Measure learned apparel on test characters in test motions, beside what skinning alone gives: the tables of
     MMDMC, and starts from rest of 2, 6 and 60 s.
 
@@ -41,8 +42,6 @@ class EvaluateApparel:
     """Displacement network of the paper's own form (trained with --network.frame world --head 0), for its rows."""
     quick: bool = False
     """A few clips, and what takes long left out."""
-    json: bool = False
-    """Print JSON for programs, with a row for each clip."""
 
     def run(self) -> None:
         check_range("--clips", self.clips, 1, 10_000)
@@ -50,26 +49,25 @@ class EvaluateApparel:
         for path in (*self.files, *self.bodies, *(p for p in networks if p is not None)):
             check_input(path)
         check_source(self.motions, "name a folder that `bunraku data motions` wrote")
-        from bunraku_lab.evaluation.apparel.table import evaluate_apparel
+        from bunraku_lab.evaluation.apparel.table import ApparelEvalConfig, evaluate_apparel
 
         with stages() as report:
-            result = evaluate_apparel(
-                self.data, motions=self.motions, files=self.files, clips=6 if self.quick else self.clips,
-                weights=self.weights, masks=self.masks, bodies=self.bodies, refinement=self.refinement,
-                literal=self.literal, quick=self.quick, progress=report,
+            config = ApparelEvalConfig(
+                self.data, self.motions, self.files, 6 if self.quick else self.clips, self.weights, self.masks,
+                self.bodies, self.refinement, self.literal, self.quick,
             )  # fmt: skip
-        measured(result, self.json, _print)
+            result = evaluate_apparel(config, report)
+        self.show(result, _report)
 
 
-def _print(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> Report:
     from bunraku_lab.evaluation.apparel.table import APPAREL_BARS
-    from bunraku_lab.evaluation.bars import bar_lines, table_lines
 
-    print("\n".join(bar_lines(APPAREL_BARS, result)))
+    parts = [bar_table(APPAREL_BARS, result)]
     for title, table in result["tables"].items():
-        print(f"\n{title}")
         columns = list(dict.fromkeys(name for row in table.values() for name in row))
         rows = [["", *columns]]
         for name, row in table.items():
             rows.append([name, *("-" if row.get(column) is None else f"{row[column]:.3f}" for column in columns)])
-        print("\n".join(table_lines(rows)))
+        parts.append(Table(rows, title=title))
+    return Report(parts)

@@ -10,15 +10,16 @@ import tyro
 
 from bunraku.cli.output.checks import check_input, check_source
 from bunraku.cli.output.progress import stages
-from bunraku.cli.output.report import measured
 from bunraku.errors import OptionError
 from bunraku.nn.spread import parse_jobs
+from bunraku_lab.cli.evaluate.printed import Printed
+from bunraku_lab.evaluation.report import Report, bar_table
 
 __all__ = ["EvaluateHandles"]
 
 
 @dataclass(frozen=True)
-class EvaluateHandles:
+class EvaluateHandles(Printed):
     """Measure how good the predicted handles are, on rigged characters whose own rigs are the truth.
 
     Without --characters, 30 characters are made by code, of seeds that no training sees.
@@ -46,8 +47,6 @@ class EvaluateHandles:
     """Of the random poses and the clusters."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the characters, or "ray" for a Ray cluster."""
-    json: bool = False
-    """Print JSON for programs, with a row for each character."""
 
     def run(self) -> None:
         check_source(self.characters, "give one with rigged characters")
@@ -74,18 +73,16 @@ class EvaluateHandles:
                 jobs=jobs,
                 progress=report,
             )
-        measured(result, self.json, _print)
+        self.show(result, _report)
 
 
-def _print(result: dict[str, Any]) -> None:
-    from bunraku_lab.evaluation.bars import bar_lines
+def _report(result: dict[str, Any]) -> Report:
     from bunraku_lab.evaluation.handles.table import BARS
 
     counts = result["counts"]
-    print(
+    return Report([
         f"{counts['characters']} characters, {counts['humanoids']} humanoids; resolutions on {counts['resampled']}; "
-        f"{counts['detailed']} detailed people"
-    )
-    print("\n".join(bar_lines(BARS, result, reached=result["reached"])))
-    for name, reason in result["left_out"].items():
-        print(f"left out {name}: {reason}")
+        f"{counts['detailed']} detailed people",
+        bar_table(BARS, result, reached=result["reached"]),
+        *(f"left out {name}: {reason}" for name, reason in result["left_out"].items()),
+    ])  # fmt: skip

@@ -10,8 +10,8 @@ import tyro
 
 from bunraku.cli.output.checks import check_input, check_range, check_source
 from bunraku.cli.output.progress import stages
-from bunraku.cli.output.report import measured
-from bunraku_lab.evaluation.bars import bar_lines, table_lines
+from bunraku_lab.cli.evaluate.printed import Printed
+from bunraku_lab.evaluation.report import Report, Table, bar_table
 
 if TYPE_CHECKING:
     pass
@@ -23,13 +23,13 @@ _COLUMNS = (
     ("mm_dist", "MM-Dist"), ("diversity", "Diversity"), ("multimodality", "MModality"),
 )  # fmt: skip
 _NAMES = {
-    "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_pulled": "- pulled",
+    "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_guided": "- guided",
     "tapmo_led": "- from examples", "tapmo_chosen": "- as chosen",
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
-class EvaluateMotion:
+class EvaluateMotion(Printed):
     """Measure generated motion on held-out clips, as TapMo's Tables 1 and 2 do, and what a viewer sees of it.
 
     Motions of the table are kept in the folder --work, so the same command goes on where a run was stopped.
@@ -69,8 +69,8 @@ class EvaluateMotion:
     """
     examples: bool = True
     """What is chosen from starts from captured examples."""
-    pull: bool = True
-    """What is predicted is pulled towards its sentence by the ranker's gradient, in the rows beside the network's."""
+    classifier_guidance: bool = True
+    """What is predicted is guided towards its sentence by the ranker's gradient, in the rows beside the network's."""
     reference_steps: int = 0
     """Compare the default sampler with so many steps of DDPM's, 1000 for the paper's; hours on a processor. 0 leaves it
     out.
@@ -83,8 +83,6 @@ class EvaluateMotion:
     """The paper's table alone, or what a viewer sees alone, which takes minutes. Default: these and all the rest."""
     seed: int = 0
     """Of everything random."""
-    json: bool = False
-    """Print JSON for programs."""
 
     def run(self) -> None:
         check_range("--runs", self.runs, 1, 1000)
@@ -114,7 +112,8 @@ class EvaluateMotion:
             runs=self.runs or (3 if self.quick else 20),
             references=1000 if self.quick else 3000, prompts=8 if self.quick else 20, repeats=4 if self.quick else 10,
             candidates=self.candidates,
-            steps=self.steps, guidance=self.guidance, best_of=self.best_of, examples=self.examples, pull=self.pull,
+            steps=self.steps, guidance=self.guidance, best_of=self.best_of, examples=self.examples,
+            classifier_guidance=self.classifier_guidance,
             reference_steps=self.reference_steps,
             reference_clips=self.reference_clips, seed=self.seed,
         )  # fmt: skip
@@ -124,52 +123,49 @@ class EvaluateMotion:
                 add_blocks(result, config, self.quick, report)
             if self.only != "table":
                 result |= viewer_figures(config, self.quick, report)
-        measured(result, self.json, _print)
+        self.show(result, _report)
 
 
-def _print(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> Report:
     from bunraku_lab.evaluation.motion.blocks import BARS
     from bunraku_lab.evaluation.motion.viewer.prompts import VIEWER_BARS
 
+    parts: list[Table | str] = []
     if "rows" in result:
-        _print_rows(result)
-        print("\n" + "\n".join(bar_lines(BARS, result)))
+        parts += [*_paper_rows(result), bar_table(BARS, result)]
     if VIEWER_BARS.keys() & result:
-        print("\n" + "\n".join(bar_lines(VIEWER_BARS, result, "what a viewer sees")))
-        _print_actions(result)
-    for name, reason in result.get("left_out", {}).items():
-        print(f"left out {name}: {reason}")
+        parts += [bar_table(VIEWER_BARS, result, "what a viewer sees"), *_actions(result)]
+    return Report(parts + [f"left out {name}: {reason}" for name, reason in result.get("left_out", {}).items()])
 
 
-def _print_rows(result: dict[str, Any]) -> None:
-    """The paper's table."""
+def _paper_rows(result: dict[str, Any]) -> list[Table | str]:
+    """The paper's table, after what it was measured on."""
     counts = result["counts"]
-    print(
-        f"{counts['clips']} clips of {counts['meanings']} meanings ({counts['seconds']:,.0f} s), "
-        f"{counts['windows']:,} windows, "
-        f"{counts['drawn']:,} a run, {counts['runs']} runs, {counts['candidates']} sentences each, {counts['steps']} "
-        "steps"
-    )
     rows = [["", *(title for _, title in _COLUMNS)]]
     rows += [
         [name, *(_cell(result["rows"][key].get(column)) for column, _ in _COLUMNS)]
         for key, name in _NAMES.items()
         if key in result["rows"]
     ]
-    print("\n".join(table_lines(rows)))
+    return [
+        f"{counts['clips']} clips of {counts['meanings']} meanings ({counts['seconds']:,.0f} s), "
+        f"{counts['windows']:,} windows, {counts['drawn']:,} a run, {counts['runs']} runs, {counts['candidates']} "
+        f"sentences each, {counts['steps']} steps",
+        Table(rows),
+    ]
 
 
-def _print_actions(result: dict[str, Any]) -> None:
+def _actions(result: dict[str, Any]) -> list[Table | str]:
     """What lies behind the figures of sides, speed and trembling."""
     sides = ", ".join(f"{action} {share:.0%}" for action, share in result["side_accuracy_by_action"].items())
-    print(f"the side asked for: {sides}")
+    parts: list[Table | str] = [f"the side that the sentence has: {sides}"]
+    names = ("generated", "captured", "ratio")
     for title, key in (("speed [m/s]", "speed_by_action"), ("third difference [cm]", "jitter_by_action")):
-        rows = [[title, "generated", "captured", "ratio", "clips"]]
+        rows = [[title, *names, "clips"]]
         for action, row in result[key].items():
-            rows.append(
-                [action, *(_figure(row[name]) for name in ("generated", "captured", "ratio")), str(row["clips"])]
-            )
-        print("\n" + "\n".join(table_lines(rows)))
+            rows.append([action, *(_figure(row[name]) for name in names), str(row["clips"])])
+        parts.append(Table(rows))
+    return parts
 
 
 def _figure(value: float | None) -> str:

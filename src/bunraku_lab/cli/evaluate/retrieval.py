@@ -10,13 +10,14 @@ import tyro
 
 from bunraku.cli.output.checks import check_input, check_range, check_source
 from bunraku.cli.output.progress import stages
-from bunraku.cli.output.report import measured
+from bunraku_lab.cli.evaluate.printed import Printed
+from bunraku_lab.evaluation.report import Report, Table
 
 __all__ = ["Retrieval"]
 
 
 @dataclass(frozen=True)
-class Retrieval:
+class Retrieval(Printed):
     """Test how well the sentence of a held-out motion is found among others, with the diffusion model as the judge.
 
     A model that ignores its text is right one time in as many as there are candidates.
@@ -34,8 +35,6 @@ class Retrieval:
     """Sentences to choose from, 2 to 500."""
     seed: int = 0
     """Of the choice and of the noise."""
-    json: bool = False
-    """Print JSON for programs, with a row for each clip."""
 
     def run(self) -> None:
         check_range("--candidates", self.candidates, 2, 500)
@@ -53,15 +52,16 @@ class Retrieval:
                 seed=self.seed,
                 progress=lambda done, total: report("retrieval", done / total),
             )
-        measured(result, self.json, _print)
+        self.show(result, _report)
 
 
-def _print(result: dict[str, Any]) -> None:
+def _report(result: dict[str, Any]) -> Report:
     low, high = result["top1_interval"]
-    print(f"{result['clips']} clips, {result['candidates']} sentences each, chance {result['chance']:.1%}")
-    print(
-        f"top 1      {result['top1']:.1%} (95 % interval {low:.1%} to {high:.1%}), {result['times_chance']:.1f} times "
-        "chance"
-    )
-    print(f"top 2, 3   {result['top2']:.1%}, {result['top3']:.1%}")
-    print(f"mean rank  {result['mean_rank']:.1f}")
+    rows = [["sentence of the motion", "share", "95 % interval", "over chance"]]
+    rows.append(["top 1", f"{result['top1']:.1%}", f"{low:.1%} to {high:.1%}", f"{result['times_chance']:.1f}"])
+    rows += [[f"top {count}", f"{result[f'top{count}']:.1%}", "", ""] for count in (2, 3)]
+    return Report([
+        f"{result['clips']} clips, {result['candidates']} sentences each, chance {result['chance']:.1%}; mean rank "
+        f"{result['mean_rank']:.1f}",
+        Table(rows),
+    ])  # fmt: skip

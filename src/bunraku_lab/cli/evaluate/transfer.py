@@ -10,15 +10,16 @@ import tyro
 
 from bunraku.cli.output.checks import check_range
 from bunraku.cli.output.progress import stages
-from bunraku.cli.output.report import measured
 from bunraku.errors import FormatError
 from bunraku.nn.spread import parse_jobs
+from bunraku_lab.cli.evaluate.printed import Printed
+from bunraku_lab.evaluation.report import Report, bar_table
 
 __all__ = ["EvaluateTransfer"]
 
 
 @dataclass(frozen=True)
-class EvaluateTransfer:
+class EvaluateTransfer(Printed):
     """Measure motion transfer: each character with a walk, a dance, a kick, a sitting down and a roll.
 
     Example: bunraku evaluate transfer --characters archive/characters --motions archive/bvh --json
@@ -38,8 +39,6 @@ class EvaluateTransfer:
     """Leave out the times, which say little on a busy machine."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the characters, or "ray" for a Ray cluster."""
-    json: bool = False
-    """Print JSON for programs, with a row for each character."""
 
     def run(self) -> None:
         check_range("--limit", self.limit, 1, 100_000)
@@ -53,19 +52,16 @@ class EvaluateTransfer:
             how: dict[str, Any] = {"mmd": self.mmd, "limit": self.limit, "work": self.work, "speed": not self.no_speed}
             how["jobs"] = jobs
             result = evaluate_transfer(self.characters, self.motions, progress=report, **how)
-        measured(result, self.json, _print)
+        self.show(result, _report)
 
 
-def _print(result: dict[str, Any]) -> None:
-    from bunraku_lab.evaluation.bars import bar_lines
+def _report(result: dict[str, Any]) -> Report:
     from bunraku_lab.evaluation.transfer.table import BARS
 
     counts = result["counts"]
-    print(
+    return Report([
         f"{counts['characters']} characters, {counts['humanoids']} humanoids with a rig, {counts['clips']} of them "
-        "with clips"
-    )
-    print("motions: " + ", ".join(f"{kind} {name}" for kind, name in result["motions"].items()))
-    print("\n".join(bar_lines(BARS, result)))
-    for name, reason in result["failed"].items():
-        print(f"failed {name}: {reason}")
+        "with clips; motions: " + ", ".join(f"{kind} {name}" for kind, name in result["motions"].items()),
+        bar_table(BARS, result),
+        *(f"failed {name}: {reason}" for name, reason in result["failed"].items()),
+    ])  # fmt: skip

@@ -22,10 +22,10 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError, CharacterError, FormatError
 from bunraku.formats.files import atomic_write, sweep
 from bunraku.nn.spread import spread
-from bunraku_lab.datasets.apparel.mend import bare_wearer, pushed_out_clips
 from bunraku_lab.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, ShardPlan
 from bunraku_lab.datasets.apparel.reader import INDEX
 from bunraku_lab.datasets.apparel.recording import record
+from bunraku_lab.datasets.apparel.repair import pushed_out_clips, unclothed
 from bunraku_lab.datasets.apparel.shards import Shard, shard_fingerprint, write_shard
 
 __all__ = ["BuildState", "body_animation", "build_apparel", "build_shard"]
@@ -33,7 +33,7 @@ __all__ = ["BuildState", "body_animation", "build_apparel", "build_shard"]
 
 @dataclass
 class BuildState:
-    """How far a build is; `build_apparel` tells it after every shard.
+    """How far a build is; `build_apparel` reports it after every shard.
 
     Args:
         shards: Shards of the plan.
@@ -80,8 +80,8 @@ def build_apparel(
         (folder / "shards").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(folder, f"the folder cannot be made ({error.strerror}); choose another") from error
-    for place in (folder, folder / "shards"):
-        sweep(place)
+    for home in (folder, folder / "shards"):
+        sweep(home)
     progress = progress or (lambda state: None)
     state = BuildState(len(plan), sum(shard.seconds for shard in plan) / 60)
     todo = [shard for shard in plan if shard_fingerprint(_path(folder, shard)) != shard.fingerprint()]
@@ -167,11 +167,11 @@ def build_shard(folder: Path, shard: ShardPlan) -> str:
 def _build(folder: Path, shard: ShardPlan) -> None:
     from bunraku.apparel.mask import apparel_mask
     from bunraku.apparel.parts import apparel_parts
+    from bunraku.physics.clothed import part_springs
     from bunraku.physics.from_file import apparel_rig
     from bunraku.physics.simulate import simulate
-    from bunraku.physics.worn import part_springs
 
-    character = _character(shard.character)
+    character = source_character(shard.character)
     rig = apparel_rig(character)
     mask = apparel_mask(character)
     if rig is None or mask is None or not mask.any():
@@ -207,8 +207,8 @@ def _build(folder: Path, shard: ShardPlan) -> None:
     assert own is not None
     part = apparel_parts(character.vertices, character.faces, mask)
     springs = part_springs(character, rig, part)
-    wearer = bare_wearer(character.vertices, character.faces, body.joints, body.weights, mask, part)
-    offsets = pushed_out_clips(wearer, recording.transforms, recording.loose, recording.offsets, clips)
+    clothed = unclothed(character.vertices, character.faces, body.joints, body.weights, mask, part)
+    offsets = pushed_out_clips(clothed, recording.transforms, recording.loose, recording.offsets, clips)
     arrays = {
         "rest": character.vertices, "faces": character.faces, "joints": body.joints, "weights": body.weights,
         "apparel": mask, "part": part, "spring": springs.spring, "mass": springs.mass, "damping": springs.damping,
@@ -228,7 +228,8 @@ def _build(folder: Path, shard: ShardPlan) -> None:
 
 
 @lru_cache(maxsize=1)
-def _character(source: CharacterSource) -> Character:
+def source_character(source: CharacterSource) -> Character:
+    """The character of a source; the last one is kept."""
     if source.path:
         from bunraku.io import load_character
 
@@ -289,6 +290,6 @@ def body_animation(body: UnifiedBody, motion: Any) -> RigAnimation:
     for handle in range(JOINT_COUNT, HANDLE_COUNT):
         rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
     motion = replace(motion, rotations=rotations)
-    # Bones keep their lengths anyway; feet that are held would carry away who slides on the spot.
+    # Bones keep their lengths in any case; feet that are held would carry away who slides on the spot.
     stages = replace(TRANSFER_STAGES, shape=False, feet=not is_treadmill(motion))
     return fit_rig(motion, body.parts, stages)

@@ -317,14 +317,14 @@ def plan_shards(
         if not rows[character.split]
     }
     out: list[ShardPlan] = []
-    place = dict.fromkeys(SPLITS, 0)
+    index = dict.fromkeys(SPLITS, 0)
     for character in usable:
         row, wanted, total = rows[character.split], minutes * 60 / len(usable), 0.0
         random = np.random.default_rng([seed, _number(character.name)])
         clips: list[ClipPlan] = []
         while total < wanted - SHORTEST / 2:
-            motion = row[place[character.split] % len(row)]
-            place[character.split] += 1
+            motion = row[index[character.split] % len(row)]
+            index[character.split] += 1
             frames = int(min(motion.seconds, longest, max(wanted - total, SHORTEST)) * FPS)
             start = int(random.integers(0, max(1, int(motion.seconds * FPS) - frames + 1)))
             clips.append(ClipPlan(motion, start / FPS, frames / FPS))

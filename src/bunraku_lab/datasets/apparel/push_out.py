@@ -10,12 +10,12 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from bunraku.apparel.body_volume import BodyVolume
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.body_points import body_points
 from bunraku.apparel.displacement.carry import Carrier
 from bunraku.apparel.displacement.safety import Safety, SafetySettings
 from bunraku.apparel.nodes import apparel_nodes
 from bunraku.apparel.skinning import eq4_transforms
-from bunraku.apparel.wearer import Wearer
 from bunraku.core.skinning import skin
 
 __all__ = ["Insides", "PushOut", "inside_shares"]
@@ -33,17 +33,17 @@ class PushOut:
     """The push for the clips of one character.
 
     Args:
-        wearer: The character.
+        clothed: The character.
         fps: Frames a second [1/s].
     """
 
-    def __init__(self, wearer: Wearer, fps: float = 30.0):
-        self.wearer, self.fps = wearer, fps
+    def __init__(self, clothed: ClothedCharacter, fps: float = 30.0):
+        self.clothed, self.fps = clothed, fps
         self.safety: Safety | None = None
-        if wearer.apparel.any():
-            self.nodes = apparel_nodes(wearer, NODES)
-            self.carrier = Carrier(wearer, self.nodes)
-            self.safety = Safety(wearer, self.nodes, body_points(wearer, POINTS), self.carrier, SETTINGS)
+        if clothed.apparel.any():
+            self.nodes = apparel_nodes(clothed, NODES)
+            self.carrier = Carrier(clothed, self.nodes)
+            self.safety = Safety(clothed, self.nodes, body_points(clothed, POINTS), self.carrier, SETTINGS)
 
     def __call__(self, transforms: np.ndarray, loose: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """The offsets of a clip with its apparel out of the body [m], shape (N, M, 3), of the type that they had.
@@ -55,27 +55,27 @@ class PushOut:
         """
         if self.safety is None or self.safety.depth is None:
             return offsets
-        wearer, nodes = self.wearer, self.nodes
-        place = np.full(len(wearer.rest), -1)
-        place[loose] = np.arange(len(loose))
-        affine = eq4_transforms(transforms, wearer.joints)
+        clothed, nodes = self.clothed, self.nodes
+        numbering = np.full(len(clothed.rest), -1)
+        numbering[loose] = np.arange(len(loose))
+        affine = eq4_transforms(transforms, clothed.joints)
         turns = affine[:, nodes.joint, :, :3]
-        of_nodes = place[nodes.vertex]
+        of_nodes = numbering[nodes.vertex]
         start = np.array(skin(nodes.rest, nodes.weights, affine))
         start[:, of_nodes >= 0] += offsets[:, of_nodes[of_nodes >= 0]].astype(np.float32)
         push, ways = np.zeros_like(start), []
-        for frame, places in enumerate(start):
-            ways.append(self.safety.unposed(places, affine[frame]))
-            moved = places
+        for frame, positions in enumerate(start):
+            ways.append(self.safety.unposed(positions, affine[frame]))
+            moved = positions
             for _ in range(PASSES):
                 moved = self.safety.outside(moved, ways[-1])
-            push[frame] = (turns[frame].transpose(0, 2, 1) * (moved - places)[:, None, :]).sum(axis=-1)
+            push[frame] = (turns[frame].transpose(0, 2, 1) * (moved - positions)[:, None, :]).sum(axis=-1)
         push = gaussian_filter1d(push, SMOOTH * self.fps, axis=0, mode="nearest")
         # apparel without offsets goes with its joint, and so it stays
-        moving = np.flatnonzero(place[self.carrier.vertices] >= 0)
+        moving = np.flatnonzero(numbering[self.carrier.vertices] >= 0)
         chosen = self.carrier.vertices[moving]
-        columns, index, share = place[chosen], self.carrier.index[moving], self.carrier.share[moving]
-        carried = skin(wearer.rest[chosen], wearer.weights[chosen], affine)
+        columns, index, share = numbering[chosen], self.carrier.index[moving], self.carrier.share[moving]
+        carried = skin(clothed.rest[chosen], clothed.weights[chosen], affine)
         everywhere = np.zeros((len(self.carrier.vertices), 3), np.float32)
         out = np.array(offsets)
         for frame, unposed in enumerate(ways):
@@ -86,13 +86,18 @@ class PushOut:
 
 
 def inside_shares(
-    wearer: Wearer, transforms: np.ndarray, loose: np.ndarray, before: np.ndarray, after: np.ndarray, most: int = 600
+    clothed: ClothedCharacter,
+    transforms: np.ndarray,
+    loose: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
+    most: int = 600,
 ) -> Insides:
     """Share of the apparel vertices deeper than 1 cm in the body, of those that are not so at rest, mean over the
     frames: of rigid apparel, of some offsets, and of others.
 
     Args:
-        wearer: The character.
+        clothed: The character.
         transforms: `[R | t]` of its joints, shape (N, 22, 3, 4).
         loose: Vertices that have offsets, shape (M,).
         before, after: Their offsets [m], shape (N, M, 3).
@@ -101,17 +106,17 @@ def inside_shares(
     Raises:
         CharacterError: All of the character is apparel.
     """
-    volume = BodyVolume.of_mesh(wearer.rest, wearer.faces, wearer.weights, wearer.apparel, "the mesh")
-    cloth = np.flatnonzero(wearer.apparel)
+    volume = BodyVolume.of_mesh(clothed.rest, clothed.faces, clothed.weights, clothed.apparel, "the mesh")
+    cloth = np.flatnonzero(clothed.apparel)
     cloth = cloth[np.linspace(0, len(cloth) - 1, min(most, len(cloth))).astype(np.int64)]
-    cloth = cloth[~volume.deep(volume.rest, wearer.rest[cloth])]
+    cloth = cloth[~volume.deep(volume.rest, clothed.rest[cloth])]
     if not len(cloth):
         return 0.0, 0.0, 0.0
-    affine = eq4_transforms(transforms, wearer.joints)
-    rigid = skin(wearer.rest[cloth], wearer.weights[cloth], affine)
-    place = np.full(len(wearer.rest), -1)
-    place[loose] = np.arange(len(loose))
-    rows = place[cloth]
+    affine = eq4_transforms(transforms, clothed.joints)
+    rigid = skin(clothed.rest[cloth], clothed.weights[cloth], affine)
+    index = np.full(len(clothed.rest), -1)
+    index[loose] = np.arange(len(loose))
+    rows = index[cloth]
     clouds = [np.array(rigid) for _ in range(3)]
     for cloud, offsets in zip(clouds[1:], (before, after), strict=True):
         cloud[:, rows >= 0] += offsets[:, rows[rows >= 0]].astype(np.float32)

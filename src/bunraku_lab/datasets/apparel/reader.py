@@ -38,8 +38,8 @@ class ApparelCharacter:
         spring, mass, damping: Of each part: stiffness of its joints [N m / rad], mass of its bodies, share of the
             velocity that they lose in a second, shape (P,).
         loose: Vertices with offsets, shape (M,).
-        bone_parents: The rig itself, which a network does not see: parents (B,), places [m] (B, 3), which bones physics
-            move (B,), and the bones (V, I) and shares (V, I) of each vertex.
+        bone_parents: The rig itself, which a network does not see: parents (B,), positions [m] (B, 3), which bones
+            physics move (B,), and the bones (V, I) and shares (V, I) of each vertex.
     """
 
     name: str

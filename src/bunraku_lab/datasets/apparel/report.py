@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bunraku_lab.datasets.apparel.mend import bare_wearer
 from bunraku_lab.datasets.apparel.reader import ApparelData
+from bunraku_lab.datasets.apparel.repair import unclothed
 from bunraku_lab.datasets.apparel.standing_out import standing_out
 
 __all__ = ["ApparelFacts", "apparel_facts", "facts_table", "sway_frequency"]
@@ -55,7 +55,7 @@ def apparel_facts(data: ApparelData) -> list[ApparelFacts]:
         span = clip.first, clip.first + clip.frames
         loose = shard.frames("offsets", *span)
         away = loose[:, some].astype(np.float64)
-        wearer = bare_wearer(
+        clothed = unclothed(
             character.rest, character.faces, character.joints, character.weights, character.apparel, character.part
         )
         out.append(
@@ -63,7 +63,7 @@ def apparel_facts(data: ApparelData) -> list[ApparelFacts]:
                 character.name, float(character.apparel.mean()), float(len(character.spring)),
                 100 * float(np.sqrt(np.square(away).sum(axis=-1).mean())) if len(some) else 0.0,
                 sway_frequency(away, data.fps), float(np.median(character.spring)),
-                standing_out(wearer, shard.frames("transforms", *span), character.loose, loose, data.fps),
+                standing_out(clothed, shard.frames("transforms", *span), character.loose, loose, data.fps),
             )
         )  # fmt: skip
     return out

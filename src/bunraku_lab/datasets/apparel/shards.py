@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ SHARD_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
 _AGAIN = "build it again with `bunraku data apparel`"
 
 
-def write_shard(path: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> Path:
+def write_shard(path: Path, arrays: dict[str, np.ndarray], facts: Mapping[str, object]) -> Path:
     """Write a shard, whole or not at all; the same arrays and facts give the same bytes.
 
     Args:
@@ -61,7 +62,7 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]
     kinds = {"F32": np.float32, "F16": np.float16, "I32": np.int32, "U8": np.uint8}
     plain = {name: np.ascontiguousarray(arrays[name], kinds[kind]) for name, (kind, _) in SHARD_ARRAYS.items()}
     # One key only: safetensors writes several in any order.
-    data = save(plain, {_KEY: json.dumps({"format": SHARD_FORMAT} | facts, sort_keys=True)})
+    data = save(plain, {_KEY: json.dumps({"format": SHARD_FORMAT, **facts}, sort_keys=True)})
     with atomic_write(path) as file:
         file.write(data)
     return path
@@ -159,7 +160,7 @@ class Shard:
         return out
 
 
-def _check_clips(path: Path, facts: dict[str, Any], frames: int) -> None:
+def _check_clips(path: Path, facts: dict[str, object], frames: int) -> None:
     """The list of clips must cover the frames, one after the other."""
     clips, fps, end = facts.get("clips"), facts.get("fps"), 0
     good = (

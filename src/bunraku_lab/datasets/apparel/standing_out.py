@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bunraku.apparel.wearer import Wearer
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.body.layout import JOINT_NAMES
 
 __all__ = ["standing_out"]
@@ -20,7 +20,7 @@ SETTLED = 15
 """Frames for which legs are calm before a hem that is still up stands out."""
 UPRIGHT = 0.95
 UP = 0.06
-"""How much higher than at rest a hem is, over the wearer's size."""
+"""How much higher than at rest a hem is, over the character's size."""
 STILL = 0.15
 """Speed under which it hangs there [m/s]."""
 SOME = 0.03
@@ -28,20 +28,20 @@ SOME = 0.03
 
 
 def standing_out(
-    wearer: Wearer, transforms: np.ndarray, loose: np.ndarray, offsets: np.ndarray, fps: float = 30.0
+    clothed: ClothedCharacter, transforms: np.ndarray, loose: np.ndarray, offsets: np.ndarray, fps: float = 30.0
 ) -> float:
     """Share of the frames with calm legs in which apparel that hangs from the pelvis stands out; 0 where there is none.
 
     Args:
-        wearer: The character.
+        clothed: The character.
         transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
         loose: Vertices that leave their joints, shape (M,).
         offsets: By how much [m], shape (N, M, 3).
         fps: Frames a second.
     """
     hung = (
-        wearer.apparel[loose] & (wearer.weights[loose].argmax(axis=1) == 0)
-        & (wearer.rest[loose, 1] < wearer.joints[0, 1])
+        clothed.apparel[loose] & (clothed.weights[loose].argmax(axis=1) == 0)
+        & (clothed.rest[loose, 1] < clothed.joints[0, 1])
     )  # fmt: skip
     turn = np.asarray(transforms[:, 0, :, :3], np.float32)
     thighs = np.einsum("nba,njbc->njac", turn, transforms[:, HIPS, :, :3])
@@ -52,5 +52,5 @@ def standing_out(
         return 0.0
     away = np.einsum("nba,nmb->nma", turn, offsets[:, hung].astype(np.float32))
     speed = np.linalg.norm(np.gradient(away, axis=0), axis=2) * fps
-    up = (away[..., 1] > UP * wearer.scale) & (speed < STILL)
+    up = (away[..., 1] > UP * clothed.scale) & (speed < STILL)
     return float((up[settled].mean(axis=1) > SOME).mean())

@@ -164,8 +164,8 @@ def build_characters(
         makers[f"samples/{sample}"] = (partial(sample_character, sample, rigged=True), mesh_vertices)
     for family, seed in code_made_names(code_made):
         makers[f"code_made/{family}_{seed}"] = (partial(code_made_character, family, seed), mesh_vertices)
-    for place in {(cache / name).parent for name in makers}:
-        sweep(place)
+    for home in {(cache / name).parent for name in makers}:
+        sweep(home)
     done, failed = [], {}
     for number, (name, (make, size)) in enumerate(makers.items()):
         target = cache / f"{name}.npz"

@@ -18,11 +18,11 @@ from bunraku.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import line_up
 from bunraku.errors import BunrakuError, FormatError
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.graph import unique_edges
-from bunraku.handles.from_rig import settle_joints
-from bunraku.retarget.character_bank import save_character_bank
+from bunraku.geometry.surface import vertex_areas
+from bunraku.handles.from_rig import resolve_joints
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
+from bunraku_lab.datasets.characters.bank_file import save_character_bank
 from bunraku_lab.datasets.characters.build import HELD_OUT, rigged_files
 from bunraku_lab.datasets.characters.known_rigs import facing_turn, known_handles
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, TrainingCharacter, augment, handle_target
@@ -242,15 +242,15 @@ def _arms(
     bones, shares = _top(dense[arm])
     chest = next((joint for part in _CHEST for joint in np.flatnonzero(known == part).tolist()), int(np.argmax(mass)))
     used = _with_ancestors(set(bones[shares > 0].tolist()) | {chest}, parents)
-    place = np.zeros(len(parents), np.int64)
-    place[used] = np.arange(len(used))
-    above = np.array([place[parents[joint]] if parents[joint] >= 0 else -1 for joint in used])
-    roles = settle_joints(known, parents)[used].tolist()
+    level = np.zeros(len(parents), np.int64)
+    level[used] = np.arange(len(used))
+    above = np.array([level[parents[joint]] if parents[joint] >= 0 else -1 for joint in used])
+    roles = resolve_joints(known, parents)[used].tolist()
     return row | {
         "arms": True, "arm_points": character.vertices[arm], "arm_index": index[arm], "arm_weights": weights[arm],
-        "arm_bones": np.where(shares > 0, place[bones], 0), "arm_bone_weights": shares,
+        "arm_bones": np.where(shares > 0, level[bones], 0), "arm_bone_weights": shares,
         "bone_joints": rig.positions[used], "bone_parents": above,
-        "bone_handles": np.array([_playing(role, handles) for role in roles]), "chest_bone": place[chest],
+        "bone_handles": np.array([_playing(role, handles) for role in roles]), "chest_bone": level[chest],
     }  # fmt: skip
 
 
@@ -270,7 +270,7 @@ def _with_ancestors(joints: set[int], parents: np.ndarray) -> list[int]:
     depth: dict[int, int] = {}
     for joint in joints:
         chain = line_up(joint, parents)
-        depth |= {one: len(chain) - 1 - place for place, one in enumerate(chain)}
+        depth |= {one: len(chain) - 1 - index for index, one in enumerate(chain)}
     return sorted(depth, key=lambda joint: (depth[joint], joint))
 
 

@@ -13,7 +13,7 @@ from bunraku_lab.datasets.characters.build import whole_head
 from bunraku_lab.datasets.characters.training_character import TrainingCharacter
 from bunraku_lab.synthetic.dressed.people import Dressed, dressed_person
 from bunraku_lab.synthetic.dressed.wardrobe import Wardrobe
-from bunraku_lab.synthetic.makehuman import MakeHumanBody
+from bunraku_lab.synthetic.people.makehuman import MakeHumanBody
 
 __all__ = ["training_dressed", "build_dressed"]
 

@@ -102,6 +102,6 @@ def root_joint(
     """
     for choice in ((handles == 0) & (mass > 0), handles == 0, parents < 0):
         if choice.any():
-            place = joints[choice].mean(axis=0)
-            return np.asarray(np.clip(place, vertices.min(axis=0), vertices.max(axis=0)), np.float32)
+            position = joints[choice].mean(axis=0)
+            return np.asarray(np.clip(position, vertices.min(axis=0), vertices.max(axis=0)), np.float32)
     return np.zeros(3, np.float32)

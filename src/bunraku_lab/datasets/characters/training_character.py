@@ -138,17 +138,17 @@ def forward_kinematics(
         Shape (J, 3, 4).
     """
     count = len(joints)
-    world, places, done = np.empty((count, 3, 3)), np.empty((count, 3)), np.zeros(count, bool)
+    world, positions, done = np.empty((count, 3, 3)), np.empty((count, 3)), np.zeros(count, bool)
     waiting = list(range(count))
     while waiting:
         later = []
         for joint in waiting:
             parent = parents[joint]
             if parent < 0:
-                world[joint], places[joint] = rotations[joint], joints[joint]
+                world[joint], positions[joint] = rotations[joint], joints[joint]
             elif done[parent]:
                 world[joint] = world[parent] @ rotations[joint]
-                places[joint] = world[parent] @ (joints[joint] - joints[parent]) + places[parent]
+                positions[joint] = world[parent] @ (joints[joint] - joints[parent]) + positions[parent]
             else:
                 later.append(joint)
                 continue
@@ -157,7 +157,7 @@ def forward_kinematics(
             raise ValueError("the joints' parents form a loop")
         waiting = later
     linear = world if scales is None else world * scales[:, None, None]
-    return np.concatenate([linear, (places - np.einsum("jab,jb->ja", linear, joints))[..., None]], axis=-1)
+    return np.concatenate([linear, (positions - np.einsum("jab,jb->ja", linear, joints))[..., None]], axis=-1)
 
 
 def _resting(character: TrainingCharacter) -> np.ndarray:

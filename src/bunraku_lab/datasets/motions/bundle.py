@@ -162,11 +162,11 @@ def write_bundle(
 def _distances(one: HandleMotion, other: HandleMotion) -> np.ndarray:
     """How far apart two motions put the handles of the reference body [m], for each frame and handle."""
     rest = reference_body().handles.positions
-    places = [
+    positions = [
         np.einsum("nkij,kj->nki", found[..., :3], rest) + found[..., 3]
         for found in (motion.transforms(rest) for motion in (one, other))
     ]
-    return np.asarray(np.linalg.norm(places[0] - places[1], axis=-1)).ravel()
+    return np.asarray(np.linalg.norm(positions[0] - positions[1], axis=-1)).ravel()
 
 
 def _mesh_rows(path: Path) -> dict[str, np.ndarray]:

@@ -80,7 +80,7 @@ def load_lowest(path: str | Path) -> np.ndarray:
         ) from error
 
 
-def write_index(folder: Path, clips: dict[str, dict[str, Any]]) -> Path:
+def write_index(folder: Path, clips: dict[str, dict[str, object]]) -> Path:
     """Write what is known of each clip (captions, source, frames, split, weight) and return the path of `index.json`.
 
     Raises:

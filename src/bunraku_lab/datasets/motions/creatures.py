@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -99,6 +99,13 @@ class CreatureClip:
     weight: float = 1.0
 
 
+class _Character(TypedDict, total=False):
+    """What the table says of a character about its clips being watched."""
+
+    watched: dict[str, list[str]]
+    watched_like: str
+
+
 @lru_cache(maxsize=1)
 def _table() -> dict[str, Any]:
     table: dict[str, Any] = json.loads(
@@ -122,13 +129,13 @@ def _sentences(species: tuple[str, ...], generic: str, phrases: list[str]) -> tu
     return tuple(dict.fromkeys(out))
 
 
-def _seen(characters: dict[str, dict[str, Any]], file: str, word: str) -> list[str] | None:
+def _seen(characters: Mapping[str, _Character], file: str, word: str) -> list[str] | None:
     """Phrases written from watching this clip; they stand with the character named in `watched_like` where the same was
     seen on it.
     """
     known = characters[file]
-    own: list[str] | None = known.get("watched", {}).get(word)
-    return own or characters.get(known.get("watched_like", ""), {}).get("watched", {}).get(word)
+    like = characters.get(known.get("watched_like", ""))
+    return known.get("watched", {}).get(word) or (like or known).get("watched", {}).get(word)
 
 
 def creature_clips(file: str, labels: list[str]) -> list[CreatureClip]:

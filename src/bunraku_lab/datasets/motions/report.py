@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.geometry.heading import heading
+from bunraku.geometry.rotations import heading
 from bunraku.language.description.track import Track
 from bunraku.language.lexicon.reading import main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, load_lowest

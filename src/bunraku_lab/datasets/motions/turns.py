@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
-from bunraku.geometry.heading import heading
+from bunraku.geometry.rotations import heading
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 
 __all__ = ["add_turns", "find_turn"]

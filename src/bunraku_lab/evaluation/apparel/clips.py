@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.skinning import eq4_transforms
 from bunraku.apparel.unified import UnifiedBody
-from bunraku.apparel.wearer import Wearer
 from bunraku.core.character import Character
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.core.skinning import skin
 from bunraku.geometry.graph import unique_edges
+from bunraku.physics.clothed import clothed_from_file
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.simulate import simulate
-from bunraku.physics.worn import wearer_of_file
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import body_animation
 from bunraku_lab.datasets.apparel.push_out import PushOut
@@ -36,7 +36,7 @@ class TrueClip:
     Args:
         name: Of the character.
         motion: Of the motion.
-        wearer: The character, with its file's mask and stiffness.
+        clothed: The character, with its file's mask and stiffness.
         transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
         loose: Vertices that leave their joints, shape (M,).
         offsets: By how much [m], shape (N, M, 3).
@@ -44,7 +44,7 @@ class TrueClip:
 
     name: str
     motion: str
-    wearer: Wearer
+    clothed: ClothedCharacter
     transforms: np.ndarray
     loose: np.ndarray
     offsets: np.ndarray
@@ -52,30 +52,30 @@ class TrueClip:
     @property
     def affine(self) -> np.ndarray:
         """Affine transforms of the joints, shape (N, 22, 3, 4)."""
-        return eq4_transforms(self.transforms, self.wearer.joints)
+        return eq4_transforms(self.transforms, self.clothed.joints)
 
     def sample(self) -> np.ndarray:
         """Apparel vertices, evenly taken where they are many, shape (S,)."""
-        found = np.flatnonzero(self.wearer.apparel)
+        found = np.flatnonzero(self.clothed.apparel)
         return found if len(found) <= MOST else found[np.linspace(0, len(found) - 1, MOST).astype(np.int64)]
 
     def carried(self, vertices: np.ndarray) -> np.ndarray:
         """Vertices as the joints alone take them [m], shape (N, S, 3)."""
-        return np.asarray(skin(self.wearer.rest[vertices], self.wearer.weights[vertices], self.affine))
+        return np.asarray(skin(self.clothed.rest[vertices], self.clothed.weights[vertices], self.affine))
 
     def truth(self, vertices: np.ndarray) -> np.ndarray:
         """Where vertices are [m], shape (N, S, 3)."""
-        place = np.full(len(self.wearer.rest), -1)
-        place[self.loose] = np.arange(len(self.loose))
-        rows = place[vertices]
+        index = np.full(len(self.clothed.rest), -1)
+        index[self.loose] = np.arange(len(self.loose))
+        rows = index[vertices]
         moved = np.array(self.carried(vertices))
         moved[:, rows >= 0] += self.offsets[:, rows[rows >= 0]].astype(np.float32)
         return moved
 
     def edges(self) -> np.ndarray:
         """Edges between apparel vertices, shape (E, 2)."""
-        found = unique_edges(np.asarray(self.wearer.faces, np.int64), len(self.wearer.rest))
-        return found[self.wearer.apparel[found].all(axis=1)]
+        found = unique_edges(np.asarray(self.clothed.faces, np.int64), len(self.clothed.rest))
+        return found[self.clothed.apparel[found].all(axis=1)]
 
 
 def data_clips(data: ApparelData, most: int | None = None, seconds: float = 6.0) -> Iterator[TrueClip]:
@@ -86,7 +86,7 @@ def data_clips(data: ApparelData, most: int | None = None, seconds: float = 6.0)
         most: How many at the most.
         seconds: Length [s].
     """
-    from bunraku_lab.training.apparel.node_bank import truth_wearer
+    from bunraku_lab.training.apparel.node_bank import truly_clothed
 
     rows: dict[str, list[int]] = {}
     for number, clip in enumerate(data.clips):
@@ -99,7 +99,7 @@ def data_clips(data: ApparelData, most: int | None = None, seconds: float = 6.0)
         character, shard = data.character(clip), data.shard(clip.shard)
         span = clip.first, clip.first + round(seconds * RATE)
         yield TrueClip(
-            clip.character, clip.motion, truth_wearer(character), shard.frames("transforms", *span), character.loose,
+            clip.character, clip.motion, truly_clothed(character), shard.frames("transforms", *span), character.loose,
             shard.frames("offsets", *span),
         )  # fmt: skip
 
@@ -144,6 +144,6 @@ def long_clip(seed: int, motion: Path, seconds: float = 60.0) -> TrueClip:
 
 def _simulated(character: Character, body: UnifiedBody, name: str, animation: RigAnimation) -> TrueClip:
     recording = record(body, [simulate(animation, apparel_rig(character)).animation])
-    wearer = wearer_of_file(character, body)
-    offsets = PushOut(wearer)(recording.transforms, recording.loose, recording.offsets)
-    return TrueClip(character.name, name, wearer, recording.transforms, recording.loose, offsets)
+    clothed = clothed_from_file(character, body)
+    offsets = PushOut(clothed)(recording.transforms, recording.loose, recording.offsets)
+    return TrueClip(character.name, name, clothed, recording.transforms, recording.loose, offsets)

@@ -8,13 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.apparel.body.network import load_body
-from bunraku.apparel.body.predict import body_weights
 from bunraku.apparel.displacement.network import DisplacementNetwork
-from bunraku.apparel.fitting import fitted_wearer
-from bunraku.apparel.refinement.network import RefinementNetwork, refined
-from bunraku.apparel.refinement.seam import seam_of
-from bunraku.apparel.refinement.tiled import found_wearer, tiled
+from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.segmentation.predict import find_apparel
 from bunraku.core.skinning import skin
 from bunraku.errors import WeightsError
@@ -22,6 +17,11 @@ from bunraku.geometry.graph import unique_edges
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.evaluation.apparel.clips import TrueClip
 from bunraku_lab.evaluation.apparel.measures import edge_score, point_distance
+from bunraku_lab.training.apparel.networks.body import load_body
+from bunraku_lab.training.apparel.networks.body_predict import body_weights
+from bunraku_lab.training.apparel.networks.refinement import RefinementNetwork, refined
+from bunraku_lab.training.apparel.networks.seam import seam_of
+from bunraku_lab.training.apparel.networks.tiled import clothed_by_mask, tiled
 
 __all__ = ["body_table", "mask_scores", "module_row"]
 
@@ -33,10 +33,10 @@ def mask_scores(clip: TrueClip, masks: Path | None = None) -> dict[str, float]:
     """Intersection over union of the mask that is found, and the mean error of log10 stiffness where there is
     apparel.
     """
-    wearer = clip.wearer
-    found = find_apparel(wearer.rest, wearer.faces, wearer.joints, masks)
-    both, any_ = (found.mask & wearer.apparel).sum(), (found.mask | wearer.apparel).sum()
-    error = np.abs(found.stiffness - wearer.stiffness[wearer.part])[wearer.apparel].mean()
+    clothed = clip.clothed
+    found = find_apparel(clothed.rest, clothed.faces, clothed.joints, masks)
+    both, any_ = (found.mask & clothed.apparel).sum(), (found.mask | clothed.apparel).sum()
+    error = np.abs(found.stiffness - clothed.stiffness[clothed.part])[clothed.apparel].mean()
     return {"iou": float(both / max(any_, 1)), "stiffness": float(error)}
 
 
@@ -48,9 +48,9 @@ def module_row(
     file's mask. Body and apparel are skinned by predicted weights, and nothing of the file but its joints is used where
     it does not say so.
     """
-    true = clip.wearer
-    guessed, weights = found_wearer(true, masks, body)
-    told = fitted_wearer(
+    true = clip.clothed
+    guessed, weights = clothed_by_mask(true, masks, body)
+    given = fitted_clothes(
         true.rest, true.faces, true.joints, weights, true.apparel,
         true.stiffness[true.part] * true.apparel, true.damping[true.part] * true.apparel,
     )  # fmt: skip
@@ -59,11 +59,11 @@ def module_row(
     truth = short.truth(np.arange(len(true.rest)))
     bare = np.asarray(skin(true.rest, weights, short.affine))
     rows = {"body module": _whole(clip, bare, truth)}
-    for wearer, name in ((guessed, ""), (told, ", true mask")):
-        moved = tiled(wearer, clip.transforms, network, frames)
+    for clothed, name in ((guessed, ""), (given, ", true mask")):
+        moved = tiled(clothed, clip.transforms, network, frames)
         rows[f"body + apparel{name}"] = _whole(clip, moved, truth)
         if refinement is not None:
-            seam = seam_of(wearer, weights)
+            seam = seam_of(clothed, weights)
             merged = np.stack([refined(refinement, seam, *pair) for pair in zip(moved, short.affine, strict=True)])
             rows[f"with joint refinement{name}"] = _whole(clip, merged, truth)
     return rows
@@ -71,14 +71,14 @@ def module_row(
 
 def _whole(clip: TrueClip, moved: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """PMD of all, apparel and body [cm], and ELS of the whole mesh."""
-    wearer = clip.wearer
-    cloth = wearer.apparel
-    edges = unique_edges(np.asarray(wearer.faces, np.int64), len(wearer.rest))
+    clothed = clip.clothed
+    cloth = clothed.apparel
+    edges = unique_edges(np.asarray(clothed.faces, np.int64), len(clothed.rest))
     return {
         "PMD": 100 * float(point_distance(moved, truth).mean()),
         "PMD_a": 100 * float(point_distance(moved[:, cloth], truth[:, cloth]).mean()),
         "PMD_b": 100 * float(point_distance(moved[:, ~cloth], truth[:, ~cloth]).mean()),
-        "ELS": edge_score(moved, wearer.rest, edges),
+        "ELS": edge_score(moved, clothed.rest, edges),
     }
 
 
@@ -105,18 +105,18 @@ def body_table(clips: Sequence[TrueClip], bodies: Sequence[Path]) -> dict[str, d
 
 
 def _body_row(clip: TrueClip, path: Path) -> dict[str, float]:
-    wearer = clip.wearer
+    clothed = clip.clothed
     few = slice(0, None, 3 * STRIDE)
     short = replace(clip, transforms=clip.transforms[few], offsets=clip.offsets[few])
-    chosen = np.linspace(0, len(wearer.rest) - 1, min(MOST, len(wearer.rest))).astype(np.int64)
-    weights = body_weights(wearer.rest, wearer.faces, wearer.joints, path)
-    everything = np.arange(len(wearer.rest))
-    truth, moved = short.carried(everything), np.array(skin(wearer.rest, weights, short.affine))
-    cloth = wearer.apparel[chosen]
-    edges = unique_edges(np.asarray(wearer.faces, np.int64), len(wearer.rest))
+    chosen = np.linspace(0, len(clothed.rest) - 1, min(MOST, len(clothed.rest))).astype(np.int64)
+    weights = body_weights(clothed.rest, clothed.faces, clothed.joints, path)
+    everything = np.arange(len(clothed.rest))
+    truth, moved = short.carried(everything), np.array(skin(clothed.rest, weights, short.affine))
+    cloth = clothed.apparel[chosen]
+    edges = unique_edges(np.asarray(clothed.faces, np.int64), len(clothed.rest))
     gap = np.linalg.norm(moved[:, chosen] - truth[:, chosen], axis=-1).mean(axis=0)
     return {
         "PMD": 100 * float(gap.mean()), "PMD_a": 100 * float(gap[cloth].mean()),
         "PMD_b": 100 * float(gap[~cloth].mean()),
-        "ELS": edge_score(moved, wearer.rest, edges),
+        "ELS": edge_score(moved, clothed.rest, edges),
     }  # fmt: skip

@@ -36,35 +36,36 @@ def clip_row(clip: TrueClip, network: DisplacementNetwork, *, nodes: int = 256, 
     """
     chosen = clip.sample()
     truth, rigid = clip.truth(chosen), clip.carried(chosen)
-    wearer = clip.wearer
-    nearest = np.linalg.norm(wearer.rest[chosen][:, None] - wearer.joints[None], axis=-1).argmin(axis=1)
-    near = np.asarray(posed_points(clip.affine[:, nearest], wearer.rest[chosen]))
+    clothed = clip.clothed
+    nearest = np.linalg.norm(clothed.rest[chosen][:, None] - clothed.joints[None], axis=-1).argmin(axis=1)
+    near = np.asarray(posed_points(clip.affine[:, nearest], clothed.rest[chosen]))
     row: dict[str, Any] = {
-        "name": clip.name, "motion": clip.motion, "vertices": len(wearer.rest), "apparel": float(wearer.apparel.mean()),
+        "name": clip.name, "motion": clip.motion, "vertices": len(clothed.rest),
+        "apparel": float(clothed.apparel.mean()),
         "rigid": float(point_distance(rigid, truth).mean()), "nearest_joint": float(point_distance(near, truth).mean()),
     }  # fmt: skip
     variants = {"head": {"safe": False, "recurrent": False}, "learned": {"safe": False}, "safe": {}}
     if network.recurrent is None or network.recurrent.world:
         variants.pop("head")
-    vertices = np.flatnonzero(wearer.apparel)
-    place = np.full(len(wearer.rest), -1)
-    place[vertices] = np.arange(len(vertices))
-    edges, rest = place[clip.edges()], wearer.rest[vertices]
+    vertices = np.flatnonzero(clothed.apparel)
+    index = np.full(len(clothed.rest), -1)
+    index[vertices] = np.arange(len(vertices))
+    edges, rest = index[clip.edges()], clothed.rest[vertices]
     few = slice(0, None, STRIDE)
     true_all = replace(clip, transforms=clip.transforms[few], offsets=clip.offsets[few]).truth(vertices)
     row["els_truth"] = edge_score(true_all, rest, edges)
     shown = {"truth": true_all, "rigid": replace(clip, transforms=clip.transforms[few]).carried(vertices)}
     for name, how in variants.items():
-        player = ApparelPlayer(wearer, network, nodes=nodes, **how)
+        player = ApparelPlayer(clothed, network, nodes=nodes, **how)
         moved = player.clip(clip.transforms)
-        errors = point_distance(moved[:, place[chosen]], truth)
+        errors = point_distance(moved[:, index[chosen]], truth)
         row[name] = float(errors.mean())
         row[f"{name}_2s"] = float(errors[:60].mean())
         row[f"{name}_els"] = edge_score(moved[few], rest, edges)
         shown[name] = moved[few]
     if slow:
         some = np.linspace(0, len(chosen) - 1, min(ORACLE, len(chosen))).astype(np.int64)
-        best = oracle_skinning(wearer.rest[chosen[some]], truth[:, some], clip.affine)
+        best = oracle_skinning(clothed.rest[chosen[some]], truth[:, some], clip.affine)
         row["oracle_skinning"] = float(point_distance(best, truth[:, some]).mean())
         shown["truth_safe"] = safe_truth(clip, nodes)[few]
         row |= _insides(clip, vertices, few, shown)
@@ -73,10 +74,10 @@ def clip_row(clip: TrueClip, network: DisplacementNetwork, *, nodes: int = 256, 
 
 def _insides(clip: TrueClip, vertices: np.ndarray, few: slice, shown: dict[str, np.ndarray]) -> dict[str, float]:
     """Share of the apparel deeper than 1 cm in the body, of what is not there at rest."""
-    wearer = clip.wearer
-    volume = BodyVolume.of_mesh(wearer.rest, wearer.faces, wearer.weights, wearer.apparel, clip.name)
+    clothed = clip.clothed
+    volume = BodyVolume.of_mesh(clothed.rest, clothed.faces, clothed.weights, clothed.apparel, clip.name)
     some = np.linspace(0, len(vertices) - 1, min(DEEPEST, len(vertices))).astype(np.int64)
-    some = some[~volume.deep(volume.rest, wearer.rest[vertices[some]])]
+    some = some[~volume.deep(volume.rest, clothed.rest[vertices[some]])]
     if not len(some):
         return {}
     bodies = volume.posed(clip.affine[few])
@@ -94,19 +95,19 @@ def safe_truth(clip: TrueClip, nodes: int = 256) -> np.ndarray:
     from bunraku.apparel.displacement.carry import Carrier
     from bunraku.apparel.nodes import apparel_nodes
 
-    wearer = clip.wearer
-    own = apparel_nodes(wearer, nodes)
-    carrier = Carrier(wearer, own)
-    safety = Safety(wearer, own, body_points(wearer, SAFE_POINTS), carrier)
+    clothed = clip.clothed
+    own = apparel_nodes(clothed, nodes)
+    carrier = Carrier(clothed, own)
+    safety = Safety(clothed, own, body_points(clothed, SAFE_POINTS), carrier)
     affine = clip.affine
     turns = affine[:, own.joint, :, :3]
     true, carried = clip.truth(own.vertex), clip.carried(own.vertex)
     out = []
     for frame in range(len(affine)):
         kept = carried[frame] + safety.share * (true[frame] - carried[frame])
-        places, unposed = safety(kept, affine[frame])
-        moved = (turns[frame].transpose(0, 2, 1) * (places - carried[frame])[:, None, :]).sum(axis=-1)
-        safe = carrier.places(moved, affine[frame])
+        positions, unposed = safety(kept, affine[frame])
+        moved = (turns[frame].transpose(0, 2, 1) * (positions - carried[frame])[:, None, :]).sum(axis=-1)
+        safe = carrier.positions(moved, affine[frame])
         out.append(safety.vertices(safe, unposed))
     return np.stack(out)
 
@@ -115,17 +116,17 @@ def ten_frames(clip: TrueClip, network: DisplacementNetwork, starts: int = 4, no
     """The paper's protocol: the ten frames after a true state. Mean errors [m] of the network, of parent-rigid skinning
     and of the true displacement kept as it was.
     """
-    player = ApparelPlayer(clip.wearer, network, nodes=nodes, safe=False)
-    frames = clip_features(clip.wearer, player.nodes, clip.transforms)
+    player = ApparelPlayer(clip.clothed, network, nodes=nodes, safe=False)
+    frames = clip_features(clip.clothed, player.nodes, clip.transforms)
     turns = np.stack([frame.turns for frame in frames])
     own = player.nodes.vertex
     away = clip.truth(own) - clip.carried(own)
-    states = np.einsum("nmba,nmb->nma", turns, away) / clip.wearer.scale
+    states = np.einsum("nmba,nmb->nma", turns, away) / clip.clothed.scale
     vertices = player.carrier.vertices
     chosen = clip.sample()
     rows = np.searchsorted(vertices, chosen)
     truth, rigid = clip.truth(chosen), clip.carried(chosen)
-    joints = clip.wearer.weights[chosen].argmax(axis=1)
+    joints = clip.clothed.weights[chosen].argmax(axis=1)
     local = clip.affine[:, joints, :, :3]
     held = np.einsum("nmba,nmb->nma", local, truth - rigid)
     sums = np.zeros(3)
@@ -147,7 +148,7 @@ def drift_row(clip: TrueClip, network: DisplacementNetwork, nodes: int = 256) ->
     """Errors of a long clip from rest [m]: in its second second and in its last one."""
     chosen = clip.sample()
     truth = clip.truth(chosen)
-    player = ApparelPlayer(clip.wearer, network, nodes=nodes)
+    player = ApparelPlayer(clip.clothed, network, nodes=nodes)
     player.start(clip.transforms[0])
     rows = np.searchsorted(player.carrier.vertices, chosen)
     errors = [float(np.linalg.norm(player.advance(pose)[rows] - truth[frame], axis=-1).mean())
@@ -162,7 +163,7 @@ def drift_row(clip: TrueClip, network: DisplacementNetwork, nodes: int = 256) ->
 
 def frame_milliseconds(clip: TrueClip, network: DisplacementNetwork, nodes: int = 256, frames: int = 60) -> float:
     """Time of a frame, median of some, the way back to the vertices included [ms]."""
-    player = ApparelPlayer(clip.wearer, network, nodes=nodes)
+    player = ApparelPlayer(clip.clothed, network, nodes=nodes)
     player.start(clip.transforms[0])
     times = []
     for pose in clip.transforms[:frames]:

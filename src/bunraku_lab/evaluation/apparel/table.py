@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
-from bunraku.apparel.refinement.network import load_refinement
 from bunraku.errors import BunrakuError, FormatError, WeightsError
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.evaluation.apparel.clips import TrueClip, data_clips, file_clips, long_clip
 from bunraku_lab.evaluation.apparel.modules import body_table, mask_scores, module_row
 from bunraku_lab.evaluation.apparel.rows import clip_row, drift_row, frame_milliseconds, ten_frames
-from bunraku_lab.evaluation.bars import Bar, figure, measured_in, reached_bars
+from bunraku_lab.evaluation.report import Bar, figure, measured_in, reached_bars
+from bunraku_lab.training.apparel.networks.refinement import load_refinement
 
-__all__ = ["APPAREL_BARS", "evaluate_apparel"]
+__all__ = ["APPAREL_BARS", "ApparelEvalConfig", "evaluate_apparel"]
 
 Progress = Callable[[str, float], None]
 FILE_MOTIONS = ("walk", "dance")
@@ -43,21 +43,9 @@ _BARS = {
 APPAREL_BARS = {key: replace(bar, show=measured_in("", 3), show_limit=figure) for key, bar in _BARS.items()}
 
 
-def evaluate_apparel(
-    data: str | Path,
-    *,
-    motions: Path | None = None,
-    files: Sequence[Path] = (),
-    clips: int = 24,
-    weights: Path | None = None,
-    masks: Path | None = None,
-    bodies: Sequence[Path] = (),
-    refinement: Path | None = None,
-    literal: Path | None = None,
-    quick: bool = False,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Measure all rows.
+@dataclass(frozen=True)
+class ApparelEvalConfig:
+    """What is measured.
 
     Args:
         data: Folder of the data set; its split "test" is measured.
@@ -70,6 +58,25 @@ def evaluate_apparel(
         refinement: Joint refinement of Table 3.
         literal: Displacement network of the paper's own form, for rows beside ours.
         quick: Leave out what takes long: 60 s, the best static skinning and insides.
+    """
+
+    data: Path
+    motions: Path | None = None
+    files: Sequence[Path] = ()
+    clips: int = 24
+    weights: Path | None = None
+    masks: Path | None = None
+    bodies: Sequence[Path] = ()
+    refinement: Path | None = None
+    literal: Path | None = None
+    quick: bool = False
+
+
+def evaluate_apparel(config: ApparelEvalConfig, progress: Progress | None = None) -> dict[str, Any]:
+    """Measure all rows.
+
+    Args:
+        config: What is measured.
         progress: Called with a stage's name and the share done.
 
     Returns:
@@ -80,17 +87,19 @@ def evaluate_apparel(
         WeightsError: A network is missing or broken.
     """
     progress = progress or (lambda stage, done: None)
-    network = load_displacement(weights or shipped_checkpoint("apparel"))
-    found = list(data_clips(ApparelData(data, "test"), clips))
+    masks, bodies, quick = config.masks, config.bodies, config.quick
+    network = load_displacement(config.weights or shipped_checkpoint("apparel"))
+    found = list(data_clips(ApparelData(config.data, "test"), config.clips))
     if not found:
-        raise FormatError(Path(data), "there are no test clips of 6 s; build more of `bunraku data apparel`")
+        raise FormatError(config.data, "there are no test clips of 6 s; build more of `bunraku data apparel`")
     rows, tens, modules, scores = [], [], [], []
     body = bodies[0] if bodies else None
     known_body = body is not None or _ships("apparel-body")
+    refinement = config.refinement
     if refinement is None and _ships("apparel-refinement"):
         refinement = shipped_checkpoint("apparel-refinement")
     merging = None if refinement is None else load_refinement(refinement)
-    paper = None if literal is None else load_displacement(literal)
+    paper = None if config.literal is None else load_displacement(config.literal)
     for number, clip in enumerate(found):
         progress("clips", number / len(found))
         rows.append(clip_row(clip, network, slow=not quick))
@@ -104,9 +113,9 @@ def evaluate_apparel(
         if number % 3 == 0 and known_body:
             modules.append(module_row(clip, network, masks, body, merging))
     progress("clips", 1.0)
-    real, failed = _files(files, network, masks, progress)
+    real, failed = _files(config.files, network, masks, progress)
     out = _summary(rows, tens, scores, real)
-    drift = [] if quick else _drifts(network, motions, found, progress)
+    drift = [] if quick else _drifts(network, config.motions, found, progress)
     out["drift_60s"] = _over(drift, "last", "second")
     out["frame_ms"] = frame_milliseconds(min(found, key=_far_from_enough), network)
     table4 = body_table(found[: 4 if quick else 12], bodies)
@@ -140,7 +149,7 @@ def _ships(name: str) -> bool:
 
 
 def _far_from_enough(clip: TrueClip) -> float:
-    return abs(float(clip.wearer.apparel.sum()) - ENOUGH)
+    return abs(float(clip.clothed.apparel.sum()) - ENOUGH)
 
 
 def _files(

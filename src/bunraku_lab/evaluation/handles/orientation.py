@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.geometry.axes import ORIENTATIONS, right_angle_rotations, upright_rotation
-from bunraku.handles.orientation import Orientation, guess_orientation, settled_axes
+from bunraku.handles.orientation import Orientation, guess_orientation, resolved_axes
 from bunraku.handles.orientation_evidence import format_weights
 from bunraku_lab.evaluation.handles.subjects import Subject
 
@@ -40,11 +40,11 @@ def measure_orientation(one: Subject) -> dict[str, Any]:
         ups.append(guess.up == up)
         given = [guess.probability(*axes) if axes[0] == up else -1.0 for axes in ORIENTATIONS]
         fronts.append(ORIENTATIONS[int(np.argmax(given))][1] == front)
-        both.append(settled_axes(guess) == (up, front))
+        both.append(resolved_axes(guess) == (up, front))
         if not both[-1]:
             warned.append(not guess.sure)
     standing = _judged(seen, RULED)
-    upright = settled_axes(standing, rule=True) == ("+y", "+z")
+    upright = resolved_axes(standing, rule=True) == ("+y", "+z")
     if not upright:
         warned.append(not standing.sure)
     return {

@@ -18,8 +18,8 @@ from bunraku.body.reference import handle_positions, reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.geometry.areas import vertex_areas
 from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.geometry.surface import vertex_areas
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku_lab.evaluation.handles.rest_poses import posed_limbs
@@ -53,8 +53,8 @@ def rest_pose_transfer(
 ) -> dict[str, Any]:
     """Mean distance between a character animated from another rest pose and from its T-pose, over its height.
 
-    Places along the floor are compared relative to the first frame's mean vertex, heights relative to the floor of the
-    rest pose.
+    Positions along the floor are compared relative to the first frame's mean vertex, heights relative to the floor of
+    the rest pose.
 
     Args:
         subjects: Rigged humanoids; others are passed over.
@@ -64,7 +64,7 @@ def rest_pose_transfer(
 
     Returns:
         `rest_pose_transfer`, the mean over characters, poses and motions; `poses`, `motions` and `characters`, the
-        means of each; `in_place`, the mean where each frame's place on the floor is taken away, so that longer or
+        means of each; `in_place`, the mean where each frame's position on the floor is taken away, so that longer or
         shorter strides do not count; `ground`, the mean difference of the lowest vertex' height; all as fractions of
         the height.
     """

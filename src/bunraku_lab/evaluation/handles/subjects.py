@@ -11,7 +11,7 @@ import numpy as np
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character
 from bunraku.errors import CharacterError, FormatError
-from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.surface import vertex_areas
 from bunraku.skeletons.bone_names import handle_of_joints, limb_parents
 from bunraku_lab.datasets.characters.build import HELD_OUT
 from bunraku_lab.datasets.characters.known_rigs import facing_turn, known_handles, root_joint

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ import numpy as np
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.handles.predict import predict_handles
 from bunraku.nn.spread import spread
-from bunraku_lab.evaluation.bars import Bar, measured_in, percent, reached_bars
 from bunraku_lab.evaluation.handles.orientation import measure_orientation
 from bunraku_lab.evaluation.handles.subjects import Subject, find_files, load_subject, subject, subject_name
 from bunraku_lab.evaluation.handles.trials import (
@@ -23,6 +22,7 @@ from bunraku_lab.evaluation.handles.trials import (
     purity_of,
     resolution_differences,
 )
+from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bars
 
 __all__ = ["BARS", "code_made_subjects", "evaluate_handles", "folder_subjects"]
 
@@ -116,8 +116,8 @@ def _evenly(names: list[str], count: int) -> set[str]:
     return {names[i] for i in np.unique(np.linspace(0, len(names) - 1, count).round().astype(int))}
 
 
-def _mean(rows: Iterable[dict[str, Any]], key: str) -> float | None:
-    values = [row[key] for row in rows if row.get(key) is not None]
+def _mean(rows: Iterable[Mapping[str, float | None]], key: str) -> float | None:
+    values = [value for row in rows if (value := row.get(key)) is not None]
     return float(np.mean(values)) if values else None
 
 

@@ -16,7 +16,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.errors import BunrakuError
-from bunraku.geometry.areas import vertex_areas
+from bunraku.geometry.surface import vertex_areas
 from bunraku_lab.datasets.characters.training_character import AugmentConfig, forward_kinematics, random_pose
 from bunraku_lab.evaluation.handles import measures as measure
 from bunraku_lab.evaluation.handles.resampling import carried, resampled
@@ -184,7 +184,7 @@ def _clips(one: Subject, handles: Handles) -> list[HandleMotion]:
 
 
 def _walk(one: Subject, handles: Handles) -> dict[str, float]:
-    """How far edges are stretched when the character is told to walk: `stretched_edges`, `most_stretched`, and
+    """How far edges are stretched when the character walks: `stretched_edges`, `most_stretched`, and
     `whole_in_walks`, 1 where none is torn.
     """
     from bunraku.pipelines.animate import animate
@@ -196,7 +196,7 @@ def _walk(one: Subject, handles: Handles) -> dict[str, float]:
 
 @cache
 def _generated() -> HandleMotion:
-    from bunraku.diffusion.generate import generate_motion
+    from bunraku.diffusion.generation.generate import generate_motion
 
     return generate_motion(SENTENCE, 4.0, seed=0)
 

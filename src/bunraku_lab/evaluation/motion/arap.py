@@ -115,13 +115,16 @@ class ArapTable:
         return {name: float(np.mean([getattr(row, name) for row in rows])) for name in names} if rows else {}
 
 
+STRIDE = 2
+"""Of so many frames the mesh is looked at in one."""
+
+
 def measure_adaptation(
     characters: Sequence[tuple[str, Character, Handles]],
     prompts: Sequence[str] = ARAP_PROMPTS,
     *,
     seconds: float = 3.0,
     steps: int | None = None,
-    stride: int = 2,
     seed: int = 0,
     checkpoint: str | Path | None = None,
     stages: Stages | None = None,
@@ -134,7 +137,6 @@ def measure_adaptation(
         prompts: What they do.
         seconds: Length of each clip [s].
         steps: Sampling steps; None takes the default.
-        stride: Every how many frames the mesh is looked at.
         seed: Of the first prompt; each has its own.
         checkpoint: Weights in place of the shipped ones.
         stages: Stages of the fit; all when None.
@@ -142,9 +144,9 @@ def measure_adaptation(
     """
     import torch
 
-    from bunraku.diffusion.generate import GUIDANCE, STEPS, adapt
-    from bunraku.diffusion.networks import load_generator
-    from bunraku.diffusion.sampling.sampler import sample
+    from bunraku.diffusion.generation.generate import GUIDANCE, STEPS, adapt
+    from bunraku.diffusion.generation.networks import load_generator
+    from bunraku.diffusion.sampling.sampler import Solver, sample
     from bunraku.nn.threads import fitting_threads
 
     model, encoder = load_generator(checkpoint)
@@ -164,9 +166,8 @@ def measure_adaptation(
                 model,
                 text,
                 frames,
+                Solver(STEPS if steps is None else steps, GUIDANCE),
                 mesh_features=mesh,
-                steps=STEPS if steps is None else steps,
-                guidance=GUIDANCE,
                 seed=seed,
             )
         figures, anatomy = [], Anatomy.of(character, handles)
@@ -174,7 +175,7 @@ def measure_adaptation(
             plain = decode(statistics.restore(values), model.config.fps)
             bare, adapted = replace(stages, shape=False), adapt(plain, offset)
             kinds = ((adapted, stages), (adapted, bare), (plain, bare), (plain, replace(bare, attach=False)))
-            figures.append([_of(fit_motion(motion, anatomy, how), character, handles, stride) for motion, how in kinds])
+            figures.append([_of(fit_motion(motion, anatomy, how), character, handles) for motion, how in kinds])
             figures[-1].append(float(np.linalg.norm(offset[:, 1:], axis=-1).mean()))
         rows.append(ArapRow(name, name.partition("~")[0] in HELD_OUT, *np.mean(figures, axis=0).tolist()))
     if progress is not None:
@@ -182,6 +183,6 @@ def measure_adaptation(
     return ArapTable(tuple(rows))
 
 
-def _of(motion: HandleMotion, character: Character, handles: Handles, stride: int) -> float:
-    some = replace(motion.take(slice(None, None, stride)), fps=motion.fps / stride)
+def _of(motion: HandleMotion, character: Character, handles: Handles) -> float:
+    some = replace(motion.take(slice(None, None, STRIDE)), fps=motion.fps / STRIDE)
     return animation_arap(Animation(character, handles, some))

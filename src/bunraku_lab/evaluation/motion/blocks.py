@@ -14,12 +14,11 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import BunrakuError, OptionError
-from bunraku_lab.evaluation.bars import Bar
 from bunraku_lab.evaluation.motion.samples import Request, checkpoint_digest, make_motions
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
-from bunraku_lab.evaluation.motion.train_extractor import people
 from bunraku_lab.evaluation.motion.windows import Window, draw_windows, window_features
-from bunraku_lab.training.diffusion.clip_data import load_clips
+from bunraku_lab.evaluation.report import Bar
+from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_clips, people
 
 __all__ = [
     "BARS",
@@ -32,7 +31,7 @@ __all__ = [
     "speed_block",
 ]
 
-Clips = Mapping[str, Mapping[str, Any]]
+Clips = Mapping[str, ClipEntry]
 Progress = Callable[[float], None]
 SCRIPT = (
     "a person walks forward", "a person turns around", "a person dances", "a person walks backwards",
@@ -52,8 +51,8 @@ SEAM_SEEDS = 3
 
 BARS = {
     "r_precision_1_over_real": Bar("R-Precision top-1 over that of the real data, one sample of the network", 0.92),
-    "r_precision_1_over_real_pulled": Bar("- one sample that is pulled towards its sentence", 0.92),
-    "r_precision_1_over_real_led": Bar("- one sample that is pulled and starts from an example", 0.92),
+    "r_precision_1_over_real_guided": Bar("- one sample that is guided towards its sentence", 0.92),
+    "r_precision_1_over_real_led": Bar("- one sample that is guided and starts from an example", 0.92),
     "r_precision_1_over_real_chosen": Bar("- as `animate` chooses (--best-of 3)", 0.97),
     "fid_over_tapmo_mdm": Bar("FID over that of TapMo (MDM)", most=0.45),
     "fid_steps_ratio": Bar("FID of the default sampler over that of the many steps", most=1.1),
@@ -70,7 +69,7 @@ BARS = {
     "seam_jump_prompts_elsewhere": Bar("the same away from the seams"),
     "seam_jump_fast": Bar("the same with running and jumping"),
     "seam_jump_fast_elsewhere": Bar("the same away from the seams"),
-    "creature_accuracy": Bar("actions of creatures told apart", 0.7),
+    "creature_accuracy": Bar("actions of creatures recognised", 0.7),
     "seconds_196": Bar("196 frames from cached text [s]", most=3.0),
     "seconds_batch8": Bar("the same in a batch of 8, each [s]", most=1.5),
 }
@@ -80,7 +79,7 @@ def speed_block(config: MotionEvalConfig) -> dict[str, float]:
     """Seconds from a known sentence to a handle motion of 196 frames, alone and in a batch of 8; the best of three, and
     of two.
     """
-    from bunraku.diffusion.generate import generate_motion, generate_motions
+    from bunraku.diffusion.generation.generate import generate_motion, generate_motions
     from bunraku.language.parse import clauses_of
 
     def best(count: int, work: Callable[[], object]) -> float:
@@ -105,7 +104,7 @@ def seam_block(config: MotionEvalConfig) -> dict[str, float]:
     """Clips of 60 s of five prompts: the largest step of the handles from frame to frame near a seam, over the median
     of the clip; means of seeds.
     """
-    from bunraku.diffusion.generate import generate_motions
+    from bunraku.diffusion.generation.generate import generate_motions
     from bunraku.language.parse import clauses_of
     from bunraku_lab.evaluation.motion.seams import measure_seams
 
@@ -186,13 +185,13 @@ def arap_block(config: MotionEvalConfig, quick: bool, progress: Progress) -> dic
 
 
 def creature_block(config: MotionEvalConfig, quick: bool, progress: Progress) -> dict[str, Any]:
-    """What creatures that no training sees are told to do, by a classifier of real clips (see `creatures`).
+    """What creatures that no training sees are asked to do, by a classifier of real clips (see `creatures`).
 
     Raises:
         OptionError: No folder of characters was named, or the evaluation is a quick one.
         FormatError: The data hold no clips of creatures.
     """
-    from bunraku.diffusion.generate import generate_motion
+    from bunraku.diffusion.generation.generate import generate_motion
     from bunraku_lab.evaluation.motion.characters import mesh_features
     from bunraku_lab.evaluation.motion.creatures import creature_accuracy, load_cases
 
@@ -233,7 +232,7 @@ def _motions(
     config: MotionEvalConfig, windows: list[Window], mesh_feature: np.ndarray | None = None
 ) -> list[np.ndarray]:
     """Our model's motions of windows; for a character with its adaptation."""
-    from bunraku.diffusion.networks import load_generator
+    from bunraku.diffusion.generation.networks import load_generator
     from bunraku.nn.checkpoints import shipped_checkpoint
 
     path = config.checkpoint or shipped_checkpoint("diffusion")
@@ -242,11 +241,10 @@ def _motions(
     return make_motions(
         model, encoder, requests, config.sampler(), folder=config.work, digest=checkpoint_digest(path),
         mesh_feature=mesh_feature,
-        adapt=mesh_feature is not None,
     )  # fmt: skip
 
 
-def add_blocks(result: dict[str, Any], config: MotionEvalConfig, quick: bool, report: Report) -> None:
+def add_blocks(result: dict[str, object], config: MotionEvalConfig, quick: bool, report: Report) -> None:
     """Add the figures of all blocks to a result of `evaluate_motion`.
 
     Args:
@@ -255,7 +253,8 @@ def add_blocks(result: dict[str, Any], config: MotionEvalConfig, quick: bool, re
         quick: Measure on few motions.
         report: Called with a stage's name and the share done.
     """
-    left_out: dict[str, str] = result.setdefault("left_out", {})
+    left_out = result.setdefault("left_out", {})
+    assert isinstance(left_out, dict)
     blocks: Mapping[str, Callable[[], Mapping[str, Any]]] = {
         "speed": lambda: speed_block(config),
         "seams": lambda: seam_block(config),

@@ -120,7 +120,7 @@ def creature_accuracy(
     seeds: Sequence[int] = (0,),
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """How often generated clips of held-out species are told to be what was asked for.
+    """How often generated clips of held-out species are recognised as what was requested.
 
     Args:
         generate: Called with a sentence, f_phi of the character (448,) or None, a length [s] and a seed; gives a motion

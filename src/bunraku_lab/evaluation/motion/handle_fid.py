@@ -3,8 +3,8 @@ bodies of very different size.
 
 The paper takes two SMPL bodies; ours are the reference body's tallest and smallest shapes, 2.4 m and 1.0 m. A model
 that knows meshes makes motions for each body, with its mesh feature and its adaptation; they are fitted to the body by
-`fit_motion`, real ones too. The handles' positions in a frame, seen from the root's place on the ground and its heading
-and divided by the body's height, are one sample; FID compares the Gaussians of both sets.
+`fit_motion`, real ones too. The handles' positions in a frame, seen from the root's position on the ground and its
+heading and divided by the body's height, are one sample; FID compares the Gaussians of both sets.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points
 from bunraku.diffusion.features import decode
-from bunraku.geometry.heading import heading
-from bunraku.geometry.rotations import matrix_y
+from bunraku.geometry.rotations import heading, matrix_y
 from bunraku.retarget.fit import fit_motion
 from bunraku_lab.evaluation.motion.metrics import fid
 
@@ -30,7 +29,7 @@ EVERY = 4  # frames; neighbours say the same
 
 
 def handle_samples(motion: HandleMotion, positions: np.ndarray, height: float) -> np.ndarray:
-    """Handle positions of every fourth frame without the place and the heading of the root.
+    """Handle positions of every fourth frame without the position and the heading of the root.
 
     Args:
         motion: Motion of a body.
@@ -42,13 +41,13 @@ def handle_samples(motion: HandleMotion, positions: np.ndarray, height: float) -
     """
     angle = heading(motion.root_rotation, motion.fps)
     path = motion.root_translation.astype(float)
-    # the root turns about handle 0, so its place is where handle 0 is
+    # the root turns about handle 0, so its position is where handle 0 is
     centre = positions[0] + path
     centre[:, 1] = 0
     transforms = motion.transforms(positions)
-    places = posed_points(transforms, positions) - centre[:, None]
-    places = np.einsum("nij,nkj->nki", matrix_y(-angle), places)
-    return np.asarray(places[::EVERY].reshape(-1, positions.size) / height)
+    points = posed_points(transforms, positions) - centre[:, None]
+    points = np.einsum("nij,nkj->nki", matrix_y(-angle), points)
+    return np.asarray(points[::EVERY].reshape(-1, positions.size) / height)
 
 
 def body_handles(

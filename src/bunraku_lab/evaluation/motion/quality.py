@@ -77,7 +77,7 @@ class MotionQuality:
         contact_share: Share of feet that are down, and not swung, 0 to 1.
         sunk: Mean depth of the lowest vertex below the ground, 0 where it is not below [% of the height].
         deepest: Depth of the lowest vertex of all frames [% of the height].
-        jitter: Mean third difference of the handles' places [cm].
+        jitter: Mean third difference of the handles' positions [cm].
         frames: How many.
     """
 
@@ -198,8 +198,8 @@ def stage_effects(
 
     Returns:
         A row for each character and case: `character` (of all together: "all"), `without` (a stage, "nothing" or
-        "smooth, feet, floor") and the fields of `MotionQuality`; `moved` is the mean distance of the handles' places in
-        the root's frame from those without any of the stages [cm].
+        "smooth, feet, floor") and the fields of `MotionQuality`; `moved` is the mean distance of the handles' positions
+        in the root's frame from those without any of the stages [cm].
     """
     everything = Stages(shape=True)
     cases = {"nothing": everything, **{name: replace(everything, **{name: False}) for name in CLEANING}}
@@ -227,6 +227,6 @@ def stage_effects(
 
 
 def _moved(what: Gauge, before: HandleMotion, after: HandleMotion) -> float:
-    """Mean distance between the handles' places of two motions of a character in the root's frame [cm]."""
+    """Mean distance between the handles' positions of two motions of a character in the root's frame [cm]."""
     away = np.linalg.norm(after.translations - before.translations, axis=-1)[:, what.present]
     return float(away.mean() * what.scale)

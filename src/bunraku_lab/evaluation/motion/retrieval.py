@@ -18,7 +18,7 @@ import torch
 
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.diffusion.sampling.schedule import add_noise, alphas_cumprod
+from bunraku.diffusion.sampling.solvers import add_noise, alphas_cumprod
 from bunraku.errors import OptionError
 from bunraku.language.captions.phrases import caption_group, caption_variants
 from bunraku.language.encoders import TextEncoder
@@ -142,7 +142,7 @@ def retrieval(
         OptionError: There are fewer captions than candidates, or a setting is out of range.
         WeightsError: The weights are missing or broken.
     """
-    from bunraku.diffusion.networks import load_generator
+    from bunraku.diffusion.generation.networks import load_generator
 
     if candidates < 2 or frames < 1 or not levels or any(not 0 <= level < 1000 for level in levels):
         raise OptionError("retrieval needs at least 2 candidates, 1 frame, and diffusion steps from 0 to 999")
@@ -172,7 +172,7 @@ def retrieval(
         if progress is not None:
             progress(number + 1, len(clips))
     ranks = np.array([row["rank"] for row in rows])
-    tops = {f"top{place}": float((ranks <= place).mean()) for place in (1, 2, 3)}
+    tops = {f"top{index}": float((ranks <= index).mean()) for index in (1, 2, 3)}
     return {
         "clips": len(rows),
         "candidates": candidates,

@@ -55,7 +55,8 @@ class SamplerSettings:
         seed: Of the noise.
         candidates: Of how many each motion is chosen, as `animate` does; 1 for none.
         examples: Candidates start from captured examples; where there is but one, it does.
-        pull: What is predicted is pulled towards its sentence; by `choose_motions` alone.
+        classifier_guidance: What is predicted is guided towards its sentence; by `choose_motions` alone.
+        bf16: Let matrix products of `make_motions` run in bfloat16; None where the processor has them in hardware.
     """
 
     steps: int
@@ -64,7 +65,8 @@ class SamplerSettings:
     seed: int = 0
     candidates: int = 1
     examples: bool = False
-    pull: bool = False
+    classifier_guidance: bool = False
+    bf16: bool | None = None
 
 
 def checkpoint_digest(path: Path) -> str:
@@ -89,8 +91,6 @@ def make_motions(
     folder: Path | None = None,
     digest: str = "",
     mesh_feature: np.ndarray | None = None,
-    adapt: bool = False,
-    bf16: bool | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[np.ndarray]:
     """Motions in the order of the requests, features in the data's units, each of shape (N, 271), float32.
@@ -102,9 +102,8 @@ def make_motions(
         sampling: How.
         folder: Where batches are kept; None keeps nothing.
         digest: Of the weights (`checkpoint_digest`).
-        mesh_feature: f_phi of the character, shape (448,); None makes motions for no mesh in particular.
-        adapt: Add the adaptation of the local translations to the motion.
-        bf16: Let matrix products run in bfloat16; None where the processor has them in hardware.
+        mesh_feature: f_phi of the character, shape (448,), whose motions have the adaptation of the local translations
+            added; None makes motions for no mesh in particular.
         progress: Called with (motions done, total).
 
     Raises:
@@ -112,7 +111,7 @@ def make_motions(
     """
     import torch
 
-    from bunraku.diffusion.sampling.sampler import sample
+    from bunraku.diffusion.sampling.sampler import Solver, sample
     from bunraku.nn.threads import fitting_threads
 
     longest = max((request.frames for request in requests), default=0)
@@ -120,8 +119,8 @@ def make_motions(
         raise OptionError(
             f"a motion of {longest} frames is longer than the {model.config.frames} that these weights make at once"
         )
-    if bf16 is None:
-        bf16 = bf16_is_fast(model.mean.device)
+    bf16 = bf16_is_fast(model.mean.device) if sampling.bf16 is None else sampling.bf16
+    adapt = mesh_feature is not None
     home = None if folder is None else folder / _key(digest, requests, sampling, mesh_feature, adapt, bf16)
     statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
     mesh = (
@@ -134,9 +133,9 @@ def make_motions(
         with fitting_threads(model):
             found = sample(
                 model, encoder.encode([requests[row].sentence for row in rows]), requests[rows[0]].frames,
-                mesh_features=None if mesh is None else mesh.expand(len(rows), -1), steps=sampling.steps,
-                guidance=sampling.guidance,
-                seed=sampling.seed + 104_729 * (number + 1), method=sampling.method, bf16=bf16,
+                Solver(sampling.steps, sampling.guidance, method=sampling.method, bf16=bf16),
+                mesh_features=None if mesh is None else mesh.expand(len(rows), -1),
+                seed=sampling.seed + 104_729 * (number + 1),
             )  # fmt: skip
         values = statistics.restore(found.values.float().cpu().numpy()).astype(np.float32)
         if adapt:
@@ -165,7 +164,7 @@ def choose_motions(
         folder: Where batches are kept; None keeps nothing.
         progress: Called with (motions done, total).
     """
-    from bunraku.diffusion.generate import generate_motions
+    from bunraku.diffusion.generation.generate import generate_motions
     from bunraku.language.parse import clauses_of
 
     home = (
@@ -175,9 +174,10 @@ def choose_motions(
     def drawn(rows: list[int], number: int) -> np.ndarray:
         motions = generate_motions(
             [clauses_of([(requests[row].sentence, requests[row].frames / 20)]) for row in rows],
-            seeds=[sampling.seed + 104_729 * (number + 1) + place for place in range(len(rows))],
+            seeds=[sampling.seed + 104_729 * (number + 1) + index for index in range(len(rows))],
             steps=sampling.steps, guidance=sampling.guidance, checkpoint=checkpoint,
-            candidates=sampling.candidates, examples=sampling.examples, pull=sampling.pull,
+            candidates=sampling.candidates, examples=sampling.examples,
+            classifier_guidance=sampling.classifier_guidance,
             all_led=sampling.examples and sampling.candidates == 1,
         )  # fmt: skip
         return np.stack([encode(motion) for motion in motions])
@@ -240,9 +240,9 @@ def _key(
 ) -> str:
     wanted = [[request.sentence, request.frames] for request in requests]
     how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, bf16, BATCH]
-    if sampling.candidates > 1 or sampling.examples or sampling.pull:
+    if sampling.candidates > 1 or sampling.examples or sampling.classifier_guidance:
         files = [path for name in CHOOSING if (path := weights_folder() / f"{name}.safetensors").is_file()]
-        how += [sampling.candidates, sampling.examples, sampling.pull, *map(checkpoint_digest, files)]
+        how += [sampling.candidates, sampling.examples, sampling.classifier_guidance, *map(checkpoint_digest, files)]
     say = [digest, wanted, how, None if mesh is None else np.asarray(mesh, float).round(4).tolist()]
     return hashlib.sha256(json.dumps(say).encode()).hexdigest()[:20]
 

@@ -37,9 +37,8 @@ from bunraku_lab.evaluation.motion.samples import (
     choose_motions,
     make_motions,
 )
-from bunraku_lab.evaluation.motion.train_extractor import people
 from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
-from bunraku_lab.training.diffusion.clip_data import load_clips
+from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_clips, people
 
 __all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows"]
 
@@ -70,7 +69,7 @@ class MotionEvalConfig:
         best_of: Of how many the ranker chooses each motion of the second table, and of a row of the first, as `animate`
             does; 1 for none, and no such row.
         examples: What is chosen from starts from captured examples, as in `animate`.
-        pull: What is predicted is pulled towards its sentence, as in `animate`.
+        classifier_guidance: What is predicted is guided towards its sentence, as in `animate`.
         reference_steps: Steps of DDPM's sampler that the default is compared with; 0 leaves the comparison out.
         reference_clips: Motions that it is compared on.
         seed: Of everything random.
@@ -94,14 +93,14 @@ class MotionEvalConfig:
     guidance: float | None = None
     best_of: int = 1
     examples: bool = True
-    pull: bool = True
+    classifier_guidance: bool = True
     reference_steps: int = 0
     reference_clips: int = 256
     seed: int = 0
 
     def sampler(self) -> SamplerSettings:
         """The sampler that is measured."""
-        from bunraku.diffusion.generate import GUIDANCE, STEPS
+        from bunraku.diffusion.generation.generate import GUIDANCE, STEPS
 
         steps, guidance = (
             STEPS if self.steps is None else self.steps,
@@ -126,7 +125,7 @@ def measure_rows(
     rows: Mapping[str, Row],
     references: np.ndarray,
     windows: list[Window],
-    clips: Mapping[str, Mapping[str, Any]],
+    clips: Mapping[str, ClipEntry],
     sentences: Mapping[str, np.ndarray],
     config: MotionEvalConfig,
     report: Report,
@@ -150,8 +149,8 @@ def measure_rows(
         text = np.stack([[sentences[sentence] for sentence in row] for row in table])
         for row in rows.values():
             motions = row.vectors[drawn]
-            for place, share in enumerate(r_precision(motions, text), 1):
-                row.add(f"r_precision_{place}", share)
+            for index, share in enumerate(r_precision(motions, text), 1):
+                row.add(f"r_precision_{index}", share)
             row.add("fid", fid(motions, references))
             row.add("mm_dist", multimodal_distance(motions, text[:, 0]))
             row.add(
@@ -202,7 +201,7 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
         FormatError: The data are missing or damaged.
         WeightsError: Weights are missing or broken.
     """
-    from bunraku.diffusion.networks import load_generator
+    from bunraku.diffusion.generation.networks import load_generator
     from bunraku.nn.checkpoints import shipped_checkpoint
 
     _check(config)
@@ -247,7 +246,9 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     for name, candidates, examples in _ways(config):
         found = choose_motions(
             [Request(window.sentence, window.frames) for window in windows],
-            replace(sampling, candidates=candidates, examples=examples, pull=config.pull), models["tapmo"],
+            replace(
+                sampling, candidates=candidates, examples=examples, classifier_guidance=config.classifier_guidance
+            ), models["tapmo"],
             folder=config.work, progress=partial(_told, report, f"motions of {name}"),
         )  # fmt: skip
         rows[name] = Row(embed_motions(extractor, found))
@@ -290,9 +291,9 @@ def _ways(config: MotionEvalConfig) -> list[tuple[str, int, bool]]:
     """Rows of motions made as `animate` makes them: name, candidates, and whether they start from examples."""
     if config.best_of == 1:
         return []
-    pulled = [("tapmo_pulled", 1, False)] if config.pull else []
+    guided = [("tapmo_guided", 1, False)] if config.classifier_guidance else []
     led = [("tapmo_led", 1, True)] if config.examples else []
-    return [*pulled, *led, ("tapmo_chosen", config.best_of, config.examples)]
+    return [*guided, *led, ("tapmo_chosen", config.best_of, config.examples)]
 
 
 def _told(report: Report, stage: str, done: int, total: int) -> None:
@@ -325,7 +326,7 @@ def _steps_ratio(
     report: Report,
 ) -> dict[str, float]:
     """FID of the default sampler and of many DDPM steps on the same windows, against the reference windows."""
-    from bunraku.diffusion.networks import load_generator
+    from bunraku.diffusion.generation.networks import load_generator
     from bunraku.nn.checkpoints import shipped_checkpoint
 
     path = config.checkpoint or shipped_checkpoint("diffusion")
@@ -356,10 +357,10 @@ def _summary(rows: Mapping[str, Row]) -> dict[str, Any]:
     ours, real = table["tapmo"], table["real"]
     for key in ("r_precision_1", "r_precision_2", "r_precision_3", "fid", "mm_dist", "diversity", "multimodality"):
         result[key] = ours[key]["mean"] if key in ours else None
-    for place in (1, 2, 3):
-        key = f"r_precision_{place}"
+    for index in (1, 2, 3):
+        key = f"r_precision_{index}"
         result[f"{key}_over_real"] = ours[key]["mean"] / max(real[key]["mean"], 1e-12)
-    for name in ("pulled", "led", "chosen"):
+    for name in ("guided", "led", "chosen"):
         row = table.get(f"tapmo_{name}")
         share = None if row is None else row["r_precision_1"]["mean"] / max(real["r_precision_1"]["mean"], 1e-12)
         result[f"r_precision_1_over_real_{name}"] = share

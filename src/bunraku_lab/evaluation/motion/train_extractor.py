@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -31,12 +30,12 @@ from bunraku.language.captions.phrases import caption_variants
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku_lab.evaluation.motion.metrics import r_precision
 from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
-from bunraku_lab.training.diffusion.clip_data import load_clips
+from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_people
 from bunraku_lab.training.diffusion.text_bank import TextBank
 from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
 
-__all__ = ["ExtractorTrainConfig", "ExtractorTrainer", "people", "retrieval_of", "train_extractor"]
+__all__ = ["ExtractorTrainConfig", "ExtractorTrainer", "retrieval_of", "train_extractor"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,22 +52,10 @@ class ExtractorTrainConfig(MatchingTrainConfig):
     extractor: ExtractorConfig = field(default_factory=ExtractorConfig)
 
 
-def people(clips: Mapping[str, dict[str, Any]], split: str) -> dict[str, dict[str, Any]]:
-    """Captured motions of people of one split: no creature, and no labelled action of a game character, of which each
-    has many captions that mean the same.
-    """
-    others = ("species", "character", "action")
-    return {
-        name: entry
-        for name, entry in clips.items()
-        if entry.get("split", "train") == split and not any(entry.get(key) for key in others)
-    }
-
-
 def retrieval_of(
     model: Extractor,
     encoder: TextEncoder,
-    clips: Mapping[str, Mapping[str, Any]],
+    clips: Mapping[str, ClipEntry],
     windows: Sequence[Window],
     candidates: int = 32,
     seed: int = 0,
@@ -91,11 +78,11 @@ class ExtractorTrainer(MatchingRun):
     """
 
     config: ExtractorTrainConfig
-    held: Mapping[str, dict[str, Any]]
+    held: Mapping[str, ClipEntry]
     candidates: int
     encoder: TextEncoder
 
-    def __init__(self, config: ExtractorTrainConfig, clips: Mapping[str, dict[str, Any]], bank: TextBank):
+    def __init__(self, config: ExtractorTrainConfig, clips: Mapping[str, ClipEntry], bank: TextBank):
         self.clips = clips
         statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
         super().__init__(config, config.extractor, statistics, bank, len(clips), KIND)
@@ -106,8 +93,8 @@ class ExtractorTrainer(MatchingRun):
         random = np.random.default_rng([self.config.seed, number // 4])
         windows = draw_windows(self.clips, 4 * size, random, self.config.shortest)
         windows.sort(key=lambda window: window.frames)
-        place = int(random.permutation(4)[number % 4])
-        return windows[place * size : (place + 1) * size]
+        index = int(random.permutation(4)[number % 4])
+        return windows[index * size : (index + 1) * size]
 
     def loss(self, windows: Sequence[Window]) -> tuple[Tensor, float]:
         """The loss of a batch and the share of motions that find their sentence first."""
@@ -143,7 +130,7 @@ class ExtractorTrainer(MatchingRun):
         return {"validation_candidates": self.candidates, "validation_top1": tops[0], "validation_top3": tops[2]}
 
 
-def _sentences(clips: Mapping[str, Mapping[str, Any]]) -> set[str]:
+def _sentences(clips: Mapping[str, ClipEntry]) -> set[str]:
     texts = {text for entry in clips.values() for text in entry["texts"]}
     return {sentence for text in texts for mirrored in (False, True) for sentence in caption_variants(text, mirrored)}
 
@@ -168,12 +155,7 @@ def train_extractor(
     """
     progress = progress or (lambda stage, done: None)
     config.prepare()
-    clips = load_clips(config.data, lambda done, total: progress("clips", done / total), splits={"train", "val"})
-    train, held = people(clips, "train"), people(clips, "val")
-    if not train:
-        raise OptionError(
-            f"{config.data}: there are no training clips of people; build the data again with 'bunraku data motions'"
-        )
+    train, held = load_people(config.data, progress, labelled=False)
     encoder = encoder or text_encoder(config.extractor.text_encoder)
     config = replace(config, extractor=for_encoder(config.extractor, encoder))
     trainer = ExtractorTrainer(config, train, captions_of(config, encoder, _sentences(train), progress))
@@ -181,7 +163,7 @@ def train_extractor(
     return trainer.learn(report, progress)
 
 
-def _validation(clips: Mapping[str, dict[str, Any]]) -> tuple[list[Window], int]:
+def _validation(clips: Mapping[str, ClipEntry]) -> tuple[list[Window], int]:
     """Fixed windows of the validation clips, and how many candidates their meanings allow, at most 32."""
     try:
         windows = draw_windows(clips, 256, np.random.default_rng(5), 24)

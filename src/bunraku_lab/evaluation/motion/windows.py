@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from bunraku.diffusion.features import mirror
 from bunraku.errors import OptionError
 from bunraku.language.captions.phrases import caption_group, caption_variants, mirror_words, normalise_label
+from bunraku_lab.training.diffusion.clip_data import ClipEntry
 
 __all__ = ["LENGTHS", "SHORTEST", "Window", "candidate_sentences", "draw_windows", "window_features", "window_meaning"]
 
@@ -55,7 +55,7 @@ def window_meaning(label: str, mirrored: bool = False) -> str:
     return caption_group(mirror_words(normalise_label(label)) if mirrored else label).name
 
 
-def _shares(clips: Mapping[str, Mapping[str, Any]], names: list[str]) -> np.ndarray:
+def _shares(clips: Mapping[str, ClipEntry], names: list[str]) -> np.ndarray:
     """How often each clip is drawn: by the root of its length, and less where many clips mean the same."""
     meanings = [window_meaning(clips[name]["texts"][0]) for name in names]
     count = Counter(meanings)
@@ -65,7 +65,7 @@ def _shares(clips: Mapping[str, Mapping[str, Any]], names: list[str]) -> np.ndar
 
 
 def draw_windows(
-    clips: Mapping[str, Mapping[str, Any]],
+    clips: Mapping[str, ClipEntry],
     count: int,
     random: np.random.Generator,
     shortest: int = SHORTEST,
@@ -105,14 +105,14 @@ def draw_windows(
     return found
 
 
-def window_features(clips: Mapping[str, Mapping[str, Any]], window: Window) -> np.ndarray:
+def window_features(clips: Mapping[str, ClipEntry], window: Window) -> np.ndarray:
     """The window's motion features, shape (N, 271), in the data's units."""
     features = clips[window.clip]["features"][window.start : window.start + window.frames]
     return mirror(features) if window.mirrored else features
 
 
 def candidate_sentences(
-    windows: list[Window], clips: Mapping[str, Mapping[str, Any]], count: int, random: np.random.Generator
+    windows: list[Window], clips: Mapping[str, ClipEntry], count: int, random: np.random.Generator
 ) -> list[list[str]]:
     """For each window its own sentence, then `count` - 1 sentences of other windows, each of another meaning.
 

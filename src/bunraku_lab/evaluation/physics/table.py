@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,10 +24,11 @@ from bunraku.nn.spread import spread
 from bunraku.physics.apparel_rig import ApparelRig
 from bunraku.physics.from_file import apparel_rig
 from bunraku.physics.simulate import simulate
-from bunraku_lab.datasets.apparel.build import body_animation
-from bunraku_lab.evaluation.bars import Bar, measured_in, percent, reached_bars
+from bunraku_lab.datasets.apparel.build import body_animation, source_character
+from bunraku_lab.datasets.apparel.plan import CharacterSource
 from bunraku_lab.evaluation.physics.measures import apparel_chains, body_speeds, chain_lengths
 from bunraku_lab.evaluation.physics.penetration import deep_share, nearest_joint_vertices, sample_apparel
+from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bars
 from bunraku_lab.evaluation.transfer.stock_motions import STOCK_MOTIONS, stock_motion
 
 __all__ = ["PHYSICS_BARS", "evaluate_physics", "joined", "measure_physics"]
@@ -56,10 +57,8 @@ PHYSICS_BARS: dict[str, Bar] = {
 
 def evaluate_physics(
     files: Sequence[str | Path] = (),
+    wardrobe: Sequence[CharacterSource] = (),
     *,
-    wardrobe: Sequence[int] = (),
-    clothes: str | Path | None = None,
-    body_data: str | Path | None = None,
     motions: Sequence[str | Path] = (),
     seconds: float = 60.0,
     quick: bool = False,
@@ -70,8 +69,7 @@ def evaluate_physics(
 
     Args:
         files: PMX, PMD or VRM files.
-        wardrobe: Seeds of wardrobe characters.
-        clothes, body_data: As `wardrobe_character` takes them.
+        wardrobe: Characters of the wardrobe.
         motions: Motion files; a walk, a dance and kicks made by code when there are none. A VMD is played as MMD plays
             it.
         seconds: Length of the clip that every character plays: the motions one after the other, each as long, repeated
@@ -85,18 +83,16 @@ def evaluate_physics(
         The rows, the worst of all characters, with the bars reached and a row for each character.
     """
     from bunraku.io import load_character
-    from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
     progress = progress or (lambda stage, done: None)
     sources: list[_Source] = []
-    place = Path.absolute if jobs == "ray" else Path  # other machines work in other folders
-    clothes, body_data = (None if folder is None else place(Path(folder)) for folder in (clothes, body_data))
+    resolved = Path.absolute if jobs == "ray" else Path  # other machines work in other folders
     for path in map(Path, files):
-        sources.append((path.name, partial(load_character, place(path))))
-    for seed in wardrobe:
-        made = partial(wardrobe_character, seed, clothes=clothes, body_data=body_data)
-        sources.append((f"wardrobe {seed}", made))
-    work = partial(_measured, [place(Path(path)) for path in motions], seconds, quick)
+        sources.append((path.name, partial(load_character, resolved(path))))
+    for source in wardrobe:
+        clothes, body_data = (str(resolved(Path(own))) if own else "" for own in (source.clothes, source.body_data))
+        sources.append((source.name, partial(source_character, replace(source, clothes=clothes, body_data=body_data))))
+    work = partial(_measured, [resolved(Path(path)) for path in motions], seconds, quick)
     batches = [[(number, *source)] for number, source in enumerate(sources)]
     alone = ((batch[0], work(batch, progress)[0]) for batch in batches)
     found: dict[int, dict[str, Any] | str] = {}
@@ -345,7 +341,7 @@ def _deterministic(animation: RigAnimation, rig: ApparelRig) -> bool:
     )
 
 
-def _ratio(rows: Sequence[dict[str, Any]], key: str, against: str) -> float | None:
+def _ratio(rows: Sequence[Mapping[str, float]], key: str, against: str) -> float | None:
     """Means of rows over each other; None where rigid motion does not go into the body either."""
     under = float(np.mean([row[against] for row in rows]))
     over = float(np.mean([row[key] for row in rows]))

@@ -113,10 +113,10 @@ def outcome(study: Study, answers: list[Answer], seed: int = 0) -> Outcome:
         low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
         ranks[question] = {
             method: MethodRank(
-                float(table[:, place].mean()) if kept else float("nan"), float(low[place]), float(high[place]),
-                float((table[:, place] == 1).mean()) if kept else float("nan"),
+                float(table[:, index].mean()) if kept else float("nan"), float(low[index]), float(high[index]),
+                float((table[:, index] == 1).mean()) if kept else float("nan"),
             )
-            for place, method in enumerate(methods)
+            for index, method in enumerate(methods)
         }  # fmt: skip
         own = sums / np.maximum(counts, 1)[:, None]
         enough = len(people) > 2 and len(methods) > 2

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Required, TypedDict
 
 import numpy as np
 
@@ -75,7 +75,26 @@ def _front(character: Character, name: str) -> str:
     return max(AXES, key=lambda axis: float(axis_vector(axis) @ ahead))
 
 
-def measure_character(path: Path, name: str, sources: Mapping[str, Source]) -> dict[str, Any]:
+class _Back(TypedDict, total=False):
+    back: float
+    back_copied: float
+
+
+class CharacterRow(TypedDict, total=False):
+    """What was measured on a character (`measure_character`)."""
+
+    name: Required[str]
+    finished: Required[int]
+    failed: Required[dict[str, str]]
+    vertices: int
+    humanoid: bool
+    angle_rig: float
+    angle_handles: float
+    back: float
+    back_copied: float
+
+
+def measure_character(path: Path, name: str, sources: Mapping[str, Source]) -> CharacterRow:
     """What is measured of a character, in values that JSON can hold.
 
     Args:
@@ -88,7 +107,7 @@ def measure_character(path: Path, name: str, sources: Mapping[str, Source]) -> d
         where it could be read `vertices` and `humanoid`, whether it has a rig of one. Of those: `angle_rig` and
         `angle_handles` [degrees], and with clips `back` and `back_copied`, over the height.
     """
-    row: dict[str, Any] = {"name": name, "finished": 0, "failed": {}}
+    row: CharacterRow = {"name": name, "finished": 0, "failed": {}}
     try:
         _measure(path, facing_character(path, name), sources, row)
     except BunrakuError as error:
@@ -96,7 +115,7 @@ def measure_character(path: Path, name: str, sources: Mapping[str, Source]) -> d
     return row
 
 
-def _measure(path: Path, character: Character, sources: Mapping[str, Source], row: dict[str, Any]) -> None:
+def _measure(path: Path, character: Character, sources: Mapping[str, Source], row: CharacterRow) -> None:
     from bunraku.pipelines.animate import rig
     from bunraku.pipelines.transfer import apply_transfer
 
@@ -104,7 +123,8 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
         parts = RigParts.of(character)
     except BunrakuError:
         parts = None
-    row |= {"vertices": len(character.vertices), "humanoid": (humanoid := parts is not None and parts.humanoid)}
+    humanoid = parts is not None and parts.humanoid
+    row["vertices"], row["humanoid"] = len(character.vertices), humanoid
     handles = rig(character)
     on_rig: list[float] = []
     on_handles: list[float] = []
@@ -127,11 +147,11 @@ def _measure(path: Path, character: Character, sources: Mapping[str, Source], ro
         except BunrakuError as error:
             row["failed"][kind] = str(error)
     if humanoid and on_rig:
-        row |= {"angle_rig": float(np.mean(on_rig)), "angle_handles": float(np.mean(on_handles))}
-        row |= _there_and_back(path, character, row["name"])
+        row["angle_rig"], row["angle_handles"] = float(np.mean(on_rig)), float(np.mean(on_handles))
+        row.update(_there_and_back(path, character, row["name"]))
 
 
-def _there_and_back(path: Path, character: Character, name: str) -> dict[str, float]:
+def _there_and_back(path: Path, character: Character, name: str) -> _Back:
     """Mean error of the vertices of a character's own clip, over its height, after the way to the reference body and
     back; none without clips.
     """
@@ -151,7 +171,7 @@ def _there_and_back(path: Path, character: Character, name: str) -> dict[str, fl
     except BunrakuError:
         return {}
     turn = upright_rotation("+y", _front(clip.character, name))
-    out = {"back": float(np.linalg.norm(back.vertices() - truth @ turn.T, axis=-1).mean() / height)}
+    out: _Back = {"back": float(np.linalg.norm(back.vertices() - truth @ turn.T, axis=-1).mean() / height)}
     if copied is not None:
         out["back_copied"] = float(np.linalg.norm(copied.vertices() - truth, axis=-1).mean() / height)
     return out

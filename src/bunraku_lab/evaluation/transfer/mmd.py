@@ -34,7 +34,7 @@ def measure_soles(folder: str | Path | None, failed: dict[str, str]) -> dict[str
     Returns:
         `soles`, the largest distance of an ankle or toe from where the targets put it, in frames in which the leg
         reaches [m]; `soles_reached`, the share of these; `soles_beyond`, in the other frames the largest distance of an
-        ankle from the place nearest to its target that the leg can reach [m]; `soles_target`, the largest from the
+        ankle from the position nearest to its target that the leg can reach [m]; `soles_target`, the largest from the
         target itself [m]. None without files.
     """
     from bunraku.core.mmd_model import mmd_model
@@ -85,7 +85,8 @@ def sole_gaps(character: Character, model: MmdModel, vmd: VmdMotion) -> list[dic
     Returns:
         For each leg, arrays of N frames: `reached`, whether the ankle's target is within the leg's reach; `gap`, the
         larger of the ankle's and the toe's distance from where the targets put them [m]; `beyond`, that of the ankle
-        from the place nearest to its target that the leg reaches [m]; `target`, that of the ankle from its target [m].
+        from the position nearest to its target that the leg reaches [m]; `target`, that of the ankle from its target
+        [m].
 
     Raises:
         MotionError: The motion moves none of the model's bones.

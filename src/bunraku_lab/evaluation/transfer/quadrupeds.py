@@ -60,13 +60,13 @@ def captured_animal(animation: Animation | RigAnimation, parts: RigParts, flat: 
         parts: Of its character.
         flat: All bones of the rest pose lie along one axis; otherwise it is the rig's.
     """
-    from bunraku.pipelines.to_reference import bone_rotations
+    from bunraku.io.play import bones_of
 
-    turns, places = animation.world() if isinstance(animation, RigAnimation) else bone_rotations(animation)
+    turns, positions = animation.world() if isinstance(animation, RigAnimation) else bones_of(animation)
     handles = [handle for handle in range(len(HANDLE_NAMES)) if parts.leads[handle] >= 0 and _name(handle)]
     handles.sort(key=lambda handle: _depth(handle, parts))
-    place = {handle: number for number, handle in enumerate(handles)}
-    parents = np.array([place.get(_above(handle, parts, place), -1) for handle in handles])
+    index = {handle: number for number, handle in enumerate(handles)}
+    parents = np.array([index.get(_above(handle, parts, index), -1) for handle in handles])
     assert parts.character.rig is not None
     rest = parts.character.rig.positions[parts.leads[handles]]
     world = nearest_rotation(turns[:, parts.leads[handles]])
@@ -81,9 +81,9 @@ def captured_animal(animation: Animation | RigAnimation, parts: RigParts, flat: 
         world = world @ frames
         offsets[1:] = np.einsum("jba,jb->ja", frames[parents[1:]], offsets[1:])
     skeleton = Skeleton(tuple(_name(handle) for handle in handles), parents, offsets)
-    root = places[:, parts.leads[0]]
+    root = positions[:, parts.leads[0]]
     motion = SkeletalMotion(skeleton, local_rotations(world, parents), root, animation.fps)
-    heads = places[:, np.maximum(parts.leads, 0)]
+    heads = positions[:, np.maximum(parts.leads, 0)]
     return CapturedAnimal(motion, _limbs(parts, heads, animation.vertices()))
 
 
@@ -113,11 +113,11 @@ def _depth(handle: int, parts: RigParts) -> int:
     return depth
 
 
-def _above(handle: int, parts: RigParts, place: Mapping[int, int]) -> int:
+def _above(handle: int, parts: RigParts, index: Mapping[int, int]) -> int:
     if handle == 0:
         return -1
     above = int(parts.joints.parents[handle])
-    while above > 0 and above not in place:
+    while above > 0 and above not in index:
         above = int(parts.joints.parents[above])
     return above
 

@@ -77,8 +77,8 @@ def _many(character: Character) -> Character:
     vertices, faces = character.vertices.astype(np.float64), character.faces
     while len(vertices) < MANY:
         sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        pairs, place = np.unique(sides, axis=0, return_inverse=True)
-        middles = len(vertices) + place.reshape(-1, 3)
+        pairs, index = np.unique(sides, axis=0, return_inverse=True)
+        middles = len(vertices) + index.reshape(-1, 3)
         (a, b, c), (p, q, r) = faces.T, middles.T
         faces = np.concatenate([np.stack(three, axis=1) for three in ((a, p, r), (p, b, q), (r, q, c), (p, q, r))])
         vertices, weights = (np.concatenate([some, some[pairs].mean(axis=1)]) for some in (vertices, weights))

@@ -7,14 +7,14 @@ import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from bunraku.errors import FormatError
 from bunraku.nn.spread import spread
-from bunraku_lab.evaluation.bars import Bar, reached_bars
-from bunraku_lab.evaluation.transfer.character import Source, facing_character, measure_character
+from bunraku_lab.evaluation.report import Bar, reached_bars
+from bunraku_lab.evaluation.transfer.character import CharacterRow, Source, facing_character, measure_character
 from bunraku_lab.evaluation.transfer.mmd import measure_soles
 from bunraku_lab.evaluation.transfer.quadrupeds import measure_quadrupeds
 from bunraku_lab.evaluation.transfer.speed import MANY, bvh_again, times
@@ -186,12 +186,12 @@ def evaluate_transfer(
     }
 
 
-def _measured(sources: Mapping[str, Source], characters: list[tuple[Path, str]]) -> list[dict[str, Any] | str]:
+def _measured(sources: Mapping[str, Source], characters: list[tuple[Path, str]]) -> list[CharacterRow | str]:
     """The row of each character, by its file and name."""
     return [measure_character(path, name, sources) for path, name in characters]
 
 
-def _lost(reason: str) -> dict[str, Any] | str:
+def _lost(reason: str) -> CharacterRow | str:
     return reason
 
 
@@ -203,7 +203,7 @@ class _Kept:
 
         self.file = None if folder is None else folder / "transfer.jsonl"
         self.made_of = [__version__, *(_mark(path) for path in picked.values())]
-        self.rows: dict[str, dict[str, Any]] = {}
+        self.rows: dict[str, CharacterRow] = {}
         if folder is None or self.file is None:
             return
         try:
@@ -216,14 +216,14 @@ class _Kept:
         for line in lines:
             try:
                 made_of, row = json.loads(line)
-                self.rows[json.dumps(made_of)] = dict(row)
+                self.rows[json.dumps(made_of)] = cast(CharacterRow, dict(row))
             except (ValueError, TypeError, RecursionError):
                 continue  # the line that was being written when the run was stopped
 
-    def row(self, path: Path, name: str) -> dict[str, Any] | None:
+    def row(self, path: Path, name: str) -> CharacterRow | None:
         return self.rows.get(json.dumps([*self.made_of, name, _mark(path)]))
 
-    def keep(self, path: Path, row: dict[str, Any]) -> None:
+    def keep(self, path: Path, row: CharacterRow) -> None:
         if self.file is not None:
             with self.file.open("a", encoding="utf-8") as file:
                 file.write(json.dumps([[*self.made_of, row["name"], _mark(path)], row]) + "\n")

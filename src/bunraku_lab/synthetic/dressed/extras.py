@@ -9,10 +9,10 @@ import numpy as np
 from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.graph import mean_operator, unique_edges
-from bunraku.geometry.normals import vertex_normals
 from bunraku.geometry.rotations import matrix_from_axis_angle, rotation_between
-from bunraku_lab.synthetic.dressed.wardrobe import Piece, Wardrobe, Worn, joined
-from bunraku_lab.synthetic.makehuman import BODY_VERTICES
+from bunraku.geometry.surface import vertex_normals
+from bunraku_lab.synthetic.dressed.wardrobe import BodyShape, Piece, Wardrobe, joined
+from bunraku_lab.synthetic.people.makehuman import BODY_VERTICES
 from bunraku_lab.synthetic.surfaces import sheet_faces
 
 __all__ = ["bag", "cape", "ears", "glasses", "hat", "helmet", "shell", "shoulder_pads", "spikes", "tail", "wings"]
@@ -55,18 +55,18 @@ def _box(center: np.ndarray, size: Sequence[float] | np.ndarray) -> tuple[np.nda
     return center + corners * np.asarray(size), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def _skull(wardrobe: Wardrobe, worn: Worn) -> tuple[np.ndarray, np.ndarray]:
+def _skull(wardrobe: Wardrobe, figure: BodyShape) -> tuple[np.ndarray, np.ndarray]:
     """Centre and half extents of the head [m]."""
-    head = worn.vertices[wardrobe.body.groups["body"]][
+    head = figure.vertices[wardrobe.body.groups["body"]][
         wardrobe.body.joint_weights[wardrobe.body.groups["body"], _J["head"]] > 0.95
     ]
     low, high = head.min(axis=0), head.max(axis=0)
     return (low + high) / 2, (high - low) / 2
 
 
-def hat(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def hat(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """A hat turned on a lathe: wizard's, top, sun, beanie, crown or cone."""
-    center, half = _skull(wardrobe, worn)
+    center, half = _skull(wardrobe, figure)
     profile = np.array(_HATS[str(rng.choice(sorted(_HATS)))])
     profile[:, 1] *= rng.uniform(0.7, 1.3)
     ring = np.linspace(0, 2 * np.pi, 20, endpoint=False)
@@ -79,9 +79,9 @@ def hat(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     return _rigid(local @ tilt.T + brow, sheet_faces(len(profile), 20, wrap=True)[:, ::-1], "head", "head_top")
 
 
-def ears(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def ears(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """Two ears or horns on the head: short or long, flat or round."""
-    center, half = _skull(wardrobe, worn)
+    center, half = _skull(wardrobe, figure)
     angle, length, wide = rng.uniform(0.3, 1.0), half[1] * rng.uniform(0.5, 2.2), half[0] * rng.uniform(0.2, 0.55)
     lean, bend = rng.uniform(-0.4, 0.5), rng.uniform(-0.6, 0.6)
     t = np.linspace(0, 1, 7)[:, None]
@@ -99,13 +99,13 @@ def ears(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     return joined(pieces)
 
 
-def spikes(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def spikes(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """Hair of cones, as drawn characters have it."""
     body = wardrobe.body
-    normals = vertex_normals(worn.vertices, body.faces)
-    center, half = _skull(wardrobe, worn)
+    normals = vertex_normals(figure.vertices, body.faces)
+    center, half = _skull(wardrobe, figure)
     skin = body.groups["body"]
-    offset = (worn.vertices[skin] - center) / half
+    offset = (figure.vertices[skin] - center) / half
     scalp = skin[
         (body.joint_weights[skin, _J["head"]] > 0.95)
         & (offset[:, 1] > 0.1 + 0.6 * offset[:, 2])
@@ -118,16 +118,16 @@ def spikes(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
         way = normals[root] + comb * rng.uniform(0.3, 1)
         way /= np.linalg.norm(way) + 1e-9
         t = np.linspace(-0.15, 1, 5)[:, None]
-        curve = worn.vertices[root] + long * rng.uniform(0.6, 1.2) * t * way + long * 0.2 * t * t * [0, -1, 0]
+        curve = figure.vertices[root] + long * rng.uniform(0.6, 1.2) * t * way + long * 0.2 * t * t * [0, -1, 0]
         pieces.append(_rigid(*_tube(curve, wide * np.linspace(1, 0.03, 5), 6), "head", "head_top"))
     return joined(pieces)
 
 
-def glasses(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def glasses(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """Two panes and their bridge before the eyes."""
-    size = _skull(wardrobe, worn)[1][0] * rng.uniform(0.55, 0.8)
+    size = _skull(wardrobe, figure)[1][0] * rng.uniform(0.55, 0.8)
     pieces = []
-    eyes = [worn.vertices[wardrobe.body.groups[f"helper-{side}-eye"]].mean(axis=0) for side in "lr"]
+    eyes = [figure.vertices[wardrobe.body.groups[f"helper-{side}-eye"]].mean(axis=0) for side in "lr"]
     forward = np.array([0, 0, 0.025])
     for eye in eyes:
         pieces.append(_rigid(*_box(eye + forward, (size, size * rng.uniform(0.6, 0.9), 0.004)), "head", "face"))
@@ -135,25 +135,25 @@ def glasses(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     return joined(pieces)
 
 
-def _back(wardrobe: Wardrobe, worn: Worn, heights: np.ndarray) -> np.ndarray:
+def _back(wardrobe: Wardrobe, figure: BodyShape, heights: np.ndarray) -> np.ndarray:
     """Where the back is furthest behind at each height or above it [m], for heights from the top down."""
-    body = worn.vertices[wardrobe.body.groups["body"]]
-    body = body[np.abs(body[:, 0]) < 1.5 * abs(worn.joints[_J["left_hip"], 0])]
-    found = [body[np.abs(body[:, 1] - height) < 0.04][:, 2].min(initial=worn.joints[9, 2]) for height in heights]
+    body = figure.vertices[wardrobe.body.groups["body"]]
+    body = body[np.abs(body[:, 0]) < 1.5 * abs(figure.joints[_J["left_hip"], 0])]
+    found = [body[np.abs(body[:, 1] - height) < 0.04][:, 2].min(initial=figure.joints[9, 2]) for height in heights]
     return np.minimum.accumulate(np.array(found))
 
 
-def cape(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def cape(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """A cape down the back: it hangs from the chest, and its halves are the two wings."""
     shoulder, neck, floor = (
-        worn.joints[_J["left_shoulder"]],
-        worn.joints[_J["neck"]],
-        worn.vertices[:BODY_VERTICES, 1].min(),
+        figure.joints[_J["left_shoulder"]],
+        figure.joints[_J["neck"]],
+        figure.vertices[:BODY_VERTICES, 1].min(),
     )
     u, v = np.meshgrid(np.linspace(-1, 1, 25), np.linspace(0, 1, 24))
     length = (shoulder[1] - floor) * rng.uniform(0.35, 0.97)
     y = shoulder[1] + 0.6 * (neck[1] - shoulder[1]) * (1 - u**2) - v * length
-    back = _back(wardrobe, worn, y[:, 12])[:, None]
+    back = _back(wardrobe, figure, y[:, 12])[:, None]
     away, folds, phase = rng.uniform(0.02, 0.05), int(rng.integers(2, 6)), rng.uniform(0, 6)
     z = back - away + 0.06 * u**2 * (1 - v) - 0.15 * rng.random() * v + 0.03 * v * np.sin(folds * np.pi * u + phase)
     x = u * shoulder[0] * (rng.uniform(0.9, 1.15) + rng.uniform(0, 1.0) * v)
@@ -170,10 +170,10 @@ def _winged(piece: Piece, share: np.ndarray) -> np.ndarray:
     return np.asarray(handles)
 
 
-def wings(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def wings(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """Two wings on the upper back, flat and jagged."""
-    chest, size = worn.joints[_J["spine3"]], float(np.ptp(worn.vertices[:BODY_VERTICES, 1]))
-    root = np.array([0.03, chest[1] + 0.05, _back(wardrobe, worn, chest[1:2])[0] + 0.01])
+    chest, size = figure.joints[_J["spine3"]], float(np.ptp(figure.vertices[:BODY_VERTICES, 1]))
+    root = np.array([0.03, chest[1] + 0.05, _back(wardrobe, figure, chest[1:2])[0] + 0.01])
     span, lift, sweep = size * rng.uniform(0.25, 0.6), rng.uniform(-0.1, 0.9), rng.uniform(0.1, 0.9)
     u, v = np.meshgrid(np.linspace(0, 1, 16), np.linspace(0, 1, 9))
     depth = (
@@ -192,10 +192,10 @@ def wings(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     return joined(pieces)
 
 
-def tail(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def tail(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """A tail of any length and swing."""
-    pelvis, size = worn.joints[0], float(np.ptp(worn.vertices[:BODY_VERTICES, 1]))
-    start = np.array([0, pelvis[1] - 0.02, _back(wardrobe, worn, pelvis[1:2])[0] + 0.03])
+    pelvis, size = figure.joints[0], float(np.ptp(figure.vertices[:BODY_VERTICES, 1]))
+    start = np.array([0, pelvis[1] - 0.02, _back(wardrobe, figure, pelvis[1:2])[0] + 0.03])
     t = np.linspace(0, 1, 14)
     length, pitch, curl, sway = (
         size * rng.uniform(0.25, 0.7),
@@ -213,21 +213,23 @@ def tail(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     return Piece(points, faces, piece.joints, handles)
 
 
-def bag(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def bag(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """A backpack, or a pouch at the belt."""
-    size = float(np.ptp(worn.vertices[:BODY_VERTICES, 1]))
+    size = float(np.ptp(figure.vertices[:BODY_VERTICES, 1]))
     if rng.random() < 0.6:
         extent = size * rng.uniform([0.1, 0.12, 0.05], [0.2, 0.28, 0.12])
-        middle = worn.joints[_J["spine3"]] * [0, 1, 0]
-        middle[2] = _back(wardrobe, worn, middle[1:2])[0] - 0.4 * extent[2]
+        middle = figure.joints[_J["spine3"]] * [0, 1, 0]
+        middle[2] = _back(wardrobe, figure, middle[1:2])[0] - 0.4 * extent[2]
         return _rigid(*_box(middle, extent), "spine3", "spine3")
     extent, side = size * rng.uniform(0.03, 0.07, 3), rng.choice([-1, 1])
-    return _rigid(*_box(worn.joints[0] + [side * 1.5 * abs(worn.joints[1, 0]), 0, 0.03], extent), "pelvis", "pelvis")
+    return _rigid(
+        *_box(figure.joints[0] + [side * 1.5 * abs(figure.joints[1, 0]), 0, 0.03], extent), "pelvis", "pelvis"
+    )
 
 
-def shoulder_pads(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def shoulder_pads(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """A dome on each shoulder, which moves with the upper arm."""
-    size = float(np.ptp(worn.vertices[:BODY_VERTICES, 1])) * rng.uniform(0.04, 0.08)
+    size = float(np.ptp(figure.vertices[:BODY_VERTICES, 1])) * rng.uniform(0.04, 0.08)
     ring, rise = np.linspace(0, 2 * np.pi, 12, endpoint=False), np.linspace(0, np.pi / 2.05, 6)[:, None]
     dome = np.stack(
         [np.cos(rise) * np.cos(ring), np.broadcast_to(np.sin(rise), (6, 12)), -np.cos(rise) * np.sin(ring)], axis=-1
@@ -238,7 +240,7 @@ def shoulder_pads(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> P
         turn = np.asarray(matrix_from_axis_angle(np.array([0, 0, -0.6 * side])))
         pieces.append(
             _rigid(
-                (dome @ turn.T) + worn.joints[_J[name]] + [0.2 * side * size, 0.1 * size, 0],
+                (dome @ turn.T) + figure.joints[_J[name]] + [0.2 * side * size, 0.1 * size, 0],
                 sheet_faces(6, 12, wrap=True)[:, ::-1],
                 name,
                 name,
@@ -247,9 +249,9 @@ def shoulder_pads(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> P
     return joined(pieces)
 
 
-def helmet(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def helmet(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """A helmet or a mask: the head without its features, a little larger. Its parts stay head, face and scalp."""
-    head = shell(wardrobe, worn, "body", ("head",), 0.0)
+    head = shell(wardrobe, figure, "body", ("head",), 0.0)
     mean = mean_operator(unique_edges(head.faces, len(head.points)), len(head.points))
     points = head.points
     for _ in range(int(rng.integers(10, 40))):
@@ -260,18 +262,18 @@ def helmet(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
 
 
 def shell(
-    wardrobe: Wardrobe, worn: Worn, group: str, joints: Sequence[str], thickness: float, flare: float = 0.0
+    wardrobe: Wardrobe, figure: BodyShape, group: str, joints: Sequence[str], thickness: float, flare: float = 0.0
 ) -> Piece:
     """A part of the skin or of the tights, moved outwards: gloves, boots, armour, sleeves, trousers.
 
     Args:
-        wardrobe, worn: The body.
+        wardrobe, figure: The body.
         group: "body" or "helper-tights".
         joints: Joints that move the part ("left_knee", ...).
         thickness: How far out [m].
         flare: How much further the ends of arms and legs are [m].
     """
-    piece = wardrobe.part(worn, group)
+    piece = wardrobe.part(figure, group)
     weights = piece.joints
     kept = piece.cut(weights[:, [_J[name] for name in joints]].sum(axis=1) > 0.5)
     ends = kept.joints[

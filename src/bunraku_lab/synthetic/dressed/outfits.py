@@ -10,7 +10,7 @@ import numpy as np
 
 from bunraku.body.layout import JOINT_NAMES
 from bunraku_lab.synthetic.dressed import extras
-from bunraku_lab.synthetic.dressed.wardrobe import Garment, Piece, Wardrobe, Worn
+from bunraku_lab.synthetic.dressed.wardrobe import BodyShape, Garment, Piece, Wardrobe
 
 __all__ = ["Outfit", "random_outfit"]
 
@@ -42,7 +42,7 @@ class Outfit:
                 self.hidden.append(hidden)
 
 
-def random_outfit(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Outfit:
+def random_outfit(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Outfit:
     """A random outfit: a suit of the archive, its parts mixed, garments made of the helper surfaces, or next to
     nothing.
     """
@@ -50,16 +50,16 @@ def random_outfit(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> O
     kind = rng.choice(["archive", "overall", "gown", "bare"], p=[0.73, 0.1, 0.1, 0.07])
     if kind == "overall" and wardrobe.whole:
         name, garment = _pick(wardrobe.whole, rng)
-        outfit.add(name, wardrobe.wear(garment, worn), garment.clothes.deleted)
+        outfit.add(name, wardrobe.wear(garment, figure), garment.clothes.deleted)
     elif kind == "gown":
-        outfit.add("gown", _top(wardrobe, worn, rng))
-        outfit.add("long skirt", wardrobe.skirt(worn, float(rng.uniform(0.5, 2)), float(rng.uniform(0, 0.9))))
+        outfit.add("gown", _top(wardrobe, figure, rng))
+        outfit.add("long skirt", wardrobe.skirt(figure, float(rng.uniform(0.5, 2)), float(rng.uniform(0, 0.9))))
     elif kind != "bare":
-        _two_parts(outfit, wardrobe, worn, rng)
-    _hands_and_feet(outfit, wardrobe, worn, rng)
+        _two_parts(outfit, wardrobe, figure, rng)
+    _hands_and_feet(outfit, wardrobe, figure, rng)
     if rng.random() < 0.1:
-        _armour(outfit, wardrobe, worn, rng)
-    _head(outfit, wardrobe, worn, rng)
+        _armour(outfit, wardrobe, figure, rng)
+    _head(outfit, wardrobe, figure, rng)
     for rate, extra in (
         (0.1, extras.cape),
         (0.04, extras.wings),
@@ -68,7 +68,7 @@ def random_outfit(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> O
         (0.06, extras.shoulder_pads),
     ):
         if rng.random() < rate:
-            outfit.add(extra.__name__, extra(wardrobe, worn, rng))
+            outfit.add(extra.__name__, extra(wardrobe, figure, rng))
     return outfit
 
 
@@ -77,32 +77,32 @@ def _pick(shelf: dict[str, Garment], rng: np.random.Generator) -> tuple[str, Gar
     return name, shelf[name]
 
 
-def _two_parts(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> None:
+def _two_parts(outfit: Outfit, wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> None:
     legs = wardrobe.body.joint_weights[:, _LEGS].sum(axis=1) > 0.5
     name, garment = _pick(wardrobe.upper, rng)
     if rng.random() < 0.7:
         deleted = garment.clothes.deleted
-        outfit.add(name, wardrobe.wear(garment, worn), deleted[~legs[deleted]])
+        outfit.add(name, wardrobe.wear(garment, figure), deleted[~legs[deleted]])
     else:
-        outfit.add("top", _top(wardrobe, worn, rng))
+        outfit.add("top", _top(wardrobe, figure, rng))
     choice = rng.choice(["same", "other", "trousers", "skirt"], p=[0.25, 0.3, 0.2, 0.25])
     if choice == "trousers":
-        outfit.add("trousers", _trousers(wardrobe, worn, rng))
+        outfit.add("trousers", _trousers(wardrobe, figure, rng))
         return
     if choice == "skirt":
         length = float(rng.uniform(0.3, 2.0))
-        outfit.add(f"skirt {length:.1f}", wardrobe.skirt(worn, length, float(rng.choice([0.0, rng.uniform(0, 0.9)]))))
+        outfit.add(f"skirt {length:.1f}", wardrobe.skirt(figure, length, float(rng.choice([0.0, rng.uniform(0, 0.9)]))))
         return
     if choice == "other" or name not in wardrobe.lower:
         name = _pick(wardrobe.lower, rng)[0]
     garment = wardrobe.lower[name]
     deleted = garment.clothes.deleted
-    outfit.add(name, wardrobe.wear(garment, worn), None if garment.skirt else deleted[legs[deleted]])
+    outfit.add(name, wardrobe.wear(garment, figure), None if garment.skirt else deleted[legs[deleted]])
 
 
-def _top(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def _top(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """The upper part of the tights with sleeves of any length, tight or wide."""
-    tights = wardrobe.part(worn, "helper-tights")
+    tights = wardrobe.part(figure, "helper-tights")
     without = ([], _FOREARMS, _ARMS)[rng.choice(3, p=[0.5, 0.3, 0.2])]
     keep = tights.joints[:, _LEGS].sum(axis=1) < 0.4
     if without:
@@ -112,9 +112,9 @@ def _top(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
     return top.puffed(rng.uniform(0.003, 0.02) + wide * top.joints[:, _FOREARMS].sum(axis=1))
 
 
-def _trousers(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece:
+def _trousers(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> Piece:
     """The lower part of the tights: shorts, leggings, wide trousers."""
-    tights = wardrobe.part(worn, "helper-tights")
+    tights = wardrobe.part(figure, "helper-tights")
     shins = [_J["left_knee"], _J["right_knee"]]
     keep = tights.joints[:, [0, *_LEGS]].sum(axis=1) > 0.5
     keep &= tights.joints[:, [_J["left_ankle"], _J["right_ankle"], _J["left_foot"], _J["right_foot"]]].sum(axis=1) < 0.5
@@ -125,17 +125,17 @@ def _trousers(wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> Piece
     return cut.puffed(rng.uniform(0.003, 0.025) + wide * cut.joints[:, shins].sum(axis=1))
 
 
-def _hands_and_feet(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> None:
+def _hands_and_feet(outfit: Outfit, wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> None:
     chance = rng.random()
     if chance < 0.6 and wardrobe.shoes:
         name, garment = _pick(wardrobe.shoes, rng)
-        outfit.add(name, wardrobe.wear(garment, worn), garment.clothes.deleted)
+        outfit.add(name, wardrobe.wear(garment, figure), garment.clothes.deleted)
     elif chance < 0.85:
         shaft = wardrobe.body.joint_weights[:, 4:6].sum(axis=1) + wardrobe.body.joint_weights[:, [7, 8, 10, 11]].sum(
             axis=1
         )
-        boots = wardrobe.part(worn, "helper-tights").puffed(rng.uniform(0.006, 0.03))
-        knee, ankle = worn.joints[4, 1], worn.joints[7, 1]
+        boots = wardrobe.part(figure, "helper-tights").puffed(rng.uniform(0.006, 0.03))
+        knee, ankle = figure.joints[4, 1], figure.joints[7, 1]
         tights = np.unique(wardrobe.body.groups["helper-tights"])
         outfit.add(
             "boots",
@@ -143,11 +143,11 @@ def _hands_and_feet(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.rand
         )
     if rng.random() < 0.15:
         outfit.add(
-            "gloves", extras.shell(wardrobe, worn, "body", ("left_wrist", "right_wrist"), rng.uniform(0.002, 0.008))
+            "gloves", extras.shell(wardrobe, figure, "body", ("left_wrist", "right_wrist"), rng.uniform(0.002, 0.008))
         )
 
 
-def _armour(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> None:
+def _armour(outfit: Outfit, wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> None:
     thick = float(rng.uniform(0.015, 0.04))
     for rate, name, joints in (
         (0.8, "breastplate", ("spine1", "spine2", "spine3", "left_collar", "right_collar")),
@@ -155,34 +155,36 @@ def _armour(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Gener
         (0.6, "bracers", ("left_elbow", "right_elbow")),
     ):
         if rng.random() < rate:
-            outfit.add(name, extras.shell(wardrobe, worn, "helper-tights", joints, thick, float(rng.uniform(0, 0.02))))
+            outfit.add(
+                name, extras.shell(wardrobe, figure, "helper-tights", joints, thick, float(rng.uniform(0, 0.02)))
+            )
 
 
-def _head(outfit: Outfit, wardrobe: Wardrobe, worn: Worn, rng: np.random.Generator) -> None:
+def _head(outfit: Outfit, wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> None:
     if rng.random() < 0.07:
-        outfit.add("helmet", extras.helmet(wardrobe, worn, rng))
+        outfit.add("helmet", extras.helmet(wardrobe, figure, rng))
         return
     chance = rng.random()
     if chance < 0.62 and wardrobe.hair:
         name, garment = _pick(wardrobe.hair, rng)
-        outfit.add(name, _trimmed(wardrobe.wear_on_head(garment, worn), worn, float(rng.uniform(0.3, 1.1))))
+        outfit.add(name, _trimmed(wardrobe.wear_on_head(garment, figure), figure, float(rng.uniform(0.3, 1.1))))
     elif chance < 0.75:
-        outfit.add("spikes", extras.spikes(wardrobe, worn, rng))
+        outfit.add("spikes", extras.spikes(wardrobe, figure, rng))
     chance = rng.random()
     if chance < 0.06 and wardrobe.hats:
         name, garment = _pick(wardrobe.hats, rng)
-        outfit.add(name, wardrobe.wear_on_head(garment, worn))
+        outfit.add(name, wardrobe.wear_on_head(garment, figure))
     elif chance < 0.2:
-        outfit.add("hat", extras.hat(wardrobe, worn, rng))
+        outfit.add("hat", extras.hat(wardrobe, figure, rng))
     elif chance < 0.29:
-        outfit.add("ears", extras.ears(wardrobe, worn, rng))
+        outfit.add("ears", extras.ears(wardrobe, figure, rng))
     if rng.random() < 0.06:
-        outfit.add("glasses", extras.glasses(wardrobe, worn, rng))
+        outfit.add("glasses", extras.glasses(wardrobe, figure, rng))
 
 
-def _trimmed(hair: Piece, worn: Worn, length: float) -> Piece:
+def _trimmed(hair: Piece, figure: BodyShape, length: float) -> Piece:
     """Hair whose part below the base of the skull is this much as long."""
     points = hair.points.copy()
-    chin = worn.joints[_J["head"], 1]
+    chin = figure.joints[_J["head"], 1]
     points[:, 1] = np.where(points[:, 1] < chin, chin + length * (points[:, 1] - chin), points[:, 1])
     return Piece(points, hair.faces, hair.joints, hair.handles)

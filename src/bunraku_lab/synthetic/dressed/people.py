@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from bunraku.body.layout import JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.character import Character, Rig, top_influences
 from bunraku_lab.synthetic.dressed.outfits import Outfit, random_outfit
-from bunraku_lab.synthetic.dressed.shapes import random_body, random_figure
 from bunraku_lab.synthetic.dressed.surfaces import melted, simplified
-from bunraku_lab.synthetic.dressed.wardrobe import Piece, Wardrobe, Worn, joined
-from bunraku_lab.synthetic.makehuman import BODY_VERTICES, pose_points
+from bunraku_lab.synthetic.dressed.wardrobe import BodyShape, Piece, Wardrobe, joined
+from bunraku_lab.synthetic.people.makehuman import BODY_VERTICES, pose_points
+from bunraku_lab.synthetic.people.proportions import random_body, random_rest
 
 __all__ = ["Dressed", "dressed_person"]
 
@@ -47,29 +47,29 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
     """
     rng = np.random.default_rng(seed)
     vertices = wardrobe.body.shape(random_body(rng))
-    worn = Worn(vertices, wardrobe.body.joints(vertices))
-    outfit = random_outfit(wardrobe, worn, rng)
-    skin = wardrobe.part(worn, "body")
+    figure = BodyShape(vertices, wardrobe.body.joints(vertices))
+    outfit = random_outfit(wardrobe, figure, rng)
+    skin = wardrobe.part(figure, "body")
     names, pieces = outfit.names, list(outfit.pieces)
     if rng.random() < 0.6 and outfit.hidden:
         seen = np.ones(len(vertices), bool)
-        seen[_covered(worn, outfit)] = False
-        pieces.append(wardrobe.part(worn, "body", keep=seen))
+        seen[_covered(figure, outfit)] = False
+        pieces.append(wardrobe.part(figure, "body", keep=seen))
         names.append("skin cut")
     else:
         pieces.append(skin)
     if rng.random() < 0.6:
-        pieces.append(wardrobe.part(worn, "helper-l-eye", "helper-r-eye"))
+        pieces.append(wardrobe.part(figure, "helper-l-eye", "helper-r-eye"))
     if rng.random() < 0.15:
-        pieces.append(wardrobe.part(worn, "helper-upper-teeth", "helper-lower-teeth", "helper-tongue"))
-    linear = random_figure(rng, worn.joints)
+        pieces.append(wardrobe.part(figure, "helper-upper-teeth", "helper-lower-teeth", "helper-tongue"))
+    linear = random_rest(rng, figure.joints)
     whole = joined(pieces)
-    points, joints = pose_points(whole.points, worn.joints, whole.joints, linear)
+    points, joints = pose_points(whole.points, figure.joints, whole.joints, linear)
     whole = Piece(points, whole.faces, whole.joints, whole.handles)
     form = rng.choice(["plain", "melted", "low"], p=[0.6, 0.2, 0.2])
     if form == "melted":
         solid = Piece(
-            pose_points(skin.points, worn.joints, skin.joints, linear)[0], skin.faces, skin.joints, skin.handles
+            pose_points(skin.points, figure.joints, skin.joints, linear)[0], skin.faces, skin.joints, skin.handles
         )
         cell = float(np.ptp(points[:, 1]) / rng.uniform(70, 130))
         whole = melted(whole, solid, cell, cell * float(rng.uniform(0.6, 1.0)))
@@ -78,13 +78,13 @@ def dressed_person(wardrobe: Wardrobe, seed: tuple[int, ...] | int) -> Dressed:
     return Dressed(whole, joints, ", ".join([*names, form]))
 
 
-def _covered(worn: Worn, outfit: Outfit) -> np.ndarray:
+def _covered(figure: BodyShape, outfit: Outfit) -> np.ndarray:
     """Base vertices that the clothes hide and that are near some of them: garments of an archive expect others beside
     them.
     """
     hidden = np.unique(np.concatenate(outfit.hidden))
-    reach = 0.025 * float(np.ptp(worn.vertices[:BODY_VERTICES, 1]))
+    reach = 0.025 * float(np.ptp(figure.vertices[:BODY_VERTICES, 1]))
     distance = cKDTree(np.concatenate([piece.points for piece in outfit.pieces])).query(
-        worn.vertices[hidden], distance_upper_bound=reach
+        figure.vertices[hidden], distance_upper_bound=reach
     )[0]
     return hidden[np.isfinite(distance)]

@@ -42,9 +42,9 @@ def melted(piece: Piece, solid: Piece, cell: float, thickness: float) -> Piece:
     for axis in range(3):
         near = np.any([np.roll(near, shift, axis) for shift in range(-reach, reach + 1)], axis=0)
     number = np.argwhere(near)
-    places = number * cell + low
-    distance = np.sqrt(igl.point_mesh_squared_distance(places, piece.points, piece.faces)[0])
-    inside = igl.fast_winding_number(solid.points, solid.faces, places) > 0.5
+    positions = number * cell + low
+    distance = np.sqrt(igl.point_mesh_squared_distance(positions, piece.points, piece.faces)[0])
+    inside = igl.fast_winding_number(solid.points, solid.faces, positions) > 0.5
     field = np.full(size, 1.0)
     field[tuple(number.T)] = np.where(inside, -distance, distance) - thickness
     whole = near[:-1, :-1, :-1].copy()

@@ -17,11 +17,11 @@ from bunraku.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT
 from bunraku.errors import FormatError
 from bunraku.geometry.easing import smooth_step
 from bunraku.geometry.graph import mesh_parts, unique_edges
-from bunraku.geometry.normals import vertex_normals
+from bunraku.geometry.surface import vertex_normals
 from bunraku_lab.synthetic.dressed.mhclo import Clothes, fit, fit_weights, read_mhclo
-from bunraku_lab.synthetic.makehuman import MakeHumanBody
+from bunraku_lab.synthetic.people.makehuman import MakeHumanBody
 
-__all__ = ["Garment", "Piece", "Wardrobe", "Worn", "joined", "skirt_weights"]
+__all__ = ["Garment", "Piece", "Wardrobe", "BodyShape", "joined", "skirt_weights"]
 
 _LEGS = [1, 2, 4, 5, 7, 8, 10, 11]
 _HEAD, _TOP = HANDLE_NAMES.index("head"), HANDLE_NAMES.index("head_top")
@@ -56,7 +56,7 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class Worn:
+class BodyShape:
     """A body shape that can be dressed.
 
     Args:
@@ -125,7 +125,7 @@ class Wardrobe:
     def __init__(self, body: MakeHumanBody, folder: str | Path):
         self.body = body
         plain = body.shape({})
-        self._plain = Worn(plain, body.joints(plain))
+        self._plain = BodyShape(plain, body.joints(plain))
         self.whole: dict[str, Garment] = {}
         self.upper: dict[str, Garment] = {}
         self.lower: dict[str, Garment] = {}
@@ -168,51 +168,51 @@ class Wardrobe:
                     clothes, kind, _hangs(fit(clothes, self._plain.vertices), self._plain.joints, clothes.faces, kind)
                 )
 
-    def wear(self, garment: Garment, worn: Worn) -> Piece:
+    def wear(self, garment: Garment, figure: BodyShape) -> Piece:
         """A garment of the archive on a body."""
-        clothes, points = garment.clothes, fit(garment.clothes, worn.vertices)
+        clothes, points = garment.clothes, fit(garment.clothes, figure.vertices)
         joints, handles = fit_weights(clothes, self.body.joint_weights), fit_weights(clothes, self.body.handle_weights)
         if garment.skirt:
-            joints, handles = (skirt_weights(points, worn.joints, weights) for weights in (joints, handles))
+            joints, handles = (skirt_weights(points, figure.joints, weights) for weights in (joints, handles))
         return Piece(points, clothes.faces, joints, handles).cut(garment.vertices)
 
-    def wear_on_head(self, garment: Garment, worn: Worn) -> Piece:
+    def wear_on_head(self, garment: Garment, figure: BodyShape) -> Piece:
         """Hair or a hat on a body: all of it moves with the head, as `head_top`."""
-        points = fit(garment.clothes, worn.vertices)
+        points = fit(garment.clothes, figure.vertices)
         joints, handles = np.zeros((len(points), JOINT_COUNT)), np.zeros((len(points), HANDLE_COUNT))
         joints[:, _HEAD], handles[:, _TOP] = 1, 1
         return Piece(points, garment.clothes.faces, joints, handles)
 
-    def part(self, worn: Worn, *groups: str, keep: np.ndarray | None = None) -> Piece:
+    def part(self, figure: BodyShape, *groups: str, keep: np.ndarray | None = None) -> Piece:
         """Parts of the base mesh itself ("body", "helper-tights", "helper-l-eye", ...), or what is kept of them, shape
         (B,) bool.
         """
-        wanted = np.zeros(len(worn.vertices), bool)
+        wanted = np.zeros(len(figure.vertices), bool)
         for group in groups:
             wanted[self.body.groups[group]] = True
         keep = wanted if keep is None else wanted & keep
-        return Piece(worn.vertices, self.body.faces, self.body.joint_weights, self.body.handle_weights).cut(keep)
+        return Piece(figure.vertices, self.body.faces, self.body.joint_weights, self.body.handle_weights).cut(keep)
 
-    def skirt(self, worn: Worn, length: float, flare: float) -> Piece:
+    def skirt(self, figure: BodyShape, length: float, flare: float) -> Piece:
         """A skirt from the waist down.
 
         Args:
-            worn: The body.
+            figure: The body.
             length: 0 ends at the hips, 1 at the knees, 2 at the ankles.
             flare: How much wider the hem is than the helper surface, as a share of its width.
         """
-        piece = self.part(worn, "helper-skirt")
-        hip, knee, ankle = (float(worn.joints[pair, 1].mean()) for pair in ([1, 2], [4, 5], [7, 8]))
+        piece = self.part(figure, "helper-skirt")
+        hip, knee, ankle = (float(figure.joints[pair, 1].mean()) for pair in ([1, 2], [4, 5], [7, 8]))
         hem = float(np.interp(length, [0, 1, 2], [hip, knee, ankle]))
         points = piece.points.copy()
         down = smooth_step(points[:, 1], hip + 0.1, ankle)
-        points[:, [0, 2]] = worn.joints[0, [0, 2]] + (points[:, [0, 2]] - worn.joints[0, [0, 2]]) * (
+        points[:, [0, 2]] = figure.joints[0, [0, 2]] + (points[:, [0, 2]] - figure.joints[0, [0, 2]]) * (
             1 + flare * down[:, None]
         )
         piece = Piece(
             points,
             piece.faces,
-            *(skirt_weights(points, worn.joints, weights) for weights in (piece.joints, piece.handles)),
+            *(skirt_weights(points, figure.joints, weights) for weights in (piece.joints, piece.handles)),
         )
         return piece.cut(points[:, 1] >= min(hem, hip - 0.1))
 

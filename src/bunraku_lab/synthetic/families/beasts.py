@@ -35,8 +35,6 @@ def tail(
     lift: float,
     curl: float,
     count: int,
-    parent: str = "Hips",
-    region: str = "tail",
 ) -> None:
     """A tail backwards from a place, with a bone for each of its pieces."""
     points = [np.asarray(root, float)]
@@ -46,13 +44,13 @@ def tail(
         angle += curl / count
     names = [f"Tail{i + 1}" for i in range(count)]
     for i, name in enumerate(names):
-        m.bone(name, names[i - 1] if i else parent, points[i])
+        m.bone(name, names[i - 1] if i else "Hips", points[i])
     ends = radius * (
         np.linspace(1, m.u(0.1, 1.0), count + 1) if radius < 0.07 else np.linspace(1, m.u(0.05, 0.35), count + 1)
     )
-    m.limb(points, list(np.maximum(ends, 0.006)), Chain(names, points[:-1]), region, blend=0.5)
+    m.limb(points, list(np.maximum(ends, 0.006)), Chain(names, points[:-1]), "tail", blend=0.5)
     if m.chance(0.15):
-        m.lump(points[-1], ends[-1] * m.u(1.5, 3) + 0.02, names[-1], region)
+        m.lump(points[-1], ends[-1] * m.u(1.5, 3) + 0.02, names[-1], "tail")
 
 
 def beast_head(m: Model, at: np.ndarray, size: float, snout: float, dip: float, region: str = "head") -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple, dataclass
+
 import numpy as np
 
 from bunraku_lab.synthetic.families.human_head import eyes
@@ -11,23 +13,30 @@ from bunraku_lab.synthetic.surfaces import unit
 __all__ = ["bee", "crab", "insect", "snake", "spider"]
 
 
+@dataclass(frozen=True)
+class _LegShape:
+    """How far out a leg goes, how high its knee is over its root, where the ground is, and how thick it is [m]."""
+
+    reach: float
+    rise: float
+    ground: float
+    radius: float
+
+
 def _leg(
     m: Model,
     side: str,
-    s: float,
     word: str,
     root: np.ndarray,
     yaw: float,
-    reach: float,
-    rise: float,
-    ground: float,
-    radius: float,
-    parent: str,
+    shape: _LegShape,
+    parent: str = "Hips",
 ) -> None:
     """A leg of three segments: out and up, out and down, and to the ground; the word in its bones' names says which leg
     it is.
     """
-    way = np.array([s * np.cos(yaw), 0, np.sin(yaw)])
+    reach, rise, ground, radius = astuple(shape)
+    way = np.array([dict(SIDES)[side] * np.cos(yaw), 0, np.sin(yaw)])
     knee = root + way * reach * 0.38 + [0, rise, 0]
     mid = root + way * reach * 0.75 + [0, (ground - root[1]) * 0.45 + 0.3 * rise, 0]
     tip = np.array([*(root + way * reach)]) * [1, 0, 1] + [0, ground, 0]
@@ -48,11 +57,11 @@ def _legs(
 ) -> None:
     u = m.u
     reach, rise, radius, fan = u(0.6, 1.2) * (0.6 + wide), u(-0.02, 0.4), u(0.015, 0.06), u(0.3, 1.0)
-    places = np.linspace(z[0], z[1], len(words))
+    positions, shape = np.linspace(z[0], z[1], len(words)), _LegShape(reach, rise, ground, radius)
     for side, s in SIDES:
         for i, word in enumerate(words):
             yaw = fan * (1 - 2 * i / max(len(words) - 1, 1))
-            _leg(m, side, s, word, np.array([s * wide * 0.8, y, places[i]]), yaw, reach, rise, ground, radius, parent)
+            _leg(m, side, word, np.array([s * wide * 0.8, y, positions[i]]), yaw, shape, parent)
 
 
 def _antennae(m: Model, at: np.ndarray, size: float) -> None:
@@ -179,19 +188,8 @@ def bee(m: Model) -> None:
         low, r, long = u(0.15, 0.5), u(0.012, 0.04), u(0.1, 0.3)
         for side, s in SIDES:
             for i, word in enumerate(words):
-                _leg(
-                    m,
-                    side,
-                    s,
-                    word,
-                    np.array([s * 0.5 * radius, y - 0.6 * radius, (0.5 - 0.5 * i) * radius]),
-                    0.5 - 0.5 * i,
-                    long,
-                    -0.03,
-                    y - 0.6 * radius - low,
-                    r,
-                    "Hips",
-                )
+                root = np.array([s * 0.5 * radius, y - 0.6 * radius, (0.5 - 0.5 * i) * radius])
+                _leg(m, side, word, root, 0.5 - 0.5 * i, _LegShape(long, -0.03, y - 0.6 * radius - low, r))
     span, chord, lift, sweep = u(0.3, 1.0), u(0.12, 0.5), u(-0.1, 1.1), u(-0.1, 0.6)
     pairs = 2 if m.chance(0.4) else 1
     for side, s in SIDES:
@@ -240,7 +238,7 @@ def crab(m: Model) -> None:
         for i, word in enumerate(words):
             share = i / (len(words) - 1)
             root = np.array([s * 0.8 * half[0], y - 0.3 * half[1], half[2] * (0.2 - 0.9 * share)])
-            _leg(m, side, s, word, root, 0.2 - 0.8 * share, reach, rise, 0.0, thick, "Hips")
+            _leg(m, side, word, root, 0.2 - 0.8 * share, _LegShape(reach, rise, 0.0, thick))
 
 
 def snake(m: Model) -> None:
@@ -259,8 +257,8 @@ def snake(m: Model) -> None:
         names = ["Hips", "Spine", "Spine1", "Neck"]
     else:
         wave, turns = u(0.0, 0.14), u(0.5, 1.5)
-        places = np.linspace(0, 0.6, 6)
-        points = [np.array([wave * np.sin(6.28 * turns * z), radius, z]) for z in places]
+        positions = np.linspace(0, 0.6, 6)
+        points = [np.array([wave * np.sin(6.28 * turns * z), radius, z]) for z in positions]
         names = ["Hips", "Spine", "Spine1", "Spine2", "Neck"]
     for name, parent, at in zip(names, ["", *names], points, strict=False):
         m.bone(name, parent, at)

@@ -137,10 +137,10 @@ def eyes(m: Model, centre: np.ndarray, size: np.ndarray, share: str) -> None:
     if not m.chance(0.55):
         return
     high, wide, radius = m.u(-0.1, 0.3), m.u(0.3, 0.55), m.u(0.08, 0.28) * float(size.min())
-    place = np.array([wide, high, np.sqrt(max(1 - wide**2 - high**2, 0.2)) * 0.95])
+    position = np.array([wide, high, np.sqrt(max(1 - wide**2 - high**2, 0.2)) * 0.95])
     count = 1 if m.chance(0.05) else 2
     for _, s in SIDES[:count]:
-        at = centre + place * size * [s if count == 2 else 0, 1, 1]
+        at = centre + position * size * [s if count == 2 else 0, 1, 1]
         m.lump(at, radius * np.array([1, m.u(1, 1.4) if s > 0 else 1.1, 0.6]), share, f"eye {s}", loose=True)
 
 

@@ -22,11 +22,11 @@ Vector = Sequence[float] | np.ndarray
 
 @dataclass(frozen=True)
 class Chain:
-    """Joints along a line: each moves what lies between its place and that of the next.
+    """Joints along a line: each moves what lies between its position and that of the next.
 
     Args:
         joints: Joint names, length N.
-        points: Their places [m], length N; the first also takes what lies before it.
+        points: Their positions [m], length N; the first also takes what lies before it.
         blur: Factor on the width of the passage from one joint to the next.
     """
 
@@ -42,16 +42,16 @@ class Chain:
         steps = np.diff(knots, axis=0)
         lengths = np.linalg.norm(steps, axis=1) + 1e-9
         starts = np.concatenate([[0], np.cumsum(lengths)])
-        best, place = np.full(len(points), np.inf), np.zeros(len(points))
+        best, position = np.full(len(points), np.inf), np.zeros(len(points))
         for i, step in enumerate(steps):
             along = (points - knots[i]) @ step / lengths[i] ** 2
             along = np.clip(along, -9 if i == 0 else 0, 9 if i == len(steps) - 1 else 1)
             far = np.linalg.norm(points - knots[i] - along[:, None] * step, axis=1)
             better = far < best
-            best[better], place[better] = far[better], (starts[i] + along * lengths[i])[better]
+            best[better], position[better] = far[better], (starts[i] + along * lengths[i])[better]
         width = np.maximum(soft * self.blur, 1e-6)
         passed = [np.ones(len(points))] + [
-            1 / (1 + np.exp(-np.clip(2.5 * (place - s) / width, -40, 40))) for s in starts[1:]
+            1 / (1 + np.exp(-np.clip(2.5 * (position - s) / width, -40, 40))) for s in starts[1:]
         ]
         passed.append(np.zeros(len(points)))
         out: dict[str, np.ndarray] = {}
@@ -156,12 +156,12 @@ class Model:
         self.style = replace(self.style, **changes)  # type: ignore[arg-type]
 
     def bone(self, name: str, parent: str, at: Vector) -> np.ndarray:
-        """Add a bone and return its place."""
+        """Add a bone and return its position."""
         self.bones[name] = (parent, np.asarray(at, float))
         return self.bones[name][1]
 
     def at(self, name: str) -> np.ndarray:
-        """Place of a bone [m], shape (3,)."""
+        """Position of a bone [m], shape (3,)."""
         return self.bones[name][1]
 
     def limb(self, points: Sequence[Vector], radii: Sequence[float], share: Share | Sequence[str], region: str, *,
@@ -279,10 +279,10 @@ class Model:
         even = self.chance(0.6)
 
         def warp(points: np.ndarray) -> np.ndarray:
-            place = points - middle
+            position = points - middle
             if even:
-                place = place * [0, 1, 1]
-            move = np.sin(place @ wave.T + phase) @ shift
+                position = position * [0, 1, 1]
+            move = np.sin(position @ wave.T + phase) @ shift
             return points + (move * [0, 1, 1] if even else move)
 
         return warp

@@ -73,12 +73,12 @@ def fish(m: Model) -> None:
         )
     bulge = u(0.6, 1.4) if toy else 0.5
     if m.chance(0.85):
-        place, size = (
+        position, size = (
             np.array([wide * radii[0] / high * 0.85, 0.2 * high, z[0] - u(0, 0.3) * high]),
             high * u(0.12, 0.34) * bulge,
         )
         for _, s in SIDES:
-            m.lump(place * [s, 1, 1], size, body, f"eye {s}", loose=True)
+            m.lump(position * [s, 1, 1], size, body, f"eye {s}", loose=True)
     span, fork = high * u(0.5, 1.5), u(0.0, 0.7)
     t, v = np.linspace(-1, 1, 9)[:, None], np.linspace(0, 1, 5)[None]
     reach = 0.08 + u(0.05, 0.22) * (1 - fork * (1 - np.abs(t)))
@@ -106,9 +106,9 @@ def fish(m: Model) -> None:
     if m.chance(0.85):
         long, down, back = high * u(0.4, 1.2), u(0.0, 0.9), u(0.2, 1.2)
         loose = m.chance(0.25)  # fins with bones, as of sharks
-        place = np.array([0.8 * wide, -0.3 * high, 0.5 - u(0.3, 0.45)])
+        position = np.array([0.8 * wide, -0.3 * high, 0.5 - u(0.3, 0.45)])
         for side, s in SIDES:
-            at = place * [s, 1, 1]
+            at = position * [s, 1, 1]
             way = unit(np.array([s, -down, -back]))
             share: str | Chain = body
             if loose:
@@ -155,8 +155,8 @@ def whale(m: Model) -> None:
         way = unit(np.array([s, -down, -0.6]))
         points = [at, at + 0.4 * long * way, at + 0.75 * long * way]
         names = [f"{side}Arm", f"{side}ForeArm", f"{side}Hand"]
-        for name, parent, place in zip(names, ["Spine", *names], points, strict=False):
-            m.bone(name, parent, place)
+        for name, parent, position in zip(names, ["Spine", *names], points, strict=False):
+            m.bone(name, parent, position)
         m.limb(
             [points[0] - 0.1 * way * long, points[1], at + long * way],
             [0.3 * high, 0.25 * high, 0.08 * high],

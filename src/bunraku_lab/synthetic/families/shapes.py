@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bunraku.geometry.normals import vertex_normals
+from bunraku.geometry.surface import vertex_normals
 from bunraku.samples.fields import Field, Lump
 from bunraku.samples.meshing import marched
 from bunraku_lab.synthetic.surfaces import sheet_faces, unit
@@ -68,11 +68,13 @@ def block_mesh(lump: Lump, exponent: float = 2.0, cells: int = 4, cap: float = 1
         cells,
         max(cells, min(3 * cells, round(cells * (length + first + last) / (2.5 * max(lump.radii) * across.max())))),
     )
-    place = -first + 0.5 * (points[:, 1] + 1) * (length + first + last)
-    share = np.clip(place / length, 0, 1)
+    position = -first + 0.5 * (points[:, 1] + 1) * (length + first + last)
+    share = np.clip(position / length, 0, 1)
     radius = lump.radii[0] + share * (lump.radii[1] - lump.radii[0])
     past = np.where(
-        place < 0, place / max(first, 1e-9), np.where(place > length, (place - length) / max(last, 1e-9), 0.0)
+        position < 0,
+        position / max(first, 1e-9),
+        np.where(position > length, (position - length) / max(last, 1e-9), 0.0),
     )
     unit = np.stack([points[:, 0], past, points[:, 2]], axis=1)
     unit /= np.maximum((np.abs(unit) ** exponent).sum(axis=1, keepdims=True) ** (1 / exponent), 1e-9)

@@ -123,8 +123,8 @@ def _moved(pose: Pose, by: Sequence[float]) -> Pose:
     if not any(by):
         return pose
 
-    def on(place: Sequence[float]) -> tuple[float, float, float]:
-        x, y, z = (value + step for value, step in zip(place, by, strict=True))
+    def on(position: Sequence[float]) -> tuple[float, float, float]:
+        x, y, z = (value + step for value, step in zip(position, by, strict=True))
         return x, y, z
 
     def hand(one: Hand) -> Hand:

@@ -26,7 +26,7 @@ _GROUND = 0.027
 
 
 def through(keys: Sequence[Key]) -> tuple[Key, ...]:
-    """Poses that pass through some others, smooth in place and speed; what is the same in two in a row stays.
+    """Poses that pass through some others, smooth in position and speed; what is the same in two in a row stays.
 
     Args:
         keys: Moments [s], in steps of 0.05, and what is reached then; hands are on the same all the time.
@@ -48,8 +48,8 @@ def foot_on(out: float, ahead: float, pitch: float = 0.0, turn: float = 8.0) -> 
     cosine, sine = math.cos(math.radians(pitch)), math.sin(math.radians(pitch))
     up, along = _BALL if pitch > 0 else _HEEL
     height = (_GROUND if pitch > 0 else 0.0) + up * cosine - along * sine
-    place = ahead - along + up * sine + along * cosine
-    return Foot((out, height, place), pitch, turn=turn)
+    position = ahead - along + up * sine + along * cosine
+    return Foot((out, height, position), pitch, turn=turn)
 
 
 def _passing(times: Sequence[float], poses: Sequence[Pose]) -> Callable[[float], Pose]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -83,7 +84,7 @@ def _between(one: Any, other: Any, share: float) -> np.ndarray:
 def _posed(
     first: Pose, second: Pose, share: float, sway: np.ndarray, rest: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """World rotations of the joints (22, 3, 3) and the root's place (3,) between two poses."""
+    """World rotations of the joints (22, 3, 3) and the root's position (3,) between two poses."""
     turns = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
     lean = _between(first.lean, second.lean, share) + [sway[2], 0, 0]
     head = _between(first.head, second.head, share) + sway[3:]
@@ -98,10 +99,10 @@ def _posed(
         raised = _between(_raised(getattr(first, side)), _raised(getattr(second, side)), share)
         turns[_AT[f"{side}_collar"]] = _angles(np.array([0, -sign * raised[1], sign * (22 * shrug + raised[0])]))
     turns[0] = turn
-    place = rest[0] + _between(first.hips, second.hips, share) + [sway[0], 0, sway[1]]
+    position = rest[0] + _between(first.hips, second.hips, share) + [sway[0], 0, sway[1]]
     world = turns.copy()
     where = np.empty((JOINT_COUNT, 3))
-    where[0] = place
+    where[0] = position
     for joint in range(1, JOINT_COUNT):
         parent = JOINT_PARENTS[joint]
         world[joint] = world[parent] @ turns[joint]
@@ -110,7 +111,7 @@ def _posed(
         _set_arm(world, where, rest, side, sign, (getattr(first, side), getattr(second, side)), share)
         feet = getattr(first, f"{side}_foot"), getattr(second, f"{side}_foot")
         _set_leg(world, where, rest, side, sign, feet, share)
-    return world, place
+    return world, position
 
 
 def _raised(hand: Hand) -> tuple[float, float]:
@@ -123,14 +124,22 @@ def _raised(hand: Hand) -> tuple[float, float]:
 
 def _angles(degrees: np.ndarray) -> np.ndarray:
     """Pitch ahead, yaw to the left, roll to the right side, as one rotation."""
-    pitch, yaw, roll = np.radians(degrees)
-    about = [(0, yaw, 0), (pitch, 0, 0), (0, 0, roll)]
-    parts = matrix_from_axis_angle(np.array(about))
-    return np.asarray(parts[0] @ parts[1] @ parts[2])
+    pitch, yaw, roll = np.radians(degrees).tolist()
+    return _about(1, yaw) @ _about(0, pitch) @ _about(2, roll)
+
+
+def _about(axis: int, angle: float) -> np.ndarray:
+    """Rotation about one of the three axes."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    rotation = np.eye(3)
+    one, other = (axis + 1) % 3, (axis + 2) % 3
+    rotation[one, one] = rotation[other, other] = cosine
+    rotation[one, other], rotation[other, one] = -sine, sine
+    return rotation
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
-    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
+    return np.asarray(vector / max(math.sqrt(vector @ vector), 1e-9))
 
 
 def _across(vector: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -142,7 +151,9 @@ def _frame(along: np.ndarray, beside: np.ndarray) -> np.ndarray:
     """Rotation whose first column is `along` and whose second is nearest to `beside`."""
     along = _unit(along)
     second = _across(beside, along)
-    return np.column_stack([along, second, np.cross(along, second)])
+    (a, b, c), (x, y, z) = along.tolist(), second.tolist()
+    # written out: numpy's cross takes longer than all else of a pose, and there are twenty a frame
+    return np.array([[a, x, b * z - c * y], [b, y, c * x - a * z], [c, z, a * y - b * x]])
 
 
 def _bent(start: np.ndarray, goal: np.ndarray, one: float, two: float, towards: np.ndarray) -> np.ndarray:
@@ -166,19 +177,22 @@ def _set_arm(
     """Turns the joints of an arm, in place."""
     shoulder, elbow, wrist = (_AT[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist"))
     outward = np.array([sign, 1, 1])
-    places, ways = [], []
+    positions, ways = [], []
     for hand in hands:
         directions = np.array([hand.fingers, hand.faces, hand.elbow], float)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         if hand.on == "ground":
-            places.append(outward * hand.palm)
+            positions.append(outward * hand.palm)
             ways.append(outward * directions)
             continue
         carrier = _CARRIES[hand.on]
-        places.append(where[carrier] + world[carrier] @ (outward * hand.palm - rest[carrier]))
+        positions.append(where[carrier] + world[carrier] @ (outward * hand.palm - rest[carrier]))
         ways.append((outward * directions) @ world[carrier].T)
-    way = np.linalg.norm(places[1] - places[0])
-    palm = _between(places[0], places[1], share) + _AHEAD * way * np.sin(np.pi * share) * world[_CARRIES["chest"]][:, 2]
+    way = np.linalg.norm(positions[1] - positions[0])
+    palm = (
+        _between(positions[0], positions[1], share)
+        + _AHEAD * way * np.sin(np.pi * share) * world[_CARRIES["chest"]][:, 2]
+    )
     pointing, facing, towards = map(_unit, _between(ways[0], ways[1], share))
     goal = palm - _PALM * pointing
     one = float(np.linalg.norm(rest[elbow] - rest[shoulder]))

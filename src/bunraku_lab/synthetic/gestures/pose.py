@@ -1,6 +1,6 @@
 """What a gesture is: a few key poses of the reference body, told by where hands are and how the body leans.
 
-Places are those of the reference body at rest, 1.84 m tall, in metres: x outwards to the own side, y up, z ahead.
+Positions are those of the reference body at rest, 1.84 m tall, in metres: x outwards to the own side, y up, z ahead.
 Directions have the same axes.
 """
 
@@ -21,11 +21,12 @@ class Hand:
     """Where a hand is and how it is held; if nothing else is said, as that of somebody who works at a table.
 
     Args:
-        palm: Place of the middle of the palm.
+        palm: Position of the middle of the palm.
         fingers: Direction in which the fingers point.
         faces: Direction in which the palm faces.
         elbow: Direction from the line between shoulder and wrist to the elbow.
-        on: What carries the place: the "head", the "chest", the "hips", or the "ground", where it stays in the world.
+        on: What carries the position: the "head", the "chest", the "hips", or the "ground", where it stays in the
+            world.
     """
 
     palm: Vector
@@ -44,7 +45,7 @@ class Foot:
     """Where a foot is.
 
     Args:
-        ankle: Place of the ankle.
+        ankle: Position of the ankle.
         pitch: How far the heel is up over the toes [degrees].
         knee: Direction to which the knee is bent.
         turn: How far the toes point outwards [degrees].

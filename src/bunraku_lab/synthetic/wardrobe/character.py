@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.character import Character
+from bunraku_lab.synthetic.people.figure import Figure
+from bunraku_lab.synthetic.people.figures import random_figure
 from bunraku_lab.synthetic.wardrobe.colors import random_colors
 from bunraku_lab.synthetic.wardrobe.face import add_face
 from bunraku_lab.synthetic.wardrobe.kit.clothes import Outfit, add_clothed_body
-from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID, add_skeleton
 from bunraku_lab.synthetic.wardrobe.makehuman import Closet, makehuman_figure
 from bunraku_lab.synthetic.wardrobe.makehuman import closet as open_closet
-from bunraku_lab.synthetic.wardrobe.people import random_figure
 from bunraku_lab.synthetic.wardrobe.pieces.hair import Scalp, add_hair
 from bunraku_lab.synthetic.wardrobe.pieces.little_pieces import add_little_pieces
 from bunraku_lab.synthetic.wardrobe.pieces.mantles import add_cape, add_coat, add_sleeves
 from bunraku_lab.synthetic.wardrobe.pieces.skirts import add_skirt
-from bunraku_lab.synthetic.wardrobe.pieces.trimmings import add_bow, add_ears, add_scarf, add_tail
+from bunraku_lab.synthetic.wardrobe.pieces.trimmings import Bow, add_bow, add_ears, add_scarf, add_tail
 
 __all__ = ["wardrobe_character", "wardrobe_costume"]
 
@@ -102,7 +102,8 @@ def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data:
     add_face(costume, figure, rng)
     if len(worn):
         figure = figure.wearing(worn[~arms])
-    _hang(costume, figure, plan, rng, {"coarse": 0.6, "plain": 1.0, "fine": 1.5}[detail])
+    costume.fine = {"coarse": 0.6, "plain": 1.0, "fine": 1.5}[detail]
+    _hang(costume, figure, plan, rng)
     return costume
 
 
@@ -183,7 +184,7 @@ def _plan(style: str, rng: np.random.Generator) -> _Plan:
     )
 
 
-def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generator, fine: float) -> None:
+def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generator) -> None:
     """Everything that swings, the inner before the outer, so that the outer keeps clear of it."""
     u, chance, h = rng.uniform, rng.random, figure.height
     low, high = figure.at("pelvis")[1], figure.at("spine2")[1]
@@ -199,28 +200,27 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
                 kind=plan.skirt,
                 top=waist,
                 colors=("cloth", "trim"),
-                fine=fine,
                 what="dress" if plan.dress else "skirt",
             )
         )
     if plan.coat:
         figure = figure.wearing(
-            add_coat(costume, figure, rng, waist=waist, colors=("mantle", "lining"), thick=0.012 * h, fine=fine)
+            add_coat(costume, figure, rng, waist=waist, colors=("mantle", "lining"), thick=0.012 * h)
         )
     if plan.sleeves:
         costume.colors["sleeve"] = costume.colors["top"]
-        add_sleeves(costume, figure, rng, colors=("sleeve", "trim"), fine=fine)
+        add_sleeves(costume, figure, rng, colors=("sleeve", "trim"))
     scalp = Scalp(figure, 0.1 * float(figure.skull[1][0]))
     if plan.cape:
-        figure = figure.wearing(add_cape(costume, figure, rng, colors=("mantle", "lining"), fine=fine))
+        figure = figure.wearing(add_cape(costume, figure, rng, colors=("mantle", "lining")))
     if plan.scarf:
-        figure = figure.wearing(add_scarf(costume, figure, rng, colors=("trim", "top"), fine=fine))
+        figure = figure.wearing(add_scarf(costume, figure, rng, colors=("trim", "top")))
     kinds = {"short": 0.14, "bob": 0.16, "ponytail": 0.22, "twin tails": 0.22, "long": 0.26}
     hair = str(rng.choice(list(kinds), p=list(kinds.values())))
-    scalp = add_hair(costume, figure, rng, kind=hair, colors=("hair", "hair tie"), fine=fine)
+    scalp = add_hair(costume, figure, rng, kind=hair, colors=("hair", "hair tie"))
     if chance() < (0.1 if costume.quiet else 0.3):
         kind = str(rng.choice(["cat", "fox", "rabbit"]))
-        add_ears(costume, scalp, rng, kind=kind, colors=("fur", "fur tip"), fine=fine)
+        add_ears(costume, scalp, rng, kind=kind, colors=("fur", "fur tip"))
         if kind != "rabbit":
             lift = max(0.0, waist - figure.at("left_hip")[1] - 0.005 * h) if plan.skirt or plan.coat else 0.0
             add_tail(
@@ -229,11 +229,10 @@ def _hang(costume: Costume, figure: Figure, plan: _Plan, rng: np.random.Generato
                 rng,
                 kind="wolf" if kind == "fox" and chance() < 0.3 else kind,
                 colors=("fur", "fur tip"),
-                fine=fine,
                 lift=lift,
             )
-    _bows(costume, figure, scalp, plan, hair, rng, waist, fine)
-    add_little_pieces(costume, figure, scalp, rng, hair, fine)
+    _bows(costume, figure, scalp, plan, hair, rng, waist)
+    add_little_pieces(costume, figure, scalp, rng, hair)
 
 
 def _bows(
@@ -244,7 +243,6 @@ def _bows(
     hair: str,
     rng: np.random.Generator,
     waist: float,
-    fine: float,
 ) -> None:
     """Bows at the collar, at the back of the waist, in the hair."""
     u, chance, h = rng.uniform, rng.random, figure.height
@@ -252,70 +250,46 @@ def _bows(
     if not (plan.scarf or plan.outfit.strapless or plan.coat) and chance() < 0.45:
         y = figure.at("neck")[1] - 0.035 * h
         z = float(figure.profile(y, np.array([0.0]), center=np.zeros(2), band=0.015 * h)[0])
-        add_bow(
-            costume,
-            figure,
-            rng,
+        bow = Bow(
             "胸リボン",
             "上半身2",
             np.array([0, y, z + 0.012 * h]),
             np.array([0, 0, 1.0]),
             0.035 * h * u(0.8, 1.4),
             0.06 * h,
-            "trim",
-            fine,
             0,
         )
+        add_bow(costume, figure, bow)
         costume.words.append("bow")
     if plan.skirt and not plan.cape and hair != "long" and chance() < 0.3:
         back = float(figure.rim(waist, np.array([np.pi]), center=figure.at("pelvis")[[0, 2]], band=0.012 * h)[0])
         center = np.array([0, waist, figure.at("pelvis")[2] - back - 0.02 * h])
-        add_bow(
-            costume,
-            figure,
-            rng,
+        bow = Bow(
             "腰リボン",
             "下半身",
             center,
             np.array([0, 0, -1.0]),
             0.075 * h * u(0.8, 1.4),
             0.17 * h * u(0.7, 1.3),
-            "trim",
-            fine,
             SOLID["legs"],
         )
+        add_bow(costume, figure, bow)
         costume.words.append("sash")
     if hair in ("bob", "long", "short") and chance() < 0.3:
         center = scalp.at(0.7, 0.5, 0.5 * scalp.thick)
-        add_bow(
-            costume,
-            figure,
-            rng,
-            "髪リボン",
-            "頭",
-            center,
-            center - scalp.center,
-            0.45 * size * u(0.8, 1.5),
-            0.0,
-            "trim",
-            fine,
-            0,
-        )
+        bow = Bow("髪リボン", "頭", center, center - scalp.center, 0.45 * size * u(0.8, 1.5), 0.0, 0)
+        add_bow(costume, figure, bow)
         costume.words.append("ribbon")
     elif hair == "ponytail" and chance() < 0.5:
         center = scalp.at(np.pi, 1.0, 1.2 * scalp.thick)
-        add_bow(
-            costume,
-            figure,
-            rng,
+        bow = Bow(
             "髪リボン",
             "頭",
             center + [0, 0.1 * size, 0],
             np.array([0, 0.3, -1.0]),
             0.7 * size * u(0.8, 1.4),
             1.3 * size,
-            "trim",
-            fine,
             0,
         )
+        add_bow(costume, figure, bow)
         costume.words.append("ribbon")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku_lab.synthetic.people.figure import Figure
 from bunraku_lab.synthetic.surfaces import patch
-from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 
 __all__ = ["add_face"]
@@ -40,7 +40,7 @@ class _Front:
 
 def add_face(costume: Costume, figure: Figure, rng: np.random.Generator) -> None:
     """Add eyes of an iris and a pupil with a light in it, lashes, brows and a mouth; all go with the head."""
-    front, bone, u = _Front(figure), costume.place("頭"), rng.uniform
+    front, bone, u = _Front(figure), costume.bone_index("頭"), rng.uniform
     low, top = float(figure.head[:, 1].min()), float(figure.head[:, 1].max())
     wide = float(figure.skull[1][0])
     drawn = figure.kind in ("drawn", "chibi", "toon")

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.errors import FormatError
-from bunraku_lab.synthetic.dressed.shapes import random_body, rest_linear
-from bunraku_lab.synthetic.dressed.wardrobe import Garment, Piece, Wardrobe, Worn
-from bunraku_lab.synthetic.makehuman import MakeHumanBody, pose_points
-from bunraku_lab.synthetic.wardrobe.kit.figure import DRAWN, Figure, J
+from bunraku_lab.synthetic.dressed.wardrobe import BodyShape, Garment, Piece, Wardrobe
+from bunraku_lab.synthetic.people.figure import DRAWN, Figure, J
+from bunraku_lab.synthetic.people.figures import figure_of
+from bunraku_lab.synthetic.people.makehuman import MakeHumanBody, pose_points
+from bunraku_lab.synthetic.people.proportions import random_body, random_kind, random_proportions, rest_linear
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import body_weights
-from bunraku_lab.synthetic.wardrobe.people import figure_of, random_kind, random_proportions
 
 __all__ = ["Closet", "closet", "makehuman_figure"]
 
@@ -28,16 +28,16 @@ class Closet:
 
     Args:
         wardrobe: The archive.
-        worn: The body's shape.
+        body_shape: The body's shape.
         linear: Linear maps of its parts to the rest pose, shape (22, 3, 3).
         lift: What its feet stood under the ground [m].
     """
 
-    def __init__(self, wardrobe: Wardrobe, worn: Worn, linear: np.ndarray, lift: float):
-        self.wardrobe, self.worn, self.linear, self.lift = wardrobe, worn, linear, lift
+    def __init__(self, wardrobe: Wardrobe, body_shape: BodyShape, linear: np.ndarray, lift: float):
+        self.wardrobe, self.body_shape, self.linear, self.lift = wardrobe, body_shape, linear, lift
 
     def _posed(self, piece: Piece) -> np.ndarray:
-        return pose_points(piece.points, self.worn.joints, piece.joints, self.linear)[0] + [0, self.lift, 0]
+        return pose_points(piece.points, self.body_shape.joints, piece.joints, self.linear)[0] + [0, self.lift, 0]
 
     def put_on(
         self, costume: Costume, shelf: str, material: str, rng: np.random.Generator
@@ -54,7 +54,7 @@ class Closet:
             return np.zeros((0, 3)), np.zeros(0, bool)
         name = str(rng.choice(sorted(garments)))
         garment = garments[name]
-        piece = self.wardrobe.wear(garment, self.worn)
+        piece = self.wardrobe.wear(garment, self.body_shape)
         points = self._posed(piece)
         costume.add(points, piece.faces, *body_weights(costume, piece.joints), material)
         costume.words.append(name.replace("_", " "))
@@ -101,11 +101,13 @@ def makehuman_figure(wardrobe: Wardrobe, rng: np.random.Generator) -> tuple[Figu
     if kind in DRAWN or kind == "tall":
         parameters["weight"], parameters["muscle"] = 0.2 + 0.35 * parameters["weight"], 0.5 * parameters["muscle"]
     vertices = wardrobe.body.shape(parameters)
-    worn = Worn(vertices, wardrobe.body.joints(vertices))
+    body_shape = BodyShape(vertices, wardrobe.body.joints(vertices))
     arm = float(np.clip(rng.normal(0.62, 0.1), 0.3, 0.85))
-    linear = rest_linear(worn.joints, random_proportions(rng, kind), arm, 0.0, float(rng.uniform(0, 0.06)))
-    skin = wardrobe.part(worn, "body")
+    linear = rest_linear(body_shape.joints, random_proportions(rng, kind), arm, 0.0, float(rng.uniform(0, 0.06)))
+    skin = wardrobe.part(body_shape, "body")
     eyes = np.array([vertices[wardrobe.body.groups[f"helper-{side}-eye"]].mean(axis=0) for side in "lr"])
-    posed = pose_points(skin.points, worn.joints, skin.joints, linear)[0]
-    figure = figure_of(skin.points, skin.faces, worn.joints, skin.joints, linear, kind, None if kind in DRAWN else eyes)
-    return figure, Closet(wardrobe, worn, linear, -float(posed[:, 1].min()))
+    posed = pose_points(skin.points, body_shape.joints, skin.joints, linear)[0]
+    figure = figure_of(
+        skin.points, skin.faces, body_shape.joints, skin.joints, linear, kind, None if kind in DRAWN else eyes
+    )
+    return figure, Closet(wardrobe, body_shape, linear, -float(posed[:, 1].min()))

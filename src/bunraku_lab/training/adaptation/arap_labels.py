@@ -15,8 +15,8 @@ from torch import Tensor
 
 from bunraku.body.residuals import LOOSE_ON_PEOPLE, capped_on_people
 from bunraku.core.skinning import handle_offsets
-from bunraku.retarget.batched_fit import Fitted
-from bunraku.retarget.character_bank import CharacterBank
+from bunraku_lab.datasets.characters.bank_file import CharacterBank
+from bunraku_lab.training.losses.batched_fit import Fitted
 
 __all__ = ["EdgeSystem", "arap_labels", "edge_system"]
 

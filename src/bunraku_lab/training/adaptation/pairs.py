@@ -15,14 +15,14 @@ import torch
 from torch import Tensor
 
 from bunraku.diffusion.denoiser import Denoiser
-from bunraku.diffusion.sampling.schedule import add_noise, alphas_cumprod, sampling_steps
+from bunraku.diffusion.sampling.solvers import add_noise, alphas_cumprod, sampling_steps
 from bunraku.formats.files import sweep
 from bunraku.language.encoders import TextEncoder
 from bunraku.nn.checkpoints import load_checkpoint, save_checkpoint
-from bunraku.retarget.character_bank import CharacterBank
+from bunraku_lab.datasets.characters.bank_file import CharacterBank
 from bunraku_lab.training.diffusion.clip_rows import ClipSet
 
-__all__ = ["AdaptationPairs", "collect_pairs"]
+__all__ = ["AdaptationPairs", "PairPlan", "collect_pairs"]
 
 CHUNK = 32
 KIND = "adaptation-pairs"
@@ -43,6 +43,23 @@ class AdaptationPairs:
     row: Tensor
 
 
+@dataclass(frozen=True)
+class PairPlan:
+    """What is drawn.
+
+    Args:
+        count: How many pairs.
+        frames: Frames of each, a multiple of the model's frames a token.
+        digest: What they depend on; chunks of another are made again.
+        seed: Of the draws.
+    """
+
+    count: int
+    frames: int
+    digest: str
+    seed: int = 0
+
+
 @torch.no_grad()
 def collect_pairs(
     model: Denoiser,
@@ -51,10 +68,7 @@ def collect_pairs(
     bank: CharacterBank,
     rows: np.ndarray,
     folder: Path,
-    count: int,
-    frames: int,
-    digest: str,
-    seed: int = 0,
+    plan: PairPlan,
     progress: Callable[[int, int], None] | None = None,
 ) -> AdaptationPairs:
     """Draw pairs of a training clip and a character; chunks that an earlier call wrote are read, not made again.
@@ -66,12 +80,10 @@ def collect_pairs(
         bank: Characters.
         rows: Those that may be drawn; people's clips go to all of them, a creature's own to itself.
         folder: Where the chunks are kept.
-        count: How many pairs.
-        frames: Frames of each, a multiple of the model's frames a token.
-        digest: What the chunks depend on; those of another are made again.
-        seed: Of the draws.
+        plan: How many are drawn.
         progress: Called with (done, total).
     """
+    count, frames = plan.count, plan.frames
     folder.mkdir(parents=True, exist_ok=True)
     sweep(folder)
     curve, names = alphas_cumprod(), {name: row for row, name in enumerate(bank.names)}
@@ -81,22 +93,22 @@ def collect_pairs(
         size, path = min(CHUNK, count - start), folder / f"pairs_{chunk:04d}.safetensors"
         if path.is_file():
             state, config = load_checkpoint(path, KIND)
-            if config == {"digest": digest, "size": size}:
+            if config == {"digest": plan.digest, "size": size}:
                 parts.append({"seen": state["seen"].half(), "motion": state["motion"].half(), "row": state["row"]})
                 continue
-        random = np.random.default_rng([seed, chunk, 3])
+        random = np.random.default_rng([plan.seed, chunk, 3])
         values, sentences, chosen = np.zeros((size, frames, model.config.features), np.float32), [], []
-        place = 0
-        while place < size:
+        index = 0
+        while index < size:
             drawn = clips.draw(random)
             if len(drawn.values) < frames:
                 continue
             begin = int(random.integers(len(drawn.values) - frames + 1))
-            values[place] = drawn.values[begin : begin + frames]
+            values[index] = drawn.values[begin : begin + frames]
             own = names.get(drawn.mesh) if drawn.mesh is not None else None
             chosen.append(own if own is not None and own in rows else int(rows[int(random.integers(len(rows)))]))
             sentences.append(drawn.sentence)
-            place += 1
+            index += 1
         step = torch.tensor([sampling_steps(int(random.integers(10, 31)))[-1] for _ in range(size)], device=device)
         clean = torch.from_numpy(values).to(device)
         noise = torch.from_numpy(random.standard_normal(values.shape, np.float32)).to(device)
@@ -109,7 +121,7 @@ def collect_pairs(
         motion = model.motion_out(hidden).reshape(size, -1, model.config.features)[:, :frames]
         seen = torch.cat([hidden, condition[0][:, :1].expand(-1, hidden.shape[1], -1)], dim=-1)
         part = {"seen": seen.half().cpu(), "motion": motion.half().cpu(), "row": row}
-        save_checkpoint(path, part, {"digest": digest, "size": size}, KIND)
+        save_checkpoint(path, part, {"digest": plan.digest, "size": size}, KIND)
         parts.append(part)
         if progress is not None:
             progress(start + size, count)

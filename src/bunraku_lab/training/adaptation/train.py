@@ -22,7 +22,6 @@ import torch
 from torch import Tensor, nn
 
 from bunraku.body.residuals import capped_on_people
-from bunraku.diffusion.adaptation_head import AdaptationHead, label_distance, whitening
 from bunraku.diffusion.checkpoint import build_denoiser, load_denoiser, save_denoiser
 from bunraku.diffusion.denoiser import Denoiser, joint_offsets
 from bunraku.diffusion.features import FeatureStatistics
@@ -30,34 +29,35 @@ from bunraku.errors import OptionError
 from bunraku.formats.files import sweep
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
-from bunraku.retarget.batched_fit import fit_locals
-from bunraku.retarget.character_bank import CharacterBank, load_character_bank
+from bunraku_lab.datasets.characters.bank_file import CharacterBank, load_character_bank
 from bunraku_lab.training.adaptation.arap_labels import EdgeSystem, arap_labels, edge_system
-from bunraku_lab.training.adaptation.pairs import AdaptationPairs, collect_pairs
+from bunraku_lab.training.adaptation.head import AdaptationHead, label_distance, whitening
+from bunraku_lab.training.adaptation.pairs import AdaptationPairs, PairPlan, collect_pairs
 from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet
+from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
 from bunraku_lab.training.diffusion.mesh_learning import local_motion
+from bunraku_lab.training.losses.batched_fit import fit_locals
 from bunraku_lab.training.runs.events import EventLog
-from bunraku_lab.training.runs.runs import Stop, append_row, learning_rate, plain_settings
+from bunraku_lab.training.runs.runs import Stop, learning_rate, plain_settings
+from bunraku_lab.training.runs.settings import RunSettings
+from bunraku_lab.training.runs.training_run import Progress, Report, TrainingRun
 
 __all__ = ["AdaptationConfig", "train_adaptation"]
 
 FRAMES = ("root", "joints")
 
 
-@dataclass(frozen=True)
-class AdaptationConfig:
+@dataclass(frozen=True, kw_only=True)
+class AdaptationConfig(RunSettings):
     """Settings of the fine-tuning.
 
     Args:
         diffusion: The denoiser, as `bunraku train diffusion` wrote it.
         cache: The bank of characters that `bunraku data character-bank` wrote.
         data: Folder that `bunraku data motions` wrote.
-        out: Run folder; the same folder goes on with the same run.
         pairs: Motions on characters to learn from.
         frames: Frames of each.
         steps: Optimiser steps.
-        batch: Pairs a step.
         edges: Edges of each character a step.
         strength: nu_v of Eq. 10, over a mean of the character's own ARAP-Loss and half the usual one [m^2].
         calm: Weight of delta's own squared length in Eq. 10, so that it stays short where edges do not ask for it.
@@ -69,10 +69,7 @@ class AdaptationConfig:
         decay: Weight decay, in whitened coordinates.
         text_folder: Folder with CLIP, for a denoiser that was trained with it.
         device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
-        threads: CPU threads of torch.
         save_every: Minutes between saved states.
-        validate_every: Steps between validations.
-        seed: Of everything random.
     """
 
     diffusion: Path = Path("runs/diffusion/diffusion.safetensors")
@@ -94,14 +91,16 @@ class AdaptationConfig:
     decay: float = 1e-3
     text_folder: Path | None = None
     device: str | None = None
-    threads: int = 1
     save_every: float = 5.0
     validate_every: int = 100
     seed: int = 0
 
 
-class _Run:
+class _Run(TrainingRun):
     """Head, optimiser and data of one run."""
+
+    stage = "adaptation"
+    columns = ("label_distance",)
 
     def __init__(
         self,
@@ -125,8 +124,10 @@ class _Run:
             self.device
         )
         self.optimizer = torch.optim.AdamW(self.head.parameters(), lr=config.learning_rate, weight_decay=config.decay)
+        self.out, self.stop, self.held_out = config.out, Stop(), (pairs, held)
         self.step, self.seconds = 0, 0.0
         self.usual = self._usual()
+        self.last = time.monotonic()
 
     @torch.no_grad()
     def _usual(self) -> float:
@@ -188,8 +189,48 @@ class _Run:
         self.step += 1
         return float(loss.detach())
 
+    @property
+    def checkpoint(self) -> Path:
+        """The denoiser with the new layer."""
+        return self.out / "diffusion.safetensors"
+
+    @property
+    def save_every(self) -> float:
+        """Minutes between saved states."""
+        return max(float(self.config.save_every), 1e-9)
+
+    def progress(self) -> float:
+        """Share of the steps done."""
+        return self.step / self.config.steps
+
+    def train_step(self) -> dict[str, float]:
+        """One step, with the time since the one before."""
+        loss = self.update()
+        now = time.monotonic()
+        self.seconds, self.last = self.seconds + now - self.last, now
+        return {"label_distance": loss}
+
+    def due(self) -> bool:
+        """Whether it is time to validate; the last step is."""
+        return super().due() or self.step == self.config.steps
+
+    def begun(self) -> dict[str, float]:
+        """The first columns of a row of the log."""
+        return {"step": self.step, "seconds": self.seconds}
+
+    def event_log(self) -> EventLog:
+        """Where curves go."""
+        return EventLog(self.out / "events")
+
+    def validate(self) -> dict[str, float]:
+        """ARAP-Loss over that without adaptation on pairs that are learned from and on others, and delta's length."""
+        seen, unseen = self.measure(self.pairs), self.measure(self.held)
+        return {
+            "seen": seen[0], "seen_each": seen[1], "unseen": unseen[0], "unseen_each": unseen[1], "delta": seen[2],
+        }  # fmt: skip
+
     @torch.no_grad()
-    def validate(self, pairs: AdaptationPairs, count: int = 96) -> tuple[float, float, float]:
+    def measure(self, pairs: AdaptationPairs, count: int = 96) -> tuple[float, float, float]:
         """ARAP-Loss with the adaptation over without, of the means and as the mean of each pair's own; and delta's mean
         length [m].
         """
@@ -204,12 +245,13 @@ class _Run:
             length.append(float(delta[:, :, 1:].norm(dim=-1).mean()))
         return with_it / max(without, 1e-30), float(np.mean(ratios)), float(np.mean(length))
 
-    def save(self, folder: Path) -> None:
+    def save(self, results: dict[str, float]) -> Path:
+        """Write the state, then the checkpoint."""
         state = {"head": self.head.state_dict()}
         optimizers = {"adamw": self.optimizer.state_dict()}
         settings = {"run": plain_settings(asdict(self.config))}
         save_training_state(
-            folder / "state.safetensors",
+            self.out / "state.safetensors",
             TrainingState(self.step, state, optimizers, settings, {"seconds": self.seconds}),
         )
         weight, bias = self.head.folded()
@@ -218,7 +260,7 @@ class _Run:
             replace(self.model.config, adaptation_mesh=self.config.mesh, adaptation_frame=self.config.frame)
         )
         built.load_state_dict(tensors)
-        save_denoiser(folder / "diffusion.safetensors", built, {**self.model.notes, "adaptation_steps": self.step})
+        return save_denoiser(self.checkpoint, built, {**self.model.notes, "adaptation_steps": self.step})
 
     def restore(self, path: Path) -> None:
         """Go on from a saved state.
@@ -240,8 +282,8 @@ class _Run:
 
 def train_adaptation(
     config: AdaptationConfig,
-    report: Callable[[dict[str, float]], None] | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    report: Report | None = None,
+    progress: Progress | None = None,
     encoder: TextEncoder | None = None,
 ) -> Path:
     """Fine-tune, or go on fine-tuning, and return the path of the denoiser with its new layer.
@@ -259,12 +301,9 @@ def train_adaptation(
     """
     if config.frame not in FRAMES:
         raise OptionError(f"the frame '{config.frame}' is unknown; choose one of: {', '.join(FRAMES)}")
-    if (
-        min(config.pairs, config.frames, config.steps, config.batch, config.edges, config.label_steps, config.threads)
-        < 1
-    ):
-        raise OptionError("pairs, frames, steps, batch, edges, label steps and threads must be positive")
-    torch.set_num_threads(config.threads)
+    if min(config.pairs, config.frames, config.steps, config.edges, config.label_steps) < 1:
+        raise OptionError("pairs, frames, steps, edges and label steps must be positive")
+    config.prepare()
     device = torch.device(config.device or ("cuda" if torch.cuda.is_available() else "cpu"))
     model = load_denoiser(config.diffusion, device)
     if model.config.architecture != "decoder":
@@ -279,7 +318,6 @@ def train_adaptation(
         nn.init.zeros_(model.adaptation_out.weight)  # what the layer said so far has another meaning
         nn.init.zeros_(model.adaptation_out.bias)
     frames = min(config.frames, model.config.frames) // model.config.frames_per_token * model.config.frames_per_token
-    config.out.mkdir(parents=True, exist_ok=True)
     sweep(config.out)
     if encoder is None:
         name = model.config.text_encoder
@@ -294,7 +332,7 @@ def train_adaptation(
     for split, count in (("train", config.pairs), ("test", max(config.pairs // 10, min(config.pairs, 96)))):
         rows, drawn = (
             bank.rows(split),
-            ClipSet(clips, statistics, split, model.config.frames, computed=0.0, borrowed=0.0),
+            ClipSet(clips, statistics, split, model.config.frames, Mixture(computed=0.0, borrowed=0.0)),
         )
         if not len(rows) or not drawn.clips:
             pairs.append(pairs[0]) if pairs else None
@@ -307,10 +345,7 @@ def train_adaptation(
                 bank,
                 rows,
                 config.out / "pairs" / split,
-                count,
-                frames,
-                digest.hexdigest(),
-                config.seed,
+                PairPlan(count, frames, digest.hexdigest(), config.seed),
                 (lambda done, total: progress("motions on characters", done / total)) if progress else None,
             )
         )
@@ -320,40 +355,8 @@ def train_adaptation(
     state = config.out / "state.safetensors"
     if state.is_file():
         run.restore(state)
-    _loop(run, report, progress)
-    return config.out / "diffusion.safetensors"
+    return run.learn(report, progress)
 
 
 def _stamp(path: Path) -> tuple[int, int]:
     return path.stat().st_size, path.stat().st_mtime_ns
-
-
-def _loop(
-    run: _Run, log: Callable[[dict[str, float]], None] | None, progress: Callable[[str, float], None] | None
-) -> None:
-    config, stop = run.config, Stop()
-    saved = last = time.monotonic()
-    losses: list[float] = []
-    with stop.listening(), EventLog(config.out / "events") as events:
-        while not stop.asked and run.step < config.steps:
-            losses.append(run.update())
-            now = time.monotonic()
-            run.seconds, last = run.seconds + now - last, now
-            if progress is not None:
-                progress("adaptation", run.step / config.steps)
-            if run.step % config.validate_every == 0 or run.step == config.steps:
-                seen, unseen = run.validate(run.pairs), run.validate(run.held)
-                row = {
-                    "step": run.step, "seconds": run.seconds, "label_distance": float(np.mean(losses)), "seen": seen[0],
-                    "seen_each": seen[1],
-                    "unseen": unseen[0], "unseen_each": unseen[1], "delta": seen[2],
-                }  # fmt: skip
-                append_row(config.out / "log.csv", row)
-                events.write(run.step, {name: value for name, value in row.items() if name not in ("step", "seconds")})
-                losses = []
-                if log is not None:
-                    log(row)
-            if now - saved > 60 * config.save_every:
-                run.save(config.out)
-                saved = time.monotonic()
-    run.save(config.out)

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from bunraku.apparel.body.network import BodyConfig, BodyNetwork, save_body
 from bunraku.apparel.displacement.graph import NodeGraph, node_graph
 from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
+from bunraku_lab.training.apparel.networks.body import BodyConfig, BodyNetwork, save_body
 from bunraku_lab.training.losses.apparel_losses import edge_loss, smoothness_loss, vertex_loss
-from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
+from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import StepSettings
+from bunraku_lab.training.runs.training_run import Progress, Report
 
 __all__ = ["BodyTrainConfig", "BodyTrainer", "pose_bank", "posed_joints", "train_body"]
 
@@ -69,12 +69,12 @@ def posed_joints(turns: np.ndarray, joints: np.ndarray) -> np.ndarray:
         turns: Of the joints in the world, shape (P, 22, 3, 3).
         joints: J in the rest pose, shape (22, 3).
     """
-    places = np.zeros((len(turns), JOINT_COUNT, 3), np.float32)
-    places[:, 0] = joints[0]
+    positions = np.zeros((len(turns), JOINT_COUNT, 3), np.float32)
+    positions[:, 0] = joints[0]
     for joint in range(1, JOINT_COUNT):
         parent = JOINT_PARENTS[joint]
-        places[:, joint] = places[:, parent] + turns[:, parent] @ (joints[joint] - joints[parent])
-    moved = places - np.einsum("pjab,jb->pja", turns, joints)
+        positions[:, joint] = positions[:, parent] + turns[:, parent] @ (joints[joint] - joints[parent])
+    moved = positions - np.einsum("pjab,jb->pja", turns, joints)
     return np.concatenate([turns, moved[..., None]], axis=3).astype(np.float32)
 
 
@@ -154,7 +154,7 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
         whole, body, cloth = 100 * np.mean(found, axis=0)
         return {"pmd": float(whole), "pmd_body": float(body), "pmd_apparel": float(cloth)}
 
-    def write(self, note: dict[str, Any]) -> Path:
+    def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
         return save_body(self.checkpoint, self.average, note, half=True)
 

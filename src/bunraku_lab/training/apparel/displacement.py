@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,8 +23,9 @@ from bunraku.apparel.displacement.recurrent import past_of_states
 from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.node_bank import HEADS, BankCharacter, build_bank
 from bunraku_lab.training.losses.apparel_losses import edge_loss, vertex_loss
-from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
+from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import StepSettings
+from bunraku_lab.training.runs.training_run import Progress, Report
 
 __all__ = ["DisplacementTrainConfig", "DisplacementTrainer", "train_displacement"]
 
@@ -85,7 +85,7 @@ class _Block:
     inputs: list[Inputs]
     truth: torch.Tensor
     turns: torch.Tensor
-    places: torch.Tensor
+    positions: torch.Tensor
     rest: torch.Tensor
     graph: NodeGraph
 
@@ -147,7 +147,7 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
                 "whole": (mirror_global(whole) if flip[0] < 0 else whole)[:, None],
                 "truth": moving["truth"][rows, :m].astype(np.float32) * flip,
                 "turns": moving["turns"][rows, :m].astype(np.float32) * turn,
-                "places": (moving["places"][rows, :m] - root) * flip / size,
+                "positions": (moving["positions"][rows, :m] - root) * flip / size,
             }
             for name, value in values.items():
                 columns.setdefault(name, []).append(value)
@@ -166,7 +166,7 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
             )
             for frame in range(frames)
         ]  # fmt: skip
-        return _Block(inputs, moved["truth"], moved["turns"], moved["places"], still["rest"].float(), graph)
+        return _Block(inputs, moved["truth"], moved["turns"], moved["positions"], still["rest"].float(), graph)
 
     def losses(self, moved: torch.Tensor, truth: torch.Tensor, block: _Block) -> torch.Tensor:
         """L_va + lambda L_ea of frames; edges in the frame of the joint that carries both ends, over the true ones."""
@@ -203,11 +203,11 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
         with torch.no_grad():
             heads = torch.stack([model.anchor(inputs) for inputs in block.inputs])
         start = block.truth[:3] if known or model.recurrent.world else heads[:3]
-        past = past_of_states(model.recurrent, start, heads[:3], block.turns[:3], block.places[:3])
+        past = past_of_states(model.recurrent, start, heads[:3], block.turns[:3], block.positions[:3])
         out = []
         for frame in range(3, len(block.inputs)):
             moved, past = model.recurrent(
-                block.inputs[frame], past, heads[frame], block.turns[frame], block.places[frame]
+                block.inputs[frame], past, heads[frame], block.turns[frame], block.positions[frame]
             )
             out.append(moved)
         return torch.stack(out)
@@ -230,7 +230,7 @@ class DisplacementTrainer(AveragedRun[DisplacementNetwork]):
         return {"rigid": sums[0] / (windows // 4), "head_over_rigid": sums[1] / sums[0],
                 "both_over_rigid": sums[2] / sums[0]}  # fmt: skip
 
-    def write(self, note: dict[str, Any]) -> Path:
+    def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
         whole = self.average
         if self.progress() <= self.config.head:  # what has not learned is not handed on

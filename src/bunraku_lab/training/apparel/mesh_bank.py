@@ -14,7 +14,7 @@ from bunraku.apparel.sampled_mesh import SampledMesh, joint_distances, sampled_m
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.formats.files import atomic_write, sweep
-from bunraku.physics.worn import wearer_of_file
+from bunraku.physics.clothed import clothed_from_file
 from bunraku_lab.datasets.apparel.plan import character_split
 
 __all__ = ["MeshSample", "build_meshes", "mesh_sample"]
@@ -51,21 +51,21 @@ def mesh_sample(character: Character, name: str, seed: int = 0) -> MeshSample:
     Raises:
         BunrakuError: It cannot be used.
     """
-    wearer = wearer_of_file(character)
-    mesh = sampled_mesh(wearer.rest, wearer.faces, wearer.joints, seed=seed)
+    clothed = clothed_from_file(character)
+    mesh = sampled_mesh(clothed.rest, clothed.faces, clothed.joints, seed=seed)
     first = np.zeros(mesh.index.max() + 1, np.int64)
     first[mesh.index] = np.arange(len(mesh.index))
     cloth = np.zeros(len(first), bool)
-    cloth[mesh.index[wearer.apparel]] = True
+    cloth[mesh.index[clothed.apparel]] = True
     part = np.full(len(first), -1)
-    part[mesh.index[wearer.apparel]] = wearer.part[wearer.apparel]
+    part[mesh.index[clothed.apparel]] = clothed.part[clothed.apparel]
     own = part[mesh.clean]
-    stiffness = np.where(own >= 0, wearer.stiffness[own], 0)
-    damping = np.where(own >= 0, np.log10(1 - np.clip(wearer.damping, 0, 0.999))[own], 0)
+    stiffness = np.where(own >= 0, clothed.stiffness[own], 0)
+    damping = np.where(own >= 0, np.log10(1 - np.clip(clothed.damping, 0, 0.999))[own], 0)
     return MeshSample(
         name, mesh, cloth[mesh.clean], stiffness.astype(np.float32), damping.astype(np.float32),
-        wearer.weights[first[mesh.clean]].astype(np.float32),
-        joint_distances(wearer.rest, wearer.faces, wearer.joints, mesh.clean),
+        clothed.weights[first[mesh.clean]].astype(np.float32),
+        joint_distances(clothed.rest, clothed.faces, clothed.joints, mesh.clean),
     )  # fmt: skip
 
 

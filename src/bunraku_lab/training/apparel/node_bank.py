@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.features import clip_features, static_features
 from bunraku.apparel.nodes import apparel_nodes, part_neighbours
-from bunraku.apparel.stiffness import sprung_wearer
-from bunraku.apparel.wearer import Wearer
+from bunraku.apparel.stiffness import clothed_with_springs
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.formats.files import sweep
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.reader import ApparelCharacter, ApparelClip
 from bunraku_lab.datasets.apparel.standing_out import standing_out
 
-__all__ = ["BANK_NODES", "BankCharacter", "build_bank", "truth_wearer"]
+__all__ = ["BANK_NODES", "BankCharacter", "build_bank", "truly_clothed"]
 
 BANK_NODES = 128
 HEADS = (48, 72, 128)
@@ -32,12 +32,14 @@ STANDS_OUT = 0.1
 _FORMAT = 3
 
 
-def truth_wearer(character: ApparelCharacter) -> Wearer:
+def truly_clothed(character: ApparelCharacter) -> ClothedCharacter:
     """A character of the data set as the networks see it, with all that its file says."""
-    return sprung_wearer(
-        character.rest, character.faces, character.joints, character.weights, character.apparel, character.part,
-        character.spring, character.mass, character.damping,
+    limp = np.zeros(len(character.spring), np.float32)
+    clothed = ClothedCharacter(
+        character.rest, character.faces, character.joints, character.weights, character.apparel, character.part, limp,
+        character.damping,
     )  # fmt: skip
+    return clothed_with_springs(clothed, character.spring, character.mass)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +63,9 @@ class BankCharacter:
     @cached_property
     def moving(self) -> dict[str, np.ndarray]:
         """Mapped arrays of all frames: vectors (N, M, VECTORS, 3), scalars (N, M, SCALARS), whole (N, GLOBAL), truth
-        (N, M, 3), turns (N, M, 3, 3), places (N, M, 3) and root (N, 3) in the world [m].
+        (N, M, 3), turns (N, M, 3, 3), positions (N, M, 3) and root (N, 3) in the world [m].
         """
-        names = ("vectors", "scalars", "whole", "truth", "turns", "places", "root")
+        names = ("vectors", "scalars", "whole", "truth", "turns", "positions", "root")
         return {name: np.load(self.path / f"{name}.npy", mmap_mode="r", allow_pickle=False) for name in names}
 
     def __len__(self) -> int:
@@ -122,47 +124,47 @@ def _complete(found: BankCharacter, frames: int) -> bool:
 
 def _write(data: ApparelData, clips: list[ApparelClip], path: Path, most: int) -> None:
     character = data.character(clips[0])
-    wearer = truth_wearer(character)
-    nodes = apparel_nodes(wearer, most)
+    clothed = truly_clothed(character)
+    nodes = apparel_nodes(clothed, most)
     if not len(nodes):
         raise FormatError(path, "the character has no apparel")
     path.mkdir(parents=True, exist_ok=True)
     sweep(path)
-    place = np.full(len(character.rest), -1)
-    place[character.loose] = np.arange(len(character.loose))
-    rows = place[nodes.vertex]
+    index = np.full(len(character.rest), -1)
+    index[character.loose] = np.arange(len(character.loose))
+    rows = index[nodes.vertex]
     columns: dict[str, list[np.ndarray]] = {
-        name: [] for name in ("vectors", "scalars", "whole", "truth", "turns", "places", "root")
+        name: [] for name in ("vectors", "scalars", "whole", "truth", "turns", "positions", "root")
     }
     kept = []
     for clip in clips:
         shard = data.shard(clip.shard)
         transforms = shard.frames("transforms", clip.first, clip.first + clip.frames)
         loose = shard.frames("offsets", clip.first, clip.first + clip.frames)
-        if standing_out(wearer, transforms, character.loose, loose) > STANDS_OUT:
+        if standing_out(clothed, transforms, character.loose, loose) > STANDS_OUT:
             continue
         kept.append(clip.frames)
         offsets = loose[:, rows].astype(np.float32)
         offsets[:, rows < 0] = 0
-        frames = clip_features(wearer, nodes, transforms)
+        frames = clip_features(clothed, nodes, transforms)
         turns = np.stack([frame.turns for frame in frames])
-        columns["truth"].append(np.einsum("nmba,nmb->nma", turns, offsets) / wearer.scale)
+        columns["truth"].append(np.einsum("nmba,nmb->nma", turns, offsets) / clothed.scale)
         columns["turns"].append(turns)
         columns["root"].append(transforms[:, 0, :, 3])
-        for name in ("vectors", "scalars", "whole", "places"):
+        for name in ("vectors", "scalars", "whole", "positions"):
             columns[name].append(np.stack([getattr(frame, name) for frame in frames]))
     if not kept:
         raise FormatError(path, "the hem of the character stands out in all of its clips")
     for name, values in columns.items():
-        kind = np.float32 if name in ("places", "root") else np.float16
+        kind = np.float32 if name in ("positions", "root") else np.float16
         np.save(path / f"{name}.npy", np.concatenate(values).astype(kind))
-    vectors, scalars = static_features(wearer, nodes)
+    vectors, scalars = static_features(clothed, nodes)
     heads = {
         f"neighbours_{size}": part_neighbours(nodes.rest[:size].astype(np.float64), nodes.part[:size]) for size in HEADS
     }
     still: dict[str, Any] = {
         "format": _FORMAT, "frames": sum(kept), "of_frames": sum(clip.frames for clip in clips),
-        "scale": wearer.scale, "starts": np.cumsum([0, *kept]), "static_vectors": vectors,
+        "scale": clothed.scale, "starts": np.cumsum([0, *kept]), "static_vectors": vectors,
         "static_scalars": scalars, "rest": nodes.rest, "part": nodes.part, "vertex": nodes.vertex, **heads,
     }  # fmt: skip
     np.savez(path / "static.npz", **still)

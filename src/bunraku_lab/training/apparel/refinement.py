@@ -5,25 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.displacement.network import DisplacementNetwork, load_displacement
-from bunraku.apparel.refinement.network import RefinementConfig, RefinementNetwork, save_refinement
-from bunraku.apparel.refinement.seam import seam_of
-from bunraku.apparel.refinement.tiled import found_wearer, tiled
 from bunraku.apparel.skinning import eq4_transforms
-from bunraku.apparel.wearer import Wearer
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.formats.files import atomic_write, sweep
 from bunraku.nn.checkpoints import shipped_checkpoint
 from bunraku_lab.datasets.apparel import ApparelData
-from bunraku_lab.training.apparel.node_bank import truth_wearer
+from bunraku_lab.training.apparel.networks.refinement import RefinementConfig, RefinementNetwork, save_refinement
+from bunraku_lab.training.apparel.networks.seam import seam_of
+from bunraku_lab.training.apparel.networks.tiled import clothed_by_mask, tiled
+from bunraku_lab.training.apparel.node_bank import truly_clothed
 from bunraku_lab.training.losses.apparel_losses import edge_loss, refinement_loss, vertex_loss
-from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
+from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import StepSettings
+from bunraku_lab.training.runs.training_run import Progress, Report
 
 __all__ = ["RefinementTrainConfig", "RefinementTrainer", "SeamSample", "seam_sample", "train_refinement"]
 
@@ -70,7 +70,7 @@ class SeamSample:
         inputs: Shape (F, S, INPUTS).
         vectors: Shape (F, S, BASIS, 3).
         turns: Frames of the carrying joints, shape (F, S, 3, 3).
-        places: Both modules' results, from the pelvis, shape (F, S, 3).
+        positions: Both modules' results, from the pelvis, shape (F, S, 3).
         truth: Where the vertices are, from the pelvis, shape (F, S, 3).
         edges: Rows, shape (E, 2).
     """
@@ -78,19 +78,19 @@ class SeamSample:
     inputs: np.ndarray
     vectors: np.ndarray
     turns: np.ndarray
-    places: np.ndarray
+    positions: np.ndarray
     truth: np.ndarray
     edges: np.ndarray
 
 
 def seam_sample(
-    wearer: Wearer, weights: np.ndarray, transforms: np.ndarray, truth: np.ndarray, frames: np.ndarray,
+    clothed: ClothedCharacter, weights: np.ndarray, transforms: np.ndarray, truth: np.ndarray, frames: np.ndarray,
     network: DisplacementNetwork,
 ) -> SeamSample:  # fmt: skip
     """What is learned from a clip.
 
     Args:
-        wearer: The character as the networks see it.
+        clothed: The character as the networks see it.
         weights: What the body alone gives all vertices, shape (V, 22).
         transforms: `[R | t]` of the joints, shape (N, 22, 3, 4).
         truth: All vertices in the frames [m], shape (F, V, 3).
@@ -100,13 +100,13 @@ def seam_sample(
     Raises:
         FormatError: Nothing of the mesh is apparel.
     """
-    seam = seam_of(wearer, weights)
+    seam = seam_of(clothed, weights)
     if not len(seam.vertices):
         raise FormatError(Path("mesh"), "nothing of it is apparel")
-    moved = tiled(wearer, transforms, network, frames)
-    affine = eq4_transforms(transforms[frames], wearer.joints)
-    found = [seam.frame(places, pose) for places, pose in zip(moved, affine, strict=True)]
-    pelvis, size = transforms[frames, 0, :, 3][:, None], np.float32(wearer.scale)
+    moved = tiled(clothed, transforms, network, frames)
+    affine = eq4_transforms(transforms[frames], clothed.joints)
+    found = [seam.frame(positions, pose) for positions, pose in zip(moved, affine, strict=True)]
+    pelvis, size = transforms[frames, 0, :, 3][:, None], np.float32(clothed.scale)
     return SeamSample(
         np.stack([one.inputs for one in found]).astype(np.float16),
         np.stack([one.vectors for one in found]).astype(np.float16),
@@ -137,12 +137,12 @@ class RefinementTrainer(AveragedRun[RefinementNetwork]):
 
     def losses(self, model: RefinementNetwork, sample: SeamSample, frame: int) -> torch.Tensor:
         """The vertex, the edge and the regularisation loss of a frame, shape (3,)."""
-        inputs, vectors, turns, places, truth = (
+        inputs, vectors, turns, positions, truth = (
             torch.from_numpy(np.asarray(getattr(sample, name)[frame], np.float32))
-            for name in ("inputs", "vectors", "turns", "places", "truth")
+            for name in ("inputs", "vectors", "turns", "positions", "truth")
         )
         change = model(inputs, vectors)
-        moved = places + torch.einsum("sab,sb->sa", turns, change)
+        moved = positions + torch.einsum("sab,sb->sa", turns, change)
         edges = torch.from_numpy(sample.edges.astype(np.int64))
         return torch.stack([vertex_loss(moved, truth), edge_loss(moved, truth, edges), refinement_loss(change)])
 
@@ -152,7 +152,7 @@ class RefinementTrainer(AveragedRun[RefinementNetwork]):
         parts = torch.zeros(3)
         for number in self.rng.integers(len(self.characters), size=config.batch):
             one = self.characters[number]
-            parts = parts + self.losses(self.model, one, int(self.rng.integers(len(one.places)))) / config.batch
+            parts = parts + self.losses(self.model, one, int(self.rng.integers(len(one.positions)))) / config.batch
         loss = parts[0] + config.edges * parts[1] + config.small * parts[2]
         return loss, {}
 
@@ -161,12 +161,12 @@ class RefinementTrainer(AveragedRun[RefinementNetwork]):
         """Vertex and edge error on characters that were not learned from, over those without the refinement."""
         found = np.zeros((2, 3))
         for one in self.held_out:
-            for frame in range(len(one.places)):
+            for frame in range(len(one.positions)):
                 found[0] += self.losses(self.average, one, frame).numpy()
                 found[1] += self.losses(RefinementNetwork(self.config.network), one, frame).numpy()
         return {"vertices": float(found[0, 0] / found[1, 0]), "edges": float(found[0, 1] / found[1, 1])}
 
-    def write(self, note: dict[str, Any]) -> Path:
+    def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
         return save_refinement(self.checkpoint, self.average, note, half=True)
 
@@ -178,7 +178,7 @@ def _samples(config: RefinementTrainConfig, split: str, most: int, folder: Path)
     folder.mkdir(parents=True, exist_ok=True)
     sweep(folder)
     out: list[SeamSample] = []
-    names = ("inputs", "vectors", "turns", "places", "truth", "edges")
+    names = ("inputs", "vectors", "turns", "positions", "truth", "edges")
     for name in data.characters:
         if len(out) == most:
             break
@@ -187,10 +187,10 @@ def _samples(config: RefinementTrainConfig, split: str, most: int, folder: Path)
         frames = np.array([frame for frame in FRAMES if frame < clip.frames])
         if not path.is_file() and len(frames):
             try:
-                true = truth_wearer(data.character(clip))
+                true = truly_clothed(data.character(clip))
                 transforms = data.shard(clip.shard).frames("transforms", clip.first, clip.first + int(frames[-1]) + 1)
                 moved = data.window(clip, 0, int(frames[-1]) + 1).vertices[frames]
-                guessed, weights = found_wearer(true, config.masks, config.body)
+                guessed, weights = clothed_by_mask(true, config.masks, config.body)
                 sample = seam_sample(guessed, weights, transforms, moved, frames, network)
             except BunrakuError:
                 continue

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,8 +19,9 @@ from bunraku.errors import OptionError
 from bunraku_lab.training.apparel.mesh_bank import MeshSample, build_meshes
 from bunraku_lab.training.apparel.mesh_variation import varied
 from bunraku_lab.training.losses.apparel_losses import mask_loss
-from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
+from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import StepSettings
+from bunraku_lab.training.runs.training_run import Progress, Report
 
 __all__ = ["SegmentationTrainConfig", "SegmentationTrainer", "mask_iou", "train_segmentation"]
 
@@ -106,7 +106,7 @@ class SegmentationTrainer(AveragedRun[SegmentationNetwork]):
                 errors.append(float(np.abs(scores[:, 1] - one.stiffness)[one.apparel].mean()))
         return {"iou": float(np.mean(found)), "least_iou": float(np.min(found)), "stiffness": float(np.mean(errors))}
 
-    def write(self, note: dict[str, Any]) -> Path:
+    def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
         return save_segmentation(self.checkpoint, self.average, note, half=True)
 

@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, cast
 
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import encode
-from bunraku.errors import FormatError
+from bunraku.errors import FormatError, OptionError
 from bunraku_lab.datasets.motions.bundle import read_bundle
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 
-__all__ = ["load_clips"]
+__all__ = ["ClipEntry", "load_clips", "load_people", "people"]
 
 MIN_FRAMES = 8
+
+
+class ClipEntry(TypedDict, total=False):
+    """What is known of a clip; `features`, shape (N, D), and `frames` always are."""
+
+    features: np.ndarray
+    frames: int
+    split: str
+    texts: list[str]
+    labels: list[str]
+    watched: bool
+    weight: float
+    species: str | None
+    action: str | None
+    character: str | None
+    next: str
+    source: str
+    licence: str
 
 
 def _features(path: Path, motion: HandleMotion) -> np.ndarray:
@@ -29,10 +47,8 @@ def _features(path: Path, motion: HandleMotion) -> np.ndarray:
     return encode(motion)
 
 
-def load_clips(
-    folder: str | Path, progress: Any = None, splits: Collection[str] | None = None
-) -> dict[str, dict[str, Any]]:
-    """Features and index entries of clips: {name: {"features": (N, D), "texts", "split", "weight", ...}}.
+def load_clips(folder: str | Path, progress: Any = None, splits: Collection[str] | None = None) -> dict[str, ClipEntry]:
+    """Features and index entries of clips by name.
 
     A clip with captions by time becomes one entry a stretch, "name@first frame", without those that are faulty.
 
@@ -48,7 +64,7 @@ def load_clips(
     folder = Path(folder)
     bundle = read_bundle(folder) if folder.is_file() else None
     index = load_index(folder) if bundle is None else bundle.clips
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, ClipEntry] = {}
     for done, (name, entry) in enumerate(sorted(index.items())):
         if (entry.get("texts") or entry.get("species")) and (splits is None or entry.get("split", "train") in splits):
             path = folder / f"{name}.npz"
@@ -66,18 +82,60 @@ def load_clips(
     return found
 
 
-def _entries(name: str, entry: dict[str, Any], features: np.ndarray) -> dict[str, dict[str, Any]]:
+def load_people(
+    folder: str | Path, progress: Callable[[str, float], None], labelled: bool = True
+) -> tuple[dict[str, ClipEntry], dict[str, ClipEntry]]:
+    """Clips of people to train on, and those to validate with.
+
+    Args:
+        folder: As of `load_clips`.
+        progress: Called with a stage's name and the share done.
+        labelled: With labelled actions of game characters.
+
+    Raises:
+        OptionError: There are none to train on.
+        FormatError: The data are missing or damaged.
+    """
+    clips = load_clips(folder, lambda done, total: progress("clips", done / total), splits={"train", "val"})
+    train, held = (people(clips, split, labelled) for split in ("train", "val"))
+    if not train:
+        raise OptionError(
+            f"{folder}: there are no training clips of people; build the data again with 'bunraku data motions'"
+        )
+    return train, held
+
+
+def people(clips: Mapping[str, ClipEntry], split: str, labelled: bool = False) -> dict[str, ClipEntry]:
+    """Captured motions of people of one split: no creature.
+
+    Args:
+        clips: What `load_clips` returned.
+        split: "train", "val" or "test".
+        labelled: With labelled actions of game characters, each of which has many captions that mean the same.
+    """
+    others = ("species",) if labelled else ("species", "character", "action")
+    return {
+        name: entry
+        for name, entry in clips.items()
+        if entry.get("split", "train") == split and not any(entry.get(key) for key in others)
+    }
+
+
+def _entries(name: str, entry: Mapping[str, object], features: np.ndarray) -> dict[str, ClipEntry]:
     if "stretches" in entry:
         return _stretches(name, entry, features)
-    return {name: {**entry, "features": features}} if len(features) >= MIN_FRAMES else {}
+    return {name: cast(ClipEntry, {**entry, "features": features})} if len(features) >= MIN_FRAMES else {}
 
 
-def _stretches(name: str, entry: dict[str, Any], features: np.ndarray) -> dict[str, dict[str, Any]]:
+def _stretches(name: str, entry: Mapping[str, object], features: np.ndarray) -> dict[str, ClipEntry]:
     """What is captioned by time, as entries of their own; those that follow each other without a gap say so in
     "next".
     """
-    sound = [part for part in entry["stretches"] if "fault" not in part and part["stop"] - part["start"] >= MIN_FRAMES]
-    found: dict[str, dict[str, Any]] = {}
+    parts = entry["stretches"]
+    if not isinstance(parts, list):
+        raise TypeError("its stretches are no list")
+    sound = [part for part in parts if "fault" not in part and part["stop"] - part["start"] >= MIN_FRAMES]
+    found: dict[str, ClipEntry] = {}
     common = {key: value for key, value in entry.items() if key not in ("stretches", "texts")}
     for part, after in zip_longest(sound, sound[1:]):
         start, stop = int(part["start"]), int(part["stop"])
@@ -91,5 +149,5 @@ def _stretches(name: str, entry: dict[str, Any], features: np.ndarray) -> dict[s
             own["labels"] = entry.get("texts") or []
         if after is not None and after["start"] == stop:
             own["next"] = f"{name}@{stop}"
-        found[f"{name}@{start}"] = common | own
+        found[f"{name}@{start}"] = cast(ClipEntry, common | own)
     return found

@@ -6,6 +6,7 @@ would have seen.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,14 +16,14 @@ from bunraku.core.motion import HandleMotion
 from bunraku.diffusion.features import FeatureStatistics, decode, feature_weights, mirror
 from bunraku.diffusion.splicing import join_point, splice
 from bunraku.language.captions.phrases import caption_group, mirror_words
-from bunraku.language.captions.stretches import goes_on, joined_sentence
 from bunraku.language.description.track import Phrase
 from bunraku_lab.description.describe import describe, inside
 from bunraku_lab.description.wording import borrowed_sentence, can_do, computed_sentence, creature_subjects, verbs
-from bunraku_lab.training.diffusion.clip_data import MIN_FRAMES
+from bunraku_lab.training.diffusion.clip_data import MIN_FRAMES, ClipEntry
 from bunraku_lab.training.diffusion.event_pool import EventPool
 from bunraku_lab.training.diffusion.joining import link
 from bunraku_lab.training.diffusion.joins import goes, joins_of
+from bunraku_lab.training.diffusion.stretches import goes_on, joined_sentence
 from bunraku_lab.training.diffusion.training_clip import TrainingClip
 
 __all__ = ["ClipSet", "MotionBatch", "Row"]
@@ -62,6 +63,30 @@ class MotionBatch:
     clips: tuple[tuple[str, ...], ...] = ()
 
 
+@dataclass(frozen=True)
+class Mixture:
+    """What is drawn how often.
+
+    Args:
+        creatures: Share of draws that are creatures' clips, where there are any; within them every action of every
+            species counts the same, unless the index weighs it less.
+        computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
+        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
+            creature shows, so that a person's words move a creature too.
+        events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and described
+            by them.
+        balance: Power of the number of an action's clips by which it is drawn.
+        most_drawn: How many times as often as the median clip one is drawn at the most.
+    """
+
+    creatures: float = 0.25
+    computed: float = 0.3
+    borrowed: float = 0.1
+    events: float = 0.15
+    balance: float = 0.5
+    most_drawn: float = np.inf
+
+
 class ClipSet:
     """Clips ready to be drawn.
 
@@ -70,26 +95,17 @@ class ClipSet:
         statistics: Units of the network.
         split: "train", "val" or "test".
         frames: Longest crop.
-        creatures: Share of draws that are creatures' clips, where there are any; within them every action of every
-            species counts the same, unless the index weighs it less.
-        computed: Share of rows whose sentence is computed from the motion, where it says anything plain.
-        borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
-            creature shows, so that a person's words move a creature too.
-        events: Share of people's rows that are something plain to see in the numbers, cut out of a clip and told by
-            them.
-        balance: Power of the number of an action's clips by which it is drawn.
-        most_drawn: How many times as often as the median clip one is drawn at the most.
+        mixture: What is drawn how often.
     """
 
     def __init__(
-        self, clips: dict[str, dict[str, Any]], statistics: FeatureStatistics, split: str = "train", frames: int = 196,
-        *, creatures: float = 0.25, computed: float = 0.3, borrowed: float = 0.1, events: float = 0.15,
-        balance: float = 0.5, most_drawn: float = np.inf,
+        self, clips: Mapping[str, ClipEntry], statistics: FeatureStatistics, split: str = "train", frames: int = 196,
+        mixture: Mixture = Mixture(),
     ):  # fmt: skip
         self.frames = frames
         self.statistics = statistics
-        self.computed, self.borrowed, self.events = computed, borrowed, events
-        self.balance, self.most_drawn = balance, most_drawn
+        self.computed, self.borrowed, self.events = mixture.computed, mixture.borrowed, mixture.events
+        self.balance, self.most_drawn = mixture.balance, mixture.most_drawn
         self._share = feature_weights()
         self._still = (-statistics.mean[:3] / statistics.std[:3]).astype(np.float32)  # a root at rest, in network units
         self._bucket: tuple[tuple[Any, ...], list[Row], np.ndarray] | None = None
@@ -100,7 +116,7 @@ class ClipSet:
             for name, entry in clips.items()
             if entry.get("split", "train") == split and len(entry["features"]) >= MIN_FRAMES
         ]
-        self.probability = self._probability(creatures) if self.clips else np.zeros(0)
+        self.probability = self._probability(mixture.creatures) if self.clips else np.zeros(0)
         self._named = {clip.name: clip for clip in self.clips if clip.watched}
         self.joins = joins_of(self.clips, statistics) if self._named else None
         self._of_character: dict[str | None, np.ndarray] = {}
@@ -245,8 +261,8 @@ class ClipSet:
         return clip.lengthened(target, self._still, random)
 
     def _event(self, random: np.random.Generator) -> Row | None:
-        """Something that is plain to see in a clip's numbers (a turn, a jump, a punch, sitting down), cut out and told
-        by them alone.
+        """Something that is plain to see in a clip's numbers (a turn, a jump, a punch, sitting down), cut out and
+        described by them alone.
         """
         found = self.event_pool().draw(random)
         if found is None:
@@ -254,8 +270,8 @@ class ClipSet:
         clip, phrase, phrases = found
         start = max(phrase.start - int(random.integers(2, 14)), 0)
         stop = min(phrase.stop + int(random.integers(2, 14)), len(clip.values))
-        told = [one for one in inside(phrases, start, stop) if one.kind != "still"]
-        sentence = computed_sentence(told, [()], stop - start, random, None)
+        described = [one for one in inside(phrases, start, stop) if one.kind != "still"]
+        sentence = computed_sentence(described, [()], stop - start, random, None)
         if sentence is None or stop - start < MIN_FRAMES:
             return None
         values = clip.values[start:stop]
@@ -306,8 +322,8 @@ class ClipSet:
 
         People follow people, and a creature's clips those of the same character.
         """
-        told, names = [clip.phrases], [clip.name]
-        if not told[0]:
+        described, names = [clip.phrases], [clip.name]
+        if not described[0]:
             return None
         partners = self._of_character.get(clip.character if clip.species else None, np.zeros(0, int))
         chance = self.probability[partners]
@@ -323,20 +339,20 @@ class ClipSet:
         values = clip.lengthened(span[0], self._still, random)
         begin = int(random.integers(0, max(len(values) - span[0], 0) + 1))
         values, last, labels = values[begin : begin + span[0]], 0, [clip.label]
-        for place in range(1, count):
+        for number in range(1, count):
             best: tuple[float, int, int, np.ndarray, TrainingClip] | None = None
             for index in random.choice(partners, size=6, p=chance / chance.sum()):
                 other = self.clips[int(index)]
                 if other.label in labels or not other.phrases or len(other.values) < 12 or len(values) - last < 12:
                     continue
-                rest = span[place] if place + 1 < count else self.frames
+                rest = span[number] if number + 1 < count else self.frames
                 if (
                     other.watched
                     and other.loop is None
                     and len(other.values) > self.frames - len(values) + len(values) // 4
                 ):
                     continue
-                head = other.lengthened(span[place], self._still, random)
+                head = other.lengthened(span[number], self._still, random)
                 head = head if other.watched and other.loop is None else head[:rest]
                 i, j, distance = join_point(values[last:], head, self._share)
                 if best is None or distance < best[0]:
@@ -346,13 +362,13 @@ class ClipSet:
             _, i, j, head, other = best
             values, last = splice(values, head, i, j, _BLEND), i
             labels.append(other.label)
-            told.append(other.phrases)
+            described.append(other.phrases)
             names.append(other.name)
-        if len(told) < 2:
+        if len(described) < 2:
             return None
-        words = [phrases[int(random.integers(len(phrases)))] for phrases in told]
+        words = [phrases[int(random.integers(len(phrases)))] for phrases in described]
         sentence = link(words, random, *([creature_subjects(clip.species)] if clip.species else []))
-        return values[: self.frames], sentence, told, tuple(names)
+        return values[: self.frames], sentence, described, tuple(names)
 
     def batch(self, seed: int, number: int, size: int, compose: float = 0.0, bucket: int = 4) -> MotionBatch:
         """Batch `number` of the endless series of a seed. `bucket` neighbours share their draws, sorted by length, to
@@ -365,8 +381,8 @@ class ClipSet:
             items.sort(key=lambda item: len(item.values))
             self._bucket = (key, items, random.permutation(bucket))
         _, items, order = self._bucket
-        place = int(order[number % bucket])
-        return pad(items[place * size : (place + 1) * size])
+        index = int(order[number % bucket])
+        return pad(items[index * size : (index + 1) * size])
 
     def fixed(self, size: int, seed: int = 0) -> MotionBatch:
         """The same unmirrored crops every time, for validation: each clip from its start, with a fixed sentence."""
@@ -390,8 +406,8 @@ def pad(rows: list[Row]) -> MotionBatch:
     """Rows of one length, the longest, zero behind their end."""
     lengths = np.array([len(row.values) for row in rows])
     values = np.zeros((len(rows), int(lengths.max()), rows[0].values.shape[1]), np.float32)
-    for place, row in zip(values, rows, strict=True):
-        place[: len(row.values)] = row.values
+    for position, row in zip(values, rows, strict=True):
+        position[: len(row.values)] = row.values
     return MotionBatch(
         values, lengths, [row.sentence for row in rows], [row.mesh for row in rows], tuple(row.clips for row in rows)
     )

@@ -6,21 +6,21 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from bunraku_lab.training.runs.settings import RunSettings
+
 __all__ = ["TrainingConfig"]
 
 
-@dataclass(frozen=True)
-class TrainingConfig:
+@dataclass(frozen=True, kw_only=True)
+class TrainingConfig(RunSettings):
     """Settings of a training run.
 
     Args:
         data: Folder that `bunraku data motions` wrote, or the file that `bunraku data bundle` made of it.
-        out: Run folder; the same folder goes on with the same run.
         start: Weights to start a new run from, for example the shipped ones, to go on with them on other data.
         preset: "small" trains on a CPU, "paper" is TapMo's size, "mdm" is the encoder-only denoiser to compare with.
         minutes: Stop after so many minutes of training, earlier sessions of the run included; None for no limit.
         steps: Stop after so many optimiser steps; None for no limit.
-        batch: Clips a step, in each process.
         learning_rate: Peak, after the warm-up.
         warmup: Steps of warm-up.
         decay: Share of the budget, at its end, over which the rate falls to a fiftieth.
@@ -39,7 +39,7 @@ class TrainingConfig:
         borrowed: Share of people's rows that are given a creature's mesh, of those that do what no clip of that
             creature shows.
         events: Share of people's rows that are something plain to see in the numbers, such as a turn, cut out of a clip
-            and told by them.
+            and described by them.
         balance: Power of the number of its clips by which an action is drawn: 1 as often as it is captured, 0 all
             actions alike.
         most_drawn: How many times as often as the median clip one is drawn at the most, so that the only one of its
@@ -61,11 +61,8 @@ class TrainingConfig:
         example_pack: What `bunraku data examples` wrote; None takes the shipped examples.
         text_folder: Folder with CLIP, in place of the built-in text encoder.
         device: "cuda", "cpu" or another of torch; None takes CUDA when it is there.
-        threads: CPU threads of torch.
         bf16: Compute in bfloat16 where torch says it is safe and the device has it in hardware.
         save_every: Minutes between saved states.
-        validate_every: Steps between validations.
-        seed: Of everything random.
     """
 
     data: Path = Path("runs/data/motions")
@@ -108,8 +105,6 @@ class TrainingConfig:
     example_pack: Path | None = None
     text_folder: Path | None = None
     device: str | None = None
-    threads: int = 1
     bf16: bool = True
     save_every: float = 5.0
-    validate_every: int = 250
     seed: int = 0

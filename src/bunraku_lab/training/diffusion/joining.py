@@ -39,11 +39,11 @@ def link(phrases: Sequence[str], random: np.random.Generator, subjects: Sequence
         subjects: To choose from.
     """
     frames: tuple[str, ...] = _TWO if len(phrases) == 2 else _THREE
-    stative = [str(place + 1) for place, phrase in enumerate(phrases) if is_stative(phrase)]
-    frames = tuple(frame for frame in frames if not any(f"{{{place}g}}" in frame for place in stative))
+    stative = [str(index + 1) for index, phrase in enumerate(phrases) if is_stative(phrase)]
+    frames = tuple(frame for frame in frames if not any(f"{{{index}g}}" in frame for index in stative))
     words = {
-        f"{place + 1}{form[0]}": conjugate(phrase, form)
-        for place, phrase in enumerate(phrases)
+        f"{index + 1}{form[0]}": conjugate(phrase, form)
+        for index, phrase in enumerate(phrases)
         for form in ("plain", "third", "gerund")
     }
     sentence = frames[int(random.integers(len(frames)))].replace("{s}", subjects[int(random.integers(len(subjects)))])

@@ -17,8 +17,7 @@ from torch import Tensor
 from bunraku.body.layout import HANDLE_COUNT
 from bunraku.diffusion.features import ROOT_SIZE
 from bunraku.geometry.rotations import matrix_from_6d
-from bunraku.retarget.batched_fit import Fitted, fit_locals, posed_positions
-from bunraku.retarget.character_bank import CharacterBank
+from bunraku_lab.datasets.characters.bank_file import CharacterBank
 from bunraku_lab.training.losses.adversarial_loss import (
     ARM_VERTICES,
     MARGIN,
@@ -29,6 +28,7 @@ from bunraku_lab.training.losses.adversarial_loss import (
     handle_driven,
     skeleton_driven,
 )
+from bunraku_lab.training.losses.batched_fit import Fitted, fit_locals, posed_positions
 from bunraku_lab.training.losses.spring_loss import spring_loss, springs_present
 
 __all__ = ["MeshDraw", "MeshLearning", "local_motion"]

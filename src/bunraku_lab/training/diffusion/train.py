@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
@@ -27,17 +26,18 @@ from bunraku.errors import OptionError
 from bunraku.formats.files import sweep
 from bunraku.language.encoders import MiniLMEncoder, TextBatch, TextEncoder, text_encoder
 from bunraku.nn.checkpoints import load_training_state
-from bunraku.retarget.character_bank import load_character_bank
+from bunraku_lab.datasets.characters.bank_file import load_character_bank
 from bunraku_lab.datasets.motions.bundle import read_bundle
 from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet, MotionBatch
+from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture, MotionBatch
 from bunraku_lab.training.diffusion.mesh_bank import load_mesh_bank
 from bunraku_lab.training.diffusion.text_bank import TextBank
 from bunraku_lab.training.diffusion.trainer import Example, Trainer, TrainingConfig
 from bunraku_lab.training.diffusion.warm_start import start_from
 from bunraku_lab.training.runs.events import EventLog
 from bunraku_lab.training.runs.processes import Processes, open_processes
-from bunraku_lab.training.runs.runs import Stop, append_row, logged_columns
+from bunraku_lab.training.runs.runs import Stop, logged_columns
+from bunraku_lab.training.runs.training_run import TrainingRun
 
 __all__ = ["TrainingConfig", "train_diffusion"]
 
@@ -113,15 +113,9 @@ def train_diffusion(
 
     if config.preset not in PRESETS:
         raise OptionError(f"the preset '{config.preset}' is unknown; choose one of: {', '.join(PRESETS)}")
-    if (
-        config.batch < 1
-        or config.threads < 1
-        or (config.minutes is not None and config.minutes <= 0)
-        or (config.steps is not None and config.steps < 0)
-    ):
-        raise OptionError("batch, threads, minutes and steps must be positive")
-    torch.set_num_threads(config.threads)
-    config.out.mkdir(parents=True, exist_ok=True)
+    if config.batch < 1 or (config.minutes is not None and config.minutes <= 0) or (config.steps or 0) < 0:
+        raise OptionError("batch, minutes and steps must be positive")
+    config.prepare()
     sweep(config.out)
     processes = open_processes(config.device)
     console = Console(quiet=not processes.main)
@@ -132,17 +126,12 @@ def train_diffusion(
         training = [entry for entry in clips.values() if entry.get("split", "train") == "train"]
         measured = _statistics(config.out / "state.safetensors")
         statistics = measured or FeatureStatistics.measure([entry["features"] for entry in training])
-        notes = {"creatures": True} if any(entry.get("species") for entry in training) else {}
+        notes: dict[str, object] = {"creatures": True} if any(entry.get("species") for entry in training) else {}
         frames = (network or PRESETS[config.preset]).frames
-        mixture = {
-            "creatures": config.creatures,
-            "computed": config.computed,
-            "borrowed": config.borrowed,
-            "events": config.events,
-            "balance": config.balance,
-            "most_drawn": config.most_drawn,
-        }
-        train, val = (ClipSet(clips, statistics, split, frames, **mixture) for split in ("train", "val"))
+        mixture = Mixture(
+            config.creatures, config.computed, config.borrowed, config.events, config.balance, config.most_drawn
+        )
+        train, val = (ClipSet(clips, statistics, split, frames, mixture) for split in ("train", "val"))
         del clips, training
         if encoder is None:
             encoder = text_encoder(f"{'clip' if config.text_folder else MiniLMEncoder.name}+cues", config.text_folder)
@@ -194,13 +183,18 @@ def train_diffusion(
         f"{sum(value.numel() for value in trainer.model.parameters()) / 1e6:.1f} M parameters, {trainer.device}, "
         f"{processes.count} process{'es' if processes.count > 1 else ''}, from step {trainer.step}"
     )
-    torch.set_flush_denormal(True)  # tiny moments of the optimiser cost ten times their worth
+    ended = threading.Event()
+    ready = _prefetch(train, sources, config, processes, trainer.step, ended)
+    run = _Run(trainer, network, ready, examples, console)
     try:
-        _loop(trainer, network, train, sources, examples, console)
+        path = run.learn(run.tell)
     finally:
-        torch.set_flush_denormal(False)
+        ended.set()
+    console.print(
+        f"saved {config.out} at step {trainer.step}" + ("; the same command goes on" if trainer.progress() < 1 else "")
+    )
     processes.close()
-    return config.out / "diffusion.safetensors"
+    return path
 
 
 def _validation(trainer: Trainer, clips: ClipSet, sources: _Sources) -> list[Example]:
@@ -217,59 +211,6 @@ def _validation(trainer: Trainer, clips: ClipSet, sources: _Sources) -> list[Exa
     return examples
 
 
-def _loop(
-    trainer: Trainer,
-    network: DenoiserConfig,
-    clips: ClipSet,
-    sources: _Sources,
-    examples: list[Example],
-    console: Any,
-) -> None:
-    config, main, stop, ended = trainer.config, trainer.processes.main, Stop(), threading.Event()
-    log = config.out / "log.csv"
-    if main and not log.is_file():
-        log.write_text(",".join(_COLUMNS) + "\n", encoding="utf-8")
-    events = EventLog(config.out / "events" if main else None, console.print)
-    ready = _prefetch(clips, sources, config, trainer.processes, trainer.step, ended)
-    saved = last = time.monotonic()
-    begun, first = last, trainer.step
-    told: dict[str, list[float]] = {}
-    with stop.listening(), events:
-        try:
-            alone = trainer.processes.count == 1
-            while not (trainer.stopped or (alone and stop.asked)) and trainer.progress() < 1:
-                item = ready.get()
-                if isinstance(item, Exception):
-                    raise item
-                number, batch, text, found = item
-                trainer.asked = stop.asked
-                for name, value in trainer.update(
-                    trainer.example(batch, text, [config.seed, number], examples=found)
-                ).items():
-                    told.setdefault(name, []).append(value)
-                now = time.monotonic()
-                trainer.seconds += now - last
-                last = now
-                due = trainer.step % config.validate_every == 0
-                if main and (due or trainer.step == first + 20):
-                    row = {name: float(np.mean(values)) for name, values in told.items()}
-                    row["validation"], row["validation_wrong_text"] = (
-                        trainer.validate(examples) if due else (math.nan, math.nan)
-                    )
-                    _tell(trainer, row, (trainer.step - first) / (now - begun), events, console)
-                    told = {}
-                if main and now - saved > 60 * config.save_every:
-                    trainer.save(config.out, network)
-                    saved = time.monotonic()
-        finally:
-            ended.set()
-        if main:
-            trainer.save(config.out, network)
-    console.print(
-        f"saved {config.out} at step {trainer.step}" + ("; the same command goes on" if trainer.progress() < 1 else "")
-    )
-
-
 _COLUMNS = (
     "step", "seconds", "rate", "motion", "velocity", "contact", "validation", "validation_wrong_text",
     "steps_per_second", "spring", "adversarial",
@@ -277,26 +218,116 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def _tell(trainer: Trainer, row: dict[str, float], speed: float, events: EventLog, console: Any) -> None:
-    """One row of figures to the log, to TensorBoard and to the terminal."""
-    row = {
-        "step": trainer.step,
-        "seconds": round(trainer.seconds),
-        "rate": trainer.learning_rate(),
-        **row,
-        "steps_per_second": speed,
-    }
-    log = trainer.config.out / "log.csv"
-    append_row(log, row, logged_columns(log))
-    events.write(trainer.step, {name: value for name, value in row.items() if name not in ("step", "seconds")})
-    extra = "  ".join(
-        f"{name} {row[name]:.4f}"
-        for name in ("contact", "spring", "adversarial", "discriminator", "score")
-        if name in row
-    )
-    console.print(
-        f"step {trainer.step:6d}  {trainer.seconds / 60:6.1f} min  loss {row['motion']:.4f} velocity "
-        f"{row['velocity']:.4f}  "
-        f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  "
-        f"{extra}{'  ' if extra else ''}{speed:.2f} steps/s"
-    )
+class _Run(TrainingRun):
+    """A trainer in the loop, with its batches, its validation and its log.
+
+    Args:
+        trainer: Networks and optimisers.
+        network: The denoiser's config.
+        ready: Batches from the trainer's step on.
+        examples: What is validated.
+        console: Of rich.
+    """
+
+    stage = "diffusion"
+    columns = None
+    flush = True
+
+    def __init__(
+        self,
+        trainer: Trainer,
+        network: DenoiserConfig,
+        ready: queue.Queue[Any],
+        examples: list[Example],
+        console: Any,
+    ):
+        self.trainer, self.network, self.ready, self.console = trainer, network, ready, console
+        self.config, self.out, self.stop, self.held_out = trainer.config, trainer.config.out, Stop(), examples
+        self.main, self.first = trainer.processes.main, trainer.step
+        self.begin = self.last = time.monotonic()
+        log = self.out / "log.csv"
+        if self.main and not log.is_file():
+            log.write_text(",".join(_COLUMNS) + "\n", encoding="utf-8")
+        if self.main:  # a run that goes on writes no other columns
+            self.log_columns = tuple(logged_columns(log))
+
+    @property
+    def checkpoint(self) -> Path:
+        """The averaged weights."""
+        return self.out / "diffusion.safetensors"
+
+    @property
+    def ticks(self) -> int:
+        """Steps."""
+        return self.trainer.step
+
+    @property
+    def ended(self) -> bool:
+        """Of several processes all stop after the same step, and so by what they told each other."""
+        alone = self.trainer.processes.count == 1
+        return self.trainer.stopped or (alone and self.stop.asked) or self.progress() >= 1
+
+    @property
+    def save_every(self) -> float:
+        """Minutes between saved states."""
+        return max(float(self.config.save_every), 1e-9)
+
+    def progress(self) -> float:
+        """Share of the budget that is used up."""
+        return self.trainer.progress()
+
+    def train_step(self) -> dict[str, float]:
+        """One step on the next batch, with the time since the one before."""
+        item = self.ready.get()
+        if isinstance(item, Exception):
+            raise item
+        number, batch, text, found = item
+        trainer = self.trainer
+        trainer.asked = self.stop.asked
+        told = trainer.update(trainer.example(batch, text, [self.config.seed, number], examples=found))
+        now = time.monotonic()
+        trainer.seconds += now - self.last
+        self.last, self.step = now, trainer.step
+        return told
+
+    def due(self) -> bool:
+        """Whether it is time to validate; the first process does."""
+        return self.main and super().due()
+
+    def tells(self) -> bool:
+        """Whether the log gets a row of this step: the first one comes early."""
+        return self.main and self.trainer.step == self.first + 20
+
+    def begun(self) -> dict[str, float]:
+        """The first columns of a row of the log, and how fast it goes."""
+        speed = (self.trainer.step - self.first) / (self.last - self.begin)
+        return {
+            "step": self.trainer.step, "seconds": round(self.trainer.seconds), "rate": self.trainer.learning_rate(),
+            "steps_per_second": speed, "validation": math.nan, "validation_wrong_text": math.nan,
+        }  # fmt: skip
+
+    def event_log(self) -> EventLog:
+        """Where curves go."""
+        return EventLog(self.out / "events" if self.main else None, self.console.print)
+
+    def validate(self) -> dict[str, float]:
+        """Loss with the right sentences and with those of other rows."""
+        right, wrong = self.trainer.validate(list(self.held_out))
+        return {"validation": right, "validation_wrong_text": wrong}
+
+    def save(self, results: dict[str, float]) -> Path:
+        """Write the state and the checkpoint; the first process does."""
+        if self.main:
+            self.trainer.save(self.out, self.network)
+        return self.checkpoint
+
+    def tell(self, row: dict[str, float]) -> None:
+        """A row of the log to the terminal."""
+        names = ("contact", "spring", "adversarial", "discriminator", "score")
+        extra = "  ".join(f"{name} {row[name]:.4f}" for name in names if name in row)
+        self.console.print(
+            f"step {self.trainer.step:6d}  {self.trainer.seconds / 60:6.1f} min  loss {row['motion']:.4f} velocity "
+            f"{row['velocity']:.4f}  "
+            f"validation {row['validation']:.4f}, with wrong text {row['validation_wrong_text']:.4f}  "
+            f"{extra}{'  ' if extra else ''}{row['steps_per_second']:.2f} steps/s"
+        )

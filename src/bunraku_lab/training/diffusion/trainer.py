@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,11 +15,11 @@ from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
 from bunraku.diffusion.denoiser_layers import RetrievedExamples
 from bunraku.diffusion.features import FeatureStatistics, feature_weights
-from bunraku.diffusion.sampling.schedule import TRAINING_STEPS, add_noise, alphas_cumprod
+from bunraku.diffusion.sampling.solvers import TRAINING_STEPS, add_noise, alphas_cumprod
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TextBatch
 from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
-from bunraku.retarget.character_bank import CharacterBank
+from bunraku_lab.datasets.characters.bank_file import CharacterBank
 from bunraku_lab.training.diffusion.clip_rows import MotionBatch
 from bunraku_lab.training.diffusion.config import TrainingConfig
 from bunraku_lab.training.diffusion.mesh_bank import MeshBank
@@ -71,7 +71,7 @@ class Trainer:
         mesh_bank: MeshBank | None = None,
         character_bank: CharacterBank | None = None,
         processes: Processes | None = None,
-        notes: dict[str, Any] | None = None,
+        notes: Mapping[str, object] | None = None,
     ):
         self.config = config
         self.processes = processes or Processes()
@@ -193,28 +193,28 @@ class Trainer:
             (share * part).mean() for part in motion_losses(predicted, example.clean, example.lengths, self.weights)
         )
         total = motion + config.velocity_weight * velocity
-        told = {"motion": motion, "velocity": velocity}
+        reported = {"motion": motion, "velocity": velocity}
         if config.contact_weight > 0:
             found, true = (values * self.model.std + self.model.mean for values in (predicted.float(), example.clean))
-            told["contact"] = contact_loss(found, true, example.lengths, example.of_body).mean()
-            total = total + config.contact_weight * told["contact"]
+            reported["contact"] = contact_loss(found, true, example.lengths, example.of_body).mean()
+            total = total + config.contact_weight * reported["contact"]
         samples, learns = None, learning is not None and learning.learns
         if learning is not None and example.draw is not None:
             clean = example.clean * self.model.std + self.model.mean
             spring, adversarial, *samples = learning.losses(example.draw, clean, adaptation, learns)
             total = total + config.spring_weight * spring + config.adversarial_weight * adversarial
-            told |= {"spring": spring, "adversarial": adversarial}
+            reported |= {"spring": spring, "adversarial": adversarial}
         total.backward()
         score = 0.0
         if learning is not None and samples is not None:
-            told["discriminator"], score = learning.learn(samples[0], samples[1], learns)
-        numbers = [self.seconds, float(self.asked), score, *(float(value.detach()) for value in told.values())]
+            reported["discriminator"], score = learning.learn(samples[0], samples[1], learns)
+        numbers = [self.seconds, float(self.asked), score, *(float(value.detach()) for value in reported.values())]
         self.seconds, stops, score, *means = self.processes.mean(self._gradients(learns), *numbers)
         self.stopped = stops > 0
         self._step(learns and samples is not None)
         if learning is not None and samples is not None:
             learning.score = score
-        return dict(zip(told, means, strict=True)) | ({"score": score} if samples is not None else {})
+        return dict(zip(reported, means, strict=True)) | ({"score": score} if samples is not None else {})
 
     def _gradients(self, learns: bool) -> list[Tensor]:
         """Gradients of all that learns, for the exchange between processes."""
@@ -278,7 +278,7 @@ class Trainer:
         save_denoiser(
             folder / "diffusion.safetensors",
             self.average,
-            notes | {"preset": self.config.preset, "characters": known} | self.notes,
+            {**notes, "preset": self.config.preset, "characters": known, **self.notes},
         )
 
     def restore(self, path: Path, network: DenoiserConfig) -> None:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from bunraku.diffusion.features import FeatureStatistics, feature_weights, is_rotation
 from bunraku.diffusion.splicing import END, held, join_point, played, rests
 from bunraku.language.captions.phrases import caption_group
-from bunraku.language.captions.stretches import agreeing, stretch_phrases, stretch_variants
 from bunraku.language.lexicon.reading import is_cyclic, main_actions
 from bunraku_lab.description.wording import all_variants, clauses
+from bunraku_lab.training.diffusion.clip_data import ClipEntry
+from bunraku_lab.training.diffusion.stretches import agreeing, stretch_phrases, stretch_variants
 
 __all__ = ["TrainingClip"]
 
@@ -103,7 +103,7 @@ class TrainingClip:
         )
 
     @classmethod
-    def prepare(cls, name: str, entry: dict[str, Any], statistics: FeatureStatistics, frames: int) -> TrainingClip:
+    def prepare(cls, name: str, entry: ClipEntry, statistics: FeatureStatistics, frames: int) -> TrainingClip:
         """Bring a clip to network units and see whether it loops or ends at rest.
 
         Args:

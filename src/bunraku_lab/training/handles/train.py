@@ -26,12 +26,13 @@ from bunraku_lab.datasets.characters.training_character import (
     augment,
     plain_mesh,
 )
-from bunraku_lab.training.handles.damage import DamageConfig, damage
+from bunraku_lab.training.handles.mesh_augmentation import MeshAugmentation, augment_mesh
 from bunraku_lab.training.handles.mesh_feature_bank import write_mesh_bank
 from bunraku_lab.training.losses import handle_losses as losses
 from bunraku_lab.training.losses.handle_losses import LossConfig
-from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
+from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import TrainingSettings
+from bunraku_lab.training.runs.training_run import Progress, Report
 
 __all__ = ["HandleTrainConfig", "HandleTrainer", "train_handles", "validate_handles"]
 
@@ -66,7 +67,7 @@ class HandleTrainConfig(TrainingSettings):
     predictor: PredictorConfig = field(default_factory=PredictorConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     augment: AugmentConfig = field(default_factory=AugmentConfig)
-    damage: DamageConfig = field(default_factory=DamageConfig)
+    mesh_augmentation: MeshAugmentation = field(default_factory=MeshAugmentation)
 
 
 _COLUMNS = (
@@ -94,7 +95,7 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
 
     kind = "handles"
     columns = None
-    head = _COLUMNS
+    log_columns = _COLUMNS
     every_row = True
 
     def __init__(
@@ -182,7 +183,9 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
                     character = self.reference[self.rng.integers(len(self.reference))]
                 else:
                     character = self.characters[self.rng.choice(len(self.characters), p=self.chances)]
-                mesh = damage(augment(character, self.rng, self.config.augment), self.rng, self.config.damage)
+                mesh = augment_mesh(
+                    augment(character, self.rng, self.config.augment), self.rng, self.config.mesh_augmentation
+                )
                 loss, parts = self.example_loss(mesh)
                 (loss / self.config.batch).backward()
                 for name, value in {"total": float(loss.detach()), **parts}.items():
@@ -220,7 +223,7 @@ class HandleTrainer(AveragedRun[HandlePredictor]):
             f"varied_{name}": value for name, value in varied.items()
         }
 
-    def write(self, note: dict[str, Any]) -> Path:
+    def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
         return save_predictor(self.checkpoint, self.average, note | {"epochs": self.epoch})
 

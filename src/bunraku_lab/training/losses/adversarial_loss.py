@@ -13,8 +13,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bunraku.body.layout import HANDLE_NAMES
-from bunraku.retarget.batched_fit import Fitted, bone_positions, move_points, posed_positions
-from bunraku.retarget.character_bank import CharacterBank
+from bunraku_lab.datasets.characters.bank_file import CharacterBank
+from bunraku_lab.training.losses.batched_fit import Fitted, bone_positions, move_points, posed_positions
 
 __all__ = [
     "ARM_VERTICES", "MARGIN", "MeshMotionDiscriminator", "adversarial_loss", "discriminator_loss", "discriminator_turn",
@@ -30,9 +30,9 @@ _CHEST = HANDLE_NAMES.index("spine3")
 class MeshMotionDiscriminator(nn.Module):
     """Disc of Eq. 8: a score for the motion of arm vertices.
 
-    Each vertex of a frame goes through one small network with its rest place beside its displacement; maximum and mean
-    over the vertices give the frame, since they are drawn in any order; two convolutions over time and the mean give
-    the score.
+    Each vertex of a frame goes through one small network with its rest position beside its displacement; maximum and
+    mean over the vertices give the frame, since they are drawn in any order; two convolutions over time and the mean
+    give the score.
     """
 
     def __init__(self, width: int = 64):
@@ -77,7 +77,7 @@ def discriminator_turn(score: float, margin: float = MARGIN) -> bool:
 
 
 def _seen_from_chest(
-    points: Tensor, rest: Tensor, turn: Tensor, place: Tensor, anchor: Tensor, extent: Tensor
+    points: Tensor, rest: Tensor, turn: Tensor, position: Tensor, anchor: Tensor, extent: Tensor
 ) -> Tensor:
     """Rest place and displacement as the chest sees them, over the character's extent, shape (B, N, P, 6).
 
@@ -85,11 +85,11 @@ def _seen_from_chest(
         points: Posed vertices, shape (B, N, P, 3).
         rest: Their rest positions, shape (B, P, 3).
         turn: Rotation of the chest, shape (B, N, 3, 3).
-        place: Where the chest's handle is taken to, shape (B, N, 3).
+        position: Where the chest's handle is taken to, shape (B, N, 3).
         anchor: Its rest position, shape (B, 3).
         extent: Shape (B,).
     """
-    seen = (points - place[:, :, None]) @ turn
+    seen = (points - position[:, :, None]) @ turn
     own = (rest - anchor[:, None])[:, None].expand_as(seen)
     return torch.cat([own, seen - own], dim=-1) / extent[:, None, None, None]
 
@@ -134,8 +134,8 @@ def skeleton_driven(fitted: Fitted, bank: CharacterBank, picked: Tensor) -> Tens
     joints, chest, anchor = bank.bone_joints[row], bank.chest_bone[row], bank.handles[row, _CHEST]
     points = move_points(rest, index, weights, rotations, joints, positions - joints[:, None])
     turn = rotations[each, :, chest]
-    place = torch.einsum("bnij,bj->bni", turn, anchor - joints[each, chest]) + positions[each, :, chest]
-    return _seen_from_chest(points, rest, turn, place, anchor, bank.extent[row])
+    position = torch.einsum("bnij,bj->bni", turn, anchor - joints[each, chest]) + positions[each, :, chest]
+    return _seen_from_chest(points, rest, turn, position, anchor, bank.extent[row])
 
 
 def _take(values: Tensor, picked: Tensor) -> Tensor:

@@ -33,7 +33,8 @@ def spring_loss(positions: Tensor, rest: Tensor, springs: Tensor, sigma: float =
     """Spring Loss L_h of each row [TapMo 7], shape (B,).
 
     With E the distance of two adjacent handles, and frame 0 the rest pose, it is the sum over springs and frames of
-    `exp(-(E_0 + sigma)) (E_n - E_0)^2 + (E_n - E_{n-1})^2`. Rigid motion changes no distance, so places may be local.
+    `exp(-(E_0 + sigma)) (E_n - E_0)^2 + (E_n - E_{n-1})^2`. Rigid motion changes no distance, so positions may be
+    local.
 
     Args:
         positions: Handle positions of each frame, h^1 to h^N, shape (B, N, K, 3).

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,8 +23,9 @@ from bunraku_lab.training.orientation.measures import (
     validate_orientation,
     varied_tokens,
 )
-from bunraku_lab.training.runs.averaged_run import AveragedRun, Progress, Report
+from bunraku_lab.training.runs.averaged_run import AveragedRun, TrainingNote
 from bunraku_lab.training.runs.settings import StepSettings
+from bunraku_lab.training.runs.training_run import Progress, Report
 
 __all__ = ["OrientationTrainConfig", "OrientationTrainer", "train_orientation"]
 
@@ -128,7 +128,7 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
         results |= {f"varied_{name}": value for name, value in changed.items()}
         return results | {"temperature": self.temperature}
 
-    def write(self, note: dict[str, Any]) -> Path:
+    def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
         shipped = OrientationPredictor(replace(self.average.config, temperature=self.temperature))
         shipped.load_state_dict(self.average.state_dict())

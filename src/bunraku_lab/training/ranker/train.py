@@ -22,8 +22,8 @@ from bunraku.diffusion.matching import RADIUS, RANKER, Extractor, ExtractorConfi
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon.reading import actions_of
-from bunraku_lab.training.diffusion.clip_data import load_clips
-from bunraku_lab.training.diffusion.clip_rows import ClipSet, MotionBatch
+from bunraku_lab.training.diffusion.clip_data import load_people
+from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture, MotionBatch
 from bunraku_lab.training.diffusion.text_bank import TextBank
 from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
@@ -118,17 +118,17 @@ class RankerTrainer(MatchingRun):
         mirrored = scale * (right * text[size:]).sum(1)
         mirrored = mirrored.masked_fill(~torch.from_numpy(sided).to(device), -1e4)
         found = torch.cat([between, mirrored[:, None]], dim=1)
-        told = torch.cat([between.T, scale * (text[:size] * spoils).sum(1)[:, None]], dim=1)
-        loss = 0.5 * (F.cross_entropy(found, target) + F.cross_entropy(told, target))
-        won = [float((logits.argmax(1) == target).float().mean()) for logits in (found, told)]
+        matched = torch.cat([between.T, scale * (text[:size] * spoils).sum(1)[:, None]], dim=1)
+        loss = 0.5 * (F.cross_entropy(found, target) + F.cross_entropy(matched, target))
+        won = [float((logits.argmax(1) == target).float().mean()) for logits in (found, matched)]
         return loss, won[0], won[1]
 
     def step_loss(self) -> tuple[Tensor, dict[str, float]]:
         """The loss of the batch of this step, and how often each side found its own."""
         config = self.config
         batch = self.rows.batch(config.seed, self.step, config.batch)
-        loss, found, told = self.losses(self.model, batch, np.random.default_rng([config.seed, self.step, 5]))
-        return loss, {"motion_to_text": found, "text_to_motion": told}
+        loss, found, matched = self.losses(self.model, batch, np.random.default_rng([config.seed, self.step, 5]))
+        return loss, {"motion_to_text": found, "text_to_motion": matched}
 
     @torch.no_grad()
     def validate(self) -> dict[str, float]:
@@ -139,7 +139,7 @@ class RankerTrainer(MatchingRun):
             batch = self.held.batch(991, number, min(self.config.batch, 64))
             found.append(self.losses(self.average, batch, np.random.default_rng(number)))
         names = ("validation", "validation_motion_to_text", "validation_text_to_motion")
-        return {name: float(np.mean([float(one[place]) for one in found])) for place, name in enumerate(names)}
+        return {name: float(np.mean([float(one[index]) for one in found])) for index, name in enumerate(names)}
 
 
 def alike(sentences: Sequence[str]) -> np.ndarray:
@@ -174,11 +174,12 @@ def train_ranker(
     """
     progress = progress or (lambda stage, done: None)
     config.prepare()
-    clips = load_clips(config.data, splits={"train", "val"})
-    clips = {name: entry for name, entry in clips.items() if not entry.get("species")}
-    training = [entry["features"] for entry in clips.values() if entry.get("split", "train") == "train"]
-    statistics = FeatureStatistics.measure(training)
-    train, held = (ClipSet(clips, statistics, split, borrowed=0.0, creatures=0.0) for split in ("train", "val"))
+    clips = load_people(config.data, progress)
+    statistics = FeatureStatistics.measure([entry["features"] for entry in clips[0].values()])
+    mixture = Mixture(creatures=0.0, borrowed=0.0)
+    train, held = (
+        ClipSet(some, statistics, split, mixture=mixture) for some, split in zip(clips, ("train", "val"), strict=True)
+    )
     encoder = encoder or text_encoder(config.network.text_encoder)
     config = replace(config, network=for_encoder(config.network, encoder))
     bank = captions_of(config, encoder, {*train.sentences(), *held.sentences()}, progress)

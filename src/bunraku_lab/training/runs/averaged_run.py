@@ -1,13 +1,13 @@
-"""The loop of a run that trains one network on one processor, beside the running mean of its weights."""
+"""A run that trains one network on one processor, beside the running mean of its weights."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypedDict, TypeVar
 
 import numpy as np
 import torch
@@ -15,15 +15,22 @@ import torch
 from bunraku.errors import OptionError
 from bunraku.formats.files import sweep
 from bunraku.nn.checkpoints import TrainingState, load_training_state, save_training_state
-from bunraku_lab.training.runs.runs import Stop, append_row, careful_step, follow_weights, learning_rate, plain_settings
+from bunraku_lab.training.runs.runs import Stop, careful_step, follow_weights, learning_rate, plain_settings
+from bunraku_lab.training.runs.training_run import Progress, Report, TrainingRun
 
-__all__ = ["AveragedRun", "Progress", "Report", "share_done"]
+__all__ = ["AveragedRun", "TrainingNote", "share_done"]
+
+
+class TrainingNote(TypedDict):
+    """What a checkpoint says of its training: settings, time on one core [s], and figures of the last validation."""
+
+    training: dict[str, object]
+    seconds: float
+    steps: int
+    results: dict[str, float]
+
 
 Network = TypeVar("Network", bound=torch.nn.Module)
-Report = Callable[[dict[str, float]], None]
-"""Called with each row of the log."""
-Progress = Callable[[str, float], None]
-"""Called with a stage's name and the share done."""
 
 
 def share_done(seconds: float, minutes: float, step: int, steps: int) -> float:
@@ -31,12 +38,12 @@ def share_done(seconds: float, minutes: float, step: int, steps: int) -> float:
     return min(seconds / (60 * minutes) if minutes > 0 else step / max(steps, 1), 1.0)
 
 
-class AveragedRun(Generic[Network]):
+class AveragedRun(TrainingRun, Generic[Network]):
     """A network, the running mean of its weights, which is what is validated and saved, and its optimiser.
 
     A subclass says what a step's loss is (`step_loss`), what is validated (`validate`, on `held_out`) and how the
-    checkpoint is written (`write`); `learn` does the rest. Its `config` is a dataclass of `TrainingSettings`. What it
-    draws by `rng` is part of its state.
+    checkpoint is written (`write`). Its `config` is a dataclass of `TrainingSettings`. What it draws by `rng` is part
+    of its state.
 
     Args:
         out: Folder of the run.
@@ -47,19 +54,11 @@ class AveragedRun(Generic[Network]):
 
     kind: str
     """Of the checkpoint, and its name."""
-    columns: ClassVar[tuple[str, ...] | None] = ("loss", "rate")
-    """What the log has of the steps: means since the last row, 0 of what did not come up; None for all."""
-    head: ClassVar[tuple[str, ...] | None] = None
-    """The columns of the log where rows differ; None for those of the first row."""
     every_row: ClassVar[bool] = False
     """Whether the log has a row of each step, and not of validations alone."""
     least: ClassVar[float] = 0.02
     """What is left of the peak rate at the end."""
-    flush: ClassVar[bool] = False
-    """Whether numbers next to nothing are taken as 0, which is faster where moments of the optimiser become such."""
-    config: Any
     rng: np.random.Generator
-    held_out: Sequence[Any] = ()
 
     def __init__(self, out: Path, model: Network, average: Network, optimizer: torch.optim.Optimizer):
         self.out, self.model, self.average, self.optimizer = Path(out), model, average.eval(), optimizer
@@ -92,11 +91,6 @@ class AveragedRun(Generic[Network]):
         """The averaged weights."""
         return self.out / f"{self.kind}.safetensors"
 
-    @property
-    def ticks(self) -> int:
-        """What `validate_every` counts."""
-        return self.step
-
     def progress(self) -> float:
         """How far the run is through its limits, 0 to 1."""
         return share_done(self.seconds, self.config.minutes, self.step, self.config.steps)
@@ -105,11 +99,7 @@ class AveragedRun(Generic[Network]):
         """The loss of this step, and further figures of it."""
         raise NotImplementedError
 
-    def validate(self) -> dict[str, float]:
-        """Figures of the averaged network on what was held out."""
-        raise NotImplementedError
-
-    def write(self, note: dict[str, Any]) -> Path:
+    def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint."""
         raise NotImplementedError
 
@@ -154,7 +144,7 @@ class AveragedRun(Generic[Network]):
             self.rng.bit_generator.state = state.values["rng"]
 
     def save_state(
-        self, settings: dict[str, Any], values: dict[str, Any], generators: dict[str, torch.Tensor] | None = None
+        self, settings: dict[str, object], values: dict[str, object], generators: dict[str, torch.Tensor] | None = None
     ) -> None:
         """Write all that is needed to go on; a kill leaves the last state."""
         models = {"model": self.model.state_dict(), "average": self.average.state_dict()}
@@ -200,53 +190,19 @@ class AveragedRun(Generic[Network]):
             self.take_extras(state)
         return state is not None
 
-    def due(self) -> bool:
-        """Whether it is time to validate and save."""
-        return self.ticks % int(self.config.validate_every) == 0
+    def tells(self) -> bool:
+        """Whether the log gets a row of each step."""
+        return self.every_row
 
     def begun(self) -> dict[str, float]:
         """The first columns of a row of the log."""
         return {"step": self.step, "seconds": round(self.seconds, 1)}
 
     def learn(self, report: Report | None = None, progress: Progress | None = None) -> Path:
-        """Go on from the folder's state to the end of the run, or until it is asked to stop; each validation writes the
-        checkpoint, the state and a row of `log.csv`.
-
-        Args:
-            report: Called with each row.
-            progress: Called with a stage's name and the share done.
-
-        Returns:
-            The checkpoint.
+        """Go on from the folder's state (`TrainingRun.learn`).
 
         Raises:
             OptionError: The run was started with another network.
         """
         self.resume()
-        rows: list[dict[str, float]] = []
-        torch.set_flush_denormal(self.flush)
-        try:
-            with self.stop.listening():
-                while self.progress() < 1 and not self.stop.asked:
-                    rows.append(self.train_step())
-                    if progress is not None:
-                        progress("training", self.progress())
-                    due = self.due() or self.progress() >= 1 or self.stop.asked
-                    if not due and not self.every_row:
-                        continue
-                    means = {
-                        name: float(np.mean([row[name] for row in rows if name in row] or [0.0]))
-                        for name in self.columns or rows[0]
-                    }
-                    results: dict[str, float] = {}
-                    if due:
-                        results = self.validate() if self.held_out else {}
-                        self.save(results)
-                    rows = []
-                    line = {**self.begun(), **means, **results}
-                    append_row(self.out / "log.csv", line, self.head)
-                    if report is not None:
-                        report(line)
-        finally:
-            torch.set_flush_denormal(False)
-        return self.checkpoint
+        return super().learn(report, progress)

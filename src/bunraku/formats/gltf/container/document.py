@@ -75,11 +75,18 @@ class Document:
         """A top-level list of the document, empty where it has none."""
         return self.objects(self.tree, kind)
 
-    def objects(self, owner: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    def objects(self, owner: dict[str, object], key: str) -> list[dict[str, Any]]:
         """A list of objects under a key of an object."""
         value = owner.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             self.fail(f"'{key}' must be a list of objects; the file is broken, export it again")
+        return value
+
+    def entry(self, owner: dict[str, object], key: str) -> dict[str, object]:
+        """An object under a key of an object."""
+        value = owner.get(key)
+        if not isinstance(value, dict):
+            self.fail(f"'{key}' must be an object; the file is broken, export it again")
         return value
 
     def item(self, kind: str, index: Any) -> dict[str, Any]:
@@ -94,7 +101,7 @@ class Document:
             self.fail(f"{kind}[{index!r:.20}] does not exist; the file is broken, export it again")
         return items[index]
 
-    def integer(self, owner: dict[str, Any], key: str, default: int | None = None, high: int = 2**40) -> int:
+    def integer(self, owner: dict[str, object], key: str, default: int | None = None, high: int = 2**40) -> int:
         """A non-negative whole number under a key of an object."""
         value = owner.get(key, default)
         if type(value) is float and value.is_integer():
@@ -106,7 +113,7 @@ class Document:
             )
         return value
 
-    def numbers(self, owner: dict[str, Any], key: str, default: list[float]) -> np.ndarray:
+    def numbers(self, owner: dict[str, object], key: str, default: list[float]) -> np.ndarray:
         """A list of finite numbers under a key of an object, as long as the default, float64."""
         value = owner.get(key, default)
         good = isinstance(value, list) and len(value) == len(default) and all(type(x) in (int, float) for x in value)
@@ -115,7 +122,7 @@ class Document:
             self.fail(f"'{key}' must be {len(default)} finite numbers; the file is broken, export it again")
         return out
 
-    def indices(self, owner: dict[str, Any], key: str, kind: str) -> list[int]:
+    def indices(self, owner: dict[str, object], key: str, kind: str) -> list[int]:
         """A list of indices into a top-level list, under a key of an object."""
         value, listed = (
             owner.get(key, []),
@@ -183,7 +190,7 @@ class Document:
         scaled: np.ndarray = values.astype(np.float32) / np.float32(np.iinfo(dtype).max)
         return np.maximum(scaled, -1, out=scaled)
 
-    def _elements(self, owner: dict[str, Any], view: Any, dtype: np.dtype, count: int, size: int) -> np.ndarray:
+    def _elements(self, owner: dict[str, object], view: Any, dtype: np.dtype, count: int, size: int) -> np.ndarray:
         data = self.view(view)
         offset = self.integer(owner, "byteOffset", 0)
         width = dtype.itemsize * size
@@ -202,7 +209,7 @@ class Document:
             return np.zeros((0, size), dtype)
         return np.ndarray((count, size), dtype, data, offset, (stride, dtype.itemsize))
 
-    def _sparse(self, sparse: dict[str, Any], values: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    def _sparse(self, sparse: dict[str, object], values: np.ndarray, dtype: np.dtype) -> np.ndarray:
         count = self.integer(sparse, "count", high=len(values))
         where, what = sparse.get("indices"), sparse.get("values")
         if (

@@ -60,19 +60,19 @@ def unpack_primitives(document: Document) -> None:
             _fill(document, primitive, extension, arrays, number)
 
 
-def _accessors(document: Document, primitive: dict[str, Any]) -> list[Any]:
+def _accessors(document: Document, primitive: dict[str, object]) -> list[Any]:
     attributes = primitive.get("attributes")
     if not isinstance(attributes, dict):
         document.fail("a mesh has a primitive without attributes; the file is broken, export it again")
     return [*attributes.values(), *([primitive["indices"]] if "indices" in primitive else [])]
 
 
-def _plain(document: Document, primitive: dict[str, Any]) -> bool:
+def _plain(document: Document, primitive: dict[str, object]) -> bool:
     """Whether all accessors of a primitive have data of their own."""
     return all("bufferView" in document.item("accessors", index) for index in _accessors(document, primitive))
 
 
-def _declared(document: Document, packed: dict[int, list[tuple[dict[str, Any], dict[str, Any]]]]) -> int:
+def _declared(document: Document, packed: dict[int, list[tuple[dict[str, object], dict[str, object]]]]) -> int:
     """About how many bytes the accessors of the packed primitives say that they take."""
     total = 0
     for users in packed.values():
@@ -106,11 +106,15 @@ def _unpacked(document: Document, meshes: list[bytes]) -> dict[str, np.ndarray]:
 
 
 def _fill(
-    document: Document, primitive: dict[str, Any], extension: dict[str, Any], arrays: dict[str, np.ndarray], number: int
+    document: Document,
+    primitive: dict[str, object],
+    extension: dict[str, object],
+    arrays: dict[str, np.ndarray],
+    number: int,
 ) -> None:
     """Put unpacked values behind the accessors of a primitive."""
-    attributes = primitive["attributes"]
-    for name, identity in extension["attributes"].items():
+    attributes = document.entry(primitive, "attributes")
+    for name, identity in document.entry(extension, "attributes").items():
         if name not in attributes:
             continue
         values = arrays.get(f"{number}_{identity}")

@@ -70,7 +70,7 @@ def unpack_views(document: Document) -> None:
         document.buffers.append(data)
 
 
-def _plain(document: Document, view: dict[str, Any]) -> bool:
+def _plain(document: Document, view: dict[str, object]) -> bool:
     """Whether the bytes that a view stands for are there uncompressed too."""
     buffer = document.integer(view, "buffer")
     end = document.integer(view, "byteOffset", 0) + document.integer(view, "byteLength")
@@ -85,7 +85,7 @@ def _forget(document: Document) -> None:
             document.tree[key] = [name for name in names if name not in MESHOPT]
 
 
-def _unpacked(document: Document, index: int, extension: dict[str, Any], library: Any) -> bytes:
+def _unpacked(document: Document, index: int, extension: dict[str, object], library: Any) -> bytes:
     count, stride = document.integer(extension, "count", high=MAX_ELEMENTS), document.integer(extension, "byteStride")
     mode, name = str(extension.get("mode"))[:40], str(extension.get("filter", "NONE"))[:40]
     if mode not in _STRIDES or stride not in _STRIDES[mode] or (mode == "TRIANGLES" and count % 3):

@@ -66,6 +66,7 @@ def open_document(path: Path, data: bytes) -> Document:
         raise FormatError(
             path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again"
         ) from None
+    packed = any(name.encode() in written for name in MESHOPT), DRACO.encode() in written
     del written
     if not isinstance(tree, dict) or not isinstance(tree.get("asset"), dict):
         raise FormatError(path, "this is not a glTF document, it has no 'asset'; export it again as glTF 2.0")
@@ -83,8 +84,10 @@ def open_document(path: Path, data: bytes) -> Document:
         if "uri" in image:
             document.images[index] = files.resource(image["uri"], "image", missing_ok=True)
     document = replace(document, size=len(data) + files.size)
-    unpack_views(document)
-    unpack_primitives(document)
+    if packed[0]:
+        unpack_views(document)
+    if packed[1]:
+        unpack_primitives(document)
     return document
 
 
@@ -132,7 +135,7 @@ def _check_extensions(document: Document) -> None:
             )
 
 
-def _buffer(files: _Files, buffer: dict[str, Any], chunk: memoryview | None) -> bytes | memoryview:
+def _buffer(files: _Files, buffer: dict[str, object], chunk: memoryview | None) -> bytes | memoryview:
     document = files.document
     length = document.integer(buffer, "byteLength")
     data: bytes | memoryview

@@ -41,15 +41,15 @@ def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree
         bind = np.linalg.inv(inverse)
         known = [i for i, node in enumerate(nodes) if node in fixed]
         if known:
-            place: np.ndarray | None = fixed[nodes[known[0]]] @ inverse[known[0]]
+            matrix: np.ndarray | None = fixed[nodes[known[0]]] @ inverse[known[0]]
         else:
             visited += len(tree.parents)
             if visited > MOST_VISITS:
                 return tree
-            place = _placement(tree, _carried(tree, fixed), nodes, bind, meshes)
-        if place is None:
+            matrix = _placement(tree, _carried(tree, fixed), nodes, bind, meshes)
+        if matrix is None:
             return tree
-        for node, world in zip(nodes, place @ bind, strict=True):
+        for node, world in zip(nodes, matrix @ bind, strict=True):
             fixed.setdefault(node, world)
     if not fixed:
         return tree

@@ -54,14 +54,14 @@ def vertex_colors(document: Document, parts: tuple[MeshPart, ...], count: int) -
 
 
 def _primitive_colors(
-    document: Document, primitive: dict[str, Any], count: int, used: np.ndarray, images: dict[int, np.ndarray | None]
+    document: Document, primitive: dict[str, object], count: int, used: np.ndarray, images: dict[int, np.ndarray | None]
 ) -> np.ndarray:
     """Colours of those of a primitive's vertices that its triangles use, sRGB, shape (U, 3), uint8."""
     material = document.item("materials", primitive["material"]) if "material" in primitive else {}
     texture, factor = _base_color(document, material)
     texels = _sample(document, primitive, texture, count, used, images) if texture is not None else None
     shade = None
-    attributes = primitive["attributes"]
+    attributes = document.entry(primitive, "attributes")
     if "COLOR_0" in attributes and document.count(attributes["COLOR_0"]) == count:
         stored = document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"))
         shade = np.nan_to_num(stored[used, :3].astype(np.float32))
@@ -75,7 +75,7 @@ def _primitive_colors(
     return np.broadcast_to(np.round(255 * srgb_from_linear(linear)).astype(np.uint8), (len(used), 3))
 
 
-def _base_color(document: Document, material: dict[str, Any]) -> tuple[dict[str, Any] | None, np.ndarray]:
+def _base_color(document: Document, material: dict[str, object]) -> tuple[dict[str, Any] | None, np.ndarray]:
     shader, texture, factor = material.get("pbrMetallicRoughness", {}), "baseColorTexture", "baseColorFactor"
     extensions = material.get("extensions")
     if isinstance(extensions, dict) and isinstance(extensions.get("KHR_materials_pbrSpecularGlossiness"), dict):
@@ -88,21 +88,22 @@ def _base_color(document: Document, material: dict[str, Any]) -> tuple[dict[str,
 
 def _sample(
     document: Document,
-    primitive: dict[str, Any],
-    info: dict[str, Any],
+    primitive: dict[str, object],
+    info: dict[str, object],
     count: int,
     used: np.ndarray,
     images: dict[int, np.ndarray | None],
 ) -> np.ndarray | None:
     """Texels at the UVs of some vertices of a primitive, nearest neighbour, sRGB, shape (U, 3), uint8."""
-    transform = (info.get("extensions") or {}).get("KHR_texture_transform") or {}
+    transform = _extension(info, "KHR_texture_transform")
+    attributes = document.entry(primitive, "attributes")
     name = f"TEXCOORD_{transform.get('texCoord', info.get('texCoord', 0))}"
     texture = document.item("textures", info.get("index"))
     image = _image_of(texture)
-    if name not in primitive["attributes"] or image is None:
+    if name not in attributes or image is None:
         return None
     document.item("images", image)
-    accessor, pixels = primitive["attributes"][name], images.get(image)
+    accessor, pixels = attributes[name], images.get(image)
     if pixels is None or document.count(accessor) != count:
         return None
     uv = np.nan_to_num(document.accessor(accessor, ("VEC2",))[used].astype(np.float64), posinf=0, neginf=0)
@@ -126,8 +127,15 @@ def _sample(
     return pixels[texel[1], texel[0]]
 
 
-def _image_of(texture: dict[str, Any]) -> Any:
-    return texture.get("source", ((texture.get("extensions") or {}).get("EXT_texture_webp") or {}).get("source"))
+def _image_of(texture: dict[str, object]) -> Any:
+    return texture.get("source", _extension(texture, "EXT_texture_webp").get("source"))
+
+
+def _extension(owner: dict[str, object], name: str) -> dict[str, Any]:
+    """What an extension says of an object; nothing where it is not there."""
+    extensions = owner.get("extensions") or {}
+    said = extensions.get(name) if isinstance(extensions, dict) else None
+    return said if isinstance(said, dict) else {}
 
 
 def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np.ndarray | None]:

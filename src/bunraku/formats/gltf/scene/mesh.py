@@ -41,7 +41,7 @@ class PrimitiveData:
         triangles: For each primitive, vertex indices, shape (F, 3), int32.
         joints: Joints of the merged list, shape (V, M).
         weights: Their shares, rows sum to 1, shape (V, M); empty where there is no rig.
-        repaired: How many vertices had weights that had to be mended.
+        repaired: How many vertices had weights that had to be repaired.
     """
 
     primitives: tuple[int, ...]
@@ -82,19 +82,18 @@ def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int,
             document.fail(f"meshes[{mesh}] has a primitive without attributes; the file is broken, export it again")
         if "POSITION" not in attributes:
             continue  # glTF lets extensions bring positions; there is nothing to draw without one
-        groups.setdefault(_shared(primitive), []).append(index)
+        groups.setdefault(_shared(attributes, primitive.get("targets")), []).append(index)
     for members in groups.values():
         yield tuple(members), primitives[members[0]]["attributes"]
 
 
-def _shared(primitive: dict[str, Any]) -> tuple[str, ...]:
+def _shared(attributes: dict[str, object], targets: object) -> tuple[str, ...]:
     """What primitives of a mesh that share their vertices have in common."""
-    attributes = primitive["attributes"]
     names = ("POSITION", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1")
-    return *(repr(attributes.get(name)) for name in names), repr(primitive.get("targets"))
+    return *(repr(attributes.get(name)) for name in names), repr(targets)
 
 
-def primitive_triangles(document: Document, primitive: dict[str, Any], count: int) -> np.ndarray:
+def primitive_triangles(document: Document, primitive: dict[str, object], count: int) -> np.ndarray:
     """Vertex indices of the triangles of a primitive: lists, strips and fans; none for points and lines, shape (F,
     3).
     """
@@ -179,9 +178,9 @@ def skin_matrices(document: Document, tree: NodeTree, skins: SkinJoints, part: M
     return np.broadcast_to(tree.world[part.node], (len(part.groups[group].vertices), 4, 4))
 
 
-def rest_positions(document: Document, node: dict[str, Any], mesh: int, primitive: dict[str, Any]) -> np.ndarray:
+def rest_positions(document: Document, node: dict[str, object], mesh: int, primitive: dict[str, object]) -> np.ndarray:
     """Raw positions of a primitive with the default weights of its morph targets applied, shape (V, 3), float64."""
-    raw = document.accessor(primitive["attributes"]["POSITION"], ("VEC3",)).astype(float)
+    raw = document.accessor(document.entry(primitive, "attributes")["POSITION"], ("VEC3",)).astype(float)
     entry = document.item("meshes", mesh)
     weights = node.get("weights", entry.get("weights", []))
     targets = document.objects(primitive, "targets")
@@ -228,7 +227,7 @@ def check_size(document: Document, nodes: list[int]) -> None:
     document.check_memory(_VERTEX * vertices + _INFLUENCE * influences + _TRIANGLE * corners // 3)
 
 
-def _sizes(document: Document, mesh: dict[str, Any], weighted: int) -> np.ndarray:
+def _sizes(document: Document, mesh: dict[str, object], weighted: int) -> np.ndarray:
     """Vertices, corners, primitives, influences of a mesh with so many weights of morph targets, and vertices as often
     as they are gone over.
     """
@@ -240,7 +239,7 @@ def _sizes(document: Document, mesh: dict[str, Any], weighted: int) -> np.ndarra
         if not isinstance(attributes, dict) or "POSITION" not in attributes:
             continue
         count = document.count(attributes["POSITION"])
-        shared = _shared(primitive)
+        shared = _shared(attributes, primitive.get("targets"))
         if shared not in seen:
             vertices += count
             influences += count * 4 * sum(name in attributes for name in ("JOINTS_0", "JOINTS_1"))
@@ -264,9 +263,9 @@ def rigid_joints(tree: NodeTree, skins: SkinJoints) -> np.ndarray:
 
 
 def _influences(
-    document: Document, attributes: dict[str, Any], raw: np.ndarray, slots: int
+    document: Document, attributes: dict[str, object], raw: np.ndarray, slots: int
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Slots and weights of each vertex with broken weights mended, and how many were."""
+    """Slots and weights of each vertex with broken weights repaired, and how many were."""
     joints, weights = [], []
     for name in ("0", "1"):
         if f"JOINTS_{name}" in attributes and f"WEIGHTS_{name}" in attributes:

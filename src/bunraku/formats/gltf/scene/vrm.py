@@ -146,7 +146,7 @@ class _Reader:
                     self.spring(springs, spring)
         return self.model("0.x", _object(data.get("meta")).get("title"), humanoid, springs, colliders, groups)
 
-    def second(self, extensions: dict[str, Any]) -> VrmModel:
+    def second(self, extensions: dict[str, object]) -> VrmModel:
         """VRM 1.0."""
         data, swings = _object(extensions.get("VRMC_vrm")), _object(extensions.get("VRMC_springBone"))
         humanoid: dict[str, int] = {}
@@ -178,7 +178,7 @@ class _Reader:
         else:
             humanoid.setdefault(name[:40], node)
 
-    def shape(self, entry: dict[str, Any]) -> VrmCollider:
+    def shape(self, entry: dict[str, object]) -> VrmCollider:
         node, shape = self.node(entry.get("node")), _object(entry.get("shape"))
         extended = _object(_object(entry.get("extensions")).get("VRMC_springBone_extended_collider")).get("shape")
         shape = _object(extended) or shape
@@ -224,7 +224,7 @@ class _Reader:
             self.swinging += len(new.joints)
             springs.append(new)
 
-    def joints(self, entries: list[dict[str, Any]], name: str) -> tuple[VrmSpringJoint, ...]:
+    def joints(self, entries: list[dict[str, object]], name: str) -> tuple[VrmSpringJoint, ...]:
         """The joints of a spring of VRM 1.0, up to one that is not below the one before."""
         out: list[VrmSpringJoint] = []
         if len(entries) > LONGEST:
@@ -282,11 +282,11 @@ def _objects(value: Any) -> list[dict[str, Any]]:
     return [item for item in _list(value) if isinstance(item, dict)]
 
 
-def _number(owner: dict[str, Any], key: str, default: float) -> float:
+def _number(owner: dict[str, object], key: str, default: float) -> float:
     """A number, NaN where it is none."""
     value = owner.get(key, default)
     try:
-        return float(value) if type(value) in (int, float) else math.nan
+        return float(value) if isinstance(value, int | float) and type(value) is not bool else math.nan
     except OverflowError:
         return math.nan
 

@@ -64,7 +64,7 @@ SENTENCES: dict[str, tuple[str, str]] = {
     "spin": ("the ballerina spins", "he spins like a top"),
     "jumping jack": ("the class does jumping jacks", "he is doing jumping jacks"),
 }
-"""What is asked for, by the words of the lexicon."""
+"""What is requested, by the words of the lexicon."""
 SHORTEST = 20  # frames of a captured clip
 FOLDS = 5
 _LIMBS = ("wrist", "elbow", "ankle")
@@ -76,10 +76,10 @@ def _spread(values: np.ndarray) -> list[float]:
     return [*np.quantile(values, [0.1, 0.5, 0.9]), float(values.std()), float(np.abs(np.diff(values)).mean())]
 
 
-def _tempo(place: np.ndarray) -> list[float]:
+def _tempo(position: np.ndarray) -> list[float]:
     """Shares of five bands in the power of a way to and fro, shape (N, 3)."""
     long = np.zeros((_SPECTRUM, 3))
-    part = (place - place.mean(axis=0))[:_SPECTRUM]
+    part = (position - position.mean(axis=0))[:_SPECTRUM]
     long[: len(part)] = part
     power = (np.abs(np.fft.rfft(long, axis=0)) ** 2).sum(axis=1)
     return [float(power[low:high].sum() / (power.sum() + 1e-9)) for low, high in zip(_BANDS, _BANDS[1:], strict=False)]
@@ -92,15 +92,15 @@ def person_features(motion: HandleMotion) -> np.ndarray:
     track = Track.of(motion)
     found: list[float] = []
     root = motion.root_translation[:, 1]
-    places = {f"{side}_{part}": track.relative(f"{side}_{part}") for side in SIDES for part in _LIMBS}
+    positions = {f"{side}_{part}": track.relative(f"{side}_{part}") for side in SIDES for part in _LIMBS}
     for part in _LIMBS:
         sides = []
         for sign, side in zip((1, -1), SIDES, strict=True):
-            place = places[f"{side}_{part}"]
-            own = (sign * place[:, 0], place[:, 1] - root, place[:, 2])
+            position = positions[f"{side}_{part}"]
+            own = (sign * position[:, 0], position[:, 1] - root, position[:, 2])
             sides.append(np.concatenate([_spread(values) for values in own]))
         found += [*np.maximum(*sides), *np.minimum(*sides)]
-    found += _spread(np.linalg.norm(places["left_wrist"] - places["right_wrist"], axis=1))
+    found += _spread(np.linalg.norm(positions["left_wrist"] - positions["right_wrist"], axis=1))
     body = (track.feet.min(axis=1), track.feet.max(axis=1), track.height, track.up, track.speed, track.velocity[:, 0])
     for values in (*body, track.points["head"][:, 1] - root):
         found += _spread(values)
@@ -108,7 +108,7 @@ def person_features(motion: HandleMotion) -> np.ndarray:
     found += [float(abs(track.angle[-1] - track.angle[0])), float(np.abs(rate).mean()), float(np.abs(rate).max())]
     found.append(float(np.abs(track.velocity[:, 1]).mean()))
     for part in ("wrist", "ankle"):
-        both = np.array([_tempo(places[f"{side}_{part}"]) for side in SIDES])
+        both = np.array([_tempo(positions[f"{side}_{part}"]) for side in SIDES])
         found += [*both.max(axis=0), *both.min(axis=0)]
     return np.concatenate([action_features(motion), found])
 
@@ -163,7 +163,7 @@ def by_turns(clips: Sequence[ActionClip]) -> list[str]:
     """What each captured clip is named by a classifier of the clips of other files."""
     files = sorted({clip.clip for clip in clips})
     order = np.random.default_rng(0).permutation(len(files))
-    fold = {files[place]: number % FOLDS for number, place in enumerate(order)}
+    fold = {files[index]: number % FOLDS for number, index in enumerate(order)}
     answers = [""] * len(clips)
     for number in range(FOLDS):
         own = [index for index, clip in enumerate(clips) if fold[clip.clip] == number]

@@ -1,4 +1,4 @@
-"""What somebody who watches a motion sees: does it turn, wave, kick with the leg that was asked for, float, tremble?
+"""What somebody who watches a motion sees: does it turn, wave, kick with the requested leg, float, tremble?
 
 Each function measures one motion of the reference body, in its own metres and with y = 0 as the ground. Left and right
 are the body's own. `viewer.prompts` asks for motions and sums the measures up.
@@ -18,7 +18,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.geometry.extremes import part_extremes
-from bunraku.geometry.heading import heading
+from bunraku.geometry.rotations import heading
 from bunraku.language.description.track import SIDES, Track, runs
 from bunraku_lab.evaluation.motion.seams import posed_positions
 
@@ -79,11 +79,11 @@ def wave_of(motion: HandleMotion, side: str) -> Wave | None:
     if not stretches:
         return None
     start, stop = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
-    place = track.relative(f"{side}_wrist")[start:stop]
-    away = place - place.mean(axis=0)
+    position = track.relative(f"{side}_wrist")[start:stop]
+    away = position - position.mean(axis=0)
     along = away @ np.linalg.svd(away, full_matrices=False)[2][0]
     low, high = np.percentile(along, [5, 95])
-    frequency, power = periodogram(np.diff(place, axis=0), motion.fps, window="hann", detrend="constant", axis=0)
+    frequency, power = periodogram(np.diff(position, axis=0), motion.fps, window="hann", detrend="constant", axis=0)
     energy = power.sum(axis=1)
     return Wave(100 * float(high - low), float(energy[frequency > SWAY].sum() / max(energy.sum(), 1e-30)))
 
@@ -106,9 +106,9 @@ def waving_side(motion: HandleMotion) -> str | None:
     track = Track.of(motion)
     ways = {}
     for side in SIDES:
-        place = track.relative(f"{side}_wrist")
+        position = track.relative(f"{side}_wrist")
         ways[side] = sum(
-            float(np.linalg.norm(np.diff(place[start:stop], axis=0), axis=1).sum())
+            float(np.linalg.norm(np.diff(position[start:stop], axis=0), axis=1).sum())
             for start, stop in _raised(track, side)
         )
     return _larger(ways, 0.0)
@@ -173,7 +173,7 @@ def moving_speed(motion: HandleMotion) -> float:
 
 
 def tremor(motion: HandleMotion) -> float:
-    """Mean norm of the third difference of the places of a person's 22 parts from frame to frame [cm]."""
+    """Mean norm of the third difference of the positions of a person's 22 parts from frame to frame [cm]."""
     third = np.diff(posed_positions(motion)[:, :JOINT_COUNT].astype(float), 3, axis=0)
     return 100 * float(np.linalg.norm(third, axis=-1).mean()) if len(third) else 0.0
 

@@ -19,7 +19,6 @@ from bunraku.errors import FormatError
 from bunraku.language.description.track import SIDES
 from bunraku.language.lexicon.reading import main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
-from bunraku_lab.evaluation.bars import Bar
 from bunraku_lab.evaluation.motion.seams import measure_seams
 from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Report
 from bunraku_lab.evaluation.motion.viewer import measures as viewer
@@ -30,6 +29,7 @@ from bunraku_lab.evaluation.motion.viewer.action_test import (
     captured_classifier,
     named,
 )
+from bunraku_lab.evaluation.report import Bar
 
 __all__ = ["VIEWER_BARS", "Captured", "captured_clips", "viewer_figures"]
 
@@ -51,7 +51,7 @@ VIEWER_BARS = {
     "turn_around_share": Bar("- share of 130 to 230 degrees", 0.7),
     "wave_range_cm": Bar("waves: way of the hand to and fro, median [cm]", 15),
     "wave_above_5hz": Bar("- share of its velocity's energy above 5 Hz, median", most=0.3),
-    "side_accuracy": Bar("kicks, punches, raises, waves, steps with the side asked for", 0.9),
+    "side_accuracy": Bar("kicks, punches, raises, waves, steps with the requested side", 0.9),
     "speed_over_captured": Bar("speed of walks and runs over captured, the farthest from 1", 0.8, 1.2),
     "jitter_over_real": Bar("third difference over captured, the largest of 8 actions", most=1.5),
     "float_share": Bar("frames in which nothing carries the body", most=0.05),
@@ -126,7 +126,7 @@ def captured_clips(data: Path, wanted: Mapping[str, Captured]) -> dict[str, list
     Raises:
         FormatError: The index or a clip is missing or damaged.
     """
-    places: dict[str, dict[str, list[tuple[str, int, int]]]] = {name: {} for name in wanted}
+    rows: dict[str, dict[str, list[tuple[str, int, int]]]] = {name: {} for name in wanted}
     for clip, entry in load_index(data).items():
         if any(entry.get(key) for key in ("species", "character", "action")):
             continue
@@ -139,9 +139,9 @@ def captured_clips(data: Path, wanted: Mapping[str, Captured]) -> dict[str, list
                 barred = what.unsaid and re.search(what.unsaid, words, re.IGNORECASE)
                 if actions == (what.action,) and re.search(what.said, words, re.IGNORECASE) and not barred:
                     split = entry.get("split", "train")
-                    places[name].setdefault(split, []).append((clip, int(part["start"]), int(part["stop"])))
+                    rows[name].setdefault(split, []).append((clip, int(part["start"]), int(part["stop"])))
     found = {}
-    for name, own in places.items():
+    for name, own in rows.items():
         chosen = own.get("test", []) + own.get("val", [])
         if len(chosen) < ENOUGH:
             chosen = chosen + own.get("train", [])
@@ -165,12 +165,12 @@ def viewer_figures(config: MotionEvalConfig, quick: bool, report: Report) -> dic
         FormatError: The data are missing or damaged.
         WeightsError: The weights are missing or broken.
     """
-    from bunraku.diffusion.generate import generate_motions
+    from bunraku.diffusion.generation.generate import generate_motions
     from bunraku.language.parse import clauses_of
 
     how: dict[str, Any] = {
         "steps": config.steps, "guidance": config.guidance, "checkpoint": config.checkpoint,
-        "candidates": config.best_of, "examples": config.examples, "pull": config.pull,
+        "candidates": config.best_of, "examples": config.examples, "classifier_guidance": config.classifier_guidance,
     }  # fmt: skip
 
     def make(wanted: Sequence[tuple[str, float]]) -> list[HandleMotion]:
@@ -244,7 +244,7 @@ def _waves(make: Make, seeds: int) -> dict[str, Any]:
 
 
 def _sides(make: Make, seeds: int) -> dict[str, Any]:
-    """Whether the side that is asked for does it, of two phrasings and both sides, 3 s each."""
+    """Whether the requested side does it, of two phrasings and both sides, 3 s each."""
     table = {}
     for action, phrasings in SIDE_PROMPTS.items():
         asked = [(phrasing, side) for phrasing in phrasings for side in SIDES for _ in range(seeds)]
@@ -294,7 +294,7 @@ def _ground(make: Make, seeds: int) -> dict[str, Any]:
 
 def _minute(make: Make, config: MotionEvalConfig, seeds: int) -> dict[str, Any]:
     """Walks of a minute: the largest change of heading, and the largest jump at a seam, of all seeds."""
-    from bunraku.diffusion.networks import load_generator
+    from bunraku.diffusion.generation.networks import load_generator
     from bunraku.diffusion.sampling.windows import plan_windows
 
     model, _ = load_generator(config.checkpoint)

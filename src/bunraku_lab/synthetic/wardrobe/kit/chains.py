@@ -104,7 +104,7 @@ def add_chains(
     Args:
         costume: What they are added to.
         names: Name of each chain; links are numbered.
-        nodes: Places where links begin, and the end of the last, shape (C, R + 1, 3).
+        nodes: Positions where links begin, and the end of the last, shape (C, R + 1, 3).
         outward: Directions away from the body, shape (C, 3).
         parent: Bone that they hang on, with a kinematic body; one for all or one each.
         hang: How they move.
@@ -198,13 +198,13 @@ def _link_body(
 
 
 def _joint(
-    name: str, bodies: tuple[int, int], place: np.ndarray, frame: np.ndarray, hang: Hang, share: float
+    name: str, bodies: tuple[int, int], position: np.ndarray, frame: np.ndarray, hang: Hang, share: float
 ) -> MmdJoint:
     # MMD counts an angle from the second body to the first, so outwards is positive here.
     low = np.array([-hang.inward, -hang.twist, -hang.side]) * _DEGREE
     high = np.array([hang.out, hang.twist, hang.side]) * _DEGREE
     stiff = hang.spring * share * SPRING * np.array([1.0, 1.5, 1.0])
-    return MmdJoint(name, bodies, place, frame, np.zeros(3), np.zeros(3), low, high, np.zeros(3), stiff)
+    return MmdJoint(name, bodies, position, frame, np.zeros(3), np.zeros(3), low, high, np.zeros(3), stiff)
 
 
 def _cross(
@@ -224,7 +224,9 @@ def _cross(
     for chain in range(count if closed else count - 1):
         after = (chain + 1) % count
         for link in rows:
-            place = 0.25 * (nodes[chain, link] + nodes[chain, link + 1] + nodes[after, link] + nodes[after, link + 1])
+            position = 0.25 * (
+                nodes[chain, link] + nodes[chain, link + 1] + nodes[after, link] + nodes[after, link + 1]
+            )
             down = nodes[chain, link + 1] + nodes[after, link + 1] - nodes[chain, link] - nodes[after, link]
             frame = bone_frame(down, unit(outward[chain] + outward[after]))
             apart = float(np.linalg.norm(nodes[after, link + 1] - nodes[chain, link + 1]))
@@ -235,7 +237,7 @@ def _cross(
                 MmdJoint(
                     label,
                     (int(bodies[chain, link]), int(bodies[after, link])),
-                    place,
+                    position,
                     frame,
                     -give,
                     give,

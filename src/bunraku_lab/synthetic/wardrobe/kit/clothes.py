@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bunraku_lab.synthetic.wardrobe.kit.figure import Figure, Skin
+from bunraku_lab.synthetic.people.figure import Figure, Skin
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import body_weights
 

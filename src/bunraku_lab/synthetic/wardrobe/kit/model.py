@@ -14,8 +14,8 @@ from bunraku.core.mmd_model import MMD_METRE, MmdBody, MmdBone, MmdJoint
 from bunraku.formats.mmd.build import MmdFile, MmdMaterial, mmd_character
 from bunraku.formats.mmd.document import LIGHT
 from bunraku.formats.mmd.pmx import read_pmx_file
-from bunraku.formats.mmd.pmx_write import pmx_bytes
-from bunraku.geometry.normals import vertex_normals
+from bunraku.geometry.surface import vertex_normals
+from bunraku_lab.synthetic.wardrobe.kit.pmx_write import pmx_bytes
 
 __all__ = ["Costume", "Part", "bone_frame"]
 
@@ -51,7 +51,7 @@ class Costume:
 
     Args:
         name: Its name.
-        bones, bodies, joints: As in `MmdModel`; places are in our frame.
+        bones, bodies, joints: As in `MmdModel`; positions are in our frame.
         tails: Bones that a bone points to.
         parts: Its surfaces.
         colors: sRGB of each material from 0 to 1, shape (3,).
@@ -59,6 +59,7 @@ class Costume:
         facets: Whether each face has vertices and normals of its own, as loose low-polygon meshes have.
         seed: Of what differs from one piece of apparel to the next: springs, limits, where it begins to move.
         quiet: Whether little of the character is apparel: bands, tips and small pieces.
+        fine: Factor on the number of vertices of what hangs, along each side.
     """
 
     name: str
@@ -72,8 +73,9 @@ class Costume:
     facets: bool = False
     seed: int = 0
     quiet: bool = False
+    fine: float = 1.0
 
-    def place(self, name: str) -> int:
+    def bone_index(self, name: str) -> int:
         """Index of the bone with this name.
 
         Raises:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from bunraku.core.mmd_model import MmdBody, MmdBone, MmdIk, MmdIkLink
-from bunraku_lab.synthetic.wardrobe.kit.figure import Figure, J
+from bunraku_lab.synthetic.people.figure import Figure, J
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume, bone_frame
 
 __all__ = ["ARMS", "HEAD", "LEGS", "SOLID", "TRUNK", "add_skeleton", "body_weights", "capsule_of"]
@@ -76,7 +76,7 @@ def _bones(costume: Costume, figure: Figure) -> None:
 
 def _leg_ik(costume: Costume, mark: str, at: dict[str, np.ndarray]) -> None:
     """Goals of the ankle and of the toes; the knee only bends backwards."""
-    leg, knee, ankle, toe = (costume.place(mark + name) for name in ("足", "ひざ", "足首", "つま先"))
+    leg, knee, ankle, toe = (costume.bone_index(mark + name) for name in ("足", "ひざ", "足首", "つま先"))
     bend = [np.array([angle, 0, 0], np.float32).astype(float) for angle in (np.radians(0.5), np.pi)]
     letter = "L" if mark == "左" else "R"
     links = MmdIkLink(knee, *bend), MmdIkLink(leg)
@@ -105,7 +105,7 @@ def body_weights(costume: Costume, weights: np.ndarray) -> tuple[np.ndarray, np.
     for name, joint in J.items():
         side, _, part = name.partition("_")
         mark = {"left": "左", "right": "右"}.get(side, "")
-        bones[joint] = costume.place(mark + _BONE_OF[part if mark else name])
+        bones[joint] = costume.bone_index(mark + _BONE_OF[part if mark else name])
     return np.tile(bones, (len(weights), 1)), weights
 
 
@@ -122,7 +122,7 @@ def _colliders(costume: Costume, figure: Figure) -> None:
     everything = 0xFFFF & ~(SOLID["trunk"] | SOLID["head"] | SOLID["arms"] | SOLID["legs"])
 
     def put(name: str, bone: str, a: np.ndarray, b: np.ndarray, radius: float, group: int) -> None:
-        costume.body(capsule_of(name, costume.place(bone), a, b, radius, group, everything))
+        costume.body(capsule_of(name, costume.bone_index(bone), a, b, radius, group, everything))
 
     _trunk(figure, put)
     center, half = figure.skull

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from bunraku_lab.synthetic.people.figure import Figure
 from bunraku_lab.synthetic.surfaces import curve_through, sheet_faces, strand, unit
 from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains, band_start
-from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID
 
@@ -54,27 +54,27 @@ class Scalp:
 
 
 def add_hair(
-    costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, colors: tuple[str, str], fine: float
+    costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, colors: tuple[str, str]
 ) -> Scalp:
     """Hair of a kind: "short", "bob", "ponytail", "twin tails", "long", with a fringe; returns the dome that it lies
     on.
     """
     scalp = Scalp(figure, float(rng.uniform(0.08, 0.14)) * float(figure.skull[1][0]))
-    bone = costume.place("頭")
-    _cap(costume, scalp, bone, rng, kind, colors[0], fine)
-    _fringe(costume, figure, scalp, bone, rng, colors[0], fine)
+    bone = costume.bone_index("頭")
+    _cap(costume, scalp, bone, rng, kind, colors[0])
+    _fringe(costume, figure, scalp, bone, rng, colors[0])
     if kind == "ponytail":
-        _tail(costume, figure, scalp, rng, "ポニテ", np.pi, float(rng.uniform(0.9, 1.5)), colors, fine)
+        _tail(costume, figure, scalp, rng, "ポニテ", np.pi, float(rng.uniform(0.9, 1.5)), colors)
     elif kind == "twin tails":
         turn, fall = float(rng.uniform(1.75, 2.2)), float(rng.uniform(0.85, 1.45))
         state = rng.bit_generator.state
         for mark, side in (("左", 1), ("右", -1)):
             rng.bit_generator.state = state  # both alike
-            _tail(costume, figure, scalp, rng, f"{mark}ツインテ", side * turn, fall, colors, fine)
+            _tail(costume, figure, scalp, rng, f"{mark}ツインテ", side * turn, fall, colors)
     elif kind == "long":
-        _long(costume, figure, scalp, rng, colors[0], fine)
+        _long(costume, figure, scalp, rng, colors[0])
     if kind in ("long", "bob", "ponytail", "twin tails") and rng.random() < (0.25 if costume.quiet else 0.65):
-        _side_locks(costume, figure, scalp, rng, colors[0], fine)
+        _side_locks(costume, figure, scalp, rng, colors[0])
     costume.words.append(f"{kind} hair" if kind in ("short", "long") else kind)
     return scalp
 
@@ -84,11 +84,9 @@ def _fall_of(rng: np.random.Generator) -> float:
     return float(rng.uniform(0.25, 0.62) if rng.random() < 0.7 else rng.uniform(0.62, 1.0))
 
 
-def _cap(
-    costume: Costume, scalp: Scalp, bone: int, rng: np.random.Generator, kind: str, material: str, fine: float
-) -> None:
+def _cap(costume: Costume, scalp: Scalp, bone: int, rng: np.random.Generator, kind: str, material: str) -> None:
     """The dome itself, from the hairline in front over the ears to the nape."""
-    columns, rows = max(round(28 * fine), 14), max(round(10 * fine), 6)
+    columns, rows = max(round(28 * costume.fine), 14), max(round(10 * costume.fine), 6)
     turn = np.arange(columns) * 2 * np.pi / columns
     back = 0.5 - 0.5 * np.cos(turn)
     nape = {"short": 2.2, "bob": 2.4, "long": 2.25}.get(kind, 2.15)
@@ -110,9 +108,7 @@ def _cap(
     costume.add(np.concatenate([points.reshape(-1, 3), crown[None]]), np.concatenate([faces, top]), bone, 1, material)
 
 
-def _fringe(
-    costume: Costume, figure: Figure, scalp: Scalp, bone: int, rng: np.random.Generator, material: str, fine: float
-) -> None:
+def _fringe(costume: Costume, figure: Figure, scalp: Scalp, bone: int, rng: np.random.Generator, material: str) -> None:
     """Locks over the forehead, parted somewhere; their lower halves may swing."""
     count = int(rng.integers(5, 9))
     part = float(rng.uniform(-0.5, 0.5))
@@ -122,14 +118,14 @@ def _fringe(
     for number, turn in enumerate(turns):
         lean = 0.22 * np.sign(turn - part + 1e-6) * float(rng.uniform(0.3, 1))
         low = end + 0.22 * abs(turn) + float(rng.uniform(-0.08, 0.08))
-        t = np.linspace(0, 1, max(round(7 * fine), 5))
+        t = np.linspace(0, 1, max(round(7 * costume.fine), 5))
         fall = 0.35 + (low - 0.35) * t
         path = scalp.at(
             turn + lean * t**2, fall, scalp.thick * (0.15 + 0.5 * np.sin(np.pi * t)) - 0.3 * scalp.thick * (t > 0.99)
         )
         wide = 1.5 * scalp.half[0] / count * np.array([1.0, 1.25, 1.2, 0.75, 0.08])
         width = np.interp(t, [0, 0.35, 0.6, 0.85, 1], wide)
-        points, faces, place = strand(path, path - scalp.center, width, 0.28 * width + 0.002, 6)
+        points, faces, position = strand(path, path - scalp.center, width, 0.28 * width + 0.002, 6)
         if not swings:
             costume.add(points, faces, bone, 1, material)
             continue
@@ -142,7 +138,7 @@ def _fringe(
         chains = add_chains(
             costume, [f"前髪{number}"], ends, unit(path[low] - scalp.center)[None], bone, hang, cross=False
         )
-        costume.add(points, faces, *chains.weights((place - low) / (len(path) - 1 - low)), material)
+        costume.add(points, faces, *chains.weights((position - low) / (len(path) - 1 - low)), material)
 
 
 def _tail(
@@ -154,7 +150,6 @@ def _tail(
     turn: float,
     fall: float,
     colors: tuple[str, str],
-    fine: float,
 ) -> None:
     """A tail of hair bound on the dome that falls behind or beside the head, clear of the body."""
     u, size = rng.uniform, float(scalp.half[0])
@@ -165,7 +160,7 @@ def _tail(
     knee = root + way * out
     drop = np.array([np.sin(turn), 0, np.cos(turn)])
     heights = np.linspace(knee[1] - 0.6 * out, end, 6)
-    places = [root, knee]
+    positions = [root, knee]
     start = knee + 0.35 * out * drop
     far = float((start - [scalp.center[0], 0, scalp.center[2]]) @ drop)
     axis = scalp.center[[0, 2]]
@@ -174,12 +169,12 @@ def _tail(
         band = 0.04 * figure.height
         body = (figure.rim if behind else figure.profile)(float(height), np.array([turn]), center=axis, band=band)[0]
         far = max(far, min(float(body), far + 0.1 * figure.height) + 1.15 * fat)
-        places.append(
+        positions.append(
             np.array([axis[0] + drop[0] * far, height, axis[1] + drop[2] * far - (0.0 if behind else 0.35 * size)])
         )
     begin = band_start(costume, name)
     links = int(np.clip(round((1 - begin) * (root[1] - end) / (0.085 * figure.height)), 1 if begin else 3, 9))
-    whole = curve_through(np.array(places), 65)
+    whole = curve_through(np.array(positions), 65)
     curve = curve_through(whole[round(64 * begin) :], links + 1)
     hang = Hang(
         mass=0.8,
@@ -194,23 +189,21 @@ def _tail(
         group=HAIR,
         meets=_MEETS,
     )
-    chains = add_chains(costume, [name], curve[None], drop[None], costume.place("頭"), hang, cross=False)
-    rows = max(round(3.2 * links / (1 - begin) * fine), links + 3)
-    fine_curve = curve_through(np.array(places), rows)
+    chains = add_chains(costume, [name], curve[None], drop[None], costume.bone_index("頭"), hang, cross=False)
+    rows = max(round(3.2 * links / (1 - begin) * costume.fine), links + 3)
+    fine_curve = curve_through(np.array(positions), rows)
     t = np.linspace(0, 1, rows)
     widths = fat * np.interp(
         t, [0, 0.06, 0.25, 0.6, 0.9, 1], [0.35, 0.6, 1.0, float(u(0.7, 1.05)), float(u(0.25, 0.6)), 0.03]
     )
-    points, faces, place = strand(fine_curve, drop, 1.15 * widths, 0.85 * widths, max(round(10 * fine), 6))
-    costume.add(points, faces, *chains.weights((place / (rows - 1) - begin) / (1 - begin) * links), colors[0])
-    tie = curve_through(np.array(places), 40)[1:5]
+    points, faces, position = strand(fine_curve, drop, 1.15 * widths, 0.85 * widths, max(round(10 * costume.fine), 6))
+    costume.add(points, faces, *chains.weights((position / (rows - 1) - begin) / (1 - begin) * links), colors[0])
+    tie = curve_through(np.array(positions), 40)[1:5]
     points, faces, _ = strand(tie, drop, 0.6 * fat, 0.52 * fat, 8)
-    costume.add(points, faces, costume.place("頭"), 1, colors[1])
+    costume.add(points, faces, costume.bone_index("頭"), 1, colors[1])
 
 
-def _side_locks(
-    costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generator, material: str, fine: float
-) -> None:
+def _side_locks(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generator, material: str) -> None:
     """A lock before each ear that hangs beside the face."""
     length = float(rng.uniform(1.3, 2.6)) * float(scalp.half[1])
     fat = float(rng.uniform(0.16, 0.24)) * float(scalp.half[0])
@@ -223,7 +216,7 @@ def _side_locks(
             last - [0, length * share, 0] + np.array([side * 0.05, 0, 0.12]) * share * scalp.half[0]
             for share in (0.4, 0.75, 1.0)
         ]
-        places = np.concatenate([top, np.array(drops)])
+        positions = np.concatenate([top, np.array(drops)])
         links = 2
         hung = np.concatenate([top[-1:], np.array(drops)])
         out = np.array([np.sin(turn), 0, np.cos(turn)])
@@ -241,28 +234,30 @@ def _side_locks(
             meets=_MEETS,
         )
         chain = curve_through(hung, links + 1)
-        chains = add_chains(costume, [f"{mark}横髪"], chain[None], out[None], costume.place("頭"), hang, cross=False)
-        rows = max(round(14 * fine), 8)
-        curve = curve_through(places, rows)
+        chains = add_chains(
+            costume, [f"{mark}横髪"], chain[None], out[None], costume.bone_index("頭"), hang, cross=False
+        )
+        rows = max(round(14 * costume.fine), 8)
+        curve = curve_through(positions, rows)
         t = np.linspace(0, 1, rows)
         width = fat * np.interp(t, [0, 0.2, 0.6, 0.9, 1], [0.3, 0.9, 1.0, 0.55, 0.04])
-        points, faces, place = strand(curve, out, width, 0.5 * width, max(round(7 * fine), 5))
+        points, faces, position = strand(curve, out, width, 0.5 * width, max(round(7 * costume.fine), 5))
         begin = float(
-            np.linalg.norm(np.diff(places[:3], axis=0), axis=1).sum()
-            / max(np.linalg.norm(np.diff(places, axis=0), axis=1).sum(), 1e-9)
+            np.linalg.norm(np.diff(positions[:3], axis=0), axis=1).sum()
+            / max(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum(), 1e-9)
         )
-        along = (place / (rows - 1) - begin) / (1 - begin) * links
+        along = (position / (rows - 1) - begin) / (1 - begin) * links
         bones, shares = chains.weights(np.maximum(along, -0.5))
         costume.add(points, faces, bones, shares, material)
 
 
-def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generator, material: str, fine: float) -> None:
+def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generator, material: str) -> None:
     """Loose hair that falls from the back of the dome over nape and back in one curtain."""
     u = rng.uniform
     wide = float(u(1.75, 2.05))  # how far round to the front it begins
     count = int(rng.integers(5, 8))
     end = max(float(scalp.center[1] - _fall_of(rng) * figure.height), 0.05 * figure.height)
-    fine_turns = np.linspace(np.pi - wide, np.pi + wide, max(round(6 * count * fine), 3 * count))
+    fine_turns = np.linspace(np.pi - wide, np.pi + wide, max(round(6 * count * costume.fine), 3 * count))
     top = 1.35
     base = scalp.at(fine_turns, top, 0.45 * scalp.thick)
     axis = scalp.center[[0, 2]]
@@ -296,9 +291,9 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
         group=HAIR, meets=_MEETS, give=0.15,
     )  # fmt: skip
     chains = add_chains(
-        costume, [f"後髪{number}" for number in range(count)], nodes, outward, costume.place("頭"), hang
+        costume, [f"後髪{number}" for number in range(count)], nodes, outward, costume.bone_index("頭"), hang
     )
-    rows = max(round(3.5 * links / (1 - begin) * fine), 2 * links) + 1
+    rows = max(round(3.5 * links / (1 - begin) * costume.fine), 2 * links) + 1
     columns = len(fine_turns)
     smooth = np.stack([curve_through(grid[:, column], rows) for column in range(columns)], axis=1)
     t = np.linspace(0, 1, rows)[:, None]
@@ -314,9 +309,9 @@ def _long(costume: Costume, figure: Figure, scalp: Scalp, rng: np.random.Generat
     hung = (t[:, 0] - begin) / (1 - begin) * links
     along = np.concatenate([np.full(3, -0.5), hung])
     across = np.linspace(0, count - 1, columns)
-    for points, places, faces in (
+    for points, positions, faces in (
         (outer, along, sheet_faces(rows + 3, columns)),
         (inner, hung, sheet_faces(rows, columns)[:, ::-1]),
     ):
-        bones, shares = chains.weights(np.repeat(places, columns), np.tile(across, len(places)))
+        bones, shares = chains.weights(np.repeat(positions, columns), np.tile(across, len(positions)))
         costume.add(points.reshape(-1, 3), faces, bones, shares, material)

@@ -2,46 +2,61 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bunraku_lab.synthetic.people.figure import Figure
 from bunraku_lab.synthetic.surfaces import sheet_faces, unit
 from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains, band_start
 from bunraku_lab.synthetic.wardrobe.kit.clothes import collar_field
-from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID, body_weights
-from bunraku_lab.synthetic.wardrobe.pieces.skirts import Drape, hanging_rings
+from bunraku_lab.synthetic.wardrobe.pieces.skirts import Drape, Outline, hanging_rings
 
 __all__ = ["add_cape", "add_coat", "add_sleeves"]
 
 COAT, CAPE, SLEEVE = 6, 7, 8
 
 
+@dataclass(frozen=True)
+class _Cloth:
+    """A sheet of cloth.
+
+    Args:
+        span: Directions of its first and last column at the top and at the hem, shape (2, 2) [rad].
+        colors: Materials outside and inside.
+        wave: Depth of folds over the radius.
+        lining: Distance of the inside [m].
+    """
+
+    span: np.ndarray
+    colors: tuple[str, str]
+    wave: float
+    lining: float
+
+
 def _sheet(
-    costume: Costume, drape: Drape, span: np.ndarray, names: str, bone: int, hang: Hang,
-    *, links: int, count: int, fine: float, colors: tuple[str, str],
-    wave: float, lining: float,
-) -> np.ndarray:  # fmt: skip
+    costume: Costume, drape: Drape, cloth: _Cloth, names: str, bone: int, hang: Hang, links: int, count: int
+) -> np.ndarray:
     """An open sheet on chains, with a lining inside; returns its points.
 
     Args:
         costume: What it is added to.
         drape: The rings it hangs in.
-        span: Directions of its first and last column at the top and at the hem, shape (2, 2) [rad].
+        cloth: The sheet.
         names: What the chains are called.
         bone: What they hang on.
         hang: How they move.
         links, count: Of the chains.
-        fine: Factor on the number of vertices.
-        colors: Materials outside and inside.
-        wave: Depth of folds over the radius.
-        lining: Distance of the inside [m].
     """
+    span, colors, wave, lining = cloth.span, cloth.colors, cloth.wave, cloth.lining
     begin = band_start(costume, names)
     links = max(round((1 - begin) * links), 1)
-    columns, rows = max(round(4 * (count - 1) * fine), 2 * count) + 1, max(round(4 * links * fine), 2 * links) + 1
+    columns, rows = (
+        max(round(4 * (count - 1) * costume.fine), 2 * count) + 1,
+        max(round(4 * links * costume.fine), 2 * links) + 1,
+    )
 
     def grid(share: np.ndarray, across: np.ndarray, lift: float = 0.0, fold: float = 0.0) -> np.ndarray:
         out = []
@@ -77,7 +92,6 @@ def add_coat(
     waist: float,
     colors: tuple[str, str],
     thick: float,
-    fine: float,
 ) -> np.ndarray:
     """A long coat: a jacket with sleeves, its skirts open in front below the waist; returns its points but those of the
     sleeves.
@@ -96,7 +110,7 @@ def add_coat(
     costume.add(jacket.puffed(swell).points, jacket.faces, bones, shares, colors[0])
     knee, ankle = figure.at("left_knee")[1], figure.at("left_ankle")[1]
     hem = float(np.interp(u(0.2, 1.6), [0, 1, 2], [0.5 * (figure.at("left_hip")[1] + knee), knee, ankle]))
-    drape = hanging_rings(figure, waist, hem, flare=float(u(0.1, 0.35)), bow=float(u(0.8, 1.2)), clear=0.018 * h)
+    drape = hanging_rings(figure, waist, hem, Outline(float(u(0.1, 0.35)), float(u(0.8, 1.2)), 0.018 * h))
     gap = float(u(0.12, 0.4))
     wider = gap + float(u(0.05, 0.35))
     span = np.array([[gap, 2 * np.pi - gap], [wider, 2 * np.pi - wider]])
@@ -106,19 +120,14 @@ def add_coat(
         box=True, group=COAT,
         meets=SOLID["legs"], give=0.15,
     )  # fmt: skip
-    points = _sheet(
-        costume, drape, span, "コート", costume.place("下半身"), hang, links=links, count=int(rng.integers(8, 11)),
-        fine=fine,
-        colors=colors,
-        wave=float(u(0, 0.03)), lining=0.004 * h,
-    )  # fmt: skip
+    count = int(rng.integers(8, 11))
+    cloth = _Cloth(span, colors, float(u(0, 0.03)), 0.004 * h)
+    points = _sheet(costume, drape, cloth, "コート", costume.bone_index("下半身"), hang, links, count)
     costume.words.append("long coat")
     return np.concatenate([points, jacket.puffed(swell).points[jacket.reach < 0.8]])
 
 
-def add_cape(
-    costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str], fine: float
-) -> np.ndarray:
+def add_cape(costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str]) -> np.ndarray:
     """A cape from the neck down the back; returns its points."""
     u, h = rng.uniform, figure.height
     neck, hip, ankle = figure.at("neck")[1], figure.at("left_hip")[1], figure.at("left_ankle")[1]
@@ -129,9 +138,7 @@ def add_cape(
         figure,
         top,
         hem,
-        flare=float(u(0.02, 0.2)),
-        bow=1.0,
-        clear=0.022 * h,
+        Outline(float(u(0.02, 0.2)), 1.0, 0.022 * h),
         rings=24,
         center=center,
         convex=False,
@@ -144,13 +151,10 @@ def add_cape(
         thick=0.008 * h, box=True, group=CAPE,
         meets=SOLID["legs"] | SOLID["trunk"], give=0.15,
     )  # fmt: skip
-    chest = costume.place("上半身2")
-    points = _sheet(
-        costume, drape, span, "マント", chest, hang, links=links, count=int(rng.integers(5, 8)), fine=fine,
-        colors=colors,
-        wave=float(u(0.0, 0.05)),
-        lining=0.004 * h,
-    )  # fmt: skip
+    chest = costume.bone_index("上半身2")
+    count = int(rng.integers(5, 8))
+    cloth = _Cloth(span, colors, float(u(0.0, 0.05)), 0.004 * h)
+    points = _sheet(costume, drape, cloth, "マント", chest, hang, links, count)
     angles = np.linspace(0, 2 * np.pi, 28, endpoint=False)
     drape = replace(drape, radii=np.minimum(drape.radii, 1.25 * np.median(drape.radii[0])))
     chin = float(figure.head[:, 1].min()) - top
@@ -166,9 +170,7 @@ def add_cape(
     return points
 
 
-def add_sleeves(
-    costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str], fine: float
-) -> None:
+def add_sleeves(costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str]) -> None:
     """Wide sleeves: pouches of cloth that hang from the forearms."""
     u, h = rng.uniform, figure.height
     drop, begin, wide = float(u(0.09, 0.26)) * h, float(u(-0.25, 0.2)), float(u(1.35, 1.8))
@@ -206,12 +208,12 @@ def add_sleeves(
             [f"{mark}袖{number}" for number in range(count)],
             nodes,
             np.tile(normal, (count, 1)),
-            costume.place(f"{mark}ひじ"),
+            costume.bone_index(f"{mark}ひじ"),
             hang,
         )
-        columns = max(round(12 * fine), 7)
+        columns = max(round(12 * costume.fine), 7)
         share = np.linspace(begin, 1.0 + 0.03 / max(length, 0.1), columns)
-        half, over = max(round(9 * fine), 6), max(round(6 * fine), 4)
+        half, over = max(round(9 * costume.fine), 6), max(round(6 * costume.fine), 4)
         # Around a section: over the arm, down one side, up the other.
         turn = np.linspace(0, np.pi, 2 * over + 1)
         ring = [(np.cos(t), -np.sin(t), 0.0) for t in turn]
@@ -232,13 +234,13 @@ def add_sleeves(
         arm = (share < 0)[None] & (np.ones(len(table), bool))[:, None]
         blend = np.clip(-np.tile(share, len(table)) / max(-begin, 0.05), 0, 1) * arm.reshape(-1)
         elbow_share = 1 - blend
-        bones = np.column_stack([bones, np.full(len(bones), costume.place(f"{mark}腕"))])
+        bones = np.column_stack([bones, np.full(len(bones), costume.bone_index(f"{mark}腕"))])
         shares = np.column_stack([shares * elbow_share[:, None], blend])
         faces = sheet_faces(len(table), columns)
         last = (len(table) - 1) * columns + np.arange(columns)
         seam = np.stack([last[:-1], np.arange(columns)[:-1], np.arange(columns)[1:], last[1:]], axis=1)
         faces = np.concatenate([faces, seam[:, [0, 1, 2]], seam[:, [0, 2, 3]]])
         flat = points.reshape(-1, 3)
-        border = (faces % columns >= columns - max(2, round(2 * fine))).all(axis=1)
+        border = (faces % columns >= columns - max(2, round(2 * costume.fine))).all(axis=1)
         costume.add(flat, faces, bones, shares, np.where(border, colors[1], colors[0]))
     costume.words.append("wide sleeves")

@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bunraku_lab.synthetic.people.figure import Figure
 from bunraku_lab.synthetic.surfaces import sheet_faces
 from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains, band_start
-from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID
 
-__all__ = ["Drape", "add_skirt", "hanging_rings"]
+__all__ = ["Drape", "Outline", "add_skirt", "hanging_rings"]
 
 SKIRT = 5
+AROUND = 48  # directions of a ring
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,28 +64,39 @@ class Drape:
         )
 
 
+@dataclass(frozen=True)
+class Outline:
+    """How rings of cloth widen towards the hem.
+
+    Args:
+        flare: How much farther out the hem is than the body, over the length.
+        bow: 1 widens evenly, less widens at once below the top, more towards the hem.
+        clear: Distance from the body [m].
+    """
+
+    flare: float
+    bow: float
+    clear: float
+
+
 def hanging_rings(
-    figure: Figure, top: float, hem: float, *, flare: float, bow: float, clear: float,
-    rings: int = 14, around: int = 48, center: np.ndarray | None = None,    convex: bool = True,
-    points: np.ndarray | None = None,
+    figure: Figure, top: float, hem: float, outline: Outline, *,
+    rings: int = 14, center: np.ndarray | None = None, convex: bool = True, points: np.ndarray | None = None,
 ) -> Drape:  # fmt: skip
     """Rings about the body from one height down to another that never narrow, and widen by the flare.
 
     Args:
         figure: The body.
         top, hem: Heights [m].
-        flare: How much farther out the hem is than the body, over the length.
-        bow: 1 widens evenly, less widens at once below the top, more towards the hem.
-        clear: Distance from the body [m].
+        outline: How they widen.
         rings: How many.
-        around: Directions.
         center: X and Z of the axis; None is the middle of the hips.
         convex: Whether the cloth is drawn straight over hollows, as it is where it goes all around; at its top it lies
             on the body.
         points: What it keeps clear of, instead of head, trunk and legs.
     """
     axis = figure.at("pelvis")[[0, 2]] if center is None else center
-    angles = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    angles = np.linspace(0, 2 * np.pi, AROUND, endpoint=False)
     heights = np.linspace(top, hem, rings)
     band = max(0.7 * (top - hem) / rings, 0.02 * figure.height)
     if convex:
@@ -99,13 +111,12 @@ def hanging_rings(
         )
     held = np.maximum.accumulate(np.maximum(body, 0.02), axis=0)
     share = np.linspace(0, 1, rings)[:, None]
-    spread = held[:1] + flare * (top - hem) * share**bow
-    return Drape(heights, np.maximum(held, spread) + clear * np.minimum(0.3 + 4 * share, 1), angles, axis)
+    spread = held[:1] + outline.flare * (top - hem) * share**outline.bow
+    return Drape(heights, np.maximum(held, spread) + outline.clear * np.minimum(0.3 + 4 * share, 1), angles, axis)
 
 
 def add_skirt(
     costume: Costume, figure: Figure, rng: np.random.Generator, *, kind: str, top: float, colors: tuple[str, str],
-    fine: float,
     what: str = "skirt",
 ) -> np.ndarray:  # fmt: skip
     """A skirt of a kind: "short", "long", "pleated" or "layered".
@@ -117,7 +128,6 @@ def add_skirt(
         kind: Its kind.
         top: Height of its waist [m].
         colors: Materials of cloth and trimming.
-        fine: Factor on the number of its vertices along each side.
         what: What it is called: a dress has no band at its waist.
 
     Returns:
@@ -128,7 +138,7 @@ def add_skirt(
     down = {"short": u(0.45, 0.8), "pleated": u(0.45, 0.95), "layered": u(0.7, 1.6), "long": u(1.25, 1.85)}[kind]
     hem = float(np.interp(down, [0, 1, 2], [hip, knee, ankle]))
     flare = {"short": u(0.1, 0.5), "pleated": u(0.15, 0.5), "layered": u(0.2, 0.55), "long": u(0.05, 0.32)}[kind]
-    drape = hanging_rings(figure, top, hem, flare=flare, bow=float(u(0.6, 1.2)), clear=0.016 * h)
+    drape = hanging_rings(figure, top, hem, Outline(flare, float(u(0.6, 1.2)), 0.016 * h))
     length = top - hem
     count = 12 if length > 0.3 * h or kind == "layered" else 10
     begin = band_start(costume, "スカート")
@@ -141,15 +151,15 @@ def add_skirt(
         box=True,
         group=SKIRT, meets=SOLID["legs"], give=0.2,
     )  # fmt: skip
-    waist = costume.place("下半身")
+    waist = costume.bone_index("下半身")
     chains = add_chains(
         costume, [f"スカート{number}" for number in range(count)], nodes, outward, waist, hang, closed=True
     )
     folds = int(rng.integers(2, 4)) * count if kind == "pleated" else int(rng.integers(1, 3)) * count
     deep = float(u(0.045, 0.08)) if kind == "pleated" else float(rng.choice([0.0, u(0.01, 0.05)]))
     layers = int(rng.integers(2, 4)) if kind == "layered" else 1
-    columns = max(round(fine * 4) * count, 3 * count, 2 * folds if kind == "pleated" else 0)
-    rows = max(round(fine * 4 * links), 2 * links) + 1
+    columns = max(round(costume.fine * 4) * count, 3 * count, 2 * folds if kind == "pleated" else 0)
+    rows = max(round(costume.fine * 4 * links), 2 * links) + 1
     for layer in range(layers):
         end = 1 - layer * 0.72 / layers
         share = np.linspace(0, end, rows)

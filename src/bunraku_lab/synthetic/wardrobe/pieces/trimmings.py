@@ -2,54 +2,61 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from bunraku_lab.synthetic.people.figure import Figure
 from bunraku_lab.synthetic.surfaces import curve_through, strand, unit
 from bunraku_lab.synthetic.wardrobe.kit.chains import Hang, add_chains
-from bunraku_lab.synthetic.wardrobe.kit.figure import Figure
 from bunraku_lab.synthetic.wardrobe.kit.model import Costume
 from bunraku_lab.synthetic.wardrobe.kit.skeleton import SOLID
 from bunraku_lab.synthetic.wardrobe.pieces.hair import Scalp
 
-__all__ = ["add_bow", "add_ears", "add_scarf", "add_tail"]
+__all__ = ["Bow", "add_bow", "add_ears", "add_scarf", "add_tail"]
 
 TRIM, TAIL = 9, 10
 
 
-def add_bow(
-    costume: Costume, figure: Figure, rng: np.random.Generator, name: str, bone: str, center: np.ndarray,
-    outward: np.ndarray, size: float, ends: float,    material: str, fine: float, meets: int,
-) -> None:  # fmt: skip
+@dataclass(frozen=True)
+class Bow:
     """A bow of two loops, with two ends that hang on chains.
 
     Args:
-        costume: What it is added to.
-        figure: The body.
-        rng: Random numbers.
         name: Of its chains.
         bone: What it is tied to.
         center: Its knot [m], shape (3,).
         outward: Away from the body, shape (3,).
         size: Length of a loop [m].
         ends: Length of the ends [m].
-        material: Its material.
-        fine: Factor on the number of vertices.
         meets: Groups that the ends collide with.
     """
+
+    name: str
+    bone: str
+    center: np.ndarray
+    outward: np.ndarray
+    size: float
+    ends: float
+    meets: int
+
+
+def add_bow(costume: Costume, figure: Figure, bow: Bow) -> None:
+    """Add a bow to what a body wears."""
     up = np.array([0, 1.0, 0])
-    outward = unit(outward)
+    outward, center, size, ends = unit(bow.outward), bow.center, bow.size, bow.ends
     side = unit(np.cross(up, outward))
-    holder, place = costume.place(bone), np.linspace(0, 1, max(round(8 * fine), 6))
-    sides = max(round(9 * fine), 6)
+    holder, position = costume.bone_index(bow.bone), np.linspace(0, 1, max(round(8 * costume.fine), 6))
+    sides = max(round(9 * costume.fine), 6)
     for sign in (1, -1):
         curve = (
             center
-            + place[:, None] * size * (sign * side + 0.28 * up + 0.1 * outward)
-            + 0.1 * size * np.sin(np.pi * place)[:, None] * outward
+            + position[:, None] * size * (sign * side + 0.28 * up + 0.1 * outward)
+            + 0.1 * size * np.sin(np.pi * position)[:, None] * outward
         )
-        width = size * np.interp(place, [0, 0.35, 0.8, 1], [0.1, 0.36, 0.42, 0.2])
+        width = size * np.interp(position, [0, 0.35, 0.8, 1], [0.1, 0.36, 0.42, 0.2])
         points, faces, _ = strand(curve, outward, width, 0.35 * width + 0.004, sides)
-        costume.add(points, faces, holder, 1, material)
+        costume.add(points, faces, holder, 1, "trim")
         if ends <= 0:
             continue
         links = 1 if ends < 0.09 * figure.height else 2  # short ends of several links are as stiff as light to simulate
@@ -72,32 +79,30 @@ def add_bow(
             thick=0.014,
             box=False,
             group=TRIM,
-            meets=meets,
+            meets=bow.meets,
         )
-        label = f"{name}{'左' if sign > 0 else '右'}"
+        label = f"{bow.name}{'左' if sign > 0 else '右'}"
         chains = add_chains(
             costume, [label], curve_through(path, links + 1)[None], outward[None], holder, hang, cross=False
         )
-        t = np.linspace(0, 1, max(round(9 * fine), 7))
+        t = np.linspace(0, 1, max(round(9 * costume.fine), 7))
         points, faces, at = strand(
             curve_through(path, len(t)), outward, size * np.interp(t, [0, 0.3, 1], [0.08, 0.2, 0.3]), 0.004, sides
         )
-        costume.add(points, faces, *chains.weights(at / (len(t) - 1) * links), material)
+        costume.add(points, faces, *chains.weights(at / (len(t) - 1) * links), "trim")
     t = np.linspace(-1, 1, 5)
     points, faces, _ = strand(
         center + t[:, None] * 0.16 * size * up + 0.08 * size * outward, outward, 0.14 * size, 0.12 * size, sides
     )
-    costume.add(points, faces, holder, 1, material)
+    costume.add(points, faces, holder, 1, "trim")
 
 
-def add_scarf(
-    costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str], fine: float
-) -> np.ndarray:
+def add_scarf(costume: Costume, figure: Figure, rng: np.random.Generator, *, colors: tuple[str, str]) -> np.ndarray:
     """A scarf around the neck whose ends hang down the back or the front; returns the points of its ring."""
     u, h = rng.uniform, figure.height
     neck = figure.at("neck")
     height = float(neck[1] + 0.012 * h)
-    around = max(round(22 * fine), 14)
+    around = max(round(22 * costume.fine), 14)
     angles = np.arange(around) * 2 * np.pi / around
     center = np.array([0.0, 0.5 * (neck[2] + figure.at("head")[2])])
     fat = float(u(0.014, 0.022)) * h
@@ -107,7 +112,7 @@ def add_scarf(
         [center[0] + inner * np.sin(angles), height + 0.012 * h * -np.cos(angles), center[1] + inner * np.cos(angles)],
         axis=1,
     )
-    sides = max(round(10 * fine), 6)
+    sides = max(round(10 * costume.fine), 6)
     turn = np.arange(sides) * 2 * np.pi / sides
     out = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1)
     rings = loop[:, None] + fat * (
@@ -117,7 +122,7 @@ def add_scarf(
     index = np.concatenate([index, index[:1]])
     index = np.concatenate([index, index[:, :1]], axis=1)
     quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
-    chest = costume.place("上半身2")
+    chest = costume.bone_index("上半身2")
     faces = np.concatenate([quads[:, [0, 2, 1]], quads[:, [0, 3, 2]]])
     costume.add(rings.reshape(-1, 3), faces, chest, 1, colors[0])
     behind = rng.random() < 0.6
@@ -128,13 +133,13 @@ def add_scarf(
         start = loop[round(angle / (2 * np.pi) * around) % around] + way * fat * 0.6
         length = float(u(0.16, 0.34)) * h
         heights = np.linspace(start[1] - 0.1 * length, start[1] - length, 5)
-        far, places = float((start - [center[0], 0, center[1]]) @ way), [start]
+        far, positions = float((start - [center[0], 0, center[1]]) @ way), [start]
         for y in heights:
             body = float(figure.profile(float(y), np.array([angle]), center=center, band=0.02 * h)[0])
             far = max(far, min(body, far + 0.05 * h) + 0.014 * h)
-            places.append(np.array([center[0] + far * way[0], y, center[1] + far * way[2]]))
+            positions.append(np.array([center[0] + far * way[0], y, center[1] + far * way[2]]))
         links = int(np.clip(round(length / (0.065 * h)), 3, 5))
-        path = np.array(places)
+        path = np.array(positions)
         hang = Hang(
             mass=0.5, damping=(0.85, 0.95), out=70, inward=25, side=45, twist=0, spring=float(u(0.03, 0.1)),
             thick=0.008 * h, box=False, group=TRIM,
@@ -143,7 +148,7 @@ def add_scarf(
         chains = add_chains(
             costume, [f"マフラー{number}"], curve_through(path, links + 1)[None], way[None], chest, hang, cross=False
         )
-        t = np.linspace(0, 1, max(round(14 * fine), 9))
+        t = np.linspace(0, 1, max(round(14 * costume.fine), 9))
         points, faces, at = strand(
             curve_through(path, len(t)), way, fat * np.interp(t, [0, 0.2, 1], [1.0, 1.5, 1.7]), 0.32 * fat, sides
         )
@@ -155,9 +160,7 @@ def add_scarf(
     return np.asarray(rings.reshape(-1, 3))
 
 
-def add_ears(
-    costume: Costume, scalp: Scalp, rng: np.random.Generator, *, kind: str, colors: tuple[str, str], fine: float
-) -> None:
+def add_ears(costume: Costume, scalp: Scalp, rng: np.random.Generator, *, kind: str, colors: tuple[str, str]) -> None:
     """Ears on top of the head: "cat", "fox" or "rabbit"; they spring back when they are swung."""
     u, size = rng.uniform, float(scalp.half[0])
     turn, fall = {"cat": (1.45, 0.62), "fox": (1.45, 0.6), "rabbit": (1.5, 0.36)}[kind]
@@ -177,10 +180,12 @@ def add_ears(
             box=False, group=TRIM, meets=0,
         )  # fmt: skip
         nodes = curve_through(path, links + 1)
-        chains = add_chains(costume, [f"{mark}耳"], nodes[None], -ahead[None], costume.place("頭"), hang, cross=False)
-        t = np.linspace(0, 1, max(round(9 * fine), 6))
+        chains = add_chains(
+            costume, [f"{mark}耳"], nodes[None], -ahead[None], costume.bone_index("頭"), hang, cross=False
+        )
+        t = np.linspace(0, 1, max(round(9 * costume.fine), 6))
         width = wide * np.interp(t, [0, 0.3, 0.7, 1], shape)
-        curve, sides = curve_through(path, len(t)), max(round(10 * fine), 6)
+        curve, sides = curve_through(path, len(t)), max(round(10 * costume.fine), 6)
         points, faces, at = strand(curve, ahead, width, 0.35 * width + 0.002, sides)
         costume.add(points, faces, *chains.weights(at / (len(t) - 1) * links), colors[0])
         points, faces, at = strand(
@@ -197,7 +202,6 @@ def add_tail(
     *,
     kind: str,
     colors: tuple[str, str],
-    fine: float,
     lift: float,
 ) -> None:
     """A tail from the end of the spine: "cat", "fox" or "wolf".
@@ -208,7 +212,6 @@ def add_tail(
         rng: Random numbers.
         kind: Its kind.
         colors: Materials of the fur and of its tip.
-        fine: Factor on the number of vertices.
         lift: Height of its root over the hip joints [m], such as above a skirt.
     """
     u, h = rng.uniform, figure.height
@@ -244,17 +247,17 @@ def add_tail(
         ["尻尾"],
         curve_through(path, links + 1)[None],
         np.array([[0, 0, -1.0]]),
-        costume.place("下半身"),
+        costume.bone_index("下半身"),
         hang,
         cross=False,
     )
-    t = np.linspace(0, 1, max(round(24 * fine), 14))
+    t = np.linspace(0, 1, max(round(24 * costume.fine), 14))
     shape = {"cat": [0.9, 1, 1, 1, 0.15], "fox": [0.3, 0.65, 1.0, 0.95, 0.08], "wolf": [0.4, 0.85, 1.05, 0.8, 0.08]}[
         kind
     ]
     width = fat * np.interp(t, [0, 0.2, 0.55, 0.8, 1], shape)
     points, faces, at = strand(
-        curve_through(path, len(t)), np.array([0, 0.4, -1.0]), width, width, max(round(11 * fine), 7)
+        curve_through(path, len(t)), np.array([0, 0.4, -1.0]), width, width, max(round(11 * costume.fine), 7)
     )
     bones, shares = chains.weights(at / (len(t) - 1) * links)
     tip = at[faces].max(axis=1) / (len(t) - 1) > float(u(0.72, 0.85))

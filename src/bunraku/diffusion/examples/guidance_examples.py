@@ -1,0 +1,101 @@
+"""Which candidate starts from which example: other seeds and other candidates take others of those that fit.
+
+Of sentences in a row, each takes one of the examples that begin most as the one before it ends: who stands up after
+sitting on a chair gets up from one.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from bunraku.diffusion.examples.guide import CROUCH, GuidanceExample, fills, fits_into, pose_distance
+from bunraku.diffusion.examples.pack import ExamplePack
+from bunraku.diffusion.examples.retrieve import Found, retrieve
+from bunraku.diffusion.features import mirror
+from bunraku.language.sentence import Clause
+
+__all__ = ["GuidanceExamples"]
+
+NEAREST = 3
+ALIKE = 1.0
+"""Distance of poses by which others of these may begin less so than the nearest."""
+TRIED = 3
+"""Examples that are looked at for one."""
+ODD = 4.9
+"""Distance of a pose from those of people who stand with which nobody begins; that of a kick at its height is 4.8."""
+
+
+class GuidanceExamples:
+    """Examples for the clauses of a call, looked up once each.
+
+    Args:
+        pack: To choose from.
+        clauses: Each clause by its text, with the ranker's unit vector of it as said of a person.
+    """
+
+    def __init__(self, pack: ExamplePack, clauses: Mapping[str, tuple[Clause, np.ndarray]]):
+        self.pack = pack
+        self._found = {text: retrieve(pack, *one) for text, one in clauses.items()}
+
+    def shows(self, clause: Clause) -> bool:
+        """Whether there is an example for a clause."""
+        return bool(self._found.get(clause.text))
+
+    def made(self, script: Sequence[tuple[Clause, int]]) -> bool:
+        """Whether a clause requests a gesture that is made by code since no clip has it: the network has not learned
+        it either.
+        """
+        return any(
+            self.pack.examples[found.number].made
+            for clause, _ in script
+            for found in self._found.get(clause.text, [])[:1]
+        )
+
+    def of(self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int) -> GuidanceExample | None:
+        """What a candidate starts from; None where no clause has an example.
+
+        Args:
+            script: Clauses with the frames that each lasts.
+            noise: Seed and row of the motion's own noise: it orders the examples.
+            number: Of the candidate among those that start from examples.
+        """
+        seed = (noise[0] % 2**63, noise[1] % 2**63)
+        random = np.random.default_rng(seed)
+        chosen: list[Found | None] = []
+        for clause, frames in script:
+            offered = self._found.get(clause.text, [])
+            fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
+            fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
+            if chosen and chosen[-1] is not None:
+                fitting = self._following(chosen[-1], fitting)
+            order = random.permutation(len(fitting)).tolist()
+            first = number % max(len(order), 1)
+            turn = [fitting[index] for index in order[first:] + order[:first]][:TRIED]
+            chosen.append(next((one for one in turn if not self._begins_oddly(one)), turn[0]) if turn else None)
+        return GuidanceExample(self.pack, tuple(chosen), (*seed, number)) if any(chosen) else None
+
+    def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
+        """The few that begin most as another ends: who sits on a chair does not get up from the floor."""
+        end = self._pose(last, -1)
+        away = np.sqrt([float(pose_distance(self._pose(one, 0), end)) for one in fitting])
+        order = np.argsort(away, kind="stable")[:NEAREST]
+        return [fitting[index] for index in order[away[order] <= away.min(initial=np.inf) + ALIKE].tolist()]
+
+    def _begins_oddly(self, found: Found) -> bool:
+        """Whether who stands as an example begins does so bent, as between two exercises, or with a leg far up."""
+        first = self.pack.features(found.number)[0]
+        if first[3] < -CROUCH or not self.pack.standing:
+            return False
+        return bool(np.sqrt(pose_distance(self._standing, first[3:])).min() > ODD)
+
+    @functools.cached_property
+    def _standing(self) -> np.ndarray:
+        """Mean poses of the stretches of standing, shape (S, 268)."""
+        return np.stack([self.pack.features(index)[:, 3:].mean(axis=0) for index in self.pack.standing])
+
+    def _pose(self, found: Found, frame: int) -> np.ndarray:
+        features = self.pack.features(found.number)[[frame]]
+        return (mirror(features) if found.mirrored else features)[0, 3:]

@@ -1,0 +1,287 @@
+"""Candidates drawn in one batch: scripts to windows, noise to features, paths and body parts kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bunraku.core.ground_path import GroundPath
+from bunraku.core.request.limits import CANDIDATES
+from bunraku.core.request.limits import GUIDANCE as GUIDANCE_LIMIT
+from bunraku.core.request.limits import STEPS as STEP_LIMIT
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, root_velocities, standing_legs
+from bunraku.diffusion.generation.finishing import steadied, straightened, turned_as_asked
+from bunraku.diffusion.generation.networks import Networks
+from bunraku.errors import OptionError
+from bunraku.geometry.easing import smooth_step
+from bunraku.language.sentence import Clause
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from bunraku.diffusion.denoiser import Denoiser
+    from bunraku.diffusion.examples.guide import GuidanceExample
+    from bunraku.diffusion.generation.ranking import Drawn
+    from bunraku.diffusion.generation.texts import Texts
+    from bunraku.diffusion.sampling.classifier_guidance import Critic
+    from bunraku.diffusion.sampling.sampler import Solver
+
+__all__ = ["GUIDANCE", "STEPS", "Drawing", "draw_candidates", "frames_of", "way_of"]
+
+STEPS = 20
+GUIDANCE = 3.5
+MADE_UNTIL = 0
+"""Step of the sampler down to which a gesture made by code stands for what the network predicts. It has seen none:
+from 100 on it already stills the hands of somebody who claps.
+"""
+STANDING, GOING_DOWN = 6, 14
+"""Frames for which who is about to sit or lie down still stands, and frames in which that is let go of."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How a motion is drawn.
+
+    Args:
+        steps: Sampling steps, 1 to 1,000; None takes 20.
+        guidance: Classifier-free guidance scale, 0 to 20; None takes 3.5.
+        mesh_feature: f_phi of the character, shape (448,); None, or weights that were trained without characters,
+            generate for no mesh in particular.
+        progress: Called with a stage's name and the share done.
+        checkpoint: Weights of the denoiser in place of the shipped ones.
+        candidates: How many motions are drawn for each that is given back: the one that the ranker likes best
+            (`generation.ranking`), 1 to 16. The first has the noise that it has alone. Where none has the side, the
+            turn or the direction that the sentence says, as many are drawn again, three times at the most.
+        examples: All candidates but the first start from captured examples where there are any that fit
+            (`diffusion.examples`). They are of people.
+        all_led: The first does so too.
+        classifier_guidance: What is predicted is guided towards its sentences, as people do them
+            (`diffusion.sampling.classifier_guidance`).
+        held: The networks; None loads those of `checkpoint` when they are asked for.
+
+    Raises:
+        OptionError: A setting is outside what can be done.
+    """
+
+    steps: int | None = None
+    guidance: float | None = None
+    mesh_feature: object | None = None
+    progress: Callable[[str, float], None] | None = None
+    checkpoint: str | Path | None = None
+    candidates: int = 1
+    examples: bool = True
+    all_led: bool = False
+    classifier_guidance: bool = True
+    held: Networks | None = None
+
+    def __post_init__(self) -> None:
+        CANDIDATES.check(self.candidates)
+        STEP_LIMIT.check(self.steps)
+        GUIDANCE_LIMIT.check(self.guidance)
+
+    @property
+    def networks(self) -> Networks:
+        """The networks that draw."""
+        return self.held or Networks(self.checkpoint)
+
+    def of_body(self, model: Denoiser) -> bool:
+        """Whether what is drawn is a body's own motion: see `HandleMotion`."""
+        return self.mesh_feature is not None and bool(model.notes.get("creatures"))
+
+    @property
+    def solver(self) -> Solver:
+        """How they are denoised."""
+        from bunraku.diffusion.sampling.sampler import Solver
+
+        progress = self.progress
+        return Solver(
+            STEPS if self.steps is None else self.steps,
+            GUIDANCE if self.guidance is None else self.guidance,
+            progress=(lambda done, total: progress("generate", done / total)) if progress else None,
+        )
+
+    def mesh_features(self, model: Denoiser, rows: int) -> Tensor | None:
+        """The character's f_phi for this many sentences, shape (rows, 448)."""
+        import torch
+
+        if self.mesh_feature is None or not model.knows_meshes:
+            return None
+        mesh = torch.as_tensor(np.asarray(self.mesh_feature, np.float32))
+        if mesh.shape != (model.config.mesh_features,) or not bool(torch.isfinite(mesh).all()):
+            raise OptionError(f"the mesh feature must be {model.config.mesh_features} finite numbers")
+        return mesh.expand(rows, -1)
+
+
+def draw_candidates(
+    texts: Texts,
+    scripts: Sequence[Sequence[Clause]],
+    noise: list[tuple[int, int]],
+    how: Drawing,
+    loop: bool,
+    path: GroundPath | None,
+    examples: Sequence[tuple[GuidanceExample | None, GuidanceExample | None]],
+    critic: Critic | None = None,
+) -> list[Drawn]:
+    """One candidate for each script from its own noise, all in one batch.
+
+    Args:
+        texts: What the denoiser reads of the scripts.
+        scripts: The clauses of each.
+        noise: Seed and row of each (see `drawn_noise`).
+        how: How they are drawn.
+        loop: Make loops.
+        path: What the root follows, in metres of the reference body; None for its own way.
+        examples: Examples that each starts from, and those of the gestures that are made at the same time; None for
+            none.
+        critic: What guides them towards their sentences; None for nothing.
+    """
+    import torch
+
+    from bunraku.diffusion.generation.composition import PartTrack
+    from bunraku.diffusion.generation.ranking import Drawn, script_agreement
+    from bunraku.diffusion.sampling.sampler import Steering
+    from bunraku.diffusion.sampling.windows import plan_windows, sample_plans
+    from bunraku.nn.threads import fitting_threads
+
+    model = how.networks.denoiser
+    lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
+    plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
+    tracks = [track for index, script in enumerate(scripts) if (track := PartTrack.of(index, script))]
+    sentences = [clause.body.text for script in scripts for clause in script]
+    text = texts.batch(sentences + [sentence for track in tracks for sentence in track.sentences])
+    statistics = FeatureStatistics(model.mean.cpu().numpy(), model.std.cpu().numpy())
+    plans += [plans[track.motion] for track in tracks]
+    noise = noise + [noise[track.motion] for track in tracks]
+    sizes = [plan.frames for plan in plans]
+
+    owners = [*range(len(scripts)), *(track.motion for track in tracks)]
+    ways: list[np.ndarray] = []
+    if path is not None:
+        ways = [way_of(path, sum(own), model.config.fps, script) for own, script in zip(lengths, scripts, strict=True)]
+    stands = [path is None and not loop and "goes down" in script[0].traits for script in scripts]
+    held = None
+    if ways or any(stands):
+        own_ways = [ways[row] for row in owners] if ways else None
+        held = _held(own_ways, [stands[row] for row in owners], sizes, statistics, model.config.fps)
+
+    starts = [first for first, _ in examples] + [examples[track.motion][1] for track in tracks]
+    guide = _led(starts, [lengths[row] for row in owners], sizes, statistics, loop)
+    classifier_guidance = None
+    if critic is not None:
+        told = [[clause.body.text for clause in script] for script in scripts]
+        classifier_guidance = critic.guidance(model, told, lengths, sizes[: len(scripts)], guide)
+
+    def refine(values: Tensor) -> Tensor:
+        parts = list(values.split(sizes))
+        for own, track in enumerate(tracks, len(scripts)):
+            parts[own] = track.follow(parts[track.motion], parts[own])
+        return torch.cat([closed(part, model) for part in parts] if loop else parts)
+
+    steering, mesh = (
+        Steering(classifier_guidance, guide, refine if loop or tracks else None, held),
+        how.mesh_features(model, len(text.mask)),
+    )
+    with fitting_threads(model):
+        found = sample_plans(model, text, plans, how.solver, steering, seeds=noise, mesh_features=mesh)
+    for track, own in zip(tracks, found[len(scripts) :], strict=True):
+        found[track.motion] = replace(own, adaptation=track.adapt(found[track.motion].adaptation, own.adaptation))
+    drawn = []
+    for part, script, own_lengths, example in zip(found, scripts, lengths, starts, strict=False):
+        frames = np.arange(sum(own_lengths) + loop) % len(part.values)
+        timed = list(zip(script, own_lengths, strict=True))
+        features = steadied(statistics.restore(part.values.cpu().numpy()), loop)
+        if not loop and path is None:
+            features = straightened(features, timed, model.config.fps)
+            features = turned_as_asked(features, timed, model.config.fps)
+        features = features[frames]
+        said = script_agreement(features, timed) if how.candidates > 1 and path is None else None
+        drawn.append(Drawn(features, part.adaptation.cpu().numpy()[frames], timed, said, example is not None))
+    return drawn
+
+
+def way_of(path: GroundPath, frames: int, fps: float, script: Sequence[Clause]) -> np.ndarray:
+    """Position (x, z) [m] and heading [rad] of a root that follows a path in each frame, shape (N, 3)."""
+    back = "backward" in script[0].traits
+    return np.column_stack([path.positions(frames, fps), path.headings(frames, fps, back)])
+
+
+def _held(
+    ways: Sequence[np.ndarray] | None,
+    stands: Sequence[bool],
+    sizes: Sequence[int],
+    statistics: FeatureStatistics,
+    fps: float,
+) -> tuple[Tensor, Tensor]:
+    """What is known beforehand, in network units, and which features these are: both (F, D). The root's velocities
+    where it follows a path; legs that stand in the first frames of who is about to sit or lie down.
+    """
+    import torch
+
+    values, share = (np.zeros((sum(sizes), FEATURE_SIZE), np.float32) for _ in range(2))
+    pose, legs = standing_legs()
+    hold = np.concatenate([np.ones(STANDING), 1 - smooth_step(np.arange(1, GOING_DOWN) / GOING_DOWN)])
+    start = 0
+    for row, size in enumerate(sizes):
+        if ways is not None:
+            values[start : start + len(ways[row]), :3] = root_velocities(ways[row], fps)
+            share[start : start + len(ways[row]), :3] = 1
+        if stands[row]:
+            first = slice(start, start + min(len(hold), size))
+            values[first, legs] = pose[legs]
+            share[first, legs] = hold[:size, None]
+        start += size
+    known = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
+    return torch.from_numpy(known), torch.from_numpy(share)
+
+
+def _led(
+    examples: Sequence[GuidanceExample | None],
+    lengths: Sequence[list[int]],
+    sizes: Sequence[int],
+    statistics: FeatureStatistics,
+    loop: bool,
+) -> tuple[Tensor, Tensor, Tensor] | None:
+    """What candidates start from, in network units, (F, D), how far, (F, 1), and down to which step of the sampler,
+    (F, 1); None where no one has an example.
+    """
+    import torch
+
+    from bunraku.diffusion.sampling.sampler import LED_UNTIL
+
+    if not any(examples):
+        return None
+    values, share = np.zeros((sum(sizes), FEATURE_SIZE), np.float32), np.zeros((sum(sizes), 1), np.float32)
+    until = np.full((sum(sizes), 1), LED_UNTIL, np.int64)
+    ends = np.cumsum(sizes)
+    for example, own, stop, size in zip(examples, lengths, ends, sizes, strict=True):
+        if example is not None:
+            guide = example.on(own, size, statistics, closed=loop)
+            values[stop - size : stop], share[stop - size : stop, 0] = guide.values, guide.share
+            until[stop - size : stop, 0] = np.where(guide.made, MADE_UNTIL, LED_UNTIL)
+    return torch.from_numpy(values), torch.from_numpy(share), torch.from_numpy(until)
+
+
+def frames_of(seconds: Sequence[float], fps: float) -> list[int]:
+    """Frames of each part, at least one, so that the parts end where the sum of their seconds says, whatever the
+    rounding.
+    """
+    ends = [round(float(end) * fps) for end in np.cumsum(seconds)]
+    out = [max(1, after - before) for before, after in zip([0, *ends], ends, strict=False)]
+    return out
+
+
+def closed(values: Tensor, model: Denoiser) -> Tensor:
+    """Values of a loop, shape (N, D) in network units, whose root ends facing as it starts, and where it starts if it
+    hardly travels.
+    """
+    import torch
+
+    from bunraku.diffusion.sampling.root_path import arrive
+
+    mean, std = model.mean[:3], model.std[:3]
+    root = arrive(values[:, :3] * std + mean, model.config.fps, None, None)
+    return torch.cat([(root - mean) / std, values[:, 3:]], -1)

@@ -1,0 +1,89 @@
+"""The networks that make a motion from a sentence: denoiser, text encoder, ranker, critic, and the examples."""
+
+from __future__ import annotations
+
+import functools
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bunraku.language.encoders import TextEncoder, text_encoder
+
+if TYPE_CHECKING:
+    from bunraku.diffusion.denoiser import Denoiser
+    from bunraku.diffusion.examples.pack import ExamplePack
+    from bunraku.diffusion.matching import Extractor
+
+__all__ = ["Networks", "load_generator"]
+
+
+@dataclass(frozen=True)
+class Networks:
+    """The networks that make a motion, each loaded when it is first asked for and then kept.
+
+    Args:
+        checkpoint: Weights of the denoiser in place of the shipped ones.
+
+    Raises:
+        WeightsError: The weights of a network are missing or broken; raised when it is first used.
+    """
+
+    checkpoint: str | Path | None = None
+
+    @cached_property
+    def denoiser(self) -> Denoiser:
+        """What predicts the clean motion (section 3.2 of TapMo)."""
+        return load_generator(self.checkpoint)[0]
+
+    @cached_property
+    def encoder(self) -> TextEncoder:
+        """The denoiser's text encoder."""
+        return load_generator(self.checkpoint)[1]
+
+    @cached_property
+    def ranker(self) -> Extractor:
+        """What chooses among candidates."""
+        from bunraku.diffusion.matching import load_ranker
+
+        return load_ranker()
+
+    @cached_property
+    def critic(self) -> Extractor | None:
+        """What guides motions towards their sentences; None where its file was taken away."""
+        from bunraku.diffusion.matching import load_critic
+
+        return load_critic()
+
+    @cached_property
+    def examples(self) -> ExamplePack | None:
+        """Captured examples that candidates start from; None where their file was taken away."""
+        from bunraku.diffusion.examples.pack import load_examples
+
+        return load_examples()
+
+
+def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, TextEncoder]:
+    """The denoiser and its text encoder, kept between calls as long as the file does not change.
+
+    Weights trained with CLIP look for its folder in the environment variable BUNRAKU_CLIP.
+
+    Args:
+        checkpoint: Weights in place of the shipped ones.
+
+    Raises:
+        WeightsError: The weights are missing or broken.
+    """
+    from bunraku.nn.checkpoints import dated_checkpoint
+
+    return _load(*dated_checkpoint("diffusion", checkpoint))
+
+
+@functools.lru_cache(maxsize=2)
+def _load(path: Path, changed: int) -> tuple[Denoiser, TextEncoder]:
+    from bunraku.diffusion.checkpoint import load_denoiser
+
+    model = load_denoiser(path)
+    name = model.config.text_encoder
+    return model, text_encoder(name, os.environ.get("BUNRAKU_CLIP") if name.startswith("clip") else None)

@@ -1,0 +1,152 @@
+"""Guidance by a network that knows which motion belongs to which sentence: at every step the predicted x0 goes a little
+way up the gradient of the cosine of their vectors (as classifier guidance, Dhariwal and Nichol 2021, but on x0).
+
+The gradient is smoothed in time, so that it changes what is done and not the details, in which such a network can be
+deceived; and it is of one size whatever its length, since a prediction of the first steps resembles no motion and is
+far from any sentence. The root keeps its own way: with it walks became slower and nothing better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from bunraku.diffusion.denoiser import Denoiser
+from bunraku.diffusion.matching import LONGEST, RADIUS, SHORTEST, Extractor
+from bunraku.diffusion.sampling.sampler import ROOT
+
+__all__ = ["Critic", "ClassifierGuidance", "Spoken", "smoothed"]
+
+STRENGTH = 0.2
+"""Root mean square of a step, in standard deviations of the features."""
+LAST = 100
+"""Step of the sampler below which nothing is guided: what is left there are details."""
+SPREAD = 2.0
+"""Standard deviation of the smoothing [frames]."""
+GROUP = 16
+"""Stretches that go through the network at once."""
+
+
+@dataclass(frozen=True)
+class Spoken:
+    """A stretch of the time line with the sentence that it should show.
+
+    Args:
+        frames: Its first frame, and the one after its last.
+        vector: Of the sentence, of length 1, shape (E,).
+        until: Step of the sampler down to which it is not guided, because it is given; 1,000 where it never is.
+    """
+
+    frames: tuple[int, int]
+    vector: Tensor
+    until: int = 1000
+
+
+class ClassifierGuidance:
+    """What `sample_windows` calls with each predicted x0.
+
+    Args:
+        network: Trained with motions and sentences (`diffusion.matching`), of people.
+        mean: Of the features, shape (D,).
+        std: Their standard deviation, shape (D,).
+        stretches: What is guided.
+        strength: Root mean square of a step.
+    """
+
+    def __init__(
+        self, network: Extractor, mean: Tensor, std: Tensor, stretches: Sequence[Spoken], strength: float = STRENGTH
+    ):
+        self.network, self.mean, self.std, self.strength = network, mean, std, strength
+        self.stretches = sorted(stretches, key=lambda one: one.frames[1] - one.frames[0])
+
+    def __call__(self, x0: Tensor, step: int) -> Tensor:
+        """x0 (F, D) in network units, nearer to the sentences."""
+        guided = [one for one in self.stretches if LAST <= step < one.until]
+        if not guided:
+            return x0
+        out = x0.clone()
+        for start in range(0, len(guided), GROUP):
+            some = guided[start : start + GROUP]
+            for one, way in zip(some, self.gradients(x0, some), strict=True):
+                size = way.square().mean().sqrt().clamp(min=1e-9)
+                out[slice(*one.frames)] += self.strength * way / size
+        return out
+
+    def gradients(self, x0: Tensor, stretches: Sequence[Spoken]) -> list[Tensor]:
+        """The smoothed gradient of the cosine of each stretch with its sentence, without the root's, shape (N, D)."""
+        parts = [x0[slice(*one.frames)] for one in stretches]
+        lengths = [len(part) for part in parts]
+        with torch.inference_mode(False), torch.enable_grad(), torch.autocast(x0.device.type, enabled=False):
+            values = x0.new_zeros(len(parts), max(lengths), x0.shape[1], dtype=torch.float32)
+            for row, part in zip(values, parts, strict=True):
+                row[: len(part)] = part
+            values.requires_grad_(True)
+            counts = torch.tensor(lengths, device=x0.device)
+            goals = torch.stack([one.vector for one in stretches]).to(values)
+            features = values * self.std.clone() + self.mean.clone()
+            cosine = (self.network.motion(features, counts) * goals).sum(-1) / RADIUS
+            gradient = torch.autograd.grad(cosine.sum(), values)[0]
+            gradient[..., ROOT] = 0
+        return [smoothed(row[:length]) for row, length in zip(gradient, lengths, strict=True)]
+
+
+def smoothed(values: Tensor, spread: float = SPREAD) -> Tensor:
+    """Values in time, shape (N, D), convolved with a Gaussian of `spread` frames; the ends are held."""
+    reach = round(4 * spread)
+    kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1, device=values.device).to(values) / spread) ** 2)
+    rows = F.pad(values.T[:, None], (reach, reach), mode="replicate")
+    return F.conv1d(rows, (kernel / kernel.sum()).view(1, 1, -1))[:, 0].T
+
+
+@dataclass(frozen=True)
+class Critic:
+    """What guides the motions of a batch.
+
+    Args:
+        network: Trained with motions and sentences, of people.
+        vectors: Of all their sentences, of length 1, shape (E,).
+        strength: Root mean square of a step.
+    """
+
+    network: Extractor
+    vectors: Mapping[str, Tensor]
+    strength: float = STRENGTH
+
+    def guidance(
+        self,
+        model: Denoiser,
+        scripts: Sequence[Sequence[str]],
+        lengths: Sequence[Sequence[int]],
+        sizes: Sequence[int],
+        guide: tuple[Tensor, Tensor, Tensor] | None,
+    ) -> ClassifierGuidance:
+        """For motions that lie one after the other on the time line.
+
+        Args:
+            model: The denoiser.
+            scripts: Sentences of each.
+            lengths: Frames of each sentence.
+            sizes: Frames of each motion on the time line.
+            guide: As for `sample_windows`.
+        """
+        stretches: list[Spoken] = []
+        begin = 0
+        for script, own, size in zip(scripts, lengths, sizes, strict=True):
+            first, end = begin, begin + size
+            for sentence, length in zip(script, own, strict=True):
+                pieces = -(-length // LONGEST)
+                bounds = [first + round(length * piece / pieces) for piece in range(pieces + 1)]
+                for low, high in zip(bounds, bounds[1:], strict=False):
+                    if min(high, end) - low >= SHORTEST:  # as the ranker looks at it
+                        until = 1000
+                        if guide is not None:
+                            share, down_to = guide[1][low:high], guide[2][low:high]
+                            until = int(torch.where(share >= 1, down_to, 1000).max())
+                        stretches.append(Spoken((low, min(high, end)), self.vectors[sentence], until))
+                first += length
+            begin = end
+        return ClassifierGuidance(self.network, model.mean, model.std, stretches, self.strength)

@@ -1,0 +1,106 @@
+"""The rigid blocks that a file is made of: mesh nodes without a skin, or vertices that have one joint each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.core.character import Character
+from bunraku.formats.gltf.read import Source
+from bunraku.skeletons.bone_words import block_of_name
+
+__all__ = ["Blocks", "find_blocks"]
+
+LEAST, MOST = 3, 100  # blocks of a figure
+WHOLE = 0.999  # share of a vertex that is of one joint
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """The blocks of a character.
+
+    Args:
+        label: Block of each vertex, -1 for those without faces, shape (V,).
+        names: What the file calls them, length B.
+        origins: Where their nodes stand, about which their authors turned them [m], shape (B, 3).
+        above: The block whose node is above each in the file, -1 for none, shape (B,).
+    """
+
+    label: np.ndarray
+    names: tuple[str, ...]
+    origins: np.ndarray
+    above: np.ndarray
+
+
+def find_blocks(character: Character) -> Blocks | None:
+    """The blocks of a character; None where it has too few, or one surface goes over several."""
+    found = _of_joints(character) if character.rig is not None else _of_nodes(character)
+    if found is None or not LEAST <= len(found.names) <= MOST:
+        return None
+    faces = found.label[character.faces]
+    return found if (faces == faces[:, :1]).all() else None
+
+
+def _of_joints(character: Character) -> Blocks | None:
+    rig = character.rig
+    assert rig is not None
+    if rig.weights[character.surface].max(axis=1).min() < WHOLE:
+        return None
+    rows = np.arange(len(rig.indices))
+    joint = np.where(character.surface, rig.indices[rows, rig.weights.argmax(axis=1)], -1)
+    used = np.unique(joint[joint >= 0])
+    return _numbered(joint, used, rig.names, rig.positions, rig.parents)
+
+
+def _of_nodes(character: Character) -> Blocks | None:
+    source = character.source
+    if not isinstance(source, Source) or not len(source.index):
+        return None
+    if int(source.index.max()) + 1 != len(character.vertices):
+        return None
+    nodes, parents = source.document.items("nodes"), source.tree.parents
+    names = [str(node.get("name") or "")[:200] for node in nodes]
+    label, start = np.full(len(character.vertices), -1), 0
+    moved = np.tile(np.eye(4), (len(nodes), 1, 1))
+    for part in source.parts:
+        stop = start + sum(len(group.vertices) for group in part.groups)
+        index = source.index[start:stop]
+        start = stop
+        if not len(index):
+            continue
+        owner = _named_above(part.node, names, parents, {other.node for other in source.parts})
+        if (np.isin(label[index], [-1, owner], invert=True)).any():
+            return None  # a seam was closed: what files call parts is one surface
+        label[index] = owner
+        if source.moved is not None:
+            moved[owner] = source.moved[index[0]]
+    label[~character.surface] = -1
+    origins = np.einsum("nij,nj->ni", moved[:, :3, :3], source.tree.world[:, :3, 3]) + moved[:, :3, 3]
+    return _numbered(label, np.unique(label[label >= 0]), names, origins, parents)
+
+
+def _named_above(node: int, names: list[str], parents: np.ndarray, meshes: set[int]) -> int:
+    """The node that names a mesh: its own, or one without a mesh above it, where that is understood and its own is
+    not.
+    """
+    above = node
+    while block_of_name(names[above])[0] == "":
+        above = int(parents[above])
+        if above < 0 or above in meshes:
+            return node
+    return above if block_of_name(names[above])[0] in ("arm", "leg", "front leg", "head", "tail", "wing") else node
+
+
+def _numbered(
+    label: np.ndarray, used: np.ndarray, names: list[str] | tuple[str, ...], origins: np.ndarray, parents: np.ndarray
+) -> Blocks:
+    number = {int(node): block for block, node in enumerate(used)}
+    above = []
+    for node in used:
+        other, steps = int(parents[node]), 0
+        while other >= 0 and other not in number and steps < len(parents):
+            other, steps = int(parents[other]), steps + 1
+        above.append(number.get(other, -1))
+    blocks = np.array([number.get(int(node), -1) for node in label])
+    return Blocks(blocks, tuple(names[int(node)] for node in used), origins[used], np.array(above))

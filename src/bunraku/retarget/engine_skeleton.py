@@ -1,0 +1,93 @@
+"""A character with a skeleton that engines' humanoid retargeting takes: named joints in a tree, in a T-pose.
+
+The 30 handles are written as a tree of joints, each where its part meets its parent. The mesh is put into the T-pose
+by the rotations that reconcile its rest pose with the reference body's, so that the pose in which the skin is bound is
+the T-pose itself: arms along the x axis, legs down, the face to +Z, the soles on y = 0, no joint turned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.body.layout import HANDLE_NAMES, HANDLE_PARENTS
+from bunraku.core.character import Character, Rig, top_influences
+from bunraku.core.skinning import skin
+from bunraku.errors import CharacterError, OptionError
+from bunraku.formats.gltf.read import Source
+from bunraku.skeletons.engine_names import REQUIRED, ROOTS, SKELETONS, engine_names
+
+__all__ = ["on_skeleton"]
+
+LEAST = 1e-4
+"""Share of the surface that a part must move to get a joint, unless a humanoid needs it."""
+
+
+def on_skeleton(anatomy: Anatomy, names: str) -> Character:
+    """A person's mesh in a T-pose on a tree of joints.
+
+    Args:
+        anatomy: Of the character by its 30 handles.
+        names: Whose names the joints get: "mixamo", "vrm" or "unreal".
+
+    Raises:
+        CharacterError: It is no person: a humanoid has two arms and two legs.
+        OptionError: There are no names of this kind.
+    """
+    if names not in SKELETONS:
+        raise OptionError(f"the names of a skeleton are those of {', '.join(SKELETONS)}, not '{names}'; choose one")
+    character, handles = anatomy.character, anatomy.handles
+    if anatomy.plan.kind != "person" or handles.roles is not None:
+        raise CharacterError(
+            f"{character.name}: it is {anatomy.plan.words}, and a humanoid skeleton has two arms and two legs; leave "
+            "the skeleton out"
+        )
+    turns, joints = anatomy.rest
+    heads = np.where(joints.present[:, None], joints.positions, handles.positions).astype(np.float64)
+    placed = heads.copy()
+    moved = np.tile(np.eye(4), (len(heads), 1, 1))
+    for handle, parent in enumerate(HANDLE_PARENTS):  # parents come first
+        if parent >= 0:
+            placed[handle] = placed[parent] + turns[parent] @ (heads[handle] - heads[parent])
+        moved[handle, :3, :3] = turns[handle]
+        moved[handle, :3, 3] = placed[handle] - turns[handle] @ heads[handle]
+    vertices = skin(character.vertices, handles.weights, moved[None, :, :3].astype(np.float32))[0]
+    middle = (placed[HANDLE_NAMES.index("left_hip")] + placed[HANDLE_NAMES.index("right_hip")]) / 2
+    shift = -np.array([middle[0], float(vertices[character.surface, 1].min()), middle[2]])
+    moved[:, :3, 3] += shift
+    rig = _rig(anatomy, placed + shift, names)
+    source = character.source
+    if isinstance(source, Source):
+        each = np.einsum("vk,kij->vij", handles.weights.astype(np.float64), moved)
+        source = replace(source, moved=each if source.moved is None else each @ source.moved)
+    return replace(
+        character, vertices=(vertices + shift).astype(np.float32), rig=rig, source=source, avatar=None
+    )  # springs and bones of the avatar hang on the skeleton that the file had
+
+
+def _rig(anatomy: Anatomy, heads: np.ndarray, names: str) -> Rig:
+    """The joints of the parts that are there, and the weights of the others on the joints above them."""
+    handles = anatomy.handles
+    share = (handles.weights * anatomy.character.areas[:, None]).sum(axis=0) / max(anatomy.character.areas.sum(), 1e-30)
+    there = (share > LEAST) | np.isin(HANDLE_NAMES, REQUIRED)
+    goes_to = np.arange(len(there))
+    for handle, parent in enumerate(HANDLE_PARENTS):
+        if not there[handle]:
+            goes_to[handle] = goes_to[parent]
+    kept = np.flatnonzero(there)
+    place = {int(handle): number for number, handle in enumerate(kept)}
+    weights = np.zeros((len(handles.weights), len(kept)), np.float32)
+    for handle, target in enumerate(goes_to):
+        weights[:, place[int(target)]] += handles.weights[:, handle]
+    parents = [place[int(goes_to[HANDLE_PARENTS[handle]])] if handle else -1 for handle in kept]
+    labels = [engine_names(names)[handle] for handle in kept]
+    positions = heads[kept]
+    indices, shares = top_influences(weights, 4)
+    if names in ROOTS:
+        labels, parents = [ROOTS[names], *labels], [-1, *(parent + 1 for parent in parents)]
+        positions, indices = np.concatenate([np.zeros((1, 3)), positions]), indices + 1
+    transforms = np.tile(np.eye(4), (len(labels), 1, 1))
+    transforms[:, :3, 3] = positions
+    return Rig(tuple(labels), np.array(parents), transforms, indices, shares)

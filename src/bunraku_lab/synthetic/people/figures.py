@@ -1,0 +1,190 @@
+"""Figures of any shape: mixed reference bodies, natural and drawn proportions, plain heads of drawings, several
+tessellations.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from bunraku.body.layout import JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.geometry.surface import vertex_normals
+from bunraku_lab.synthetic.people.figure import DRAWN, Figure, J, Skin
+from bunraku_lab.synthetic.people.makehuman import limb_rotations, pose_points
+from bunraku_lab.synthetic.people.proportions import random_kind, random_proportions, rest_linear
+
+__all__ = ["figure_of", "random_figure"]
+
+_GROWN = ("average", "woman", "man", "heavy", "heavy_woman", "thin", "strong", "tall", "short", "old")
+# Half width, depth of the front and depth of the back of a drawn head from the chin (-1) to the crown (1), over half
+# its extents.
+_HEAD = np.array(
+    [
+        [-1.0, 0.10, 0.62, 0.0], [-0.9, 0.32, 0.77, 0.2], [-0.7, 0.60, 0.85, 0.45], [-0.45, 0.80, 0.88, 0.72], [-0.15,
+        0.93, 0.90, 0.9],
+        [0.2, 1.0, 0.94, 1.0], [0.5, 0.96, 0.90, 0.97], [0.75, 0.78, 0.72, 0.78], [0.92, 0.45, 0.42, 0.45], [1.0, 0.08,
+        0.08, 0.08],
+    ]
+)  # fmt: skip
+
+
+def _with_drawn_head(skin: Skin) -> Skin:
+    """The body with the plain head of a drawing instead of its own: round above, a small chin, next to no nose, no
+    ears.
+    """
+    share = skin.weights[:, J["head"]]
+    own = skin.points[share > 0.6]
+    low, high = float(own[:, 1].min()), float(own[:, 1].max())
+    low += 0.05 * (high - low)
+    # Ears and nose do not count for its width and depth.
+    wide = float(np.percentile(np.abs(own[:, 0]), 85)) * 1.15
+    front, back = float(np.percentile(own[:, 2], 93)), float(own[:, 2].min())
+    middle, deep = 0.5 * (front + back), 0.5 * (front - back) * 1.03
+    columns = 28 if len(skin.points) > 1500 else 18
+    rows = 22 if len(skin.points) > 1500 else 14
+    s = -np.cos(np.linspace(0.02, np.pi, rows))[::-1]
+    width, ahead, behind = (PchipInterpolator(_HEAD[:, 0], _HEAD[:, column])(s)[:, None] for column in (1, 2, 3))
+    turn = np.arange(columns) * 2 * np.pi / columns
+    x, z = np.sin(turn)[None], np.cos(turn)[None]
+    # Front and back run into each other at the sides.
+    face = 0.5 + 0.5 * np.clip(z / 0.7, -1, 1)
+    depth = np.maximum(face * ahead + (1 - face) * behind, 0.06)
+    length = (np.abs(x / width) ** 2.2 + np.abs(z / depth) ** 2.2) ** (-1 / 2.2)
+    nose = 0.07 * np.exp(-np.square((s[:, None] + 0.4) / 0.1) - np.square(np.arctan2(x, z) / 0.13))
+    height = (
+        low + 0.5 * (s[:, None] + 1) * (high - low) + 0.1 * (high - low) * np.clip(-s[:, None] - 0.3, 0, 1) * (1 - face)
+    )
+    points = np.stack(
+        [wide * x * length, np.broadcast_to(height, length.shape), middle + deep * z * (length + nose)], axis=-1
+    )
+    index = np.arange(rows * columns).reshape(rows, columns)
+    after = np.roll(index, -1, axis=1)
+    quads = np.stack([index[:-1], index[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
+    ends = [np.full(columns, rows * columns), np.full(columns, rows * columns + 1)]
+    caps = [np.stack([ends[0], index[0], after[0]], axis=1), np.stack([ends[1], after[-1], index[-1]], axis=1)]
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], *caps])
+    points = np.concatenate(
+        [points.reshape(-1, 3), points[0].mean(axis=0, keepdims=True), points[-1].mean(axis=0, keepdims=True)]
+    )
+    body = skin.kept(~(share[skin.faces] > 0.6).all(axis=1))
+    count = len(points)
+    weights = np.zeros((count, len(J)))
+    weights[:, J["head"]] = 1
+    return Skin(
+        np.concatenate([body.points, points]), np.concatenate([body.normals, vertex_normals(points, faces)]),
+        np.concatenate([body.faces, faces + len(body.points)]),
+        np.concatenate([body.weights, weights]), np.concatenate([body.reach, np.zeros(count)]),
+        np.concatenate([body.rise, np.full(count, 6.5)]),
+        np.concatenate([body.depth, np.zeros(count)]),
+    )  # fmt: skip
+
+
+def figure_of(
+    points: np.ndarray,
+    faces: np.ndarray,
+    joints: np.ndarray,
+    weights: np.ndarray,
+    linear: np.ndarray,
+    kind: str,
+    eyes: np.ndarray | None = None,
+) -> Figure:
+    """A body brought to its rest pose.
+
+    Args:
+        points: In the body's own pose [m], shape (V, 3).
+        faces: Shape (F, 3).
+        joints: Of the same pose, shape (22, 3).
+        weights: Of the 22 joints, shape (V, 22).
+        linear: Linear maps of the parts to the rest pose, shape (22, 3, 3), as of `rest_linear`.
+        kind: What it is.
+        eyes: Middles of the eyes in the body's own pose, or None.
+    """
+    flat, straight = pose_points(points, joints, weights, limb_rotations(joints))
+    posed, rest = pose_points(points, joints, weights, linear)
+    ground = np.array([0, posed[:, 1].min(), 0])
+    x, y = np.abs(flat[:, 0]), flat[:, 1]
+    arm = straight[[J["left_collar"], J["left_shoulder"], J["left_elbow"], J["left_wrist"]], 0]
+    hand = float(x.max())
+    reach = np.interp(x, [0, arm[0], *arm[1:], max(hand, arm[3] + 0.02)], [0, 0.2, 1, 2, 3, 4])
+    marks = [
+        straight[J[name], 1] for name in ("left_ankle", "left_knee", "left_hip", "spine1", "spine3", "neck", "head")
+    ]
+    low, high = float(y.min()), float(y.max())
+    rise = np.interp(y, [low, *marks, max(high, marks[-1] + 0.02)], [-1, 0, 1, 2, 3, 4, 5, 6, 7])
+    reach = np.minimum(reach, 0.6 + 8 * np.maximum(rise - 4.1, 0))  # wide hips are no arms
+    normals = vertex_normals(posed, faces)
+    seen = None
+    if eyes is not None:
+        rows = np.zeros((2, len(JOINT_NAMES)))
+        rows[:, J["head"]] = 1
+        seen = pose_points(eyes, joints, rows, linear)[0] - ground
+    skin = Skin(
+        posed - ground, normals, np.asarray(faces, np.int64), weights, reach, rise, flat[:, 2] / max(high - low, 1e-6)
+    )
+    return Figure(_with_drawn_head(skin) if kind in DRAWN else skin, rest - ground, kind, seen)
+
+
+def random_figure(rng: np.random.Generator, detail: str = "plain") -> Figure:
+    """A reference body of a mixed shape, in drawn or in natural proportions, in an A-pose.
+
+    Args:
+        rng: Random numbers.
+        detail: "coarse", "plain" or "fine" tessellation.
+    """
+    kind = random_kind(rng)
+    names = ["woman", "thin", "average", "child"] if kind in ("drawn", "chibi", "tall") else list(_GROWN)
+    shares = rng.dirichlet(np.full(3, 0.7))
+    bodies = [reference_body(str(rng.choice(names))) for _ in range(3)]
+    points = np.sum(
+        [share * body.vertices.astype(np.float64) for share, body in zip(shares, bodies, strict=True)], axis=0
+    )
+    joints = np.sum(
+        [share * body.joints.astype(np.float64) for share, body in zip(shares, bodies, strict=True)], axis=0
+    )
+    weights = bodies[0].joint_weights.astype(np.float64)
+    arm = float(np.clip(rng.normal(0.62, 0.1), 0.3, 0.85))
+    linear = rest_linear(joints, random_proportions(rng, kind), arm, 0.0, float(rng.uniform(0.0, 0.06)))
+    faces, corners, positions = _tessellation(detail)
+    points = np.einsum("vc,vck->vk", positions, points[corners])
+    weights = np.einsum("vc,vck->vk", positions, weights[corners])
+    return figure_of(points, faces, joints, weights, linear, kind)
+
+
+@lru_cache(maxsize=8)
+def _tessellation(detail: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Another mesh of the reference body.
+
+    Returns:
+        Faces (F, 3), and for each vertex the corners (V, 3) of the face of the body that it is on and its shares (V, 3)
+        of them.
+    """
+    body = reference_body()
+    points, faces = body.vertices.astype(np.float64), body.faces
+    if detail == "coarse":
+        import fast_simplification
+        import igl
+
+        near = fast_simplification.simplify(points.astype(np.float32), faces.astype(np.int32), target_count=2200)
+        surface, faces = near[0].astype(np.float64), near[1].astype(np.int64)
+        _, triangle, nearest = igl.point_mesh_squared_distance(surface, points, body.faces)
+        corners = body.faces[triangle]
+        shares = igl.barycentric_coordinates(
+            nearest, *(np.ascontiguousarray(points[corners[:, corner]]) for corner in range(3))
+        )
+        shares = np.clip(np.nan_to_num(shares, nan=1 / 3), 0, 1)
+        return faces, corners, shares / shares.sum(axis=1, keepdims=True)
+    corners, shares = np.repeat(np.arange(len(points))[:, None], 3, axis=1), np.tile([1.0, 0, 0], (len(points), 1))
+    if detail == "fine":
+        ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        edges, which = np.unique(ends, axis=0, return_inverse=True)
+        ab, bc, ca = (which.reshape(-1) + len(points)).reshape(3, -1)
+        a, b, c = faces.T
+        faces = np.concatenate(
+            [np.stack(corner, axis=1) for corner in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
+        )
+        corners = np.concatenate([corners, np.column_stack([edges, edges[:, 0]])])
+        shares = np.concatenate([shares, np.tile([0.5, 0.5, 0], (len(edges), 1))])
+    return faces, corners, shares

@@ -1,0 +1,60 @@
+// The sentences of the timeline, and those of a take: what is shown where a take is chosen.
+
+import { EMPTY, MOST_LETTERS } from "./schema";
+import type { Doc, Sentence, Take } from "./types";
+
+export const SHORTEST = 0.5;
+export const LONGEST = 120;
+export const SAY = "type what the character does, such as: walks forward, then waves";
+
+export const inRange = (seconds: number): number => Math.min(Math.max(seconds, SHORTEST), LONGEST);
+
+/** What the timeline holds where a take is chosen; of a motion from a file an empty sentence of its length. */
+export function scriptOf(take: Take | null): Sentence[] {
+  if (!take) {
+    return EMPTY.script;
+  }
+  if (take.how === "transfer") {
+    return [{ text: "", seconds: inRange(take.seconds ?? 4) }];
+  }
+  const parts = take.script.map((part) => ({ text: part.text, seconds: inRange(part.seconds) }));
+  return parts.length ? parts : EMPTY.script;
+}
+
+/** Whether the take is a motion of a file and nothing was typed since it was chosen. */
+export const fromFile = (take: Take | null, doc: Doc): take is Take =>
+  take?.how === "transfer" && doc.script.length === 1 && !doc.script[0]?.text;
+
+export interface Block {
+  text: string;
+  /** Where it begins [s]. */
+  from: number;
+  seconds: number;
+  /** Which sentence it is; null for a motion of a file, which is not changed here. */
+  number: number | null;
+}
+
+/** The blocks of the timeline: the sentences one after the other, or the file that the take came from. */
+export function blocksOf(doc: Doc, take: Take | null): Block[] {
+  if (fromFile(take, doc)) {
+    return [{ text: take.script[0]?.text || "a motion", from: 0, seconds: take.seconds ?? 0, number: null }];
+  }
+  let from = 0;
+  return doc.script.map(({ text, seconds }, number) => {
+    const block = { text, from, seconds, number };
+    from += seconds;
+    return block;
+  });
+}
+
+/** Why this cannot be made, "" where it can. */
+export function wrongWith(script: Sentence[]): string {
+  const long = script.find((part) => part.text.length > MOST_LETTERS);
+  if (long) {
+    return tooLong(long.text);
+  }
+  return script.every((part) => part.text.trim()) ? "" : SAY;
+}
+
+export const tooLong = (text: string): string =>
+  `the sentence has ${text.length.toLocaleString("en")} letters, at most ${MOST_LETTERS.toLocaleString("en")} are taken: shorten it`;

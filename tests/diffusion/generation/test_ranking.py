@@ -1,0 +1,108 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from bunraku.diffusion.features import encode
+from bunraku.diffusion.generation.generate import _APART, generate_motions
+from bunraku.diffusion.generation.ranking import ATTEMPTS, CAPTURED, Drawn, choose, script_scores
+from bunraku.diffusion.matching import RADIUS, Extractor, ExtractorConfig, embed_motions, embed_sentences, load_ranker
+from bunraku.language.encoders import text_encoder
+from bunraku.language.parse import clause_of, clauses_of
+
+
+@pytest.fixture
+def ranker():
+    torch.manual_seed(3)
+    sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "embedding": 8, "text_size": 8, "pooled_size": 8}
+    return Extractor(ExtractorConfig(**sizes, text_encoder="words")).eval().requires_grad_(False)
+
+
+def test_a_score_is_the_mean_cosine_over_the_parts_by_their_frames(ranker, encoder, features):
+    wave, kick = features("left_elbow", frames=40), features("right_knee", frames=20)
+    whole = np.concatenate([wave, kick])
+    script = [(clause_of("waves"), 40), (clause_of("kicks"), 20)]
+    text = embed_sentences(ranker, encoder, ["waves", "kicks"])
+    vectors = embed_motions(ranker, [wave, kick])
+    cosines = [float(vectors[0] @ text["waves"]) / RADIUS**2, float(vectors[1] @ text["kicks"]) / RADIUS**2]
+    (score,) = script_scores(ranker, text, [whole], [script])
+    assert score == pytest.approx((40 * cosines[0] + 20 * cosines[1]) / 60, abs=1e-6)
+    both = script_scores(ranker, text, [wave, whole], [[(clause_of("waves"), 40)], script])
+    assert both == pytest.approx([cosines[0], score], abs=1e-5)  # whatever stands beside it
+
+
+def test_long_parts_are_looked_at_in_pieces_and_what_is_too_short_counts_nothing(ranker, encoder, features):
+    long, text = features("left_elbow", frames=400), embed_sentences(ranker, encoder, ["waves"])
+    assert np.isfinite(script_scores(ranker, text, [long], [[(clause_of("waves"), 400)]])).all()
+    assert script_scores(ranker, text, [long[:4]], [[(clause_of("waves"), 4)]]) == pytest.approx([0.0])
+
+
+def drawn(agreement, number):
+    return Drawn(np.full((1, 1), number, np.float32), np.zeros((1, 1, 3)), [(clause_of("a"), 1)], agreement)
+
+
+def chosen(told, candidates=2):
+    """Which candidates of motions are chosen by their (cosine, agreement), and how many were drawn."""
+    asked = []
+
+    def draw(rows, positions):
+        asked.extend(zip(rows, positions, strict=True))
+        return [
+            drawn(told[row][position][1], 100 * row + position) for row, position in zip(rows, positions, strict=True)
+        ]
+
+    def score(some):
+        return np.array([told[int(one.motion[0, 0]) // 100][int(one.motion[0, 0]) % 100][0] for one in some])
+
+    return [int(one.motion[0, 0]) for one in choose(draw, len(told), candidates, score)], len(asked)
+
+
+def test_the_best_of_each_motion_is_taken():
+    assert chosen([[(0.1, None), (0.3, None)], [(0.9, None), (0.5, None)]]) == ([1, 100], 4)
+
+
+def test_what_a_sentence_plainly_says_weighs_more_than_the_ranker():
+    assert chosen([[(0.5, -1.0), (0.3, 0.9)]]) == ([1], 2)
+
+
+def test_more_are_drawn_of_the_motion_that_none_agrees_for():
+    """The second motion's first two have the wrong side; the third is right, and the fourth is liked less."""
+    wrong = [(0.9, -1.0), (0.8, -1.0), (0.4, 1.0), (0.3, 1.0)]
+    assert chosen([[(0.2, 1.0), (0.1, 1.0)], wrong]) == ([0, 102], 6)
+
+
+def test_after_the_last_attempt_the_least_wrong_is_taken():
+    never = [(0.1, -1.0) for _ in range(2 * ATTEMPTS - 1)] + [(0.1, 0.0)]
+    assert chosen([never]) == ([2 * ATTEMPTS - 1], 2 * ATTEMPTS)
+
+
+def test_what_is_chosen_is_the_candidate_with_the_best_score():
+    script = [clauses_of([("a person bows", 2.0)])]
+    drawn = [generate_motions(script, seeds=[(5, index * _APART)], steps=4)[0] for index in range(3)]
+    scores = script_scores(
+        load_ranker(),
+        embed_sentences(load_ranker(), text_encoder(load_ranker().config.text_encoder), [script[0][0].text]),
+        [encode(motion) for motion in drawn],
+        [[(script[0][0], 40)]] * 3,
+    )
+    (chosen,) = generate_motions(script, seeds=[5], steps=4, candidates=3, examples=False)
+    apart = [float(np.abs(chosen.rotations - motion.rotations).max()) for motion in drawn]
+    assert int(np.argmin(apart)) == int(np.argmax(scores)) and min(apart) < 1e-3
+
+
+def test_a_candidate_that_starts_from_an_example_is_worth_a_little_more():
+    def choice(cosines):
+        some = [replace(drawn(None, index), captured=index == 1) for index in range(2)]
+        (one,) = choose(lambda rows, positions: some, 1, 2, lambda _: np.array(cosines))
+        return int(one.motion[0, 0])
+
+    assert choice([0.5, 0.5 - 0.9 * CAPTURED]) == 1 and choice([0.5, 0.5 - 1.1 * CAPTURED]) == 0
+
+
+def test_candidates_but_the_first_start_from_examples():
+    script = [clauses_of([("a person waves with the right hand", 3.0)])]
+    plain, led = (generate_motions(script, seeds=[5], steps=4, candidates=3, examples=way)[0] for way in (False, True))
+    assert np.abs(plain.rotations - led.rotations).max() > 0.1
+    alone = [generate_motions(script, seeds=[5], steps=4, examples=way)[0] for way in (False, True)]
+    np.testing.assert_array_equal(alone[0].rotations, alone[1].rotations)  # one candidate starts from noise

@@ -1,0 +1,43 @@
+import math
+
+import pytest
+import torch
+
+from bunraku.diffusion.sampling.solvers import TRAINING_STEPS, add_noise, alphas_cumprod, sampling_steps
+
+
+def test_the_curve_is_the_cosine_of_nichol_and_dhariwal():
+    curve = alphas_cumprod()
+    start = math.cos(0.008 / 1.008 * math.pi / 2) ** 2
+    for step in (0, 1, 250, 500, 900, 997):
+        assert float(curve[step]) == pytest.approx(
+            math.cos(((step + 1) / TRAINING_STEPS + 0.008) / 1.008 * math.pi / 2) ** 2 / start, rel=1e-6
+        )
+    assert bool((curve.diff() < 0).all()) and 0 < float(curve[-1]) < 1e-5
+    assert float(curve[-1] / curve[-2]) == pytest.approx(0.001)  # the capped beta
+
+
+def test_noise_keeps_unit_variance():
+    generator = torch.Generator().manual_seed(0)
+    clean, noise = torch.randn(3, 100, 50, generator=generator), torch.randn(3, 100, 50, generator=generator)
+    noisy = add_noise(clean, noise, torch.tensor([0, 500, 999]), alphas_cumprod())
+    torch.testing.assert_close(noisy.var((1, 2)), torch.ones(3), atol=0.05, rtol=0)
+    torch.testing.assert_close(noisy[0], clean[0], atol=0.05, rtol=0)
+    torch.testing.assert_close(noisy[2], noise[2], atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 20, 400, 999, 1000])
+def test_steps_fall_from_the_last_and_never_repeat(count):
+    steps = sampling_steps(count)
+    assert len(steps) == count and steps[0] == 999 and all(a > b for a, b in zip(steps, steps[1:], strict=False))
+    assert 0 <= steps[-1] <= (999 if count == 1 else 5)
+
+
+def test_steps_are_even_in_the_log_of_the_ratio():
+    curve, steps = alphas_cumprod(), sampling_steps(20)
+    ratio = [0.5 * math.log(float(curve[step] / (1 - curve[step]))) for step in steps]
+    gaps = [
+        after - before for before, after in zip(ratio[4:], ratio[5:], strict=False)
+    ]  # single steps are far apart at the very start
+    assert max(gaps) < 1.25 * 10 / 19 and min(gaps) > 0.75 * 10 / 19
+    assert sampling_steps(1000) == list(range(999, -1, -1))
