@@ -30,7 +30,7 @@ def said(stage) -> str:
 def test_switches_are_the_list():
     assert bunraku.Stages is Stages
     assert [field.name for field in fields(Stages)] == [stage.name for stage in STAGES]
-    assert [field.default for field in fields(Stages)] == [not stage.asked for stage in STAGES]
+    assert [field.default for field in fields(Stages)] == [not stage.on_request for stage in STAGES]
     words = dict(re.findall(r"^    (\w+): (.*)$", inspect.getdoc(Stages), re.MULTILINE))
     assert words == {stage.name: said(stage) for stage in STAGES}
 

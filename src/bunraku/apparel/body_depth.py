@@ -144,9 +144,9 @@ class BodyDepth:
         step = gap[rows] - distance
         moved = np.flatnonzero((step > 0) & (step < most))
         rows = rows[moved]
-        way = np.einsum("mba,mb->ma", unposed.back[rows], slope[moved])
-        length = np.maximum(np.einsum("ma,ma->m", way, way), 0.1)
-        return rows, (step[moved] / length)[:, None] * way
+        shift = np.einsum("mba,mb->ma", unposed.back[rows], slope[moved])
+        length = np.maximum(np.einsum("ma,ma->m", shift, shift), 0.1)
+        return rows, (step[moved] / length)[:, None] * shift
 
     def pushed(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> np.ndarray:
         """Points moved out of the body, shape (M, 3); what is given as in `push`."""

@@ -169,10 +169,10 @@ def _attachment(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray, np.n
             starts = rows[gap <= gap.min() + HELD * extent]
         if not len(starts):
             starts = rows[points[rows, 1] >= points[rows, 1].max() - HELD * extent]
-        way, _, source = dijkstra(graph, directed=False, indices=starts, min_only=True, return_predecessors=True)
-        reached = np.isfinite(way[rows])
+        along, _, source = dijkstra(graph, directed=False, indices=starts, min_only=True, return_predecessors=True)
+        reached = np.isfinite(along[rows])
         anchor = np.where(reached, source[rows], starts[0])
         held[rows] = points[rows] - points[anchor]
-        distance[rows] = np.where(reached, way[rows], np.linalg.norm(held[rows], axis=1))
+        distance[rows] = np.where(reached, along[rows], np.linalg.norm(held[rows], axis=1))
         longest[rows] = max(float(distance[rows].max()), 1e-4)
     return held[clean.index], distance[clean.index], longest[clean.index]

@@ -110,10 +110,10 @@ def point_features(points: np.ndarray, normals: np.ndarray, joints: np.ndarray, 
     sides = np.array([(points[own == number].min(axis=0), points[own == number].max(axis=0))
                       for number in range(len(numbers))])  # fmt: skip
     low, high = sides[own, 0], sides[own, 1]
-    way, gaps = _bone_ways(points, joints)
+    offset, gaps = _bone_ways(points, joints)
     found = np.concatenate(
         [
-            points, normals, way, gaps.min(axis=1, keepdims=True), np.exp(-8 * gaps), high - low,
+            points, normals, offset, gaps.min(axis=1, keepdims=True), np.exp(-8 * gaps), high - low,
             (points[:, 1] - low[:, 1])[:, None],
         ],
         axis=1,
@@ -210,11 +210,11 @@ def _starts(vertices: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.nd
     """
     owners, ends, lengths = [], [], []
     for joint, index in enumerate(joints):
-        way = vertices - index
-        gap = np.linalg.norm(way, axis=1)
+        offset = vertices - index
+        gap = np.linalg.norm(offset, axis=1)
         near = np.flatnonzero(gap < REACH * gap.min() + 0.01)
         near = near[np.argsort(gap[near], kind="stable")]
-        first = near[np.unique((way[near] @ _SIDES.T).argmax(axis=1), return_index=True)[1]]
+        first = near[np.unique((offset[near] @ _SIDES.T).argmax(axis=1), return_index=True)[1]]
         owners.append(np.full(len(first), joint))
         ends.append(first)
         lengths.append(gap[first])

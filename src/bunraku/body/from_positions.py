@@ -96,12 +96,12 @@ def _rolled(world: np.ndarray, joint: int, offsets: np.ndarray, bones: np.ndarra
     """A limb rolled about itself so that the next one bends about its hinge: elbows forward, knees backward."""
     child = LIMB_CHILD[joint]
     axis = offsets[child] / max(float(np.linalg.norm(offsets[child])), 1e-9)
-    way = np.array([0.0, 0, 1]) if "shoulder" in JOINT_NAMES[joint] else np.array([0.0, 0, -1])
-    way -= axis * (axis @ way)
+    direction = np.array([0.0, 0, 1]) if "shoulder" in JOINT_NAMES[joint] else np.array([0.0, 0, -1])
+    direction -= axis * (axis @ direction)
     bent = np.einsum("nji,nj->ni", world, bones[:, LIMB_CHILD[child]])
     bent /= np.maximum(np.linalg.norm(bent, axis=-1, keepdims=True), 1e-9)
     pair = np.stack(
-        [bent @ way + _PULL, bent @ np.cross(axis, way)], -1
+        [bent @ direction + _PULL, bent @ np.cross(axis, direction)], -1
     )  # the direction that the roll should turn `way` to
     pair = gaussian_filter1d(pair, _SMOOTH * fps, axis=0, mode="nearest")
     return np.asarray(world @ matrix_from_axis_angle(np.arctan2(pair[:, 1], pair[:, 0])[:, None] * axis))

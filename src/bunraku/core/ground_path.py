@@ -101,19 +101,19 @@ class GroundPath(Constraint):
         soft = min(0.4, seconds / 4)  # s to set off and to arrive
         time = np.arange(frames) / fps
         speed = np.clip(np.minimum(time, seconds - time) / soft, 0, 1)
-        way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) * length[-1]
-        way /= max(float(speed.sum()) - 0.5 * float(speed[0] + speed[-1]), 1e-9)
-        return np.column_stack([np.interp(way, length, column) for column in curve.T])
+        velocity = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) * length[-1]
+        velocity /= max(float(speed.sum()) - 0.5 * float(speed[0] + speed[-1]), 1e-9)
+        return np.column_stack([np.interp(velocity, length, column) for column in curve.T])
 
     def headings(self, frames: int, fps: float, backwards: bool = False) -> np.ndarray:
         """Where who follows the path looks in each frame [rad], shape (N,): along it, or back; 0 is +Z, positive turns
         towards +X.
         """
         positions = self.positions(frames, fps)
-        way = np.gradient(positions, axis=0) if frames > 1 else np.zeros_like(positions)
-        speed = np.linalg.norm(way, axis=1)
+        velocity = np.gradient(positions, axis=0) if frames > 1 else np.zeros_like(positions)
+        speed = np.linalg.norm(velocity, axis=1)
         moves = np.flatnonzero(speed > 1e-3 * max(float(speed.max()), 1e-12))
-        angle = np.unwrap(np.arctan2(way[moves, 0], way[moves, 1]))
+        angle = np.unwrap(np.arctan2(velocity[moves, 0], velocity[moves, 1]))
         whole = np.interp(np.arange(frames), moves, angle)
         return np.asarray(gaussian_filter1d(whole, 0.15 * fps, mode="nearest") + (math.pi if backwards else 0.0))
 

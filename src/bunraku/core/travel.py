@@ -42,9 +42,9 @@ def placed_at(motion: HandleMotion, frame: int, like: HandleMotion, there: int) 
     frame of its own.
     """
     turned = moved(motion, _turn(motion.root_rotation[frame], like.root_rotation[there]), np.zeros(3))
-    way = like.root_translation[there].astype(float) - turned.root_translation[frame]
-    way[1] = 0
-    return moved(turned, 0.0, way)
+    displacement = like.root_translation[there].astype(float) - turned.root_translation[frame]
+    displacement[1] = 0
+    return moved(turned, 0.0, displacement)
 
 
 def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
@@ -62,12 +62,12 @@ def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
     whole = np.arange(-before, last + after + 1)
     rounds, frames = np.divmod(whole, last)
     step = matrix_y(np.array([_turn(motion.root_rotation[0], motion.root_rotation[-1])]))[0]
-    way = motion.root_translation[-1].astype(float) - step @ motion.root_translation[0]
+    displacement = motion.root_translation[-1].astype(float) - step @ motion.root_translation[0]
     positions, turns = {0: np.zeros(3)}, {0: np.eye(3)}
     for index in range(1, max(int(rounds.max()), 0) + 1):
-        turns[index], positions[index] = step @ turns[index - 1], step @ positions[index - 1] + way
+        turns[index], positions[index] = step @ turns[index - 1], step @ positions[index - 1] + displacement
     for index in range(-1, min(int(rounds.min()), 0) - 1, -1):
-        turns[index], positions[index] = step.T @ turns[index + 1], step.T @ (positions[index + 1] - way)
+        turns[index], positions[index] = step.T @ turns[index + 1], step.T @ (positions[index + 1] - displacement)
     turned, moves = (
         np.stack([turns[index] for index in rounds.tolist()]),
         np.stack([positions[index] for index in rounds.tolist()]),
@@ -138,8 +138,8 @@ def in_place(motion: HandleMotion, loop: bool = False) -> HandleMotion:
         longer = repeated(motion, margin, margin).root_translation.astype(float)
     else:
         longer = np.pad(path, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    way = gaussian_filter1d(longer, SWAY * motion.fps, axis=0, mode="nearest")[margin : margin + len(path)]
-    out = path - way
+    displacement = gaussian_filter1d(longer, SWAY * motion.fps, axis=0, mode="nearest")[margin : margin + len(path)]
+    out = path - displacement
     out[:, [0, 2]] += path[0, [0, 2]] - out[0, [0, 2]]
     out[:, 1] = path[:, 1]
     return replace(motion, root_translation=out)
@@ -175,8 +175,8 @@ def put_back(
     count = len(original)
     arrays = {name: np.array(getattr(made, name)) for name in HandleMotion.arrays}
     edges = [(first - 1, 1)] * (first > 0) + [(after, -1)] * (after < count)
-    for edge, way in edges if fade else ():
-        frames = edge + way * np.arange(1, min(fade, after - first) + 1)
+    for edge, displacement in edges if fade else ():
+        frames = edge + displacement * np.arange(1, min(fade, after - first) + 1)
         share = _fade(len(frames))
         for name, array in arrays.items():
             there = getattr(original, name)[edge].astype(float)
@@ -184,9 +184,9 @@ def put_back(
                 off = there - array[edge]
                 if name.startswith("root"):
                     wide = _fade(after - first) if len(edges) == 2 else np.ones(after - first)
-                    array[edge + way * np.arange(1, after - first + 1)] += (wide[:, None] * off * [1, 0, 1]).astype(
-                        np.float32
-                    )
+                    array[edge + displacement * np.arange(1, after - first + 1)] += (
+                        wide[:, None] * off * [1, 0, 1]
+                    ).astype(np.float32)
                     off = off * [0, 1, 0]
                 array[frames] += (share.reshape(-1, *[1] * there.ndim) * off).astype(np.float32)
             else:

@@ -97,19 +97,19 @@ def decode(features: np.ndarray, fps: float = 20.0) -> HandleMotion:
     return HandleMotion(translations, rotations, position, facing @ matrix_from_6d(x[:, 4:10]), fps)
 
 
-def root_velocities(way: np.ndarray, fps: float) -> np.ndarray:
+def root_velocities(path: np.ndarray, fps: float) -> np.ndarray:
     """The first three features of a root that goes a way, shape (N, 3).
 
     Args:
         way: Position (x, z) [m] and heading [rad] in each frame, shape (N, 3).
         fps: Frames a second [1/s].
     """
-    step, angle = np.diff(way[:, :2], axis=0, prepend=way[:1, :2]), way[:, 2]
-    out = np.empty((len(way), 3))
+    step, angle = np.diff(path[:, :2], axis=0, prepend=path[:1, :2]), path[:, 2]
+    out = np.empty((len(path), 3))
     out[:, 0] = np.diff(angle, prepend=angle[:1]) * fps
     out[:, 1] = (step[:, 0] * np.cos(angle) - step[:, 1] * np.sin(angle)) * fps
     out[:, 2] = (step[:, 0] * np.sin(angle) + step[:, 1] * np.cos(angle)) * fps
-    if len(way) > 1:
+    if len(path) > 1:
         out[0] = out[1]
     return out
 

@@ -151,18 +151,18 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
     dealt = _fitted(splits, areas, len(spare))
     for split, _ in dealt:
         out[:, split.columns] = split.parts * split.members[:, :1]
-    asked = [
+    queries = [
         (split, limb, part, owner)
         for split, owners in dealt
         for limb, owner in enumerate(owners, 1)
         for part in sorted(set(owner))
     ]
     fresh = _slots_of(
-        [split.slot(limb, _part_played(part, owner)) for split, limb, part, owner in asked],
+        [split.slot(limb, _part_played(part, owner)) for split, limb, part, owner in queries],
         len(SIDES) * max(before) * len(FAMILIES[0]),
         spare,
     )
-    for (split, limb, part, owner), handle in zip(asked, fresh, strict=True):
+    for (split, limb, part, owner), handle in zip(queries, fresh, strict=True):
         roles[handle] = split.roles(limb)[_part_played(part, owner)]
         moved = [number for number, own in enumerate(owner) if own == part]
         out[:, handle] += split.parts[:, moved].sum(axis=1) * split.members[:, limb]
@@ -205,7 +205,7 @@ def _part_played(part: int, owner: list[int]) -> int:
     return 0 if part == owner[0] else part
 
 
-def _slots_of(asked: list[int], slots: int, spare: list[int]) -> list[int]:
+def _slots_of(queries: list[int], slots: int, spare: list[int]) -> list[int]:
     """A spare handle for each slot that is asked for, so that a part more or less does not move the others.
 
     A slot has its own place in `_SPARE_FIRST`. Where the character uses that one itself, the slot has the next that no
@@ -214,8 +214,8 @@ def _slots_of(asked: list[int], slots: int, spare: list[int]) -> list[int]:
     own = [HANDLE_NAMES.index(_SPARE_FIRST[slot]) if slot < len(_SPARE_FIRST) else -1 for slot in range(slots)]
     free = [handle for handle in spare if handle not in own]
     index = [handle if handle in spare else free.pop(0) if free else -1 for handle in own]
-    left = [handle for handle in spare if handle not in [index[slot] for slot in asked]]
-    return [index[slot] if index[slot] >= 0 else left.pop(0) for slot in asked]
+    left = [handle for handle in spare if handle not in [index[slot] for slot in queries]]
+    return [index[slot] if index[slot] >= 0 else left.pop(0) for slot in queries]
 
 
 def _without(weights: np.ndarray, spare: list[int]) -> np.ndarray:

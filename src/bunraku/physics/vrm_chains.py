@@ -138,15 +138,15 @@ class _Chains:
         starts = np.array([self.world[node][:3, 3] for node in nodes])
         tails = list(starts[1:])
         if spring.ends_free:
-            way = starts[-1] - (
+            direction = starts[-1] - (
                 starts[-2]
                 if len(starts) > 1
                 else self.world[self.parents[nodes[0]]][:3, 3]
                 if self.parents[nodes[0]] >= 0
                 else 0
             )
-            way = way if np.linalg.norm(way) > 1e-6 else np.array([0.0, -1, 0])
-            tails.append(starts[-1] + END * way / np.linalg.norm(way))
+            direction = direction if np.linalg.norm(direction) > 1e-6 else np.array([0.0, -1, 0])
+            tails.append(starts[-1] + END * direction / np.linalg.norm(direction))
         masses, ends = LIGHTER ** np.arange(len(joints)), np.array(tails[: len(joints)])
         above = -1
         for number, joint in enumerate(joints):

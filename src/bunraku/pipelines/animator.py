@@ -65,7 +65,7 @@ class Body:
     parts: RigParts | None = None
 
 
-def _silent(*told: object) -> None:
+def _silent(*messages: object) -> None:
     """Progress and notes that nobody looks at."""
 
 

@@ -75,9 +75,9 @@ def dressed(
         FormatError: The mask is broken or belongs to another mesh.
         WeightsError: The shipped weights are missing or broken.
     """
-    asked = Apparel(str(apparel), stiffness)
-    asked.check()
-    if not asked.moves:
+    settings = Apparel(str(apparel), stiffness)
+    settings.check()
+    if not settings.moves:
         return animation
     if str(apparel) == "simulate":
         return with_apparel(animation, progress)

@@ -155,9 +155,9 @@ def moved_ways(motion: HandleMotion, sentence: Sentence, anatomy: Anatomy, loop:
         loop: Whether the motion is a loop.
     """
     start, whole = 0.0, sentence.seconds
-    for way, clauses in groupby(sentence.clauses, key=lambda clause: clause.moves):
+    for locomotion, clauses in groupby(sentence.clauses, key=lambda clause: clause.moves):
         share = sum(clause.seconds / whole for clause in clauses)
         where = slice(round(start * len(motion)), round((start + share) * len(motion)))
-        motion = moved_so(motion, way, where, anatomy, loop)
+        motion = moved_so(motion, locomotion, where, anatomy, loop)
         start += share
     return motion

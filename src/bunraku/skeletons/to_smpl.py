@@ -217,7 +217,7 @@ def _untwisted(relative: np.ndarray, axis: np.ndarray) -> np.ndarray:
     return np.asarray(matrix_from_axis_angle(-twist * axis))
 
 
-def _hinged(bent: np.ndarray, axis: np.ndarray, way: int) -> np.ndarray | None:
+def _hinged(bent: np.ndarray, axis: np.ndarray, direction: int) -> np.ndarray | None:
     """The roll of a limb that makes the next one bend forward (1) or backward (-1) in the mean, shape (3, 3); None
     where it hardly bends.
 
@@ -227,7 +227,7 @@ def _hinged(bent: np.ndarray, axis: np.ndarray, way: int) -> np.ndarray | None:
         way: Elbows bend forward, knees backward.
     """
     axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
-    square = np.array([0.0, 0, way]) - axis * (axis[2] * way)
+    square = np.array([0.0, 0, direction]) - axis * (axis[2] * direction)
     bent = bent / np.maximum(np.linalg.norm(bent, axis=-1, keepdims=True), 1e-12)
     pair = (bent @ square).mean(), (bent @ np.cross(axis, square)).mean()
     return np.asarray(matrix_from_axis_angle(np.arctan2(pair[1], pair[0]) * axis)) if np.hypot(*pair) > _BENDS else None
@@ -248,12 +248,12 @@ def _offsets(found: SkeletonMap, world: np.ndarray, positions: np.ndarray) -> np
         while found.joints[JOINT_PARENTS[line[-1]]] < 0:
             line.append(JOINT_PARENTS[line[-1]])
         above = JOINT_PARENTS[line[-1]]
-        way = positions[:, found.joints[joint]] - positions[:, found.joints[above]]
-        way = np.einsum("nji,nj->ni", world[:, above], way).mean(axis=0)
+        direction = positions[:, found.joints[joint]] - positions[:, found.joints[above]]
+        direction = np.einsum("nji,nj->ni", world[:, above], direction).mean(axis=0)
         todo = [some for some in line if not placed[some]]
-        way = way - sum((out[some] for some in line if placed[some]), np.zeros(3))
+        direction = direction - sum((out[some] for some in line if placed[some]), np.zeros(3))
         for some in todo:
-            out[some] = way * lengths[some] / max(float(lengths[todo].sum()), 1e-9)
+            out[some] = direction * lengths[some] / max(float(lengths[todo].sum()), 1e-9)
             placed[some] = True
     plain = Skeleton(JOINT_NAMES, np.array(JOINT_PARENTS), out)
     scale = (

@@ -151,12 +151,12 @@ def apparel() -> Verb:
 def _verb(settings: type, train: Callable[..., Path]) -> Verb:
     """Settings, and what trains by them, prints the rows of its log and shows how far it is."""
 
-    def told(row: dict[str, float]) -> None:
+    def shown(row: dict[str, float]) -> None:
         print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
 
     def run(config: Any) -> None:
         with stages() as report:
-            path = train(config, report=told, progress=report)
+            path = train(config, report=shown, progress=report)
         print(f"wrote {path}")
 
     return settings, run

@@ -122,8 +122,8 @@ class ApparelPlayer:
 
     def _moved(self, frame: Frame, transforms: np.ndarray) -> np.ndarray:
         """Displacement of the nodes in the frames of their joints, over the size, shape (M, 3)."""
-        told = _told(frame)
-        anchor = self.folded.anchor(*told)
+        inputs = _told(frame)
+        anchor = self.folded.anchor(*inputs)
         if self.recurrent is None:
             if self.known is None:
                 return anchor
@@ -133,7 +133,7 @@ class ApparelPlayer:
         if self.past is None:  # at rest, as far as is known
             first = np.zeros_like(anchor) if self.recurrent.world else anchor
             self.past = self._past(*(np.stack([value] * 3) for value in (first, anchor, turns, positions)))
-        moved, self.past = self.folded.recurrent(*told, self.past, anchor, turns, positions)
+        moved, self.past = self.folded.recurrent(*inputs, self.past, anchor, turns, positions)
         return moved
 
     def clip(self, transforms: np.ndarray) -> np.ndarray:

@@ -209,23 +209,23 @@ class Safety:
         if self.depth is None or unposed is None:
             return positions
         out = self.depth.pushed(positions, unposed.take(self.node), self.vertex_gap, self.most)
-        asked = [unposed.joint[self.node]]
+        joints = [unposed.joint[self.node]]
         for node, gap in ((self.second, self.vertex_gap), (self.third, self.deep_gap)):
             joint = unposed.joint[node]
-            between = np.flatnonzero(np.logical_and.reduce([joint != one for one in asked]))
+            between = np.flatnonzero(np.logical_and.reduce([joint != one for one in joints]))
             if len(between):
                 other = unposed.take(node[between])
                 out[between] = self.depth.pushed(out[between], other, gap[between], self.most)
-            asked.append(joint)
+            joints.append(joint)
         return out
 
     def _bounded(self, positions: np.ndarray) -> np.ndarray:
         a, b = self.ends
-        way = positions.take(b, axis=0) - positions.take(a, axis=0)
-        now = np.sqrt(np.einsum("ea,ea->e", way, way))
+        offset = positions.take(b, axis=0) - positions.take(a, axis=0)
+        now = np.sqrt(np.einsum("ea,ea->e", offset, offset))
         wanted = np.minimum(np.maximum(now, self.shortest), self.longest)
-        way *= (1 - wanted / np.maximum(now, 1e-9))[:, None]
-        return np.asarray(positions + self.shared @ way)
+        offset *= (1 - wanted / np.maximum(now, 1e-9))[:, None]
+        return np.asarray(positions + self.shared @ offset)
 
 
 def _rays(outward: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -173,10 +173,10 @@ class Animate(GeneratingOptions):
                 from bunraku.pipelines.clips import clip_names, with_loops
 
                 names = clip_names(sentence.prompt for sentence in sentences)
-                asked = {
+                requests = {
                     name: replace(request, sentence=sentence) for name, sentence in zip(names, sentences, strict=True)
                 }
-                clips = dict(Animator.shipped(report, say).clips(body, with_loops(asked)))
+                clips = dict(Animator.shipped(report, say).clips(body, with_loops(requests)))
                 save_clips_to(clips, named, self.fps, self.add, report)
         return 0
 

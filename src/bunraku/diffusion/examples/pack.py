@@ -249,10 +249,10 @@ def _stored(path: str | Path, examples: Sequence[Example]) -> list[list[str]]:
     if not file.is_file():
         return []
     try:
-        told = json.loads(file.read_bytes())
-        if told["of"] != _sentences(examples):
+        words = json.loads(file.read_bytes())
+        if words["of"] != _sentences(examples):
             return []
-        rows: list[list[str]] = told["rows"]
+        rows: list[list[str]] = words["rows"]
         if len(rows) != len(examples) or {(len(row), *map(type, row)) for row in rows} - {(3, str, str, str)}:
             raise ValueError
     except (ValueError, TypeError, LookupError, RecursionError) as error:

@@ -72,10 +72,10 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> list[Foun
         clause: Of one thing that is done.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    asked = Said(frozenset(clause.actions) or _NOTHING, clause.cues, clause.traits)
-    wanted = _shown(asked)
-    sided = any(cue.startswith(("left", "right")) for cue in asked.cues)
-    least = WALKING if asked.actions <= {"walk", "run"} else LEAST
+    query = Said(frozenset(clause.actions) or _NOTHING, clause.cues, clause.traits)
+    wanted = _shown(query)
+    sided = any(cue.startswith(("left", "right")) for cue in query.cues)
+    least = WALKING if query.actions <= {"walk", "run"} else LEAST
     found = []
     for mirrored in (False, True):
         cosines = pack.texts[int(mirrored)].astype(float) @ vector
@@ -86,40 +86,40 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> list[Foun
             one = pack.examples[index]
             if one.made and mirrored and not sided:  # made by code with the hand that most people take
                 continue
-            near = 0.0 if one.made and asked.actions != _NOTHING else float(best[index])
-            if _fits(pack.said(index), mirrored, asked, wanted, near):
+            near = 0.0 if one.made and query.actions != _NOTHING else float(best[index])
+            if _fits(pack.said(index), mirrored, query, wanted, near):
                 found.append(Found(index, mirrored, float(score[index])))
     found.sort(key=lambda one: -one.score)
     made = bool(found) and pack.examples[found[0].number].made
-    made = made and asked.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
+    made = made and query.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
     away = [NEAR if pack.examples[one.number].made or not made else NEAR_MADE for one in found]
     return [one for one, most in zip(found, away, strict=True) if one.score >= found[0].score - most][:MOST]
 
 
-def _shown(asked: Said) -> frozenset[str]:
+def _shown(query: Said) -> frozenset[str]:
     """Cues that an example must say too: "forward" of who goes, "around" of who turns."""
-    idle = frozenset[str]() if goes_ahead(asked.actions) else {"forward"}
-    return (asked.cues & _SIDED) - idle - (frozenset[str]() if asked.actions & _TURNS else {"half", "full"})
+    idle = frozenset[str]() if goes_ahead(query.actions) else {"forward"}
+    return (query.cues & _SIDED) - idle - (frozenset[str]() if query.actions & _TURNS else {"half", "full"})
 
 
-def _fits(said: Said, mirrored: bool, asked: Said, wanted: frozenset[str], near: float) -> bool:
-    if near < SAME and said.actions != asked.actions:
+def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str], near: float) -> bool:
+    if near < SAME and said.actions != query.actions:
         return False
     shown = said.traits
     for here, there in (("chair", "floor"), ("floor", "chair")):
-        if here in asked.traits and there in shown:
+        if here in query.traits and there in shown:
             return False
-    if asked.actions == {"hop"} and "one foot" in asked.traits and "one foot" not in shown:
+    if query.actions == {"hop"} and "one foot" in query.traits and "one foot" not in shown:
         return False
-    if asked.actions == {"run"} and "sets off" in shown and "sets off" not in asked.traits:
+    if query.actions == {"run"} and "sets off" in shown and "sets off" not in query.traits:
         return False
-    if "stairs" in asked.traits and "stairs" not in shown:
+    if "stairs" in query.traits and "stairs" not in shown:
         return False
-    if "climb" in asked.actions and "down" in shown and "down" not in asked.traits:
+    if "climb" in query.actions and "down" in shown and "down" not in query.traits:
         return False
-    if asked.actions == {"raise arm"} and ("both" in shown) != ("both" in asked.traits):
+    if query.actions == {"raise arm"} and ("both" in shown) != ("both" in query.traits):
         return False
-    if asked.actions <= {"walk", "run"} and "halts" in shown and "halts" not in asked.traits:
+    if query.actions <= {"walk", "run"} and "halts" in shown and "halts" not in query.traits:
         return False
-    told = said.mirrored_cues if mirrored else said.cues
-    return wanted <= told and told & _PACE <= asked.cues
+    cues = said.mirrored_cues if mirrored else said.cues
+    return wanted <= cues and cues & _PACE <= query.cues

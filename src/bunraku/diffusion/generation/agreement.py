@@ -83,11 +83,11 @@ def _leg(clause: Clause, track: Track) -> float | None:
 def _turn(clause: Clause, track: Track) -> float | None:
     """The way round and how far; without a side, how far; and that who goes forward does not turn."""
     angle = float(track.angle[-1] - track.angle[0])
-    asked = clause.turn
-    if asked is None:
+    requested = clause.turn
+    if requested is None:
         return 1 - max(abs(angle) - _SLACK, 0) / _SLACK if clause.straight else None
-    turned = asked.side * angle if asked.side else abs(angle)
-    return 1 - max(asked.least - turned, turned - asked.most, 0) / np.radians(45)
+    turned = requested.side * angle if requested.side else abs(angle)
+    return 1 - max(requested.least - turned, turned - requested.most, 0) / np.radians(45)
 
 
 def _way(clause: Clause, track: Track) -> float | None:

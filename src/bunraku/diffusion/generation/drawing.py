@@ -172,8 +172,8 @@ def draw_candidates(
     guide = _led(starts, [lengths[row] for row in owners], sizes, statistics, loop)
     classifier_guidance = None
     if critic is not None:
-        told = [[clause.body.text for clause in script] for script in scripts]
-        classifier_guidance = critic.guidance(model, told, lengths, sizes[: len(scripts)], guide)
+        clauses = [[clause.body.text for clause in script] for script in scripts]
+        classifier_guidance = critic.guidance(model, clauses, lengths, sizes[: len(scripts)], guide)
 
     def refine(values: Tensor) -> Tensor:
         parts = list(values.split(sizes))

@@ -52,10 +52,12 @@ def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], 
     """
     out = features.copy()
     for clause, part in clause_spans(script):
-        asked, angle = clause.turn, float(out[part, 0].sum()) / fps
-        if asked is None or not angle or asked.side * angle < 0:
+        requested, angle = clause.turn, float(out[part, 0].sum()) / fps
+        if requested is None or not angle or requested.side * angle < 0:
             continue
-        wanted = float(np.clip(abs(angle), asked.least + INSIDE, max(asked.most - INSIDE, asked.least + INSIDE)))
+        wanted = float(
+            np.clip(abs(angle), requested.least + INSIDE, max(requested.most - INSIDE, requested.least + INSIDE))
+        )
         factor = wanted / abs(angle)
         if 1 / MOST <= factor <= MOST:
             out[part, 0] *= factor

@@ -41,8 +41,8 @@ def arrive(root: Tensor, fps: float, turn: float | None, travel: tuple[float, fl
     angle = yaw.cumsum(0) / fps
     cos, sin = angle.cos(), angle.sin()
     x, z = root[:, 1] * cos + root[:, 2] * sin, root[:, 2] * cos - root[:, 1] * sin
-    way = (float(x.sum()) / fps, float(z.sum()) / fps)
+    displacement = (float(x.sum()) / fps, float(z.sum()) / fps)
     if travel is None:
-        travel = way if math.hypot(*way) > STILL * count / fps else (0.0, 0.0)
-    x, z = x + (travel[0] - way[0]) * fps * weight, z + (travel[1] - way[1]) * fps * weight
+        travel = displacement if math.hypot(*displacement) > STILL * count / fps else (0.0, 0.0)
+    x, z = x + (travel[0] - displacement[0]) * fps * weight, z + (travel[1] - displacement[1]) * fps * weight
     return torch.stack([yaw, x * cos - z * sin, z * cos + x * sin], -1)

@@ -291,9 +291,9 @@ def _unit(joints: list[BvhJoint]) -> float:
     for index in range(len(joints) - 1, -1, -1):
         parent = joints[index].parent
         if parent >= 0:
-            way = reach[index] + math.dist(joints[index].offset, (0, 0, 0))
-            size = max(size, way + reach[parent])
-            reach[parent] = max(reach[parent], way)
+            length = reach[index] + math.dist(joints[index].offset, (0, 0, 0))
+            size = max(size, length + reach[parent])
+            reach[parent] = max(reach[parent], length)
     if not 1e-6 < size < math.inf:
         return 1.0
     return min(BVH_UNITS.values(), key=lambda unit: abs(math.log(size * unit / PERSON)))

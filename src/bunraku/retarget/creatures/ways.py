@@ -62,7 +62,7 @@ def wing_swing(motion: HandleMotion, held: float | None = None) -> float:
     return float(np.linalg.norm(high - low, axis=-1).max())
 
 
-def moved_so(motion: HandleMotion, way: str, where: slice, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
+def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
     """The motion with what a locomotion needs in some of its frames; as it is for other kinds than "fly", "swim" and
     those of `AIR`. "Stay" is to be in the air for no longer than a jump, and "lie" to be on the ground with all but the
     front.
@@ -75,18 +75,18 @@ def moved_so(motion: HandleMotion, way: str, where: slice, anatomy: Anatomy, loo
         loop: Whether the last frame is the first again.
     """
     frames = np.arange(len(motion))[where]
-    if way not in ("fly", *WAVE, *AIR) or len(frames) < 2:
+    if locomotion not in ("fly", *WAVE, *AIR) or len(frames) < 2:
         return motion
-    if way in ("lie", "slither"):
+    if locomotion in ("lie", "slither"):
         from bunraku.retarget.creatures.lying import laid
 
         turned, root = laid(motion, _amount(len(motion), frames, motion.fps))
         motion = replace(_attached(motion, turned, motion.root_translation.astype(np.float64)), root_rotation=root)
-    if way == "fly":
+    if locomotion == "fly":
         return _flown(motion, frames, anatomy, loop)
-    if way in WAVE:
-        motion = _waved(motion, way, frames, anatomy, loop)
-    return _grounded(motion, way, frames, anatomy) if way in AIR else motion
+    if locomotion in WAVE:
+        motion = _waved(motion, locomotion, frames, anatomy, loop)
+    return _grounded(motion, locomotion, frames, anatomy) if locomotion in AIR else motion
 
 
 def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMotion:
@@ -97,7 +97,7 @@ def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMoti
     return replace(motion, root_translation=path, own_height=True)
 
 
-def _grounded(motion: HandleMotion, way: str, frames: np.ndarray, anatomy: Anatomy) -> HandleMotion:
+def _grounded(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> HandleMotion:
     """The motion lower by as much as the character would hover in some frames, with a tail that a tilted trunk does not
     hold up.
     """
@@ -105,9 +105,9 @@ def _grounded(motion: HandleMotion, way: str, frames: np.ndarray, anatomy: Anato
         return motion
     share = _amount(len(motion), frames, motion.fps)
     motion = _tail_lowered(motion, share, anatomy)
-    hovers = Ground().hovering(posed(motion, anatomy), anatomy, AIR[way])
-    hovers = share * gaussian_filter1d(hovers, AIR[way] / 3 * motion.fps, mode="nearest")
-    least = Ground().flies[0] if way == "stay" else LEAST  # what `fit_motion` sets down
+    hovers = Ground().hovering(posed(motion, anatomy), anatomy, AIR[locomotion])
+    hovers = share * gaussian_filter1d(hovers, AIR[locomotion] / 3 * motion.fps, mode="nearest")
+    least = Ground().flies[0] if locomotion == "stay" else LEAST  # what `fit_motion` sets down
     if hovers.max() < least * anatomy.mesh.height:
         return motion
     path = motion.root_translation.astype(np.float64)
@@ -192,22 +192,22 @@ def _lifting_axis(anatomy: Anatomy, wing: int) -> np.ndarray:
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def _waved(motion: HandleMotion, way: str, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
+def _waved(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
     some = HandleMotion.take(motion, frames)
     share = _amount(len(motion), frames, motion.fps)
     path = motion.root_translation.astype(np.float64)
     ahead = matrix_y(np.asarray(heading(motion.root_rotation, motion.fps)))[:, :, 2]
     own = float(((path[frames[-1]] - path[frames[0]]) * ahead[frames].mean(axis=0)).sum())
-    wanted = SPEED[way] * _root() * len(frames) / motion.fps
+    wanted = SPEED[locomotion] * _root() * len(frames) / motion.fps
     if own < STAYS * wanted:
         path += np.cumsum(ahead * share[:, None] * wanted / len(frames), axis=0)
     rotations = motion.rotations.astype(np.float64).copy()
     turns = np.asarray(axis_angle_from_matrix(some.rotations[:, _TAIL].astype(np.float64)))
     if float(np.ptp(turns, axis=0).max()) < BENDS:
-        phase = _phase(len(motion), frames, WAVE[way], motion.fps, loop)
-        axis = np.array([1.0, 0, 0]) if way == "swim" and _flat_tail(anatomy) else np.array([0, 1.0, 0])
+        phase = _phase(len(motion), frames, WAVE[locomotion], motion.fps, loop)
+        axis = np.array([1.0, 0, 0]) if locomotion == "swim" and _flat_tail(anatomy) else np.array([0, 1.0, 0])
         for name, behind in _LINE.items():
-            angle = BENT[way] * abs(behind) / 1.7 * np.sin(phase - behind) * share
+            angle = BENT[locomotion] * abs(behind) / 1.7 * np.sin(phase - behind) * share
             turn = matrix_from_axis_angle(angle[:, None] * axis)
             for part in _HEAD if name == "head" else [HANDLE_NAMES.index(name)]:
                 rotations[:, part] = turn @ rotations[:, part]

@@ -60,7 +60,7 @@ class Hands(Stage):
     """
 
     name: ClassVar[str] = "hands"
-    asked: ClassVar[bool] = True
+    on_request: ClassVar[bool] = True
 
     near: float = 0.12
     touches: float = 0.05

@@ -154,33 +154,33 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
     goals = np.full((len(motion), len(ends), 3), np.nan)
     for pin in pins:
         goals[pin.frames(len(motion), motion.fps), known[pin.part]] = pin.position
-    asked = ~np.isnan(goals[..., 0])
+    pinned = ~np.isnan(goals[..., 0])
     limbs, height = [end.limb for end in ends], character.height
     feet = [number for number, end in enumerate(ends) if end.part.endswith("foot")]
     planted = end_positions(motion, handles, ends)
     for _ in range(ROUNDS):
-        off = np.where(asked[..., None], goals - end_positions(motion, handles, ends), 0)
+        off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
         if np.abs(off).max() <= CLOSE * height:
             break
         shifts = np.stack(
-            [spread(asked[:, number], off[:, number], LEAD * motion.fps) for number in range(len(ends))], axis=1
+            [spread(pinned[:, number], off[:, number], LEAD * motion.fps) for number in range(len(ends))], axis=1
         )
         reach |= np.abs(shifts).max(axis=(1, 2)) > 0
         motion = move_feet(motion, handles, joints, limbs, shifts)
-        off = np.where(asked[..., None], goals - end_positions(motion, handles, ends), 0)
+        off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
         if np.abs(off).max() <= CLOSE * height:
             break
-        frames = asked.any(axis=1)  # what the limbs do not reach
-        rest = off.sum(axis=1) / np.maximum(asked.sum(axis=1), 1)[:, None]
+        frames = pinned.any(axis=1)  # what the limbs do not reach
+        rest = off.sum(axis=1) / np.maximum(pinned.sum(axis=1), 1)[:, None]
         step = spread(frames, rest, ROOT_LEAD * motion.fps)
         reach |= np.abs(step).max(axis=1) > 0
         motion = replace(motion, root_translation=motion.root_translation + step)
         stay = np.zeros_like(shifts)
         for number in feet:  # the root moved, and feet that nobody asked for stay where they were
-            free = 1 - spread(asked[:, number], np.ones((len(motion), 1)), LEAD * motion.fps)
+            free = 1 - spread(pinned[:, number], np.ones((len(motion), 1)), LEAD * motion.fps)
             stay[:, number] = free * (planted - end_positions(motion, handles, ends))[:, number]
         motion = move_feet(motion, handles, joints, limbs, stay)
-    off = np.where(asked[..., None], goals - end_positions(motion, handles, ends), 0)
+    off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
     worst = np.linalg.norm(off, axis=-1)
     if worst.max() > MISSED * height:
         frame, missed = (int(index) for index in np.unravel_index(int(worst.argmax()), worst.shape))
@@ -202,9 +202,9 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
 
 
 def _asked(pin: Pin, motion: HandleMotion) -> np.ndarray:
-    asked = np.zeros(len(motion), bool)
-    asked[pin.frames(len(motion), motion.fps)] = True
-    return asked
+    pinned = np.zeros(len(motion), bool)
+    pinned[pin.frames(len(motion), motion.fps)] = True
+    return pinned
 
 
 def _turned(
@@ -220,25 +220,25 @@ def _turned(
             continue
         if not end.limb.foot:
             raise OptionError(f"the {end.part.replace('_', ' ')} of this character has no handle to turn it by")
-        turns, asked = np.zeros((len(motion), 3)), np.zeros(len(motion), bool)
+        turns, pinned = np.zeros((len(motion), 3)), np.zeros(len(motion), bool)
         for pin in own:
             frames = pin.frames(len(motion), motion.fps)
             turns[frames] = axis_angle_from_matrix(
                 np.asarray(pin.rotation) @ np.swapaxes(world[frames, end.handle, :, :3], -1, -2)
             )
-            asked[frames] = True
-        turned = matrix_from_axis_angle(spread(asked, turns, LEAD * motion.fps))
+            pinned[frames] = True
+        turned = matrix_from_axis_angle(spread(pinned, turns, LEAD * motion.fps))
         pivot = world[:, end.handle, :, :3] @ end.point + world[:, end.handle, :, 3]
         for handle in end.limb.foot:
             carry(world, handle, joints, pivot, pivot, turned)
     return local_motion(world, motion, handles)
 
 
-def spread(asked: np.ndarray, values: np.ndarray, lead: float) -> np.ndarray:
+def spread(pinned: np.ndarray, values: np.ndarray, lead: float) -> np.ndarray:
     """A smooth curve through values in the frames that ask for one, which comes from zero before and goes to it after.
 
     Args:
-        asked: Which frames ask, shape (N,), bool.
+        pinned: Which frames ask, shape (N,), bool.
         values: What for, shape (N, D).
         lead: Frames over which it comes and goes; frames that ask and are nearer than twice that are joined.
 
@@ -246,7 +246,7 @@ def spread(asked: np.ndarray, values: np.ndarray, lead: float) -> np.ndarray:
         Shape (N, D).
     """
     out = np.zeros(values.shape)
-    frames = np.flatnonzero(asked)
+    frames = np.flatnonzero(pinned)
     if not len(frames):
         return out
     count, time = len(values), np.arange(len(values))

@@ -42,7 +42,7 @@ class Shape(Stage):
     """
 
     name: ClassVar[str] = "shape"
-    asked: ClassVar[bool] = True
+    on_request: ClassVar[bool] = True
 
     looked_at: int = 20_000
     edges: int = 600

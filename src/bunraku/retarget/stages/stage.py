@@ -91,7 +91,7 @@ class Stage:
     """By which it is switched on and off (`Stages`)."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Stages without which it does not run."""
-    asked: ClassVar[bool] = False
+    on_request: ClassVar[bool] = False
     """Whether it runs only on request."""
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:

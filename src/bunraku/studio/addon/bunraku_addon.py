@@ -43,10 +43,10 @@ def ask(address, method, path, data=None):
     base, _, token = address.strip().partition("/#token=")
     if not token or not base.startswith(("http://localhost", "http://127.0.0.1")):
         raise StudioError("copy the whole address that `bunraku studio` printed, with its token")
-    asked = urllib.request.Request(f"{base}/api{path}", data=data, method=method)
-    asked.add_header("authorization", f"Bearer {token}")
+    request = urllib.request.Request(f"{base}/api{path}", data=data, method=method)
+    request.add_header("authorization", f"Bearer {token}")
     try:
-        with urllib.request.urlopen(asked, timeout=60) as answer:
+        with urllib.request.urlopen(request, timeout=60) as answer:
             return answer.read()
     except urllib.error.HTTPError as error:
         try:

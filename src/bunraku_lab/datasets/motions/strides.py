@@ -80,6 +80,6 @@ def played_on(motion: HandleMotion, least: int) -> HandleMotion:
     rounds = -(-least // period)
     order = np.arange(rounds * period) % period
     path = motion.root_translation.astype(np.float64)
-    way = (path[-1] - path[0]) * period / (frames - 1)
-    path = path[order] + np.outer(np.arange(rounds * period) // period, [way[0], 0, way[2]])
+    course = (path[-1] - path[0]) * period / (frames - 1)
+    path = path[order] + np.outer(np.arange(rounds * period) // period, [course[0], 0, course[2]])
     return replace(motion.take(order), root_translation=path)

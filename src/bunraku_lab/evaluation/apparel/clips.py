@@ -136,8 +136,8 @@ def long_clip(seed: int, motion: Path, seconds: float = 60.0) -> TrueClip:
     reference = resample(load_clip(motion), RATE)
     moved = body_animation(body, reference.take(slice(0, round(10 * RATE))))
     count, frames = len(moved), round(seconds * RATE)
-    way = np.concatenate([np.arange(count), np.arange(count - 2, 0, -1)])
-    rows = np.tile(way, frames // len(way) + 1)[:frames]
+    course = np.concatenate([np.arange(count), np.arange(count - 2, 0, -1)])
+    rows = np.tile(course, frames // len(course) + 1)[:frames]
     whole = RigAnimation(character, moved.rotations[rows], moved.translations[rows], RATE)
     return _simulated(character, body, Path(motion).stem, whole)
 

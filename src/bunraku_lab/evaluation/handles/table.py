@@ -164,9 +164,9 @@ def evaluate_handles(
     for (name, _), result_of in alone if jobs == 1 else spread(work, batches, jobs, _lost):
         found[name] = result_of
         report("characters", len(found) / len(subjects))
-    told = {name: found[name] for name in subjects}
-    rows = [row for row in told.values() if isinstance(row, dict)]
-    left_out = {name: reason for name, reason in told.items() if isinstance(reason, str)}
+    rows_by_name = {name: found[name] for name in subjects}
+    rows = [row for row in rows_by_name.values() if isinstance(row, dict)]
+    left_out = {name: reason for name, reason in rows_by_name.items() if isinstance(reason, str)}
     if not rows:
         raise OptionError(
             f"none of the {len(subjects)} characters can be measured "

@@ -120,9 +120,9 @@ def _slides(what: Gauge, transforms: np.ndarray, fps: float) -> tuple[np.ndarray
         posed = skin(what.character.vertices[foot], what.handles.weights[foot], transforms)
         low = posed[..., 1] < what.floor + DOWN * leg
         low = low[1:] & low[:-1]
-        way = np.linalg.norm(np.diff(posed[..., [0, 2]], axis=0), axis=-1)
+        course = np.linalg.norm(np.diff(posed[..., [0, 2]], axis=0), axis=-1)
         down = low.any(axis=1)
-        mean = (way * low).sum(axis=1)[down] / low.sum(axis=1)[down] * what.scale
+        mean = (course * low).sum(axis=1)[down] / low.sum(axis=1)[down] * what.scale
         ways.append(mean)
         slid.append(mean <= np.maximum(1.01 * body[down], 100 * SWING / fps))
         count += len(low)

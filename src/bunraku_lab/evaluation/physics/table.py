@@ -99,9 +99,9 @@ def evaluate_physics(
     for (number, name, _), row_of in alone if jobs == 1 else spread(work, batches, jobs, _lost):
         found[number] = row_of
         progress(name, 1.0)
-    told = [(name, found[number]) for number, (name, _) in enumerate(sources)]
-    rows = [row for _, row in told if isinstance(row, dict)]
-    failed = {name: reason for name, reason in told if isinstance(reason, str)}
+    rows_by_name = [(name, found[number]) for number, (name, _) in enumerate(sources)]
+    rows = [row for _, row in rows_by_name if isinstance(row, dict)]
+    failed = {name: reason for name, reason in rows_by_name if isinstance(reason, str)}
     if not rows:
         raise CharacterError(f"no character could be measured: {next(iter(failed.values()), 'none was named')}")
     out: dict[str, Any] = {
@@ -254,9 +254,9 @@ def joined(parts: Sequence[RigAnimation], blend: float = BLEND) -> tuple[RigAnim
             quaternion_from_matrix(part.rotations[0].astype(float)),
         )
         between = [quaternion_slerp(start, end, np.full(len(start), share)) for share in shares]
-        way = np.array([(1 - share) * translations[-1][-1] + share * moved[0] for share in shares])
+        path = np.array([(1 - share) * translations[-1][-1] + share * moved[0] for share in shares])
         rotations += [matrix_from_quaternion(np.array(between)), np.asarray(part.rotations)]
-        translations += [way, moved]
+        translations += [path, moved]
         bounds.append((bounds[-1][1], bounds[-1][1] + steps + len(part)))
     return RigAnimation(parts[0].character, np.concatenate(rotations), np.concatenate(translations), fps), bounds
 

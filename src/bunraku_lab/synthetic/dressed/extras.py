@@ -115,10 +115,10 @@ def spikes(wardrobe: Wardrobe, figure: BodyShape, rng: np.random.Generator) -> P
     comb = rng.normal(0, 0.5, 3) + [0, 0.2, -0.4]
     long, wide = half[1] * rng.uniform(0.4, 1.1), half[0] * rng.uniform(0.2, 0.4)
     for root in rng.choice(scalp, min(int(rng.integers(20, 60)), len(scalp)), replace=False):
-        way = normals[root] + comb * rng.uniform(0.3, 1)
-        way /= np.linalg.norm(way) + 1e-9
+        direction = normals[root] + comb * rng.uniform(0.3, 1)
+        direction /= np.linalg.norm(direction) + 1e-9
         t = np.linspace(-0.15, 1, 5)[:, None]
-        curve = figure.vertices[root] + long * rng.uniform(0.6, 1.2) * t * way + long * 0.2 * t * t * [0, -1, 0]
+        curve = figure.vertices[root] + long * rng.uniform(0.6, 1.2) * t * direction + long * 0.2 * t * t * [0, -1, 0]
         pieces.append(_rigid(*_tube(curve, wide * np.linspace(1, 0.03, 5), 6), "head", "head_top"))
     return joined(pieces)
 

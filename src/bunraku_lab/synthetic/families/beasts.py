@@ -56,14 +56,14 @@ def tail(
 def beast_head(m: Model, at: np.ndarray, size: float, snout: float, dip: float, region: str = "head") -> np.ndarray:
     """A head with a snout of a length over its size; returns its centre."""
     u = m.u
-    way = unit(np.array([0, -dip, 1.0]))
-    centre = at + way * size * 0.5
+    direction = unit(np.array([0, -dip, 1.0]))
+    centre = at + direction * size * 0.5
     radii = size * np.array([u(0.75, 1.1), u(0.75, 1.0), u(0.8, 1.1)])
     m.lump(centre, radii, "Head", region, blend=0.8)
     if snout > 0.05:
-        start = centre + way * size * 0.4 - [0, 0.2 * size, 0]
+        start = centre + direction * size * 0.4 - [0, 0.2 * size, 0]
         m.limb(
-            [start, start + way * (0.4 + snout) * size],
+            [start, start + direction * (0.4 + snout) * size],
             [size * u(0.5, 0.75), size * u(0.22, 0.55)],
             "Head",
             region,
@@ -74,7 +74,7 @@ def beast_head(m: Model, at: np.ndarray, size: float, snout: float, dip: float, 
             m.limb(
                 [
                     start - [0, 0.3 * size, 0],
-                    start - [0, 0.35 * size, 0] + unit(way - [0, 0.25, 0]) * (0.2 + snout) * size,
+                    start - [0, 0.35 * size, 0] + unit(direction - [0, 0.25, 0]) * (0.2 + snout) * size,
                 ],
                 [size * 0.3, size * 0.2],
                 "Head",
@@ -82,7 +82,7 @@ def beast_head(m: Model, at: np.ndarray, size: float, snout: float, dip: float, 
                 loose=m.chance(0.5),
             )
         if m.chance(0.4):
-            m.lump(start + way * (0.4 + snout) * size * 1.08, size * u(0.1, 0.25), "Head", "nose", loose=True)
+            m.lump(start + direction * (0.4 + snout) * size * 1.08, size * u(0.1, 0.25), "Head", "nose", loose=True)
     eyes(m, centre, radii, "Head")
     return np.asarray(centre)
 
@@ -98,9 +98,9 @@ def _animal_ears(m: Model, centre: np.ndarray, size: float) -> None:
             if tall > 0.85 * size:
                 name = f"{side}Ear"
                 m.bone(name, "Head", root)
-            way = unit(np.array([s * 0.3, 1, 0.05]) if kind == "up" else np.array([s, -0.3, 0]))
+            direction = unit(np.array([s * 0.3, 1, 0.05]) if kind == "up" else np.array([s, -0.3, 0]))
             m.limb(
-                [root, root + 0.55 * tall * way, root + tall * way],
+                [root, root + 0.55 * tall * direction, root + tall * direction],
                 [0.22 * size, 0.26 * size, 0.04 * size],
                 name,
                 f"ear {side}",
@@ -221,13 +221,13 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
     )
     _four_legs(m, kind, 1.0, leg, radius, back + 0.75 * rump, front - 0.75 * chest, y)
     base = np.array([0, y + rise + 0.25 * chest, front - 0.35 * chest])
-    way = np.array([0, np.sin(lift), np.cos(lift)])
+    direction = np.array([0, np.sin(lift), np.cos(lift)])
     reach = neck + 0.35 * chest
     m.bone("Neck", "Spine2", base)
-    top = m.bone("Head", "Neck", base + way * (reach + (0.2 if neck > 0.2 else 0.5) * head))
+    top = m.bone("Head", "Neck", base + direction * (reach + (0.2 if neck > 0.2 else 0.5) * head))
     thick = min(u(0.7, 1.1) * head, chest) if kind != "giraffe" else head * u(0.6, 0.9)
     m.limb(
-        [base - way * 0.2 * chest, base + way * reach * 0.5, top],
+        [base - direction * 0.2 * chest, base + direction * reach * 0.5, top],
         [chest * u(0.6, 0.85), min((thick + 0.5 * chest) / 2, 1.15 * thick), thick * 0.85],
         "Neck",
         "neck",
@@ -280,8 +280,8 @@ def quadruped(m: Model, kind: str | None = None, neck_scale: float = 1.0) -> Non
             )
         else:
             for _ in range(14):
-                way = unit(m.rng.normal(size=3) * [1, 1, 1.6] + [0, 0.5, 0])
-                m.lump(np.array([0, y, 0]) + way * [radius, radius, 0.45], radius * u(0.4, 0.6), trunk, "trunk")
+                direction = unit(m.rng.normal(size=3) * [1, 1, 1.6] + [0, 0.5, 0])
+                m.lump(np.array([0, y, 0]) + direction * [radius, radius, 0.45], radius * u(0.4, 0.6), trunk, "trunk")
     if m.chance(0.12):
         for z in np.linspace(back + 0.1, front, int(m.rng.integers(4, 9))):
             m.limb(

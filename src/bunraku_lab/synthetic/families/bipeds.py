@@ -31,16 +31,16 @@ def dinosaur(m: Model) -> None:
     """A reptile on its hind legs: long tail, small arms, the trunk level or upright."""
     u = m.u
     radius, leg, tilt = u(0.18, 0.3), u(0.45, 0.9), u(-0.1, 0.55) if m.chance(0.7) else u(0.55, 1.35)
-    way = np.array([0, np.sin(tilt), np.cos(tilt)])
+    direction = np.array([0, np.sin(tilt), np.cos(tilt)])
     hips = np.array([0, leg + 0.1, 0])
     steps = (0, u(0.15, 0.25), u(0.32, 0.42), u(0.55, 0.65))
-    names, positions = ["Hips", "Spine", "Spine1", "Spine2"], [hips + way * s for s in steps]
+    names, positions = ["Hips", "Spine", "Spine1", "Spine2"], [hips + direction * s for s in steps]
     for name, parent, at in zip(names, ["", *names], positions, strict=False):
         m.bone(name, parent, at)
     trunk = Chain(names, positions)
-    chest = hips + way * 0.65
+    chest = hips + direction * 0.65
     m.limb(
-        [hips, hips + way * 0.35, chest],
+        [hips, hips + direction * 0.35, chest],
         [radius, radius * u(0.85, 1.15), radius * u(0.6, 0.9)],
         trunk,
         "trunk",
@@ -61,7 +61,7 @@ def dinosaur(m: Model) -> None:
         )
     tail(
         m,
-        hips - way * 0.1,
+        hips - direction * 0.1,
         u(0.6, 1.4),
         radius * u(0.55, 0.85),
         u(-0.35, 0.15),
@@ -126,7 +126,7 @@ def dinosaur(m: Model) -> None:
             )
     if m.chance(0.25):
         for z in np.linspace(0, 0.6, 6):
-            at = hips + way * z + np.array([0, np.cos(tilt), -np.sin(tilt)]) * radius
+            at = hips + direction * z + np.array([0, np.cos(tilt), -np.sin(tilt)]) * radius
             m.limb(
                 [at, at + radius * 0.7 * np.array([0, np.cos(tilt), -np.sin(tilt)])],
                 [0.25 * radius, 0.02],
@@ -142,14 +142,18 @@ def bird(m: Model) -> None:
     u = m.u
     round_, leg = u(0.2, 0.42), u(0.1, 0.6) if m.chance(0.75) else u(0.6, 1.1)
     tilt = u(0.0, 1.0) if m.chance(0.75) else u(1.0, 1.5)
-    way = np.array([0, np.sin(tilt), np.cos(tilt)])
+    direction = np.array([0, np.sin(tilt), np.cos(tilt)])
     body = np.array([0, leg + 0.7 * round_, 0])
-    hips, spine, base = body - way * 0.5 * round_, body + way * u(-0.05, 0.15) * round_, body + way * 0.8 * round_
+    hips, spine, base = (
+        body - direction * 0.5 * round_,
+        body + direction * u(-0.05, 0.15) * round_,
+        body + direction * 0.8 * round_,
+    )
     m.bone("Hips", "", hips)
     m.bone("Spine", "Hips", spine)
     trunk = Chain(["Hips", "Spine"], [hips, spine])
     m.limb(
-        [body - way * 0.45 * round_, body + way * 0.35 * round_],
+        [body - direction * 0.45 * round_, body + direction * 0.35 * round_],
         [round_ * u(0.65, 1.0), round_ * u(0.75, 1.0)],
         trunk,
         "trunk",
@@ -161,7 +165,7 @@ def bird(m: Model) -> None:
     m.bone("Neck", "Spine", base)
     top = m.bone("Head", "Neck", base + (neck + 0.15 * round_) * np.array([0, np.sin(lift), np.cos(lift)]))
     thin = head * u(0.45, 0.9)
-    m.limb([base - way * 0.3 * round_, top], [max(round_ * 0.55, thin), thin], "Neck", "neck", blend=1.0)
+    m.limb([base - direction * 0.3 * round_, top], [max(round_ * 0.55, thin), thin], "Neck", "neck", blend=1.0)
     centre = top + [0, 0.5 * head, 0.2 * head]
     m.lump(centre, head * np.array([u(0.8, 1.0), u(0.8, 1.0), u(0.9, 1.1)]), "Head", "head", blend=0.8)
     long = head * u(0.4, 1.8)
@@ -183,7 +187,7 @@ def bird(m: Model) -> None:
             stretch=(0.4, 1, 1),
         )
     if m.chance(0.75):
-        root = hips - way * 0.3 * round_
+        root = hips - direction * 0.3 * round_
         end = u(0.3, 1.2) * round_
         count = 2 if end > 0.6 * round_ else 1
         slope = u(-0.3, 0.7)
@@ -193,7 +197,7 @@ def bird(m: Model) -> None:
         names = [f"Tail{i + 1}" for i in range(count + 1)]
         points = [m.at(n) for n in names]
         m.limb(
-            [root + way * 0.3 * round_, root + back * end],
+            [root + direction * 0.3 * round_, root + back * end],
             [round_ * 0.4, round_ * u(0.2, 0.5)],
             Chain(names, points),
             "tail",
@@ -302,10 +306,10 @@ def mech(m: Model) -> None:
                     np.arctan2(m.at("LeftArm")[1] - m.at("LeftForeArm")[1], m.at("LeftForeArm")[0] - m.at("LeftArm")[0])
                 )
             )
-            way = np.array([s * np.cos(drop), -np.sin(drop), 0.1])
+            direction = np.array([s * np.cos(drop), -np.sin(drop), 0.1])
             a = m.bone(f"{side}Arm", f"{side}Shoulder", (s * (body[0] + r), y + 0.5 * body[1], 0))
-            b = m.bone(f"{side}ForeArm", f"{side}Arm", a + way * 0.35)
-            c = m.bone(f"{side}Hand", f"{side}ForeArm", b + unit(way + [0, 0, 0.5]) * 0.35)
+            b = m.bone(f"{side}ForeArm", f"{side}Arm", a + direction * 0.35)
+            c = m.bone(f"{side}Hand", f"{side}ForeArm", b + unit(direction + [0, 0, 0.5]) * 0.35)
             m.lump(m.at(f"{side}Shoulder"), r * 1.3, f"{side}Shoulder", "chest")
             m.limb([a, b, c], [r, r * 0.8, r * u(0.8, 1.5)], [f"{side}Arm", f"{side}ForeArm"], f"arm {side}")
-            m.lump(c + unit(way) * r, r * u(0.9, 1.5), f"{side}Hand", f"arm {side}")
+            m.lump(c + unit(direction) * r, r * u(0.9, 1.5), f"{side}Hand", f"arm {side}")

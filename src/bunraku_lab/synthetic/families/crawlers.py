@@ -36,10 +36,10 @@ def _leg(
     it is.
     """
     reach, rise, ground, radius = astuple(shape)
-    way = np.array([dict(SIDES)[side] * np.cos(yaw), 0, np.sin(yaw)])
-    knee = root + way * reach * 0.38 + [0, rise, 0]
-    mid = root + way * reach * 0.75 + [0, (ground - root[1]) * 0.45 + 0.3 * rise, 0]
-    tip = np.array([*(root + way * reach)]) * [1, 0, 1] + [0, ground, 0]
+    direction = np.array([dict(SIDES)[side] * np.cos(yaw), 0, np.sin(yaw)])
+    knee = root + direction * reach * 0.38 + [0, rise, 0]
+    mid = root + direction * reach * 0.75 + [0, (ground - root[1]) * 0.45 + 0.3 * rise, 0]
+    tip = np.array([*(root + direction * reach)]) * [1, 0, 1] + [0, ground, 0]
     names = [f"{side}{word}{i}" for i in (1, 2, 3)]
     for name, above, at in zip(names, [parent, *names], (root, knee, mid), strict=False):
         m.bone(name, above, at)
@@ -66,12 +66,12 @@ def _legs(
 
 def _antennae(m: Model, at: np.ndarray, size: float) -> None:
     for _, s in SIDES:
-        way = unit(np.array([s * 0.4, m.u(0.4, 1.0), 0.6]))
+        direction = unit(np.array([s * 0.4, m.u(0.4, 1.0), 0.6]))
         m.limb(
             [
                 at + size * np.array([s * 0.3, 0.6, 0.4]),
-                at + size * 1.2 * way,
-                at + size * (1.2 * way + m.u(0.4, 1.2) * unit(way * [1, 0.3, 1])),
+                at + size * 1.2 * direction,
+                at + size * (1.2 * direction + m.u(0.4, 1.2) * unit(direction * [1, 0.3, 1])),
             ],
             [0.08 * size, 0.06 * size, 0.05 * size],
             "Head",
@@ -98,8 +98,8 @@ def _abdomen(m: Model, root: np.ndarray, length: float, radius: float, dip: floa
         blend=1.0,
     )
     if sting:
-        way = unit(points[3] - points[2])
-        m.limb([points[3], points[3] + way * radius * 1.2], [radius * 0.25, 0.008], "Tail3", "abdomen")
+        direction = unit(points[3] - points[2])
+        m.limb([points[3], points[3] + direction * radius * 1.2], [radius * 0.25, 0.008], "Tail3", "abdomen")
 
 
 def _body(m: Model, y: float, radius: float, head: float, gap: float) -> np.ndarray:
@@ -197,8 +197,12 @@ def bee(m: Model) -> None:
         m.bone(f"{side}Wing", "Hips", root)
         for pair in range(pairs):
             t, v = np.linspace(0, 1, 11)[:, None, None], np.linspace(-0.5, 0.5, 5)[None, :, None]
-            way = np.array([s * np.cos(lift), np.sin(lift), -sweep - 0.7 * pair]) * (1 - 0.3 * pair)
-            grid = root + t * span * way + v * chord * np.sin(np.pi * (0.06 + 0.9 * t**0.7)) * np.array([0, -0.3, 1.0])
+            direction = np.array([s * np.cos(lift), np.sin(lift), -sweep - 0.7 * pair]) * (1 - 0.3 * pair)
+            grid = (
+                root
+                + t * span * direction
+                + v * chord * np.sin(np.pi * (0.06 + 0.9 * t**0.7)) * np.array([0, -0.3, 1.0])
+            )
             m.sheet(grid, f"{side}Wing", f"wing {side}", u(0.005, 0.02))
     if m.chance(0.7):
         _antennae(m, centre, head)

@@ -142,10 +142,10 @@ def _foot(
     high = max(h.heel * 0.55, 0.012)
     floor = ankle[1] - h.heel
     reach = max(h.leg * 0.09 * length, 1.5 * radius)
-    way = unit(np.array([s * 0.12, 0, 1.0]))
+    direction = unit(np.array([s * 0.12, 0, 1.0]))
     back = np.array([ankle[0], floor + high, ankle[2] - 0.25 * reach * heel])
-    ball_at = np.array([ankle[0], floor + high * 0.9, ankle[2]]) + way * reach * 0.6
-    tip = ball_at + way * reach * 0.4
+    ball_at = np.array([ankle[0], floor + high * 0.9, ankle[2]]) + direction * reach * 0.6
+    tip = ball_at + direction * reach * 0.4
     w = radius * wide
     m.limb([ankle, (ankle + back) / 2], [radius, max(radius * 0.9, high * 0.8)], f"{side}Foot", f"leg {side}")
     flat = (w / high, 1.0, 1.0) if w > high else (1.0, 1.0, 1.0)
@@ -189,9 +189,9 @@ def _hand(m: Model, h: Human, side: str, kind: str, radius: float) -> None:
         across = (0.85 - 1.7 * i / (count - 1)) * wide
         bone = m.bone(f"{side}Hand{words[i]}1", name, wrist + along * palm + thumb * across)
         reach = size * (0.48, 0.54, 0.5, 0.4)[i] * longer
-        way = unit(along + thumb * 0.15 * across / wide)
+        direction = unit(along + thumb * 0.15 * across / wide)
         m.limb(
-            [bone - along * 0.1 * size, bone + way * reach * 0.5, bone + way * reach],
+            [bone - along * 0.1 * size, bone + direction * reach * 0.5, bone + direction * reach],
             [fat, fat * 0.9, fat * (0.25 if kind == "claw" else 0.75)],
             f"{side}Hand{words[i]}1",
             region,
@@ -199,9 +199,13 @@ def _hand(m: Model, h: Human, side: str, kind: str, radius: float) -> None:
         )
     root = wrist + along * palm * 0.3 + thumb * wide * 0.7
     bone = m.bone(f"{side}HandThumb1", name, root)
-    way = unit(along * 0.7 + thumb * 0.8)
+    direction = unit(along * 0.7 + thumb * 0.8)
     m.limb(
-        [bone, bone + way * size * 0.2, bone + way * size * 0.2 + unit(along + 0.3 * thumb) * size * 0.22 * longer],
+        [
+            bone,
+            bone + direction * size * 0.2,
+            bone + direction * size * 0.2 + unit(along + 0.3 * thumb) * size * 0.22 * longer,
+        ],
         [fat * 1.1, fat, fat * 0.8],
         f"{side}HandThumb1",
         region,

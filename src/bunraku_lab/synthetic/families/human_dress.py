@@ -225,12 +225,19 @@ def _back_wings(m: Model, h: Human) -> None:
         m.sheet(grid, f"{side}Wing", f"wing {side}", 0.008)
 
 
-def _sword(m: Model, at: np.ndarray, way: np.ndarray, length: float, thick: float, share: str) -> None:
+def _sword(m: Model, at: np.ndarray, direction: np.ndarray, length: float, thick: float, share: str) -> None:
     turn = np.stack(
-        [unit(np.cross(way, [0.3, 0.2, 0.9])), way, np.cross(unit(np.cross(way, [0.3, 0.2, 0.9])), way)], axis=1
+        [
+            unit(np.cross(direction, [0.3, 0.2, 0.9])),
+            direction,
+            np.cross(unit(np.cross(direction, [0.3, 0.2, 0.9])), direction),
+        ],
+        axis=1,
     )
-    m.block(at + way * length * 0.42, (thick, length * 0.5, thick * m.u(0.15, 0.6)), share, f"item {share}", turn)
-    m.block(at + way * length * 0.02, (thick * m.u(1.5, 3.5), thick * 0.5, thick * 0.8), share, f"item {share}", turn)
+    m.block(at + direction * length * 0.42, (thick, length * 0.5, thick * m.u(0.15, 0.6)), share, f"item {share}", turn)
+    m.block(
+        at + direction * length * 0.02, (thick * m.u(1.5, 3.5), thick * 0.5, thick * 0.8), share, f"item {share}", turn
+    )
 
 
 def build_items(m: Model, h: Human) -> None:
@@ -243,20 +250,20 @@ def build_items(m: Model, h: Human) -> None:
         along = unit(wrist - elbow)
         grip, share = wrist + along * 0.5 * h.hand, f"{side}Hand"
         ahead = unit(np.array([0, u(-0.3, 1.0), 1.0]))
-        way = unit(ahead - along * (ahead @ along))
+        direction = unit(ahead - along * (ahead @ along))
         length, thick = u(0.2, 0.75), u(0.008, 0.035)
         what = m.pick("sword", "staff", "shield", "gun", "hammer", weights=(0.35, 0.2, 0.15, 0.2, 0.1))
         if what == "sword":
-            _sword(m, grip, way, length, thick, share)
+            _sword(m, grip, direction, length, thick, share)
         elif what == "staff":
             m.limb(
-                [grip - way * length * 0.6, grip + way * length],
+                [grip - direction * length * 0.6, grip + direction * length],
                 [thick * 0.6, thick * 0.6],
                 share,
                 f"item {side}",
                 loose=True,
             )
-            m.lump(grip + way * length, np.full(3, thick * u(1.2, 3.0)), share, f"item {side}", loose=True)
+            m.lump(grip + direction * length, np.full(3, thick * u(1.2, 3.0)), share, f"item {side}", loose=True)
         elif what == "shield":
             wide = u(0.1, 0.24)
             out = unit(np.array([s, 0, 0.4]))
@@ -271,11 +278,18 @@ def build_items(m: Model, h: Human) -> None:
             )
         elif what == "gun":
             m.block(
-                grip + way * 0.3 * length,
+                grip + direction * 0.3 * length,
                 (thick, 0.5 * length, thick * 1.4),
                 share,
                 f"item {side}",
-                np.stack([unit(np.cross(way, along)), way, np.cross(unit(np.cross(way, along)), way)], 1),
+                np.stack(
+                    [
+                        unit(np.cross(direction, along)),
+                        direction,
+                        np.cross(unit(np.cross(direction, along)), direction),
+                    ],
+                    1,
+                ),
             )
             m.limb(
                 [grip, grip - along * 0.1 * length - np.array([0, 0.1 * length, 0])],
@@ -286,13 +300,13 @@ def build_items(m: Model, h: Human) -> None:
             )
         else:
             m.limb(
-                [grip - way * length * 0.3, grip + way * length * 0.7],
+                [grip - direction * length * 0.3, grip + direction * length * 0.7],
                 [thick * 0.6, thick * 0.6],
                 share,
                 f"item {side}",
                 loose=True,
             )
-            m.block(grip + way * length * 0.7, np.array([1, 1, 1.8]) * thick * u(1.5, 3), share, f"item {side}")
+            m.block(grip + direction * length * 0.7, np.array([1, 1, 1.8]) * thick * u(1.5, 3), share, f"item {side}")
     if m.chance(0.06):
         at = np.array([0, h.leg + 0.5 * h.trunk, m.at("Spine2")[2] - h.chest * h.deep - 0.03])
         _sword(m, at - [0.12, 0.15, 0], unit(np.array([u(0.3, 1), 1.0, 0])), u(0.3, 0.6), u(0.01, 0.03), "Spine2")

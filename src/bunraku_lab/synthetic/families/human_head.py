@@ -158,10 +158,10 @@ def ears_and_horns(m: Model, centre: np.ndarray, size: np.ndarray, share: str, k
     loose = m.chance(0.5)
     for _, s in SIDES:
         root = centre + size * [s * out, 0.7, -0.05]
-        way = unit(np.array([s * m.u(0.2, 0.7) if s > 0 else -out, 1.0, tilt]))
+        direction = unit(np.array([s * m.u(0.2, 0.7) if s > 0 else -out, 1.0, tilt]))
         if kind == "cat":
             m.limb(
-                [root, root + way * size[1] * tall],
+                [root, root + direction * size[1] * tall],
                 [0.36 * size[0], 0.05 * size[0]],
                 share,
                 f"ear {s}",
@@ -170,7 +170,7 @@ def ears_and_horns(m: Model, centre: np.ndarray, size: np.ndarray, share: str, k
             )
         elif kind == "long":
             m.limb(
-                [root, root + way * size[1] * tall, root + way * size[1] * 2.2 * tall],
+                [root, root + direction * size[1] * tall, root + direction * size[1] * 2.2 * tall],
                 np.array([0.16, 0.26, tip])
                 * fat
                 * size[0],  # up to the girth of an arm, which it must not be taken for
@@ -192,13 +192,13 @@ def ears_and_horns(m: Model, centre: np.ndarray, size: np.ndarray, share: str, k
             )
         else:
             m.limb(
-                [root, root + way * size[1] * tall * 1.2],
+                [root, root + direction * size[1] * tall * 1.2],
                 [0.04 * size[0], 0.03 * size[0]],
                 share,
                 f"ear {s}",
                 loose=True,
             )
-            m.lump(root + way * size[1] * tall * 1.2, np.full(3, 0.1 * size[0]), share, f"ear {s}", loose=True)
+            m.lump(root + direction * size[1] * tall * 1.2, np.full(3, 0.1 * size[0]), share, f"ear {s}", loose=True)
 
 
 def _hair(m: Model, h: Human, centre: np.ndarray, size: np.ndarray) -> None:
@@ -234,9 +234,9 @@ def _hair(m: Model, h: Human, centre: np.ndarray, size: np.ndarray) -> None:
                 )
     elif kind == "spikes":
         for _ in range(int(m.rng.integers(5, 13))):
-            way = unit(np.array([u(-1, 1), u(0.1, 1), u(-1, 0.6)]))
+            direction = unit(np.array([u(-1, 1), u(0.1, 1), u(-1, 0.6)]))
             m.limb(
-                [centre + way * size * 0.85, centre + way * size * u(1.25, 1.8)],
+                [centre + direction * size * 0.85, centre + direction * size * u(1.25, 1.8)],
                 [0.32 * half, 0.02 * half],
                 "Head",
                 "hair",

@@ -109,12 +109,12 @@ def fish(m: Model) -> None:
         position = np.array([0.8 * wide, -0.3 * high, 0.5 - u(0.3, 0.45)])
         for side, s in SIDES:
             at = position * [s, 1, 1]
-            way = unit(np.array([s, -down, -back]))
+            direction = unit(np.array([s, -down, -back]))
             share: str | Chain = body
             if loose:
                 m.bone(f"{side}Arm", "Spine", at)
                 share = f"{side}Arm"
-            _fin(m, at, np.array([0, -0.05 * high, -u(0.05, 0.16)]), way * long, share, f"fin {side}")
+            _fin(m, at, np.array([0, -0.05 * high, -u(0.05, 0.16)]), direction * long, share, f"fin {side}")
     if m.chance(0.06):
         m.limb(
             [(0, high * 0.9, 0.3), (0, high * 1.7, 0.45), (0, high * 1.4, 0.6)],
@@ -152,13 +152,13 @@ def whale(m: Model) -> None:
         root = np.array([0, 0, -0.44])
         _fin(m, root, np.array([0, 0, -0.1]), np.array([s * span, 0, -back]), last, f"fluke {side}")
         at = np.array([s * 0.85 * wide * high, -0.4 * high, u(0.12, 0.25) if s > 0 else m.at("LeftArm")[2]])
-        way = unit(np.array([s, -down, -0.6]))
-        points = [at, at + 0.4 * long * way, at + 0.75 * long * way]
+        direction = unit(np.array([s, -down, -0.6]))
+        points = [at, at + 0.4 * long * direction, at + 0.75 * long * direction]
         names = [f"{side}Arm", f"{side}ForeArm", f"{side}Hand"]
         for name, parent, position in zip(names, ["Spine", *names], points, strict=False):
             m.bone(name, parent, position)
         m.limb(
-            [points[0] - 0.1 * way * long, points[1], at + long * way],
+            [points[0] - 0.1 * direction * long, points[1], at + long * direction],
             [0.3 * high, 0.25 * high, 0.08 * high],
             Chain(names, points),
             f"flipper {side}",

@@ -82,7 +82,7 @@ def mascot(m: Model) -> None:
         * (0.95 if shape not in ("tall", "pear") else 0.8 * half[2] / half[0] + 0.1)
     )
     for side, s in SIDES:
-        way = np.array([s * np.cos(drop), -np.sin(drop), 0.1])
+        direction = np.array([s * np.cos(drop), -np.sin(drop), 0.1])
         m.bone(f"{side}Shoulder", "Spine2", (s * 0.6 * side_at, y + high, 0))
         m.lump(
             (s * 0.72 * side_at, y + high, 0),
@@ -92,17 +92,19 @@ def mascot(m: Model) -> None:
             blend=1.0,
         )
         a = m.bone(f"{side}Arm", f"{side}Shoulder", (s * side_at, y + high, 0))
-        b = m.bone(f"{side}ForeArm", f"{side}Arm", a + way * 0.45 * arm)
-        c = m.bone(f"{side}Hand", f"{side}ForeArm", b + unit(way + [0, 0, bend]) * 0.45 * arm)
-        m.limb([a - way * 0.05, b, c], [thick * 1.1, thick, thick], [f"{side}Arm", f"{side}ForeArm"], f"arm {side}")
-        m.lump(c + way * thick * glove * 0.7, thick * glove * np.array([1, 0.9, 1]), f"{side}Hand", f"arm {side}")
+        b = m.bone(f"{side}ForeArm", f"{side}Arm", a + direction * 0.45 * arm)
+        c = m.bone(f"{side}Hand", f"{side}ForeArm", b + unit(direction + [0, 0, bend]) * 0.45 * arm)
+        m.limb(
+            [a - direction * 0.05, b, c], [thick * 1.1, thick, thick], [f"{side}Arm", f"{side}ForeArm"], f"arm {side}"
+        )
+        m.lump(c + direction * thick * glove * 0.7, thick * glove * np.array([1, 0.9, 1]), f"{side}Hand", f"arm {side}")
         if fingers:
             for i in range(3):
                 bone = m.bone(
-                    f"{side}HandIndex{i}" if i else f"{side}HandThumb1", f"{side}Hand", c + way * thick * glove
+                    f"{side}HandIndex{i}" if i else f"{side}HandThumb1", f"{side}Hand", c + direction * thick * glove
                 )
                 m.limb(
-                    [bone, bone + unit(way + [0, 0, i - 1]) * thick * glove * 1.4],
+                    [bone, bone + unit(direction + [0, 0, i - 1]) * thick * glove * 1.4],
                     [thick * 0.6, thick * 0.45],
                     f"{side}HandIndex{i}" if i else f"{side}HandThumb1",
                     f"arm {side}",
@@ -189,12 +191,12 @@ def blob(m: Model) -> None:
         arm, r, drop = u(0.12, 0.4), u(0.04, 0.09), u(-0.5, 0.8)
         for side, s in SIDES:
             a = np.array([s * half[0] * 0.9, (0.45 if kind != "mushroom" else 0.3) * top, 0.05])
-            way = np.array([s * np.cos(drop), -np.sin(drop), 0.2])
+            direction = np.array([s * np.cos(drop), -np.sin(drop), 0.2])
             m.bone(f"{side}Arm", "Spine", a)
-            b = m.bone(f"{side}ForeArm", f"{side}Arm", a + way * arm * 0.5)
-            c = m.bone(f"{side}Hand", f"{side}ForeArm", a + way * arm)
+            b = m.bone(f"{side}ForeArm", f"{side}Arm", a + direction * arm * 0.5)
+            c = m.bone(f"{side}Hand", f"{side}ForeArm", a + direction * arm)
             m.limb([a, b, c], [r, r * 0.9, r * 0.8], [f"{side}Arm", f"{side}ForeArm"], f"arm {side}", blend=0.6)
-            m.lump(c + way * r * 0.5, r * u(1.0, 1.7), f"{side}Hand", f"arm {side}")
+            m.lump(c + direction * r * 0.5, r * u(1.0, 1.7), f"{side}Hand", f"arm {side}")
     if kind in ("mushroom", "skull", "stack") and m.chance(0.5):
         r = half[0] * u(0.2, 0.35)
         leg = u(0.12, 0.3)

@@ -158,9 +158,9 @@ def _frame(along: np.ndarray, beside: np.ndarray) -> np.ndarray:
 
 def _bent(start: np.ndarray, goal: np.ndarray, one: float, two: float, towards: np.ndarray) -> np.ndarray:
     """Where the joint between two bones is that reach from a start towards a goal, bent towards a direction."""
-    way = goal - start
-    reach = float(np.clip(np.linalg.norm(way), abs(one - two) + 1e-3, 0.998 * (one + two)))
-    along = _unit(way)
+    direction = goal - start
+    reach = float(np.clip(np.linalg.norm(direction), abs(one - two) + 1e-3, 0.998 * (one + two)))
+    along = _unit(direction)
     cosine = (one**2 + reach**2 - two**2) / (2 * one * reach)
     return np.asarray(start + one * (cosine * along + np.sqrt(max(1 - cosine**2, 0)) * _across(towards, along)))
 
@@ -188,10 +188,10 @@ def _set_arm(
         carrier = _CARRIES[hand.on]
         positions.append(where[carrier] + world[carrier] @ (outward * hand.palm - rest[carrier]))
         ways.append((outward * directions) @ world[carrier].T)
-    way = np.linalg.norm(positions[1] - positions[0])
+    direction = np.linalg.norm(positions[1] - positions[0])
     palm = (
         _between(positions[0], positions[1], share)
-        + _AHEAD * way * np.sin(np.pi * share) * world[_CARRIES["chest"]][:, 2]
+        + _AHEAD * direction * np.sin(np.pi * share) * world[_CARRIES["chest"]][:, 2]
     )
     pointing, facing, towards = map(_unit, _between(ways[0], ways[1], share))
     goal = palm - _PALM * pointing

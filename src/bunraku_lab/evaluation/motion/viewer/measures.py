@@ -150,8 +150,8 @@ def raised_side(motion: HandleMotion) -> str | None:
 def stepped_side(motion: HandleMotion) -> str | None:
     """The side of its first heading to which the root goes farthest; None where it stays."""
     angle = float(heading(motion.root_rotation, motion.fps)[0])
-    way = motion.root_translation[:, [0, 2]].astype(float) - motion.root_translation[0, [0, 2]]
-    aside = way @ [np.cos(angle), -np.sin(angle)]
+    course = motion.root_translation[:, [0, 2]].astype(float) - motion.root_translation[0, [0, 2]]
+    aside = course @ [np.cos(angle), -np.sin(angle)]
     return _larger({"left": float(aside.max()), "right": float(-aside.min())}, LEAST_STEP)
 
 

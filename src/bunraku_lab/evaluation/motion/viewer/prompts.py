@@ -205,9 +205,9 @@ def _actions(make: Make, data: Path, seeds: int) -> dict[str, Any]:
     except FormatError:
         return dict.fromkeys(("action_accuracy", "action_accuracy_captured", "action_accuracy_over_real"))
     captured = named([clip.action for clip in clips], by_turns(clips))
-    asked = [(action, sentence) for action, both in SENTENCES.items() for sentence in both for _ in range(seeds)]
-    motions = make([(sentence, 4.0) for _, sentence in asked])
-    found = named([action for action, _ in asked], captured_classifier(clips).predict(motions))
+    requests = [(action, sentence) for action, both in SENTENCES.items() for sentence in both for _ in range(seeds)]
+    motions = make([(sentence, 4.0) for _, sentence in requests])
+    found = named([action for action, _ in requests], captured_classifier(clips).predict(motions))
     return {
         "action_accuracy": found["accuracy"],
         "action_accuracy_captured": captured["accuracy"],
@@ -219,8 +219,8 @@ def _actions(make: Make, data: Path, seeds: int) -> dict[str, Any]:
 def _turns(make: Make, seeds: int) -> dict[str, Any]:
     """Turns of 2.5 to 4 s."""
     lengths = np.linspace(2.5, 4, seeds).tolist()
-    asked = [(f"a person turns {way}", seconds) for way in (*SIDES, "around") for seconds in lengths]
-    left, right, around = np.reshape([viewer.turned(motion) for motion in make(asked)], (3, seeds))
+    requests = [(f"a person turns {way}", seconds) for way in (*SIDES, "around") for seconds in lengths]
+    left, right, around = np.reshape([viewer.turned(motion) for motion in make(requests)], (3, seeds))
     sided, around = np.concatenate([left, -right]), np.abs(around)
     return {
         "turn_side_degrees": float(np.median(sided)),
@@ -247,10 +247,12 @@ def _sides(make: Make, seeds: int) -> dict[str, Any]:
     """Whether the requested side does it, of two phrasings and both sides, 3 s each."""
     table = {}
     for action, phrasings in SIDE_PROMPTS.items():
-        asked = [(phrasing, side) for phrasing in phrasings for side in SIDES for _ in range(seeds)]
-        motions = make([(phrasing.format(side), 3.0) for phrasing, side in asked])
+        requests = [(phrasing, side) for phrasing in phrasings for side in SIDES for _ in range(seeds)]
+        motions = make([(phrasing.format(side), 3.0) for phrasing, side in requests])
         did = viewer.DOERS[action]
-        table[action] = float(np.mean([did(motion) == side for motion, (_, side) in zip(motions, asked, strict=True)]))
+        table[action] = float(
+            np.mean([did(motion) == side for motion, (_, side) in zip(motions, requests, strict=True)])
+        )
     return {"side_accuracy": float(np.mean(list(table.values()))), "side_accuracy_by_action": table}
 
 

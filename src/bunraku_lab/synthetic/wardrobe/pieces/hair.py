@@ -154,10 +154,10 @@ def _tail(
     """A tail of hair bound on the dome that falls behind or beside the head, clear of the body."""
     u, size = rng.uniform, float(scalp.half[0])
     root = scalp.at(turn, fall, -0.2 * scalp.thick)
-    way = unit(np.array([np.sin(turn), 0.35, np.cos(turn)]))
+    direction = unit(np.array([np.sin(turn), 0.35, np.cos(turn)]))
     fat, out = float(size * u(0.26, 0.42)), float(size * u(0.45, 0.8))
     end = max(root[1] - _fall_of(rng) * figure.height, 0.06 * figure.height)
-    knee = root + way * out
+    knee = root + direction * out
     drop = np.array([np.sin(turn), 0, np.cos(turn)])
     heights = np.linspace(knee[1] - 0.6 * out, end, 6)
     positions = [root, knee]

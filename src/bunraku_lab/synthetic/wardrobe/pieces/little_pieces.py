@@ -159,9 +159,9 @@ def _on_the_head(costume: Costume, scalp: Scalp, rng: np.random.Generator) -> No
     for mark, side in (("左", 1), ("右", -1)):
         root = scalp.at(side * turn, fall, 0.1 * scalp.thick)
         away = unit(root - scalp.center)
-        way = _DOWN + 0.2 * away if rings else unit(away + 0.4 * _DOWN)
-        positions = root + np.linspace(0, 1, 3)[:, None] * length * way
-        out = away if rings else unit(np.cross(way, [0, 0, 1.0]))
+        direction = _DOWN + 0.2 * away if rings else unit(away + 0.4 * _DOWN)
+        positions = root + np.linspace(0, 1, 3)[:, None] * length * direction
+        out = away if rings else unit(np.cross(direction, [0, 0, 1.0]))
         _hung(
             costume,
             f"{mark}髪飾り",

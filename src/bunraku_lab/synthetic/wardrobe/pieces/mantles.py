@@ -178,12 +178,12 @@ def add_sleeves(costume: Costume, figure: Figure, rng: np.random.Generator, *, c
     for side, mark in (("left", "左"), ("right", "右")):
         elbow, wrist = figure.at(f"{side}_elbow"), figure.at(f"{side}_wrist")
         upper = figure.at(f"{side}_shoulder")
-        way = unit(wrist - elbow)
+        direction = unit(wrist - elbow)
         skin = figure.skin
         own = skin.points[skin.weights[:, 18 if side == "left" else 19] > 0.7]
-        radius = wide * float(np.percentile(np.linalg.norm(np.cross(own - elbow, way), axis=1), 80))
-        down = unit(np.array([0, -1.0, 0]) + 0.35 * way * way[1])
-        normal = unit(np.cross(way, down))
+        radius = wide * float(np.percentile(np.linalg.norm(np.cross(own - elbow, direction), axis=1), 80))
+        down = unit(np.array([0, -1.0, 0]) + 0.35 * direction * direction[1])
+        normal = unit(np.cross(direction, down))
         count, links = 3, 2
         length = float(np.linalg.norm(wrist - elbow))
 

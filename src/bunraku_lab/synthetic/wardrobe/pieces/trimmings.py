@@ -129,15 +129,15 @@ def add_scarf(costume: Costume, figure: Figure, rng: np.random.Generator, *, col
     base = np.pi if behind else 0.0
     for number, lean in enumerate((0.35, -0.3)[: int(rng.integers(1, 3))]):
         angle = base + lean
-        way = np.array([np.sin(angle), 0, np.cos(angle)])
-        start = loop[round(angle / (2 * np.pi) * around) % around] + way * fat * 0.6
+        direction = np.array([np.sin(angle), 0, np.cos(angle)])
+        start = loop[round(angle / (2 * np.pi) * around) % around] + direction * fat * 0.6
         length = float(u(0.16, 0.34)) * h
         heights = np.linspace(start[1] - 0.1 * length, start[1] - length, 5)
-        far, positions = float((start - [center[0], 0, center[1]]) @ way), [start]
+        far, positions = float((start - [center[0], 0, center[1]]) @ direction), [start]
         for y in heights:
             body = float(figure.profile(float(y), np.array([angle]), center=center, band=0.02 * h)[0])
             far = max(far, min(body, far + 0.05 * h) + 0.014 * h)
-            positions.append(np.array([center[0] + far * way[0], y, center[1] + far * way[2]]))
+            positions.append(np.array([center[0] + far * direction[0], y, center[1] + far * direction[2]]))
         links = int(np.clip(round(length / (0.065 * h)), 3, 5))
         path = np.array(positions)
         hang = Hang(
@@ -146,11 +146,17 @@ def add_scarf(costume: Costume, figure: Figure, rng: np.random.Generator, *, col
             meets=SOLID["trunk"],
         )  # fmt: skip
         chains = add_chains(
-            costume, [f"マフラー{number}"], curve_through(path, links + 1)[None], way[None], chest, hang, cross=False
+            costume,
+            [f"マフラー{number}"],
+            curve_through(path, links + 1)[None],
+            direction[None],
+            chest,
+            hang,
+            cross=False,
         )
         t = np.linspace(0, 1, max(round(14 * costume.fine), 9))
         points, faces, at = strand(
-            curve_through(path, len(t)), way, fat * np.interp(t, [0, 0.2, 1], [1.0, 1.5, 1.7]), 0.32 * fat, sides
+            curve_through(path, len(t)), direction, fat * np.interp(t, [0, 0.2, 1], [1.0, 1.5, 1.7]), 0.32 * fat, sides
         )
         bones, shares = chains.weights(at / (len(t) - 1) * links)
         low = at[faces].max(axis=1) / (len(t) - 1)
