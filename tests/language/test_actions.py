@@ -1,6 +1,6 @@
 import pytest
 
-from bunraku.language.lexicon.reading import actions_of, is_cyclic, main_actions
+from bunraku.language.lexicon.reading import actions_of, goes_ahead, is_cyclic, main_actions
 from bunraku.language.lexicon.tables import lexicon
 
 
@@ -58,3 +58,11 @@ def test_to_bow_is_told_from_an_archers_bow(sentence, action):
 )  # fmt: skip
 def test_sports_and_steps_are_told_from_what_they_are_a_kind_of(sentence, actions):
     assert actions_of(sentence) == actions
+
+
+@pytest.mark.parametrize(
+    ("text", "action"),
+    [("a person rushes to the door", "run"), ("she hurries away", "run"), ("he comes to the window", "walk")],
+)
+def test_who_comes_or_hurries_goes_somewhere(text, action):
+    assert actions_of(text) == (action,) and goes_ahead(actions_of(text))

@@ -15,13 +15,12 @@ from dataclasses import replace
 from bunraku.language.captions.grammar import conjugate
 from bunraku.language.foreign.grouping import OWN, Clause, clauses_of, head_of, with_article
 from bunraku.language.foreign.table import Concept, table
-from bunraku.language.lexicon.tables import lexicon
+from bunraku.language.lexicon.reading import actions_of, goes_ahead
 
 __all__ = ["english_sentence"]
 
 _ON = frozenset({"stand", "hop", "balance", "jump", "kneel", "lie", "crawl", "sit", "land", "leap", "spin", "turn"})
 """Verbs that are done on a part; others with it."""
-_COMES = frozenset({"go", "come", "hurry", "rush"})
 _PLACES = frozenset({"chair", "bench", "table", "window", "wall", "tree", "car", "stairs", "door"})
 _CLIMBED = frozenset({"stairs", "ladder", "tree", "wall"})
 _TOUCHED = frozenset({"stretch", "touch", "rub", "grab", "hold", "wipe", "wash"})
@@ -119,7 +118,7 @@ def _said(item: Concept, verb: str, head: str, slot: bool) -> tuple[float, str]:
             return 2, ""
         if head == "climb" and name in _CLIMBED:
             return 1, "the stairs" if name == "stairs" else with_article(name)
-        if item.kind == "noun" and (head in _COMES or head in lexicon().locomotion) and name in _PLACES:
+        if item.kind == "noun" and name in _PLACES and goes_ahead(actions_of(conjugate(f"{{{head}}} to", "third"))):
             return 2, f"to the {name}"
         if "} up" in verb and head in ("stand", "get"):
             return 2, position.replace("on ", "from ")
