@@ -1,5 +1,6 @@
 import contextlib
 import ctypes
+import http.client
 import json
 import os
 import resource
@@ -64,6 +65,8 @@ class Studio:
                 status, content = answer.status, answer.read()
         except urllib.error.HTTPError as error:
             status, content = error.code, error.read()
+        except http.client.IncompleteRead as error:
+            raise AssertionError(f"{path}: {error}; the studio says:\n{self.log.read_text()[-4000:]}") from error
         try:
             return status, json.loads(content)
         except ValueError:
