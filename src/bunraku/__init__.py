@@ -31,6 +31,7 @@ from bunraku.errors import (
 )
 
 if TYPE_CHECKING:
+    from bunraku import clips
     from bunraku.core.animated import AnimatedCharacter
     from bunraku.core.animation import Animation
     from bunraku.core.character import Character, Handles, Rig
@@ -72,6 +73,7 @@ __all__ = [
     "WeightsError",
     "__version__",
     "animate",
+    "clips",
     "edit",
     "generate",
     "guess_orientation",
@@ -116,10 +118,15 @@ _HOME = {
 }
 
 
+_ROOMS = {"clips": "bunraku.clips"}
+"""Rooms that are public as they are."""
+
 set_writer("bunraku.io.registry:save")
 
 
 def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return import_module(_ROOMS[name])
     if name not in _HOME:
         raise AttributeError(f"module 'bunraku' has no attribute '{name}'")
     value = getattr(import_module(_HOME[name]), name)

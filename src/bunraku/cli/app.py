@@ -48,6 +48,7 @@ VERBS: Verbs = {
         "BlenderAddon",
         "write the add-on for Blender, which asks the studio",
     ),
+    ("clips",): ("bunraku.cli.verbs.clips", "Clips", "list and search the clip library, or put a clip on a character"),
     ("samples",): ("bunraku.cli.verbs.samples", "Samples", "write the sample characters"),
     ("doctor",): (
         "bunraku.cli.verbs.doctor",

@@ -1,0 +1,62 @@
+"""The motion of a clip: its stretch of the examples, as long as it is asked for."""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bunraku.core.motion import HandleMotion
+from bunraku.core.request.limits import SECONDS
+from bunraku.diffusion.examples.pack import FPS, ExamplePack, load_examples
+from bunraku.diffusion.features import decode
+from bunraku.diffusion.splicing import held, played
+from bunraku.errors import WeightsError
+
+if TYPE_CHECKING:
+    from bunraku.clips import Clip
+
+__all__ = ["features_of", "motion_of"]
+
+_EASE = 0.3
+"""Share of a pose's change that is left from frame to frame where a clip is held at its end."""
+
+
+def motion_of(clip: Clip, seconds: float | None = None) -> HandleMotion:
+    """The motion of a clip on the reference body, for `Clip.motion`."""
+    return decode(features_of(clip, seconds))
+
+
+def features_of(clip: Clip, seconds: float | None = None) -> np.ndarray:
+    """What the denoiser sees of a clip (see `diffusion.features`), shape (N, 271), as long as it is to last.
+
+    Args:
+        clip: Of the library.
+        seconds: As of `Clip.motion`.
+
+    Raises:
+        OptionError: It cannot last so long.
+        WeightsError: The examples are missing or broken.
+    """
+    SECONDS.check(seconds, "seconds")
+    pack = load_examples()
+    if pack is None:
+        raise WeightsError("the clips are stretches of examples.safetensors, which is missing; install Bunraku again")
+    number = _numbers(pack).get(clip.stretch)
+    if number is None:
+        raise WeightsError(f"the examples have no stretch {clip.stretch}; install Bunraku again")
+    values, loop = pack.features(number), pack.examples[number].loop
+    if seconds is None:
+        return values
+    frames = max(round(seconds * FPS), 1)
+    if len(values) < frames:
+        still = np.zeros(3, values.dtype)
+        values = played(values, loop, frames) if loop else held(values, frames - len(values), still, _EASE)
+    return values[:frames]
+
+
+@functools.lru_cache(maxsize=2)
+def _numbers(pack: ExamplePack) -> dict[str, int]:
+    """Which example each stretch is."""
+    return {one.name: number for number, one in enumerate(pack.examples)}
