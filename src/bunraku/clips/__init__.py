@@ -83,7 +83,7 @@ class Clip:
         """
         from bunraku.clips.motions import motion_of
 
-        return motion_of(self, seconds)
+        return motion_of(self.stretch, seconds)
 
 
 @functools.cache

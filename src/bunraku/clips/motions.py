@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,25 +13,22 @@ from bunraku.diffusion.features import decode
 from bunraku.diffusion.splicing import held, played
 from bunraku.errors import WeightsError
 
-if TYPE_CHECKING:
-    from bunraku.clips import Clip
-
 __all__ = ["features_of", "motion_of"]
 
 _EASE = 0.3
 """Share of a pose's change that is left from frame to frame where a clip is held at its end."""
 
 
-def motion_of(clip: Clip, seconds: float | None = None) -> HandleMotion:
-    """The motion of a clip on the reference body, for `Clip.motion`."""
-    return decode(features_of(clip, seconds))
+def motion_of(stretch: str, seconds: float | None = None) -> HandleMotion:
+    """The motion of a stretch on the reference body, for `Clip.motion`."""
+    return decode(features_of(stretch, seconds))
 
 
-def features_of(clip: Clip, seconds: float | None = None) -> np.ndarray:
-    """What the denoiser sees of a clip (see `diffusion.features`), shape (N, 271), as long as it is to last.
+def features_of(stretch: str, seconds: float | None = None) -> np.ndarray:
+    """What the denoiser sees of a stretch (see `diffusion.features`), shape (N, 271), as long as it is to last.
 
     Args:
-        clip: Of the library.
+        stretch: A name of the examples (`Clip.stretch`).
         seconds: As of `Clip.motion`.
 
     Raises:
@@ -43,9 +39,9 @@ def features_of(clip: Clip, seconds: float | None = None) -> np.ndarray:
     pack = load_examples()
     if pack is None:
         raise WeightsError("the clips are stretches of examples.safetensors, which is missing; install Bunraku again")
-    number = _numbers(pack).get(clip.stretch)
+    number = _numbers(pack).get(stretch)
     if number is None:
-        raise WeightsError(f"the examples have no stretch {clip.stretch}; install Bunraku again")
+        raise WeightsError(f"the examples have no stretch {stretch}; install Bunraku again")
     values, loop = pack.features(number), pack.examples[number].loop
     if seconds is None:
         return values
