@@ -28,10 +28,12 @@ class Studio:
         self.folder = folder
         log = Path(f"{folder}.log")
         source = str(ROOT / "src")
+        # A process whose files are bounded would leave bytecode that is cut off, for all that come after it.
+        bounded = {"PYTHONDONTWRITEBYTECODE": "1"} if limit else {}
         self.process = subprocess.Popen(
             [sys.executable, "-m", "bunraku", "studio", "--no-browser", "--port", "0", "--folder", str(folder), *words],
             stdout=log.open("w"), stderr=subprocess.STDOUT, preexec_fn=limit,
-            env={**os.environ, "PYTHONPATH": source, "OMP_NUM_THREADS": "1", **(environment or {})},
+            env={**os.environ, "PYTHONPATH": source, "OMP_NUM_THREADS": "1", **bounded, **(environment or {})},
         )  # fmt: skip
         self.log = log
         self.address = self.until(self._address, "an address")
