@@ -22,7 +22,7 @@ from bunraku.diffusion.generation.drawing import GUIDANCE, STEPS
 from bunraku.io import load_character
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.apply import apply_motion
-from bunraku.studio.tasks import DRAFT_STAGES, DRAFT_STEPS
+from bunraku.studio.tasks.making import DRAFT_STAGES, DRAFT_STEPS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "studio"))
 

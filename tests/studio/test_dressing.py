@@ -27,8 +27,9 @@ from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints, Keep
 from bunraku.pipelines.requests.request import Request, Sampling
 from bunraku.samples import sample_character
-from bunraku.studio import dressing
-from bunraku.studio.clips import (
+from bunraku.studio.tasks.table import run_task
+from bunraku.studio.workspace import dressing
+from bunraku.studio.workspace.clips import (
     Dressed,
     load_take,
     packed_clip,
@@ -37,10 +38,9 @@ from bunraku.studio.clips import (
     unpacked_apparel,
     unpacked_clip,
 )
-from bunraku.studio.dressing import check_fits, dressed_anew, has_apparel
-from bunraku.studio.opened import Settings, opened_character
-from bunraku.studio.tasks import run_task
-from bunraku.studio.workspace import Workspace
+from bunraku.studio.workspace.dressing import check_fits, dressed_anew, has_apparel
+from bunraku.studio.workspace.opened import Settings, opened_character
+from bunraku.studio.workspace.workspace import Workspace
 from bunraku_lab.evaluation.transfer.stock_motions import stock_motion
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 

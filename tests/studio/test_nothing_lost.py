@@ -7,7 +7,7 @@ import pytest
 from conftest import as_somebody, no_space
 
 from bunraku.studio.store import Store
-from bunraku.studio.workspace import Workspace
+from bunraku.studio.workspace.workspace import Workspace
 
 CUT = '{"name": "mine", "file": "source/mi'
 

@@ -21,7 +21,7 @@ from bunraku.render.camera import Camera
 from bunraku.render.loops import kernels
 from bunraku.retarget.stages.pins import end_positions, limb_ends
 from bunraku.samples import sample_character
-from bunraku.studio.clips import load_handles, load_take
+from bunraku.studio.workspace.clips import load_handles, load_take
 
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium; on Debian: apt-get install chromium"),

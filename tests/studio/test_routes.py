@@ -4,7 +4,8 @@ import zipfile
 import pytest
 
 from bunraku.language.parse import parse
-from bunraku.studio.forms import Part, TakeForm, read_script
+from bunraku.studio.forms.script import Part, read_script
+from bunraku.studio.forms.takes import TakeForm
 from bunraku.studio.uploads import plain_name
 
 

@@ -18,7 +18,7 @@ from bunraku.formats.gltf.read import read_gltf
 from bunraku.geometry.rotations import matrix_from_quaternion
 from bunraku.io.clips import load_clip_animation
 from bunraku.io.play import load_animation
-from bunraku.studio.clips import load_handles, unpacked_clip
+from bunraku.studio.workspace.clips import load_handles, unpacked_clip
 
 FILES = Path(__file__).parents[1] / "formats" / "data"
 

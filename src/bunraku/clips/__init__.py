@@ -70,12 +70,14 @@ class Clip:
     source: Source
     stretch: str
 
-    def motion(self, seconds: float | None = None) -> HandleMotion:
+    def motion(self, seconds: float | None = None, loop: bool = False) -> HandleMotion:
         """Its motion, of the reference body, 20 frames a second; `bunraku.transfer` puts it on a character.
 
         Args:
             seconds: How long it is to last [s]: one that loops is played on, others are held at their end, and what is
                 longer is cut. None for as long as it lasts.
+            loop: Of one that loops, as many whole rounds as come nearest to that, so that its last frame goes on with
+                its first; others are as without.
 
         Raises:
             OptionError: It cannot last so long.
@@ -83,7 +85,7 @@ class Clip:
         """
         from bunraku.clips.motions import motion_of
 
-        return motion_of(self.stretch, seconds)
+        return motion_of(self.stretch, seconds, loop)
 
 
 @functools.cache

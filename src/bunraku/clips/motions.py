@@ -19,17 +19,17 @@ _EASE = 0.3
 """Share of a pose's change that is left from frame to frame where a clip is held at its end."""
 
 
-def motion_of(stretch: str, seconds: float | None = None) -> HandleMotion:
+def motion_of(stretch: str, seconds: float | None = None, loop: bool = False) -> HandleMotion:
     """The motion of a stretch on the reference body, for `Clip.motion`."""
-    return decode(features_of(stretch, seconds))
+    return decode(features_of(stretch, seconds, loop))
 
 
-def features_of(stretch: str, seconds: float | None = None) -> np.ndarray:
+def features_of(stretch: str, seconds: float | None = None, loop: bool = False) -> np.ndarray:
     """What the denoiser sees of a stretch (see `diffusion.features`), shape (N, 271), as long as it is to last.
 
     Args:
         stretch: A name of the examples (`Clip.stretch`).
-        seconds: As of `Clip.motion`.
+        seconds, loop: As of `Clip.motion`.
 
     Raises:
         OptionError: It cannot last so long.
@@ -42,14 +42,23 @@ def features_of(stretch: str, seconds: float | None = None) -> np.ndarray:
     number = _numbers(pack).get(stretch)
     if number is None:
         raise WeightsError(f"the examples have no stretch {stretch}; install Bunraku again")
-    values, loop = pack.features(number), pack.examples[number].loop
+    values, rounds = pack.features(number), pack.examples[number].loop
+    if loop and rounds:
+        return _rounds(values, rounds, len(values) if seconds is None else round(seconds * FPS))
     if seconds is None:
         return values
     frames = max(round(seconds * FPS), 1)
     if len(values) < frames:
         still = np.zeros(3, values.dtype)
-        values = played(values, loop, frames) if loop else held(values, frames - len(values), still, _EASE)
+        values = played(values, rounds, frames) if rounds else held(values, frames - len(values), still, _EASE)
     return values[:frames]
+
+
+def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
+    """As many whole rounds of a loop as come nearest to so many frames: all that are played on are alike."""
+    start, length = loop[0], loop[0] - loop[1]
+    count = max(round(frames / length), 1)
+    return played(values, loop, start + count * length)[start : start + count * length]
 
 
 @functools.lru_cache(maxsize=2)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import secrets
 import threading
 import time
 from collections import deque
@@ -138,7 +139,9 @@ class Jobs:
                 raise NotThere("there is no such job any more; reload the page")
             return self._jobs[name]
 
-    def submit(self, kind: str, title: str, params: Mapping[str, object], about: About | None = None) -> Job:
+    def submit(
+        self, kind: str, title: str, params: Mapping[str, object], about: About | None = None, *, passing: bool = False
+    ) -> Job:
         """Put a job at the end of the queue.
 
         Args:
@@ -146,6 +149,7 @@ class Jobs:
             title: What a person reads.
             params: What the task takes.
             about: Which things it is about, for those that listen.
+            passing: It takes a moment, goes first, and is not offered again by the next run.
 
         Raises:
             QueueFull: Too many wait.
@@ -155,10 +159,11 @@ class Jobs:
             if len(self._waiting) >= MOST_WAITING:
                 raise QueueFull(f"{MOST_WAITING} jobs are waiting already; let some finish or cancel them")
             record = {"kind": kind, "title": title, "params": params, "about": about or {}}
-            new = self.store.new("jobs", record)
+            passed = {"id": secrets.token_hex(8), "created": time.time()}
+            new = {**record, **passed} if passing else self.store.new("jobs", record)
             job = cast(Job, {**new, "state": "waiting", "stage": "", "done": 0.0, "error": ""})
             self._jobs[job["id"]] = job
-            self._waiting.append(job["id"])
+            (self._waiting.appendleft if passing else self._waiting.append)(job["id"])
             self.changes.tell("job", public(job))
             self._wake.notify_all()
             return job

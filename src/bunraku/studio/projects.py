@@ -11,7 +11,7 @@ from bunraku.core.request.json_form import read_json
 from bunraku.errors import FormatError, OptionError
 from bunraku.formats.archives import copy_entry, open_archive, read_entry
 from bunraku.formats.files import atomic_write, inside
-from bunraku.studio.forms import check_asked
+from bunraku.studio.forms.kept import check_asked
 from bunraku.studio.records import CHARACTER_FACTS, TAKE_FACTS, check_facts
 from bunraku.studio.store import Store
 from bunraku.studio.view import read_view

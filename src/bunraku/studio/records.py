@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from bunraku.core.request.json_form import from_json, read_json
 from bunraku.errors import OptionError
-from bunraku.studio.opened import Settings
+from bunraku.studio.workspace.opened import Settings
 
 __all__ = ["CHARACTER_FACTS", "LARGEST", "RECORD", "TAKE_FACTS", "Record", "check_facts", "read_record", "written"]
 
@@ -70,10 +70,11 @@ class _CharacterFacts:
 
 @dataclass(frozen=True)
 class _Said:
-    """A sentence of a take, or the name of the file that it came from."""
+    """A sentence of a take, a clip of the library, or the name of the file that it came from."""
 
     text: str
     seconds: float = 0.0
+    clip: str = ""
 
 
 @dataclass(frozen=True)

@@ -10,17 +10,20 @@ from bunraku.core.ground_path import LONGEST
 from bunraku.core.request.json_form import from_json
 from bunraku.core.request.limits import GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit
 from bunraku.errors import OptionError
-from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Motion, PoseForm, check_pins
+from bunraku.studio.forms.changes import PoseForm
+from bunraku.studio.forms.drawing import MOST_SEED, TIME, Motion, check_pins
+from bunraku.studio.forms.script import MOST_PARTS
 
 __all__ = ["View", "checked_view", "read_view"]
 
 
 @dataclass(frozen=True)
 class _Sentence:
-    """A sentence as it is being typed: it may be empty, or too long for a take."""
+    """A sentence as it is being typed, which may be empty, or too long for a take; or a clip of the library."""
 
     text: str
     seconds: float
+    clip: str = ""
 
     def __post_init__(self) -> None:
         SECONDS.check(self.seconds)

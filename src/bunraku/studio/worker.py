@@ -31,8 +31,8 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this one
     parent = os.getppid()
-    from bunraku.studio.tasks import run_task
-    from bunraku.studio.workspace import Workspace
+    from bunraku.studio.tasks.table import run_task
+    from bunraku.studio.workspace.workspace import Workspace
 
     workspace = Workspace(folder)
     workspace.warm_up()

@@ -46,6 +46,8 @@ class Clips:
     """
     seconds: float | None = None
     """How long it is to last: one that loops is played on, others are held at their end. Default: its own length."""
+    loop: bool = False
+    """Write whole rounds of one that loops, so that its last frame goes on with its first."""
     fps: float = 30.0
     """Frames a second of the file, 1 to 240."""
     up: AxisOption = "auto"
@@ -102,10 +104,10 @@ class Clips:
         from bunraku.pipelines.transfer import transfer
 
         if self.character is None:
-            body, motion = reference_body(), clip.motion(self.seconds)
+            body, motion = reference_body(), clip.motion(self.seconds, self.loop)
             return Animation(body.character(), body.handles, motion, motion)
         character = stand_up(load_character(self.character, unit="m"), self.character, self.up, self.front, self.unit)
-        return transfer(character, clip.motion(self.seconds), fps=self.fps, progress=report)
+        return transfer(character, clip.motion(self.seconds, self.loop), fps=self.fps, progress=report)
 
 
 def facts_of(clip: Clip) -> dict[str, object]:

@@ -15,7 +15,7 @@ from bunraku.core.request.limits import Limit
 from bunraku.errors import OptionError
 from bunraku.studio.state import State
 
-__all__ = ["body_of", "choice", "state_of", "number", "text"]
+__all__ = ["body_of", "choice", "number", "ready_character", "state_of", "text"]
 
 MOST_JSON = 4 << 20
 
@@ -25,6 +25,19 @@ def state_of(request: Request) -> State:
     state = request.app.state.studio if hasattr(request.app.state, "studio") else request.scope["app"].state.studio
     assert isinstance(state, State)
     return state
+
+
+def ready_character(state: State, name: str) -> dict[str, Any]:
+    """The record of a character that is open.
+
+    Raises:
+        OptionError: It is not.
+        NotThere: There is none.
+    """
+    record = state.store.get("characters", name)
+    if record["state"] != "ready":
+        raise OptionError(f"{record['name']} is not open yet ({record['error'] or record['state']}); wait for it")
+    return record
 
 
 async def body_of(request: Request) -> dict[str, Any]:

@@ -18,6 +18,8 @@ from bunraku.studio.uploads import CHARACTERS, MOST_BYTES, MOTIONS, PROJECTS
 
 __all__ = ["ROUTES"]
 
+SUGGESTED = 6
+"""Clips of the library that a sentence suggests."""
 LONGEST_NUMBER = 15
 """Digits of a number in an address."""
 
@@ -75,10 +77,14 @@ async def login(request: Request) -> Any:
 
 async def understand(request: Request) -> Any:
     """What is understood of a sentence, with the places of words that are not."""
+    from bunraku.clips import search
     from bunraku.language.understood import understood
 
-    found = await run_in_threadpool(understood, text(await body_of(request), "text", 1000))
+    words = text(await body_of(request), "text", 1000)
+    found = await run_in_threadpool(understood, words)
+    clips = await run_in_threadpool(search, words)
     return {
+        "clips": [clip.name for clip in clips[:SUGGESTED]],
         "ok": found.ok,
         "language": found.language,
         "english": found.english,

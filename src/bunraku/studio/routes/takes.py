@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
-from bunraku.core.request.json_form import from_json, to_json
+from bunraku.core.request.json_form import from_json
 from bunraku.core.request.limits import FPS
 from bunraku.errors import FormatError, OptionError
 from bunraku.pipelines.clips import clip_names
 from bunraku.pipelines.requests.apparel import Apparel
-from bunraku.studio.forms import ChangeForm, ClipsForm, DressForm, TakeForm, TakeRecordForm, read_script
-from bunraku.studio.routes.asked import body_of, choice, number, state_of
+from bunraku.studio.forms.changes import ChangeForm
+from bunraku.studio.forms.drawing import DressForm
+from bunraku.studio.forms.exports import ClipsForm
+from bunraku.studio.forms.script import read_script, script_json, sequence_of
+from bunraku.studio.forms.takes import TakeForm, TakeRecordForm
+from bunraku.studio.routes.asked import body_of, choice, number, ready_character, state_of
 from bunraku.studio.state import State
 from bunraku.studio.uploads import CHARACTERS, MOTIONS, plain_name, receive
 
@@ -23,13 +27,6 @@ __all__ = ["ROUTES"]
 SUFFIXES = ("glb", "bvh", "vrma", "vmd", "npz", "fbx", "usdz", "usdc", "mp4", "gif")
 MOST_NAME = 40
 """Letters of a sentence in a file's name."""
-
-
-def _ready(state: State, name: str) -> dict[str, Any]:
-    record = state.store.get("characters", name)
-    if record["state"] != "ready":
-        raise OptionError(f"{record['name']} is not open yet ({record['error'] or record['state']}); wait for it")
-    return record
 
 
 async def takes(request: Request) -> Any:
@@ -43,19 +40,37 @@ async def takes(request: Request) -> Any:
 
 
 def _make(state: State, owner: str, body: dict[str, object]) -> Any:
-    character = _ready(state, owner)
+    character = ready_character(state, owner)
     form = from_json(TakeForm, body, "the request")
+    if any(part.clip for part in form.script):
+        return _play(state, owner, form, character["settings"]["handles"])
     request = form.request(character["settings"]["handles"])
     if form.after:
         before = state.store.get("takes", form.after)
         if before["character"] != owner or before["state"] != "done" or before.get("skin") != "handles":
             raise OptionError("what is followed must be a finished take of handles of the same character")
-    script = to_json(read_script(form.script))
+    script = script_json(read_script(form.script))
     made = state.new_takes(
         owner, len(form.seeds), how="animate", script=script, asked=form.asked(), seeds=list(form.seeds)
     )
     params = {"request": request.to_json(), "seeds": list(form.seeds), "draft": form.draft}
     return {**state.make("animate", request.prompt, owner, _ids(made), params), "script": script}
+
+
+def _play(state: State, owner: str, form: TakeForm, handles: Literal["predict", "rig"]) -> Any:
+    """Takes of a script in which clips of the library are played."""
+    script = read_script(form.script)
+    pieces, apparel = form.pieces(handles), form.apparel
+    constraints = form.constraints()
+    constraints.check()
+    made = state.new_takes(
+        owner, len(form.seeds), how="animate", script=script_json(script), asked=form.asked(), seeds=list(form.seeds)
+    )
+    params = {
+        "seeds": list(form.seeds), "pieces": pieces, "constraints": constraints.to_json(), "apparel": apparel,
+        "stiffness": form.stiffness,
+    }  # fmt: skip
+    return {**state.make("play", sequence_of(script), owner, _ids(made), params), "script": script_json(script)}
 
 
 def _ids(takes: list[dict[str, Any]]) -> list[str]:
@@ -103,7 +118,7 @@ def _change(state: State, name: str, body: dict[str, object]) -> Any:
     if parent["state"] != "done":
         raise OptionError("this take is not finished; wait for it")
     owner = parent["character"]
-    _ready(state, owner)
+    ready_character(state, owner)
     form = from_json(ChangeForm, body, "the request")
     stiffness = parent.get("stiffness")
     apparel = Apparel("learn" if stiffness else "rigid", stiffness or 1.0)
@@ -146,7 +161,7 @@ def _edit(state: State, name: str, form: ChangeForm, apparel: Apparel) -> Any:
 async def transfer(request: Request) -> Any:
     """A take from a motion file of any kind, in the body."""
     state, owner = state_of(request), request.path_params["name"]
-    _ready(state, owner)
+    ready_character(state, owner)
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*MOTIONS, *CHARACTERS):
         raise FormatError(f"{title}{suffix}", f"this is no format of motions; they are {', '.join(MOTIONS)} and .fbx")

@@ -19,7 +19,7 @@ from starlette.staticfiles import StaticFiles
 from bunraku.errors import BunrakuError
 from bunraku.studio.jobs import QueueFull
 from bunraku.studio.responses import is_full, sentence_of
-from bunraku.studio.routes import characters, files, general, studies, takes
+from bunraku.studio.routes import characters, files, general, library, studies, takes
 from bunraku.studio.server.safety import Guard, Keys
 from bunraku.studio.state import State
 from bunraku.studio.store import NotThere, Store
@@ -54,7 +54,7 @@ def studio_app(folder: Path, keys: Keys | None = None, study: Path | None = None
         finally:
             state.stop()
 
-    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *files.ROUTES, *studies.ROUTES]
+    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, *library.ROUTES, *files.ROUTES, *studies.ROUTES]
     app = Starlette(
         routes=[
             Mount(

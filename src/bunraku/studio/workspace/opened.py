@@ -91,7 +91,7 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
     from bunraku.handles.from_rig import rig_handles
     from bunraku.physics.from_file import apparel_rig
     from bunraku.retarget.stages.pins import limb_ends
-    from bunraku.studio.dressing import has_apparel
+    from bunraku.studio.workspace.dressing import has_apparel
 
     try:
         usable = character.rig is not None and rig_handles(character) is not None

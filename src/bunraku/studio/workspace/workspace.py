@@ -13,11 +13,13 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.formats.files import atomic_write
-from bunraku.studio.clips import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
-from bunraku.studio.opened import Settings, opened_character
+from bunraku.studio.workspace.clips import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
+from bunraku.studio.workspace.opened import Settings, opened_character
 
-__all__ = ["Workspace"]
+__all__ = ["PREVIEWS", "Workspace"]
 
+PREVIEWS = "clips"
+"""The folder of a character that holds how clips of the library look on it."""
 KEPT = 4
 """Characters that stay in memory."""
 

@@ -14,7 +14,7 @@ from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import OptionError
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.retarget.fit import Stages
-from bunraku.studio.clips import Dressed, Take, body_of
+from bunraku.studio.workspace.clips import Dressed, Take, body_of
 
 __all__ = ["check_fits", "dressed_anew", "has_apparel", "put_on"]
 

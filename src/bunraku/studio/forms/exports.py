@@ -1,0 +1,31 @@
+"""Files that takes are written to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bunraku.core.request.limits import FPS
+from bunraku.errors import OptionError
+
+__all__ = ["ClipsForm"]
+
+MOST_CLIPS = 100
+"""Takes in one file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipsForm:
+    """Takes that become the clips of one file.
+
+    Args:
+        takes: Their names, in order, each once.
+        fps: Frames a second [1/s].
+    """
+
+    takes: tuple[str, ...] = ()
+    fps: float = 30.0
+
+    def __post_init__(self) -> None:
+        FPS.check(self.fps)
+        if not 1 <= len(self.takes) <= MOST_CLIPS or len(set(self.takes)) < len(self.takes):
+            raise OptionError(f"one file has 1 to {MOST_CLIPS} clips, each another take; choose them again")

@@ -1,0 +1,98 @@
+"""Takes of motion that is there already: bent, dressed, carried over from files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.core.animation import Animation
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.pipelines.requests.apparel import Apparel
+from bunraku.pipelines.requests.constraints import Constraints
+from bunraku.studio.forms.drawing import stages_without
+from bunraku.studio.tasks.task import Partly, Report, of_handles
+from bunraku.studio.workspace.dressing import check_fits, dressed_anew, put_on
+from bunraku.studio.workspace.workspace import Workspace
+
+__all__ = ["Bend", "Dress", "Transfer"]
+
+
+@dataclass(frozen=True)
+class Bend:
+    """A take bent to its pins, with nothing generated."""
+
+    character: str
+    takes: tuple[str]
+    parent: str
+    constraints: tuple[object, ...]
+    apparel: str = "rigid"
+    stiffness: float = 1.0
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.retarget.stages.pins import meet_pins
+
+        parent = of_handles(shop.take(self.parent, self.character))
+        report("fit", 0.2)
+        pins = Constraints.from_json(self.constraints).pins
+        met = meet_pins(parent.motion, Anatomy.of(parent.character, parent.handles), pins)
+        made = Animation(parent.character, parent.handles, met, parent.reference)
+        take, (name,) = put_on(made, Apparel(self.apparel, self.stiffness), report), self.takes
+        partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
+        return {"takes": [name]}
+
+
+@dataclass(frozen=True)
+class Dress:
+    """A take of the same motion whose apparel moves otherwise."""
+
+    character: str
+    takes: tuple[str]
+    parent: str
+    apparel: str = "rigid"
+    stiffness: float = 1.0
+    in_place: bool = False
+    without: tuple[str, ...] = ()
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        parent, (_, handles) = shop.take(self.parent, self.character), shop.character(self.character)
+        made = dressed_anew(
+            parent, Apparel(self.apparel, self.stiffness), handles, in_place=self.in_place,
+            stages=stages_without(self.without), report=report,
+        )  # fmt: skip
+        (name,) = self.takes
+        partly({"take": name, "state": "done", **shop.keep(made, name, self.character)})
+        return {"takes": [name]}
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A take from a motion of a file."""
+
+    character: str
+    takes: tuple[str]
+    file: str
+    apparel: str = "rigid"
+    stiffness: float = 1.0
+    onto: Literal["auto", "handles"] = "handles"
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.pipelines.animator import Animator
+        from bunraku.pipelines.requests.transfer import TransferRequest
+        from bunraku.pipelines.transfer import Source, transferred
+
+        (name,) = self.takes
+        character, handles = shop.character(self.character)
+        source = Source(shop.folder_of("takes", name) / self.file)
+        apparel, animator = Apparel(self.apparel, self.stiffness), Animator.shipped(report)
+        check_fits(apparel, character, 0)
+        take = None
+        if apparel.moves or self.onto == "auto":
+            own = apparel if apparel.motion == "simulate" else Apparel()
+            take = transferred(animator, character, source, TransferRequest(apparel=own))
+        if not isinstance(take, RigAnimation):  # on the handles that the studio shows
+            take = transferred(animator, character, source, TransferRequest("handles", handles=handles))
+        assert isinstance(take, Animation | RigAnimation)
+        apparel = Apparel() if apparel.motion == "simulate" else apparel  # simulated already
+        partly({"take": name, "state": "done", **shop.keep(put_on(take, apparel, report), name, self.character)})
+        return {"takes": [name]}

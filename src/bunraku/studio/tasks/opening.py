@@ -1,0 +1,49 @@
+"""Opening a character."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, field
+from typing import Any
+
+from bunraku.core.character import Character
+from bunraku.studio.tasks.task import Partly, Report
+from bunraku.studio.workspace.clips import save_handles
+from bunraku.studio.workspace.opened import Settings, opened_character, told
+from bunraku.studio.workspace.workspace import PREVIEWS, Workspace
+
+__all__ = ["Open"]
+
+
+@dataclass(frozen=True)
+class Open:
+    """Open a character."""
+
+    character: str
+    file: str
+    settings: Settings = field(default_factory=Settings)
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.io import save_character
+        from bunraku.pipelines.animate import rig
+
+        folder = shop.folder_of("characters", self.character)
+        report("read", 0.1)
+        character, taken = opened_character(folder / self.file, self.settings)
+        report("handles", 0.3)
+        handles = rig(character, handles=self.settings.handles)
+        report("write", 0.8)
+        save_character(character, folder / "mesh.glb", handles)
+        (folder / "bones.glb").unlink(missing_ok=True)
+        shutil.rmtree(folder / PREVIEWS, ignore_errors=True)
+        save_handles(handles, folder / "handles.npz")
+        return {**taken, **told(character, handles), "clips": _clips_of(character)}
+
+
+def _clips_of(character: Character) -> list[str]:
+    """Names of the clips that the character's file brings."""
+    from bunraku.formats.gltf.read import Source
+    from bunraku.io.play import clip_names
+
+    source = character.source
+    return clip_names(source.document)[:50] if isinstance(source, Source) and character.rig is not None else []

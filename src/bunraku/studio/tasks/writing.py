@@ -1,0 +1,71 @@
+"""Takes as files of other programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from bunraku.core.character import Character
+from bunraku.errors import OptionError
+from bunraku.studio.tasks.task import Partly, Report
+from bunraku.studio.workspace.clips import Dressed
+from bunraku.studio.workspace.workspace import Workspace
+
+__all__ = ["Export", "ExportClips"]
+
+BODIES = (".bvh", ".vrma", ".vmd", ".npz")
+"""Formats of the motion of a body, in which apparel has no place."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """A take as a file of another program."""
+
+    character: str
+    export: str
+    file: str
+    take: str
+    fps: float = 30.0
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.io.registry import check_writer
+
+        target = shop.folder_of("exports", self.export) / self.file
+        check_writer(target)
+        report("write", 0.1)
+        take = shop.take(self.take, self.character)
+        options = {} if target.suffix in (".npz", ".vmd") else {"fps": self.fps}
+        if isinstance(take, Dressed):
+            (take.body if target.suffix in BODIES else take.points).save(target, **options)
+        else:
+            take.save(target, **options)
+        return {"export": self.export, "bytes": target.stat().st_size}
+
+
+@dataclass(frozen=True)
+class ExportClips:
+    """Several takes of a character as the clips of one GLB."""
+
+    character: str
+    export: str
+    file: str
+    takes: tuple[str, ...]
+    names: tuple[str, ...]
+    fps: float = 30.0
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.io.save_clips import save_clips
+
+        target, clips = shop.folder_of("exports", self.export) / self.file, {}
+        character: Character | None = None
+        for number, (take, name) in enumerate(zip(self.takes, self.names, strict=True)):
+            report("read", number / len(self.takes))
+            found = shop.take(take, self.character)
+            if isinstance(found, Dressed):
+                raise OptionError(
+                    "apparel that moves on its own has no place among several clips; download those alone"
+                )
+            character = character or found.character
+            clips[name] = replace(found, character=character)  # each was read with a copy of it
+        save_clips(clips, target, fps=self.fps)
+        return {"export": self.export, "bytes": target.stat().st_size}
