@@ -13,15 +13,17 @@ from bunraku.core.character import Character
 from bunraku.formats.gltf.turning import turned
 from bunraku.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.geometry.surface import surface_points
-from bunraku.handles.orientation_evidence import combined, format_weights, has_rule
+from bunraku.handles.orientation_evidence import combined, has_rule, kind_weights
 
 if TYPE_CHECKING:
     from bunraku.handles.orientation_net import OrientationPredictor
 
 __all__ = ["SURE", "Orientation", "ResolvedAxes", "guess_orientation", "resolve_axes", "resolved_axes", "upright"]
 
-SURE = 0.9
-"""From this probability on a guess is called sure, and may overrule the rule of a format."""
+SURE = 0.85
+"""From this probability on nothing is said of a guess."""
+TURN = 0.5
+"""From this probability on a guess overrules the axes of a format that has a rule; below, the file's axes stay."""
 _POINTS = 2048
 
 
@@ -63,7 +65,7 @@ class Orientation:
 
     @property
     def sure(self) -> bool:
-        """Whether both axes are right with a probability of at least 0.9."""
+        """Whether both axes are right with a probability of at least 0.85."""
         return self.confidence >= SURE
 
     @property
@@ -99,16 +101,17 @@ def guess_orientation(
 ) -> Orientation:
     """The likeliest up axis of a character, and the likeliest front with that axis up.
 
-    Three witnesses and what the format is used for are combined (`bunraku.handles.orientation_evidence`): the network,
-    which sees the shape; the ground, where the lowest point is at 0; and the plane that mirrors left and right.
+    Three witnesses and what files of its kind are like are combined (`bunraku.handles.orientation_evidence`): the
+    network, which sees the shape; the ground, where the lowest point is at 0; and the plane that mirrors left and
+    right.
 
     Args:
-        character: Any mesh; a rig that it may have is not looked at.
+        character: Any mesh; of a rig that it may have only that it is there is looked at.
         up: Its up axis where that is known.
         front: The axis that it faces where that is known.
         suffix: The format of its file, such as ".stl"; that of its source when not given.
         prior: How likely each of `ORIENTATIONS` is before anyone looks at the mesh, shape (24,), in place of what the
-            format says; equal numbers let the mesh speak alone.
+            file says; equal numbers let the mesh speak alone.
         checkpoint: Weights of kind "orientation"; the shipped ones when not given.
 
     Raises:
@@ -128,13 +131,19 @@ def guess_orientation(
     with torch.no_grad(), fitting_threads(model):
         network = model.probabilities(tokens).double().numpy()
     if prior is None:
-        prior = format_weights(_suffix(character) if suffix is None else suffix)
+        prior = kind_weights(_suffix(character) if suffix is None else suffix, _moved(character))
     return Orientation.of(combined(network, character.vertices[character.surface], np.where(allowed, prior, 0)))
 
 
 def _suffix(character: Character) -> str:
     """The format that a character came from; "" where it came from none."""
     return str(getattr(character.source, "suffix", ""))
+
+
+def _moved(character: Character) -> bool:
+    """Whether its file has a skin or a clip."""
+    document = getattr(character.source, "document", None)
+    return character.rig is not None or (document is not None and bool(document.items("animations")))
 
 
 def _allowed(up: str | None, front: str | None) -> np.ndarray:
@@ -191,8 +200,8 @@ def _bare(suffix: str) -> str:
 
 
 def resolved_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:
-    """Up and front as a guess has them; where the format has a rule, +Y and +Z unless the guess is sure of another."""
-    return (guess.up, guess.front) if guess.sure or not rule else default_orientation()
+    """Up and front as a guess has them; where the format has a rule, +Y and +Z unless it is at least 50 % sure."""
+    return (guess.up, guess.front) if guess.confidence >= TURN or not rule else default_orientation()
 
 
 def upright(character: Character, up: str = "auto", front: str = "auto") -> Character:

@@ -72,7 +72,7 @@ def resolve_file(character: Character, up: str = "auto", front: str = "auto") ->
 
     found = file_standing(character, up, front)
     if not found.bones:
-        return found.resolved, said_axes(found.resolved, up, front, found.rule)
+        return found.resolved, said_axes(found.resolved, up, front)
     if found.bones == "+z":
         return found.resolved, ""
     return (
@@ -94,51 +94,44 @@ def stands_line(character: Character, up: str = "auto", front: str = "auto") -> 
     guess = resolved.guess
     if guess is None:
         return f"{taken}, as told"
-    seen = _listed([f"{guess.up.upper()} up", f"facing {guess.front.upper()}"], [False, False],
-                   (guess.up_confidence, guess.front_confidence))  # fmt: skip
-    return f"{taken}; it looks like {seen}" + (f" - {note}" if note else "")
+    sure = _percent(guess.probability(resolved.up, resolved.front))
+    return f"{taken} ({sure} sure)" + (f" - {note}" if note else "")
 
 
-def said_axes(resolved: ResolvedAxes, up: str = "auto", front: str = "auto", rule: bool = False) -> str:
-    """What to tell about a guess: what was chosen, how sure it is, and what to type to resolve_axes it.
+def said_axes(resolved: ResolvedAxes, up: str = "auto", front: str = "auto") -> str:
+    """What to tell about a guess: what was taken, how sure that is, and what to type to set it.
 
-    Nothing where nothing was guessed, and nothing where the guess is sure of what is usual.
+    Nothing where nothing was guessed, and nothing where it is at least 85 % sure.
 
     Args:
         resolved: How the character is taken to stand.
         up, front: What the options say.
-        rule: Whether its format says how it stands.
     """
-    from bunraku.geometry.axes import default_orientation
+    from bunraku.handles.orientation import SURE
 
     guess = resolved.guess
     if guess is None:
         return ""
     given = [value.strip().lower() != "auto" for value in (up, front)]
     taken = (resolved.up, resolved.front)
-    usual = taken == default_orientation(*(axis if said else None for axis, said in zip(taken, given, strict=True)))
-    seen = (guess.up, guess.front)
-    if usual and guess.sure and taken == seen:
+    chance = guess.probability(*taken)
+    if chance >= SURE:
         return ""
-    sure = (guess.up_confidence, guess.front_confidence)
-    looks = _listed([f"{seen[0].upper()} up", f"facing {seen[1].upper()}"], given, sure)
-    if taken != seen:  # the rule holds against a guess that is not sure enough
-        return (
-            f"taken as +Y up, facing +Z by the rule of its format, though it looks like {looks}. To turn it, type "
-            f"{_typed(seen, given)}."
-        )
-    against = ", against the rule of its format" if rule and not usual else ""
-    end = f"turned{against}" if guess.sure else f"a guess{against}"
-    other = ("+y", "+z") if guess.sure and not any(given) else guess.next_best(*taken)
-    return f"taken as {looks}: {end}. To set it, type {_typed(taken, given)}, or else {_typed(other, given)}."
-
-
-def _listed(words: list[str], given: list[bool], sure: tuple[float, float]) -> str:
-    return ", ".join(
-        f"{word} ({100 * min(share, 0.99):.0f} % sure)"
-        for word, said, share in zip(words, given, sure, strict=True)
-        if not said
+    other = (guess.up, guess.front) if taken != (guess.up, guess.front) else guess.next_best(*taken)
+    return (
+        f"taken as {_listed(taken, given)} ({_percent(chance)} sure), perhaps {_listed(other, given)} "
+        f"({_percent(guess.probability(*other))}). To set it, type {_typed(taken, given)}, or else "
+        f"{_typed(other, given)}; `bunraku inspect FILE --views views.png` shows which."
     )
+
+
+def _percent(chance: float) -> str:
+    return f"{100 * min(chance, 0.99):.0f} %"
+
+
+def _listed(axes: tuple[str, str], given: list[bool]) -> str:
+    words = (f"{axes[0].upper()} up", f"facing {axes[1].upper()}")
+    return ", ".join(word for word, said in zip(words, given, strict=True) if not said)
 
 
 def _typed(axes: tuple[str, str], given: list[bool]) -> str:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from bunraku.cli.options.orientation import UnitOption
-from bunraku.cli.output.checks import check_input
-from bunraku.cli.output.outputs import size_text
+from bunraku.cli.output.checks import check_input, check_output
+from bunraku.cli.output.ledger import check_free, note_written
+from bunraku.cli.output.outputs import size_text, wrote
 from bunraku.errors import CharacterError, WeightsError
 
 if TYPE_CHECKING:
@@ -39,9 +40,16 @@ class Inspect:
     """
     json: bool = False
     """Print JSON for programs."""
+    views: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Write a picture (.png) of the four likeliest ways in which a character may stand, each with what to type for it.
+    """
+    overwrite: bool = False
+    """Replace a picture that is there already and that Bunraku did not write."""
 
     def run(self) -> None:
         check_input(self.file)
+        if self.views is not None:
+            self._draw_views(self.views)
         facts = describe(self.file, self.unit)
         if self.json:
             import json
@@ -49,6 +57,17 @@ class Inspect:
             print(json.dumps(facts, indent=2))
         else:
             _print(facts)
+
+    def _draw_views(self, path: Path) -> None:
+        from bunraku.io import load_character
+        from bunraku.render.video import write_png
+        from bunraku.render.views import orientation_views
+
+        check_output(path, (".png",), [self.file])
+        check_free([path], self.overwrite)
+        write_png(orientation_views(load_character(self.file, unit="m")), path)
+        note_written([path])
+        wrote(path)
 
 
 def describe(path: Path, unit: str = "auto") -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from bunraku.geometry.axes import ORIENTATIONS, right_angle_rotations, upright_rotation
 from bunraku.handles.orientation import Orientation, guess_orientation, resolved_axes
-from bunraku.handles.orientation_evidence import format_weights
+from bunraku.handles.orientation_evidence import kind_weights
 from bunraku_lab.evaluation.handles.subjects import Subject
 
 __all__ = ["measure_orientation"]
@@ -57,7 +57,7 @@ def measure_orientation(one: Subject) -> dict[str, Any]:
 
 
 def _judged(seen: np.ndarray, suffix: str) -> Orientation:
-    chances = seen * format_weights(suffix)
+    chances = seen * kind_weights(suffix)
     return Orientation.of(chances / chances.sum())
 
 
