@@ -18,12 +18,12 @@ import numpy as np
 
 import bunraku
 from bunraku.core.character import Character
+from bunraku.gestures.catalogue import gestures as all_gestures
+from bunraku.gestures.play import gesture_motion
 from bunraku.pipelines.animate import animate, rig
 from bunraku.render import contact_sheet, render_animation, render_still
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku.samples import sample_character, sample_names
-from bunraku_lab.synthetic.gestures.catalogue import GESTURES
-from bunraku_lab.synthetic.gestures.play import gesture_motion
 
 OUT = Path(__file__).parents[1] / "docs/pictures"
 PROMPTS = (
@@ -151,7 +151,7 @@ def gestures() -> None:
     """Each gesture that is made by code at its height, on the person."""
     person = sample_character("person")
     pictures, labels = [], []
-    for gesture in GESTURES:
+    for gesture in all_gestures():
         moments = [time for time, _ in gesture.keys[1:-1]] or [gesture.seconds]
         motion = body_handle_motion(gesture_motion(gesture))
         animation = bunraku.transfer(person, motion)

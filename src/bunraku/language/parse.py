@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from bunraku.errors import OptionError
 from bunraku.language.clauses import of_person, subject_of, timed_clauses
 from bunraku.language.concurrent import moved_part, split_voices
+from bunraku.language.details import added_words, count_of
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import actions_of, locomotion_of, said_traits
 from bunraku.language.prompts import check_prompt, narrow, parse_sequence, timed_sequence
@@ -72,10 +73,11 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
 
 def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = ()) -> Clause:
     person, (subject, predicate) = of_person(text), subject_of(text)
-    cues, traits = said_cues(person), said_traits(person)
+    cues, traits, actions = said_cues(person), said_traits(person), actions_of(person)
     return Clause(
-        text, seconds, subject, person, actions_of(person), moved_part(text), locomotion_of(predicate), cues,
-        traits, _turn(cues, traits), _goes_straight(cues, traits), voices=voices,
+        text, seconds, subject, person, actions, moved_part(text), locomotion_of(predicate), cues, traits,
+        _turn(cues, traits), _goes_straight(cues, traits), count_of(person), added_words(predicate, actions),
+        voices=voices,
     )  # fmt: skip
 
 

@@ -61,6 +61,8 @@ class Clause:
         traits: What else it says, such as "sits down" or "chair" (the lexicon's table of that name).
         turn: How far it turns; None where it says nothing of that.
         straight: Whether somebody goes forward or on, with nothing of a turn, a curve or a side.
+        count: How often it is done; None where it says nothing of that.
+        added: Words for parts of the body and movements that it says beyond its actions.
         moves: What the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step",
             "run", "stay", "lie"; "" for neither.
         voices: Where a movement of the legs is joined with a gesture, the one and the other; none otherwise.
@@ -77,6 +79,8 @@ class Clause:
     traits: frozenset[str] = frozenset()
     turn: Turn | None = None
     straight: bool = False
+    count: int | None = None
+    added: tuple[str, ...] = ()
     moves: str = ""
     voices: tuple[Clause, ...] = field(default=())
 

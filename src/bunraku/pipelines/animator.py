@@ -290,7 +290,7 @@ class Animator:
         how = request.sampling
         return Drawing(
             how.steps, how.guidance, feature, self.progress, candidates=how.candidates, examples=as_people,
-            classifier_guidance=as_people, held=self.networks,
+            classifier_guidance=as_people, note=self.note, held=self.networks,
         )  # fmt: skip
 
     def _draw(

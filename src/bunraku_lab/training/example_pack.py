@@ -2,7 +2,7 @@
 
 Of each action the clearest are kept: those whose motion the ranker finds nearest to their own sentences, few of one
 clip. What is plain to see in the numbers (a turn, a punch) is cut out and described by them alone. Clips of validation
-and test are never among them. Gestures that hardly anybody has captured are made by code (`synthetic.gestures`).
+and test are never among them. Gestures that hardly anybody has captured are made by code (`bunraku.gestures`).
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.diffusion.examples.joins import standing_stretches
 from bunraku.diffusion.examples.pack import (
     FPS,
+    IDLE,
     KIND,
     MADE,
     Example,
@@ -35,6 +36,8 @@ from bunraku.diffusion.examples.pack import (
 from bunraku.diffusion.features import FeatureStatistics, decode, encode, mirror
 from bunraku.diffusion.matching import RADIUS, Extractor, embed_motions, embed_sentences, load_ranker
 from bunraku.errors import OptionError
+from bunraku.gestures.catalogue import STANDING, gestures
+from bunraku.gestures.play import gesture_motion
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon.reading import main_actions
@@ -42,10 +45,9 @@ from bunraku.nn.checkpoints import load_checkpoint, shipped_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku_lab.description.describe import inside
 from bunraku_lab.description.wording import computed_sentence
-from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING
-from bunraku_lab.synthetic.gestures.play import gesture_motion
 from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_clips
 from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture
+from bunraku_lab.training.idles import idling
 
 __all__ = ["ExampleSettings", "build_examples"]
 
@@ -72,9 +74,11 @@ class ExampleSettings:
         stretches: Of one action, at the most; of two in a row, a quarter of that.
         events: Of one kind that is plain to see, at the most.
         standing: Stretches of standing that others are joined to.
+        idles: People who stand, by whom gestures are made.
         ranker: Weights in place of the shipped ones; what is packed works with these alone.
         seed: Of the wordings.
-        add_to: A pack that is written again with the gestures that it lacks; no captured clips are needed.
+        add_to: A pack that is written again with the gestures that it lacks; no captured clips are needed, but for
+            idles where it has none.
     """
 
     data: Path = Path("runs/data/motions")
@@ -82,6 +86,7 @@ class ExampleSettings:
     stretches: int = 12
     events: int = 8
     standing: int = 12
+    idles: int = 28
     ranker: Path | None = None
     seed: int = 0
     add_to: Path | None = None
@@ -122,17 +127,11 @@ def build_examples(
     ranker = load_ranker(path)
     encoder = encoder or text_encoder(ranker.config.text_encoder)
     if settings.add_to is not None:
-        return _with_gestures(settings, ranker, encoder)
-    clips = {
-        name: entry
-        for name, entry in load_clips(
-            settings.data, lambda done, total: progress("clips", done / total), splits={"train"}
-        ).items()
-        if not entry.get("species")
-    }
+        return _with_what_it_lacks(settings, ranker, encoder)
+    clips = _people(settings, progress)
     statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
     rows = ClipSet(clips, statistics, "train", mixture=Mixture(creatures=0.0, borrowed=0.0))
-    found = [*_stretches(rows, clips), *_events(rows, settings.seed), *_gestures(), *_standing(rows)]
+    found = [*_stretches(rows, clips), *_events(rows, settings.seed), *_gestures(), *_standing(rows), *_idles(clips)]
     progress("vectors", 0.0)
     texts, motions, owners = _vectors(found, ranker, encoder)
     own = np.zeros(len(found))
@@ -162,8 +161,15 @@ def build_examples(
     return pack
 
 
-def _with_gestures(settings: ExampleSettings, ranker: Extractor, encoder: TextEncoder) -> ExamplePack:
-    """The pack of `settings.add_to` with the gestures whose sentences it lacks.
+def _people(settings: ExampleSettings, progress: Callable[[str, float], None]) -> dict[str, ClipEntry]:
+    """Clips of people to train on."""
+    found = load_clips(settings.data, lambda done, total: progress("clips", done / total), splits={"train"})
+    return {name: entry for name, entry in found.items() if not entry.get("species")}
+
+
+def _with_what_it_lacks(settings: ExampleSettings, ranker: Extractor, encoder: TextEncoder) -> ExamplePack:
+    """The pack of `settings.add_to` with the gestures whose sentences it lacks, and idles where it has none and there
+    are captured clips.
 
     Raises:
         OptionError: The pack was made with another ranker.
@@ -174,8 +180,14 @@ def _with_gestures(settings: ExampleSettings, ranker: Extractor, encoder: TextEn
         raise OptionError(f"{settings.add_to}: it was made with another ranker; name that one with --ranker")
     known = {one.texts for one in base.examples}
     found = [one for one in _gestures() if one.texts not in known]
+    licences = Counter({"Apache-2.0": len(found)})
+    if not base.idles and settings.data.exists():
+        clips = _people(settings, lambda stage, done: None)
+        idles = list(_idles(clips))[: settings.idles]
+        licences.update(str(clips[one.name.removesuffix(IDLE)].get("licence", "unknown")) for one in idles)
+        found += idles
     texts, motions, owners = _vectors(found, ranker, encoder) if found else (base.texts[:, :0], base.motions[:, :0], [])
-    added = [one.skeleton for one in found if one.skeleton is not None]
+    added = [one.skeleton or skeleton_from_handles(decode(one.features), rounds=1) for one in found]
     pack = ExamplePack(
         base.examples + tuple(Example(one.name, one.texts, len(one.features), one.loop) for one in found),
         base.data + tuple(packed_stretch(one.root_translation, one.rotations) for one in added),
@@ -185,8 +197,7 @@ def _with_gestures(settings: ExampleSettings, ranker: Extractor, encoder: TextEn
         base.ranker,
     )
     notes = load_checkpoint(settings.add_to, KIND)[1]["notes"]
-    licences = Counter(notes["licences"])
-    licences["Apache-2.0"] += len(found)
+    licences.update(notes["licences"])
     frames = sum(one.frames for one in pack.examples)
     write_pack(settings.out, pack, notes | {"licences": dict(licences), "frames": frames})
     return pack
@@ -233,7 +244,7 @@ def _seen(computed: Sequence[str], watched: Sequence[str]) -> bool:
 
 
 def _gestures() -> Iterator[_Stretch]:
-    for number, gesture in enumerate(GESTURES):
+    for number, gesture in enumerate(gestures()):
         loop = None
         if gesture.cycle is not None:
             loop = round(gesture.cycle[1] * FPS), round(gesture.cycle[0] * FPS)
@@ -255,17 +266,23 @@ def _standing(rows: ClipSet) -> list[_Stretch]:
     return sorted(found, key=lambda one: -len(one.features))
 
 
+def _idles(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
+    for name, features in idling(clips):
+        yield _Stretch(f"{name}{IDLE}", "idle", (), features, None)
+
+
 def _vectors(
     found: list[_Stretch], ranker: Extractor, encoder: TextEncoder
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Unit vectors of all sentences (2, T, V) and motions (2, E, V), as they are and in the mirror, and which stretch
     each sentence is of, (T,).
     """
-    owners = np.array([index for index, one in enumerate(found) for _ in one.texts])
+    owners = np.array([index for index, one in enumerate(found) for _ in one.texts], int)
     both = [[text for one in found for text in one.texts]]
     both.append(list(map(mirror_words, both[0])))
     vectors = embed_sentences(ranker, encoder, [text for texts in both for text in texts])
-    texts = np.array([[vectors[text] for text in some] for some in both]) / RADIUS
+    size = next(iter(vectors.values())).shape[-1] if vectors else ranker.config.embedding
+    texts = np.array([[vectors[text] for text in some] for some in both]).reshape(2, len(owners), size) / RADIUS
     motions = np.array([embed_motions(ranker, [way(one.features) for one in found]) for way in (np.asarray, mirror)])
     motions /= RADIUS
     for index, one in enumerate(found):
@@ -287,6 +304,8 @@ def _clearest(found: list[_Stretch], own: np.ndarray, settings: ExampleSettings)
             most, clip = len(found), found[index].name
         elif kind == "standing":
             most, clip = settings.standing, found[index].name
+        elif kind == "idle":
+            most, clip = settings.idles, found[index].name
         elif kind.startswith("event"):
             most = settings.events
         else:  # of what is done in a row, sentences seldom ask for the very same

@@ -10,6 +10,7 @@ from bunraku.diffusion.examples.joins import on_one_leg
 from bunraku.diffusion.examples.pack import ExamplePack, packed_stretch
 from bunraku.diffusion.examples.retrieve import Found
 from bunraku.diffusion.features import FeatureStatistics, decode, mirror
+from bunraku.gestures.manner import Manner
 from bunraku.language.parse import clause_of
 
 WAVE, KICK = Found(0, False, 0.9), Found(1, False, 0.9)
@@ -241,11 +242,11 @@ def test_a_gesture_made_by_code_is_told_apart_and_joined_to_standing_of_its_kind
 
 
 def test_a_loop_has_whole_cycles_that_close_and_none_of_what_is_done_once(pack, units):
-    values = units.restore(laid(pack, WAVE, 50, units, np.random.default_rng(0), closed=True).values)
+    values = units.restore(laid(pack, WAVE, 50, units, np.random.default_rng(0), Manner(closed=True)).values)
     assert len(values) == 50
     step = np.abs(np.diff(values[:, 3:], axis=0)).max()
     assert np.abs(values[-1, 3:] - values[0, 3:]).max() < 1.5 * step
-    once = laid(pack, KICK, 50, units, np.random.default_rng(0), closed=True)
+    once = laid(pack, KICK, 50, units, np.random.default_rng(0), Manner(closed=True))
     assert not once.share.any() and len(once.values) == 50
 
 

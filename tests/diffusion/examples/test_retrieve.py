@@ -9,7 +9,7 @@ AXES = np.eye(4)
 
 
 def names(pack, sentence, vector):
-    return [(pack.examples[one.number].name, one.mirrored) for one in retrieve(pack, clause_of(sentence), vector)]
+    return [(pack.examples[one.number].name, one.mirrored) for one in retrieve(pack, clause_of(sentence), vector).found]
 
 
 def test_the_nearest_that_does_the_same_is_found(pack):

@@ -17,10 +17,10 @@ from bunraku.diffusion.matching import (
     save_extractor,
 )
 from bunraku.errors import OptionError
+from bunraku.gestures.catalogue import STANDING, gestures
+from bunraku.gestures.play import gesture_motion
 from bunraku.nn.checkpoints import load_checkpoint
 from bunraku.retarget.body_motion import body_handle_motion
-from bunraku_lab.synthetic.gestures.catalogue import GESTURES, STANDING
-from bunraku_lab.synthetic.gestures.play import gesture_motion
 from bunraku_lab.training.example_pack import ExampleSettings, _hovers, _seen, build_examples
 
 
@@ -93,22 +93,24 @@ def test_gestures_made_by_code_are_packed_with_them(swings, ranker, encoder, tmp
     path = tmp_path / "examples.safetensors"
     pack = build_examples(ExampleSettings(swings, path, ranker=ranker), encoder)
     made = [index for index, one in enumerate(pack.examples) if one.made]
-    assert [pack.examples[index].texts for index in made] == [*(one.texts for one in GESTURES), ()]
+    assert [pack.examples[index].texts for index in made] == [*(one.texts for one in gestures()), ()]
     assert made[-1] in pack.standing
     clap = made[0]
     own = pack.texts[:, pack.owners == clap].mean(axis=1)
     own /= np.linalg.norm(own, axis=1, keepdims=True)
     np.testing.assert_allclose(pack.motions[:, clap], own, atol=1e-6)  # no ranker has seen it
-    wanted = encode(body_handle_motion(gesture_motion(GESTURES[0])))
+    wanted = encode(body_handle_motion(gesture_motion(gestures()[0])))
     np.testing.assert_allclose(pack.features(clap)[:, 3:], wanted[:, 3:], atol=0.003)
     _, config = load_checkpoint(path, KIND)
-    assert config["notes"]["licences"]["Apache-2.0"] == len(GESTURES) + 1
+    assert config["notes"]["licences"]["Apache-2.0"] == len(gestures()) + 1
 
 
 def test_a_pack_gets_the_gestures_that_it_lacks(swings, ranker, encoder, tmp_path):
     watched(swings)
     whole = build_examples(ExampleSettings(swings, tmp_path / "whole.safetensors", ranker=ranker), encoder)
-    lacks = [index for index, one in enumerate(whole.examples) if one.texts in {GESTURES[3].texts, GESTURES[40].texts}]
+    lacks = [
+        index for index, one in enumerate(whole.examples) if one.texts in {gestures()[3].texts, gestures()[40].texts}
+    ]
     kept = [index for index in range(len(whole.examples)) if index not in lacks]
     less = replace(
         whole,

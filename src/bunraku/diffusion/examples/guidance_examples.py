@@ -15,6 +15,7 @@ from bunraku.diffusion.examples.guide import CROUCH, GuidanceExample, fills, fit
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found, retrieve
 from bunraku.diffusion.features import mirror
+from bunraku.gestures.manner import Manner
 from bunraku.language.sentence import Clause
 
 __all__ = ["GuidanceExamples"]
@@ -24,6 +25,11 @@ ALIKE = 1.0
 """Distance of poses by which others of these may begin less so than the nearest."""
 TRIED = 3
 """Examples that are looked at for one."""
+LEFT = 0.35
+"""Share of gestures that are done with the left hand where nobody says with which."""
+SIDES = ("left", "right")
+PACES = {"slow": 0.72, "fast": 1.35}
+"""Tempo of a gesture by what is said of it."""
 ODD = 4.9
 """Distance of a pose from those of people who stand with which nobody begins; that of a kick at its height is 4.8."""
 
@@ -38,11 +44,17 @@ class GuidanceExamples:
 
     def __init__(self, pack: ExamplePack, clauses: Mapping[str, tuple[Clause, np.ndarray]]):
         self.pack = pack
-        self._found = {text: retrieve(pack, *one) for text, one in clauses.items()}
+        retrieved = {text: retrieve(pack, *one) for text, one in clauses.items()}
+        self._found = {text: one.found for text, one in retrieved.items()}
+        self._lacking = {text: one.lacking for text, one in retrieved.items()}
 
     def shows(self, clause: Clause) -> bool:
         """Whether there is an example for a clause."""
         return bool(self._found.get(clause.text))
+
+    def lacking(self, clause: Clause) -> tuple[str, ...]:
+        """What a clause says beyond an action whose gestures leave that out, so that none of them is used."""
+        return self._lacking.get(clause.text, ())
 
     def made(self, script: Sequence[tuple[Clause, int]]) -> bool:
         """Whether a clause requests a gesture that is made by code since no clip has it: the network has not learned
@@ -75,7 +87,18 @@ class GuidanceExamples:
             first = number % max(len(order), 1)
             turn = [fitting[index] for index in order[first:] + order[:first]][:TRIED]
             chosen.append(next((one for one in turn if not self._begins_oddly(one)), turn[0]) if turn else None)
-        return GuidanceExample(self.pack, tuple(chosen), (*seed, number)) if any(chosen) else None
+        if not any(chosen):
+            return None
+        hands = np.random.default_rng((*seed, number, 1))
+        sided = [self._sided(clause, one, hands) for (clause, _), one in zip(script, chosen, strict=True)]
+        return GuidanceExample(self.pack, tuple(sided), (*seed, number), tuple(_manner(clause) for clause, _ in script))
+
+    def _sided(self, clause: Clause, found: Found | None, random: np.random.Generator) -> Found | None:
+        """A gesture with either hand, where the clause names no side and people use either."""
+        gesture = None if found is None else self.pack.gesture(found.number)
+        if found is None or gesture is None or gesture.handed or any(cue.startswith(SIDES) for cue in clause.cues):
+            return found
+        return found._replace(mirrored=bool(random.random() < LEFT))
 
     def _following(self, last: Found, fitting: list[Found]) -> list[Found]:
         """The few that begin most as another ends: who sits on a chair does not get up from the floor."""
@@ -99,3 +122,9 @@ class GuidanceExamples:
     def _pose(self, found: Found, frame: int) -> np.ndarray:
         features = self.pack.features(found.number)[[frame]]
         return (mirror(features) if found.mirrored else features)[0, 3:]
+
+
+def _manner(clause: Clause) -> Manner:
+    """How a clause says that something is done."""
+    said = [pace for cue, pace in PACES.items() if cue in clause.cues]
+    return Manner(clause.count, said[0] if len(said) == 1 else 1.0)

@@ -8,16 +8,21 @@ is the example's, and the rest is the network's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bunraku.diffusion.examples.joins import AROUND, Joins, on_one_leg
 from bunraku.diffusion.examples.pack import ExamplePack
 from bunraku.diffusion.examples.retrieve import Found
-from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, feature_weights, mirror
+from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.diffusion.splicing import END, held, played, rests
 from bunraku.geometry.easing import smooth_step
+from bunraku.gestures.manner import AS_USUAL, Manner
+
+if TYPE_CHECKING:
+    from bunraku.gestures.pose import Gesture
 
 __all__ = [
     "CROUCH", "Guide", "GuidanceExample", "circled",
@@ -84,19 +89,29 @@ def laid(
     frames: int,
     statistics: FeatureStatistics,
     random: np.random.Generator,
-    closed: bool = False,
+    manner: Manner = AS_USUAL,
 ) -> Guide:
     """An example made as long as is wanted: what goes on is played on or cut, what is done once is joined to standing,
-    or done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own.
+    or done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own. A
+    gesture is performed anew, for so long.
 
     Args:
         pack: That it is of.
         found: Which one.
         frames: Wanted.
         statistics: Units of the network.
-        random: Draws when it begins.
-        closed: Make a loop: what goes on is done a whole number of times, and what is done once is no example.
+        random: Draws when it begins, and all that differs in a gesture.
+        manner: How it is done. In a loop what goes on is done a whole number of times, and what is done once is no
+            example.
     """
+    closed = manner.closed
+    gesture = pack.gesture(found.number)
+    if gesture is not None and not (closed and gesture.cycle is None):
+        features = _performed(pack, gesture, frames, random, manner)
+        if found.mirrored:
+            features = mirror(features)
+        every = np.ones(frames, np.float32)
+        return Guide(statistics.normalise(features).astype(np.float32), every, every > 0)
     features = pack.features(found.number)
     if found.mirrored:
         features = mirror(features)
@@ -138,6 +153,16 @@ def laid(
     if last != "stays":
         share[frames - (room - lead) :] = _rise(room - lead)[::-1]
     return Guide(held(held(longer[::-1], lead, still, EASE)[::-1], room - lead, still, EASE), share, made)
+
+
+def _performed(
+    pack: ExamplePack, gesture: Gesture, frames: int, random: np.random.Generator, manner: Manner
+) -> np.ndarray:
+    """What the denoiser sees of a gesture that is done by one of the people who stand, shape (N, 271)."""
+    from bunraku.gestures.perform import performed
+    from bunraku.retarget.body_motion import body_handle_motion
+
+    return encode(body_handle_motion(performed(gesture, frames, pack.idles, random, manner)))
 
 
 def _end(
@@ -244,6 +269,7 @@ def laid_script(
     frames: int,
     statistics: FeatureStatistics,
     random: np.random.Generator,
+    manners: Sequence[Manner] = (),
 ) -> Guide:
     """The examples of sentences in a row; frames of a sentence without one are the sampler's own.
 
@@ -253,6 +279,7 @@ def laid_script(
         frames: On the time line, at least those of the parts.
         statistics: Units of the network.
         random: Draws when each begins.
+        manners: How each is done; as usual where there are none.
     """
     values, share = np.zeros((frames, FEATURE_SIZE), np.float32), np.zeros(frames, np.float32)
     made = np.zeros(frames, bool)
@@ -260,7 +287,7 @@ def laid_script(
     for number, (found, length) in enumerate(parts):
         own = frames - start if number == len(parts) - 1 else length  # frames that make up for a short motion
         if found is not None:
-            one = laid(pack, found, own, statistics, random)
+            one = laid(pack, found, own, statistics, random, manners[number] if manners else AS_USUAL)
             values[start : start + own] = one.values
             before = np.arange(own) + 1 if number else np.full(own, _FADE)
             after = np.arange(own)[::-1] + 1 if number < len(parts) - 1 else np.full(own, _FADE)
@@ -279,17 +306,21 @@ class GuidanceExample:
         pack: That they are of.
         found: One for each sentence of the script, None where none fits.
         seed: Of when each begins.
+        manners: How each is done.
     """
 
     pack: ExamplePack
     found: tuple[Found | None, ...]
     seed: tuple[int, ...]
+    manners: tuple[Manner, ...] = ()
 
     def on(self, lengths: Sequence[int], frames: int, statistics: FeatureStatistics, closed: bool = False) -> Guide:
         """The guide of a time line of so many frames, of which the sentences have these; of a loop, which has one
         sentence, where it is `closed`.
         """
+        random = np.random.default_rng(self.seed)
         if closed and self.found[0] is not None:
-            return laid(self.pack, self.found[0], frames, statistics, np.random.default_rng(self.seed), closed=True)
+            manner = replace(self.manners[0] if self.manners else AS_USUAL, closed=True)
+            return laid(self.pack, self.found[0], frames, statistics, random, manner)
         parts = list(zip(self.found, lengths, strict=True))
-        return laid_script(self.pack, parts, frames, statistics, np.random.default_rng(self.seed))
+        return laid_script(self.pack, parts, frames, statistics, random, self.manners)

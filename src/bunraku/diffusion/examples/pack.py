@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,13 @@ from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_
 from bunraku.language.lexicon.cues import said_cues
 from bunraku.language.lexicon.reading import main_actions, said_traits
 
+if TYPE_CHECKING:
+    from bunraku.core.motion import SkeletalMotion
+    from bunraku.gestures.pose import Gesture
+
 __all__ = [
     "FPS",
+    "IDLE",
     "KIND",
     "MADE",
     "Example",
@@ -48,6 +53,8 @@ KIND = "examples"
 FPS = 20.0
 MADE = "gesture_"
 """How the names of those begin that are made by code."""
+IDLE = "#idle"
+"""How the names of those end in which somebody stands by whom gestures are made."""
 _AND = ", "
 _OTHER_SIDE = {"left": "right", "right": "left"}
 MOST_FRAMES = 2_000
@@ -76,8 +83,13 @@ class Example:
 
     @property
     def made(self) -> bool:
-        """Whether it is a gesture made by code (`synthetic.gestures`)."""
+        """Whether it is a gesture made by code (`bunraku.gestures`)."""
         return self.name.startswith(MADE)
+
+    @property
+    def idle(self) -> bool:
+        """Whether somebody stands in it who shifts the weight and breathes."""
+        return self.name.endswith(IDLE)
 
 
 class Said(NamedTuple):
@@ -138,8 +150,22 @@ class ExamplePack:
         from bunraku.diffusion.examples.joins import on_one_leg
 
         return tuple(
-            index for index, one in enumerate(self.examples) if not one.texts and not on_one_leg(self.features(index))
+            index
+            for index, one in enumerate(self.examples)
+            if not (one.texts or one.idle) and not on_one_leg(self.features(index))
         )
+
+    @functools.cached_property
+    def idles(self) -> tuple[SkeletalMotion, ...]:
+        """People who stand, by whom gestures are made."""
+        from bunraku.body.reference import reference_body
+        from bunraku.core.motion import SkeletalMotion
+
+        skeleton = reference_body().skeleton
+        stretches = [
+            unpacked_stretch(data, one.frames) for one, data in zip(self.examples, self.data, strict=True) if one.idle
+        ]
+        return tuple(SkeletalMotion(skeleton, rotations, root, FPS) for root, rotations in stretches)
 
     def said(self, index: int) -> Said:
         """What the sentences of an example say."""
@@ -147,6 +173,13 @@ class ExamplePack:
             return said_by(self.examples[index].texts)
         actions, cues, traits = [frozenset(names.split(_AND)) - {""} for names in self.stored[index]]
         return Said(actions, cues, traits)
+
+    def gesture(self, index: int) -> Gesture | None:
+        """The gesture that an example is; None where it is captured, or no gesture of this version."""
+        from bunraku.gestures.catalogue import gesture_of
+
+        one = self.examples[index]
+        return gesture_of(one.texts) if one.made and one.texts else None
 
     def features(self, index: int) -> np.ndarray:
         """What the denoiser sees of an example (see `diffusion.features`), shape (N, 271)."""

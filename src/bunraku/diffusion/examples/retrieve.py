@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from bunraku.diffusion.examples.pack import ExamplePack, Said, said_by
+from bunraku.language.details import tells_all
 from bunraku.language.lexicon.reading import goes_ahead
 from bunraku.language.sentence import Clause
 
-__all__ = ["Found", "retrieve"]
+__all__ = ["Found", "Retrieved", "retrieve"]
 
 MOST = 16
 """Examples that are offered for a sentence."""
@@ -24,6 +25,10 @@ NEAR_MADE = 0.05
 """The same for a captured one where the nearest is made by code, since what is captured shows that less plainly."""
 LEAST = 0.6
 """Mean cosine from which an example is one at all."""
+LEAST_MADE = 0.4
+"""The same for a gesture, which does the very action and leaves nothing out: a number in the sentence, and the ranker
+is far from words that it has hardly seen.
+"""
 WALKING = 0.8
 """The same for plain walks and runs, which the network does well by itself."""
 SAME = 0.9
@@ -44,10 +49,14 @@ _SIDED = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("
     "lies",
     "sits",
     "in place",
-    "twice",
-    "thrice",
-    "often",
 }
+_COUNTS = frozenset(("twice", "thrice", "often"))
+"""What captured examples must say too; a gesture is done as often as requested."""
+_ADDED = frozenset(("high", "low", "backwards", "forward", "sideways", "left go", "right go"))
+_ADDED_TRAITS = frozenset(("on a leg", "backward", "stairs"))
+"""Cues and traits of a clause that a gesture does not do where its own words do not say them."""
+_SAYS = {"left go": "to the left", "right go": "to the right"}
+"""Cues in the words of who says them."""
 
 
 class Found(NamedTuple):
@@ -64,8 +73,21 @@ class Found(NamedTuple):
     score: float
 
 
-def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> list[Found]:
-    """Examples that show what a clause says, the nearest first; none where there is none.
+class Retrieved(NamedTuple):
+    """What fits a sentence.
+
+    Args:
+        found: Examples, the nearest first; none where there is none.
+        lacking: What the sentence adds to its action that no gesture of that action has, where one would fit but for
+            that.
+    """
+
+    found: list[Found]
+    lacking: tuple[str, ...] = ()
+
+
+def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
+    """Examples that show what a clause says.
 
     Args:
         pack: To choose from.
@@ -74,6 +96,8 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> list[Foun
     """
     query = Said(frozenset(clause.actions) or _NOTHING, clause.cues, clause.traits)
     wanted = _shown(query)
+    counts = query.cues & _COUNTS
+    lacking: dict[str, None] = {}
     sided = any(cue.startswith(("left", "right")) for cue in query.cues)
     least = WALKING if query.actions <= {"walk", "run"} else LEAST
     found = []
@@ -82,18 +106,40 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> list[Foun
         best = np.full(len(pack.examples), -1.0)
         np.maximum.at(best, pack.owners, cosines)
         score = 0.5 * (best + pack.motions[int(mirrored)].astype(float) @ vector)
-        for index in np.flatnonzero(score >= least).tolist():
+        for index in np.flatnonzero(score >= min(least, LEAST_MADE)).tolist():
             one = pack.examples[index]
+            if not one.made and score[index] < least:
+                continue
             if one.made and mirrored and not sided:  # made by code with the hand that most people take
                 continue
             near = 0.0 if one.made and query.actions != _NOTHING else float(best[index])
-            if _fits(pack.said(index), mirrored, query, wanted, near):
+            shown = wanted - _ADDED if one.made else wanted | counts
+            if not _fits(pack.said(index), mirrored, query, shown, near):
+                continue
+            lacks = _lacks(pack, index, mirrored, clause) if one.made else ()
+            if lacks:
+                lacking.update(dict.fromkeys(lacks))
+            else:
                 found.append(Found(index, mirrored, float(score[index])))
     found.sort(key=lambda one: -one.score)
     made = bool(found) and pack.examples[found[0].number].made
     made = made and query.actions != {"stand up"}  # that depends on how somebody sits, kneels or lies
     away = [NEAR if pack.examples[one.number].made or not made else NEAR_MADE for one in found]
-    return [one for one, most in zip(found, away, strict=True) if one.score >= found[0].score - most][:MOST]
+    kept = [one for one, most in zip(found, away, strict=True) if one.score >= found[0].score - most]
+    whole = [one for one in kept if tells_all(clause.added, pack.examples[one.number].texts)]
+    return Retrieved((whole or kept)[:MOST], () if whole else tuple(lacking))
+
+
+def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tuple[str, ...]:
+    """What a clause adds to its action that a gesture does not do."""
+    texts, said, gesture = pack.examples[index].texts, pack.said(index), pack.gesture(index)
+    words = [word for word in clause.added if not tells_all((word,), texts)]
+    told = said.mirrored_cues if mirrored else said.cues
+    words += [_SAYS.get(cue, cue) for cue in sorted((clause.cues & _ADDED) - told) if not tells_all((cue,), texts)]
+    words += sorted((clause.traits & _ADDED_TRAITS) - said.traits)
+    if clause.count and gesture is not None and not gesture.counted:
+        words.append(f"{clause.count} times")
+    return tuple(words)
 
 
 def _shown(query: Said) -> frozenset[str]:
@@ -121,5 +167,5 @@ def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str], near:
         return False
     if query.actions <= {"walk", "run"} and "halts" in shown and "halts" not in query.traits:
         return False
-    cues = said.mirrored_cues if mirrored else said.cues
-    return wanted <= cues and cues & _PACE <= query.cues
+    told = said.mirrored_cues if mirrored else said.cues
+    return wanted <= told and told & _PACE <= query.cues

@@ -61,6 +61,7 @@ class Drawing:
         all_led: The first does so too.
         classifier_guidance: What is predicted is guided towards its sentences, as people do them
             (`diffusion.sampling.classifier_guidance`).
+        note: Called with what should be known of a motion, one line each.
         held: The networks; None loads those of `checkpoint` when they are asked for.
 
     Raises:
@@ -76,6 +77,7 @@ class Drawing:
     examples: bool = True
     all_led: bool = False
     classifier_guidance: bool = True
+    note: Callable[[str], None] | None = None
     held: Networks | None = None
 
     def __post_init__(self) -> None:

@@ -19,6 +19,7 @@ from bunraku.language.parse import clauses_of
 from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
+    from bunraku.diffusion.examples.guidance_examples import GuidanceExamples
     from bunraku.diffusion.examples.guide import GuidanceExample
     from bunraku.diffusion.generation.ranking import Drawn
 
@@ -94,6 +95,10 @@ def generate_motions(
     critic = networks.critic if how.classifier_guidance else None
     texts = Texts.of(networks, scripts, how.candidates > 1, pack is not None, critic)
     known = None if pack is None else GuidanceExamples(pack, texts.shown)
+    if known is not None and how.note:
+        for told in dict.fromkeys(_left_out(known, clause) for script in scripts for clause in script):
+            if told:
+                how.note(told)
     guides = (
         None
         if critic is None
@@ -142,6 +147,14 @@ def generate_motions(
             made = moved(made, heading, np.array([x, 0, z]))
         motions.append(adapt(made, one.adaptation))
     return motions
+
+
+def _left_out(known: GuidanceExamples, clause: Clause) -> str:
+    """What no gesture does of a clause, in a line; "" for nothing."""
+    lacking = ", ".join(f"'{word}'" for word in known.lacking(clause))
+    if not lacking:
+        return ""
+    return f"no gesture of '{clause.text}' has {lacking}; the network makes the motion, and may leave that out"
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:

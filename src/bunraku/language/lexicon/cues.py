@@ -26,9 +26,10 @@ CUES: tuple[str, ...] = (
 
 def _place_of(words: list[str], at: int) -> str:
     """What the side at this word is the side of: the noun right after it, else the nearest verb before it, else one
-    after it.
+    after it; of who does something "to the left" never a leg.
     """
     known = lexicon().places
+    aside = words[max(at - 2, 0) : at] == ["to", "the"]
     for word in words[at + 1 : at + 3]:
         for part, noun in _NOUNS:
             if word in known[noun]:
@@ -36,7 +37,7 @@ def _place_of(words: list[str], at: int) -> str:
     for word in [*reversed(words[:at]), *words[at + 1 :]]:
         for part, verb in _VERBS:
             if word in known[verb]:
-                return part
+                return "go" if part == "leg" and aside else part
     return "go"
 
 

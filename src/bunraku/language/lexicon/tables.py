@@ -11,6 +11,8 @@
 | `cues` | what `cues.sentence_cues` counts and the network is conditioned on: training knows it, it stays as it is |
 | `places` | what a "left" or "right" may be the side of |
 | `traits` | what else a clause says (`Clause.traits`) |
+| `numbers`, `adverbs` | words that count, and those of them that count alone: "twice" |
+| `body` | words for parts of the body, beside those of `foreign.table` |
 | `synonyms` | words that training hardly has, and what is read in their place: "" where they stay, "=" for the first |
 
 A phrase is words in a row, with these signs: `walk/run` either; `{walk}` a verb, plain, in the third
@@ -137,6 +139,9 @@ class Lexicon:
         synonyms: What is read in place of each synonym, by its name.
         ground: How somebody who moves so is on the ground.
         otherwise: What some kinds of body do in place of a locomotion.
+        numbers: What words count.
+        adverbs: Those of them that count alone.
+        body: Words for parts of the body.
         words: All words of the phrases, and of the rows' names.
     """
 
@@ -153,6 +158,9 @@ class Lexicon:
     synonyms: dict[str, str]
     ground: dict[str, str]
     otherwise: tuple[Otherwise, ...]
+    numbers: dict[str, int]
+    adverbs: frozenset[str]
+    body: tuple[str, ...]
     words: frozenset[str]
 
 
@@ -170,6 +178,9 @@ class _Table(TypedDict):
     synonyms: list[tuple[str, str]]
     ground: dict[str, str]
     otherwise: list[dict[str, Any]]
+    numbers: dict[str, int]
+    adverbs: str
+    body: str
 
 
 @functools.cache
@@ -225,7 +236,8 @@ def lexicon() -> Lexicon:
     return Lexicon(
         verbs, frozenset(third), frozenset(gerund), lemmas, actions, by_form[0], by_form[1], phrases,
         {section: tuple(data[section]) for section in ("actions", "cues", "traits")}, where,
-        dict(data["synonyms"]), data["ground"], tuple(otherwise), words,
+        dict(data["synonyms"]), data["ground"], tuple(otherwise), data["numbers"],
+        frozenset(data["adverbs"].split()), tuple(data["body"].split()), words,
     )  # fmt: skip
 
 

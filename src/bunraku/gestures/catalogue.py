@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -9,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from bunraku.errors import FormatError
-from bunraku_lab.synthetic.gestures.flow import STEP, foot_on, through
-from bunraku_lab.synthetic.gestures.pose import Foot, Gesture, Hand, Key, Pose, again
+from bunraku.gestures.flow import STEP, foot_on, through
+from bunraku.gestures.pose import Foot, Gesture, Hand, Key, Pose, Repeat, again, moved
 
-__all__ = ["GESTURES", "STANDING", "read_gestures"]
+__all__ = ["STANDING", "gesture_of", "gestures", "read_gestures"]
 
 FILE = Path(__file__).with_name("gestures.toml")
 Table = Mapping[str, Any]
@@ -39,18 +40,21 @@ def _gesture(row: Table, named: dict[str, Table], frames: Table) -> Gesture:
     poses = {name: _pose(pose, named) for name, pose in named["poses"].items()}
     cycle = tuple(row["cycle"]) if "cycle" in row else None
     keys: Sequence[Key]
+    repeat: Repeat | None = None
     if "again" in row:
         how = dict(row["again"])
         rest = poses[how.pop("rest", "rest")]
-        keys, cycle = again([poses[name] for name in how.pop("poses")], **how, rest=rest)
+        keys, repeat = again([poses[name] for name in how.pop("poses")], **how, rest=rest)
+        cycle = repeat.start, repeat.start + repeat.period * max(repeat.times - 1, 1)
     elif "frames" in row:
         how = dict(row["frames"])
-        keys = _laid(_frames(frames[how.pop("of")], named), **how)
+        keys, repeat = _laid(_frames(frames[how.pop("of")], named), **how)
     else:
         keys = [(moment, poses[name]) for moment, name in row["keys"]]
     if row.get("through"):
         keys = through(keys)
-    return Gesture(row["name"], tuple(row["texts"]), tuple(keys), cycle, row.get("steps", False))
+    steps, handed = row.get("steps", False), row.get("handed", False)
+    return Gesture(row["name"], tuple(row["texts"]), tuple(keys), cycle, steps, repeat, handed)
 
 
 def _pose(row: Table, named: dict[str, Table]) -> Pose:
@@ -87,14 +91,18 @@ def _laid(
     drift: Sequence[float] = (0, 0, 0),
     start: float | None = None,
     end: float = 0.0,
-) -> list[Key]:
-    """Keys of frames whose loop is played so often; `start` and `end` seconds from rest to them and back."""
+) -> tuple[list[Key], Repeat]:
+    """Keys of frames whose loop is played so often, and which are one time of it; `start` and `end` seconds from rest
+    to them and back.
+    """
+    x, y, z = drift
+    repeat = Repeat((start or 0.0) + STEP * loop[0], STEP * (loop[1] - loop[0]), times, (x, y, z))
     rows = [(index, 0) for index in range(loop[0])]
     rows += [(index, lap) for lap in range(times) for index in range(*loop)]
     rows += [(index, times - 1) for index in range(loop[1], len(poses))]
-    moved = [_moved(poses[index], [lap * step for step in drift]) for index, lap in rows]
-    keys = [(round((start or 0.0) + STEP * number, 3), pose) for number, pose in enumerate(moved)]
-    return keys if start is None else [(0.0, Pose()), *keys, (keys[-1][0] + end, Pose())]
+    there = [moved(poses[index], [lap * step for step in drift]) for index, lap in rows]
+    keys = [(round((start or 0.0) + STEP * number, 3), pose) for number, pose in enumerate(there)]
+    return keys if start is None else [(0.0, Pose()), *keys, (keys[-1][0] + end, Pose())], repeat
 
 
 def _frames(table: Table, named: dict[str, Table]) -> list[Pose]:
@@ -118,25 +126,17 @@ def _value(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _moved(pose: Pose, by: Sequence[float]) -> Pose:
-    """A pose further on: hips, feet, and hands on the ground."""
-    if not any(by):
-        return pose
-
-    def on(position: Sequence[float]) -> tuple[float, float, float]:
-        x, y, z = (value + step for value, step in zip(position, by, strict=True))
-        return x, y, z
-
-    def hand(one: Hand) -> Hand:
-        return replace(one, palm=on(one.palm)) if one.on == "ground" else one
-
-    return replace(
-        pose, hips=on(pose.hips), right=hand(pose.right), left=hand(pose.left),
-        right_foot=replace(pose.right_foot, ankle=on(pose.right_foot.ankle)),
-        left_foot=replace(pose.left_foot, ankle=on(pose.left_foot.ankle)),
-    )  # fmt: skip
+@functools.cache
+def gestures() -> tuple[Gesture, ...]:
+    """The gestures of the package, in the order of its file."""
+    return read_gestures()
 
 
-GESTURES: tuple[Gesture, ...] = read_gestures()
+@functools.cache
+def gesture_of(texts: tuple[str, ...]) -> Gesture | None:
+    """The gesture that these sentences tell; None for none."""
+    return next((one for one in gestures() if one.texts == texts), None)
+
+
 STANDING = Gesture("standing", (), ((0.0, Pose()), (9.5, Pose())))
 """What gestures that are done once begin and end in."""

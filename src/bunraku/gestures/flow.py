@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku_lab.synthetic.gestures.pose import Foot, Hand, Key, Pose
+from bunraku.gestures.pose import Foot, Hand, Key, Pose
 
 __all__ = ["STEP", "foot_on", "through"]
 

@@ -7,10 +7,10 @@ Directions have the same axes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
-__all__ = ["HANGING", "Foot", "Gesture", "Hand", "Key", "Pose", "again"]
+__all__ = ["HANGING", "Foot", "Gesture", "Hand", "Key", "Pose", "Repeat", "again", "moved"]
 
 Vector = tuple[float, float, float]
 DOWN = (0.0, -1.0, 0.0)
@@ -91,6 +91,28 @@ Key = tuple[float, Pose]
 
 
 @dataclass(frozen=True)
+class Repeat:
+    """Which of a gesture's keys are one time of what is done again and again.
+
+    Args:
+        start: When the first time begins [s].
+        period: How long each takes [s].
+        times: How many there are.
+        drift: How far each goes on from the one before [m]: x to the body's left, y up, z ahead.
+    """
+
+    start: float
+    period: float
+    times: int
+    drift: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def stop(self) -> float:
+        """When the last time ends [s]."""
+        return self.start + self.period * self.times
+
+
+@dataclass(frozen=True)
 class Gesture:
     """Something that people do mostly with their hands.
 
@@ -100,6 +122,8 @@ class Gesture:
         keys: Key poses in order of time; the first is where it begins and the last where it ends.
         cycle: Seconds (start, end) that can be played again and again; None where it is done once.
         steps: Feet go where the keys say; else they stand all the time.
+        repeat: Its single times, where it is done again and again and they can be counted.
+        handed: It is done with these very hands by everybody: nobody shakes hands with the left.
     """
 
     name: str
@@ -107,16 +131,23 @@ class Gesture:
     keys: tuple[Key, ...]
     cycle: tuple[float, float] | None = None
     steps: bool = False
+    repeat: Repeat | None = None
+    handed: bool = False
 
     @property
     def seconds(self) -> float:
         return self.keys[-1][0]
 
+    @property
+    def counted(self) -> bool:
+        """Whether it can be done a number of times: its times are known, or it ends as it begins."""
+        return self.repeat is not None or (self.cycle is None and self.keys[0][1] == self.keys[-1][1])
+
 
 def again(
     poses: Sequence[Pose], period: float, times: int, *, start: float = 0.6, end: float = 0.6, rest: Pose | None = None
-) -> tuple[tuple[Key, ...], tuple[float, float]]:
-    """Keys of something that is done again and again between two rests, and one of its cycles.
+) -> tuple[tuple[Key, ...], Repeat]:
+    """Keys of something that is done again and again between two rests, and which of them are one time of it.
 
     Args:
         poses: Of one cycle, evenly in time; the first follows the last.
@@ -132,5 +163,23 @@ def again(
         keys += [(start + period * (cycle + share / len(poses)), pose) for share, pose in enumerate(poses)]
     over = start + period * times
     keys += [(over, poses[0]), (over + end, rest)]
-    whole = max(times - 1, 1)
-    return tuple(keys), (start, start + period * whole)
+    return tuple(keys), Repeat(start, period, times)
+
+
+def moved(pose: Pose, by: Sequence[float]) -> Pose:
+    """A pose further on: hips, feet, and hands on the ground."""
+    if not any(by):
+        return pose
+
+    def on(position: Sequence[float]) -> Vector:
+        x, y, z = (value + step for value, step in zip(position, by, strict=True))
+        return x, y, z
+
+    def hand(one: Hand) -> Hand:
+        return replace(one, palm=on(one.palm)) if one.on == "ground" else one
+
+    return replace(
+        pose, hips=on(pose.hips), right=hand(pose.right), left=hand(pose.left),
+        right_foot=replace(pose.right_foot, ankle=on(pose.right_foot.ankle)),
+        left_foot=replace(pose.left_foot, ankle=on(pose.left_foot.ankle)),
+    )  # fmt: skip

@@ -1,0 +1,116 @@
+"""Is an answer something that lives, or an example played back? As a Markdown table.
+
+    python benchmarks/playback.py [--seeds 4] [--candidates 3] [--sentences benchmarks/playback.txt]
+
+Windows of a second are compared with all windows of the examples and gestures of the pack and with their mirror images:
+the mean distance of the 22 joints, once both stand at one place and face one way. A window is played back where that is
+under 3 cm, and an answer where that holds of half of its windows in which anything moves. Gestures are those of the
+pack, as their keys say, without tempo and size of their own.
+
+Then pairs of seeds of three sentences: the mean distance of the joints in all frames, placed by the first one.
+
+The sentences are 36 of the action test and 12 of those that tell gestures, drawn by lot before anything was measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+FRAMES, EVERY, HOP = 20, 5, 4
+NEAR = 0.03
+"""Mean distance of joints with which a window is played back [m]."""
+MOVES = 0.06
+"""Mean speed of the joints, seen from the root, from which on a window moves [m/s]."""
+PAIRS = ("sit down", "waves", "claps")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sentences", type=Path, default=Path(__file__).with_name("playback.txt"))
+    parser.add_argument("--seeds", type=int, default=4, help="of each of the three sentences")
+    parser.add_argument("--seconds", type=float, default=6.0)
+    parser.add_argument("--candidates", type=int, default=3)
+    parser.add_argument("--threads", type=int, default=2)
+    args = parser.parse_args()
+    os.environ["OMP_NUM_THREADS"] = str(args.threads)  # read when the libraries load, so before any import of them
+
+    import numpy as np
+
+    from bunraku.diffusion.examples.pack import load_examples
+    from bunraku.diffusion.features import decode, mirror
+    from bunraku.diffusion.generation.generate import generate_motions
+    from bunraku.language.parse import parse
+    from bunraku_lab.evaluation.motion.seams import posed_positions
+
+    def joints(motion: Any) -> Any:
+        return posed_positions(motion)[:, :22].astype(np.float32)
+
+    def placed(positions: Any, frame: int = 0) -> Any:
+        """Positions with the pelvis of one frame over the origin and the hips of that frame along x."""
+        across = positions[frame, 1] - positions[frame, 2]
+        angle = np.arctan2(-across[2], across[0])
+        turn = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]], np.float32)
+        return (positions - positions[frame, 0] * [1, 0, 1]) @ turn.T
+
+    def windows(positions: Any, hop: int) -> Iterator[Any]:
+        for start in range(0, len(positions) - FRAMES + 1, hop):
+            yield placed(positions[start : start + FRAMES], FRAMES // 2).astype(np.float32)
+
+    pack = load_examples()
+    assert pack is not None
+    bank, names = [], []
+    for index, one in enumerate(pack.examples):
+        if not one.texts:
+            continue
+        features = pack.features(index)
+        for way in (features, mirror(features)):
+            for window in windows(joints(decode(way)), HOP // 2):
+                bank.append(window[::EVERY])
+                names.append(index)
+    known, owners = np.stack(bank), np.array(names)
+    flat = known.reshape(len(known), -1)
+
+    def nearest(window: Any) -> tuple[float, int]:
+        part = window[::EVERY]
+        # the mean distance is at most the root of the mean square, so the nearest by that are enough to look at
+        square = ((flat - part.reshape(-1)) ** 2).sum(axis=1)
+        some = np.argpartition(square, 64)[:64]
+        away = np.linalg.norm(known[some] - part, axis=-1).mean(axis=(1, 2))
+        best = int(away.argmin())
+        return float(away[best]), int(owners[some[best]])
+
+    def generated(prompt: str, seed: int) -> Any:
+        script = parse(prompt, args.seconds, force=True).clauses
+        return joints(generate_motions([script], seeds=[seed], candidates=args.candidates)[0])
+
+    sentences = args.sentences.read_text(encoding="utf-8").split("\n")[:-1]
+    played, shares = 0, []
+    print("| sentence | windows played back | median distance [cm] | mostly of |\n| --- | --- | --- | --- |")
+    for seed, prompt in enumerate(sentences):
+        found = []
+        for window in windows(generated(prompt, seed), HOP):
+            relative = window - window[:, :1]
+            if np.linalg.norm(np.diff(relative, axis=0), axis=-1).mean() * 20 > MOVES:
+                found.append(nearest(window))
+        away = np.array([distance for distance, _ in found])
+        share = float((away < NEAR).mean()) if len(away) else 0.0
+        played += share >= 0.5
+        shares.append(np.median(away) if len(away) else np.nan)
+        of = pack.examples[found[int(away.argmin())][1]].name if len(away) else ""
+        print(f"| {prompt} | {100 * share:.0f} % | {100 * shares[-1]:.1f} | {of} |", flush=True)
+    print(f"\nplayed back: {played} of {len(sentences)}, {100 * played / len(sentences):.0f} %")
+    print(f"median distance: {100 * np.nanmedian(shares):.1f} cm\n")
+    print("| sentence | pairs of seeds differ by, median [cm] | least |\n| --- | --- | --- |")
+    for prompt in PAIRS:
+        motions = [placed(generated(prompt, seed)) for seed in range(args.seeds)]
+        away = [np.linalg.norm(one - other, axis=-1).mean() for one, other in combinations(motions, 2)]
+        print(f"| {prompt} | {100 * np.median(away):.1f} | {100 * min(away):.1f} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,322 @@
+"""A gesture as somebody does it this time: legs, trunk and head of a captured person who stands, and tempo, size,
+place of the hands, repeats and pauses drawn from a seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bunraku.core.motion import SkeletalMotion
+from bunraku.gestures.manner import AS_USUAL, Manner
+from bunraku.gestures.play import FPS, posed
+from bunraku.gestures.pose import Gesture, Key, Pose, moved
+from bunraku.gestures.standing import SIDES, Standing, captured, swaying
+from bunraku.gestures.tracks import HandTrack, Tracks
+
+__all__ = ["Variation", "performed"]
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How far two performances of one gesture differ.
+
+    Args:
+        tempo: Largest factor of the tempo, either way.
+        heavy: The same of what steps, jumps or falls, whose time gravity keeps.
+        size: Largest factor of the size of the movement, either way.
+        touching: The same of hands that touch the body.
+        each: How far each time differs in size from the one before, either way.
+        timing: How far each time differs in length, either way.
+        reach: Standard deviation of where hands are that touch nothing [m].
+        elbows: The same of to where elbows are bent, over a direction.
+        bearing: The same of how trunk and head of who steps are held [degrees].
+        stride: Largest factor of the length and the width of steps, either way.
+        sinks: How much lower who steps goes at the most [m].
+        holds: Least and largest factor of how long a pose is held.
+        pauses: Share of the times after which there is a pause.
+        pause: Its shortest and longest [s].
+        before: Longest wait before it [s].
+        after: The same after it.
+        hurry: Factor by which it is sped up at the most to fit in.
+    """
+
+    tempo: float = 1.28
+    heavy: float = 1.1
+    size: float = 1.22
+    touching: float = 1.08
+    each: float = 0.12
+    timing: float = 0.1
+    reach: float = 0.035
+    elbows: float = 0.2
+    bearing: float = 4.0
+    stride: float = 1.2
+    sinks: float = 0.05
+    holds: tuple[float, float] = (0.6, 1.8)
+    pauses: float = 0.2
+    pause: tuple[float, float] = (0.15, 0.6)
+    before: float = 1.0
+    after: float = 1.2
+    hurry: float = 1.35
+
+
+VARIED = Variation()
+TOUCH = 0.17
+"""Distance of two palms, or of a palm from the middle of the trunk, with which they touch something [m]."""
+_TRUNK = np.array([0.0, 1.25, 0.0])
+_RISES = 0.03
+LIES = 20.0
+"""Tilt of the pelvis from which on nobody stands [degrees]."""
+
+
+def performed(
+    gesture: Gesture,
+    frames: int,
+    idles: Sequence[SkeletalMotion],
+    random: np.random.Generator,
+    manner: Manner = AS_USUAL,
+    variation: Variation = VARIED,
+    fps: float = FPS,
+) -> SkeletalMotion:
+    """A gesture done in so many frames by somebody who stands before and after it.
+
+    Args:
+        gesture: What is done.
+        frames: How many.
+        idles: People who stand, of whom one is drawn; none for one made by code.
+        random: Draws all that differs.
+        manner: What is said of it.
+        variation: How far performances differ.
+        fps: Frames a second [1/s].
+    """
+    heavy = gesture.steps or any(pose.hips[1] > _RISES for _, pose in gesture.keys)
+    most = variation.heavy if heavy else variation.tempo
+    tempo = manner.pace * most ** random.uniform(-1, 1)
+    span = frames / fps
+    keys, times, sizes = _scheduled(gesture, span, tempo, random, manner, variation)
+    tracks = _varied(Tracks.of(keys), gesture, sizes, random, variation)
+    moments = np.arange(frames) / fps
+    standing = _standing(idles, frames, random, manner.closed, moments)
+    if gesture.steps:
+        standing = replace(standing, feet={side: None for side, _ in SIDES})
+    return posed(tracks, times, moments, standing, fps)
+
+
+def _standing(
+    idles: Sequence[SkeletalMotion], frames: int, random: np.random.Generator, closed: bool, moments: np.ndarray
+) -> Standing:
+    """One of those who stand, for so many frames: to and fro where the clip is shorter."""
+    if not idles:
+        return swaying(int(random.integers(2**31)), moments)
+    idle = idles[int(random.integers(len(idles)))]
+    last = len(idle) - 1
+    at: np.ndarray
+    if closed:
+        reach = min(frames / 2, last)
+        first = random.uniform(0, last - reach)
+        at = np.asarray(first + 0.5 * reach * (1 - np.cos(2 * np.pi * np.arange(frames) / frames)))
+    else:
+        at = (random.uniform(0, 2 * last) + np.arange(frames)) % (2 * last)
+        at = np.where(at > last, 2 * last - at, at)
+    return captured(idle, at)
+
+
+def _scheduled(
+    gesture: Gesture,
+    span: float,
+    tempo: float,
+    random: np.random.Generator,
+    manner: Manner,
+    variation: Variation,
+) -> tuple[list[Key], np.ndarray, np.ndarray]:
+    """Keys of so many seconds, when each is reached, and the size of the movement there."""
+    parts, endless = _times_of(gesture, span, tempo, random, manner, variation)
+    poses: list[Pose] = []
+    times: list[float] = []
+    sizes: list[float] = []
+    for part, start, factor, size in parts:
+        for moment, pose in part:
+            poses.append(pose)
+            times.append(start + moment / factor)
+            sizes.append(size)
+    length = times[-1] - times[0]
+    slack = span - length
+    if manner.closed:
+        scaled = np.array(times) - times[0]
+        return list(zip(scaled.tolist(), poses, strict=True)), scaled * span / max(length, 1e-6), np.array(sizes)
+    before = 0.0
+    if slack > 0 and not (endless and poses[0] != Pose()):
+        before = min(slack * random.uniform(0.1, 0.6), random.uniform(0, variation.before))
+    at = np.array(times) - times[0]
+    if slack < 0 and not endless:
+        at = at * span / length
+    return list(zip(at.tolist(), poses, strict=True)), at + before, np.array(sizes)
+
+
+_Part = tuple[Sequence[Key], float, float, float]
+"""Keys, when they begin [s], how much faster they are, and their size."""
+
+
+def _times_of(
+    gesture: Gesture,
+    span: float,
+    tempo: float,
+    random: np.random.Generator,
+    manner: Manner,
+    variation: Variation,
+) -> tuple[list[_Part], bool]:
+    """The parts of a gesture in a row, and whether the last may be cut off."""
+    keys, repeat = gesture.keys, gesture.repeat
+
+    def size() -> float:
+        return 1 + variation.each * random.uniform(-1, 1)
+
+    if repeat is None and gesture.cycle is not None and not manner.count:
+        return _cycles(gesture, span, tempo, random, manner), True
+    if repeat is None:
+        count = manner.count if manner.count and gesture.counted else 1
+        tempo = max(tempo, min(count * gesture.seconds / span, variation.hurry * tempo))
+        parts: list[_Part] = []
+        start = 0.0
+        for _ in range(count):
+            timed = keys if gesture.steps else _held(keys, random, variation)
+            parts.append((timed, start, tempo, size()))
+            start += timed[-1][0] / tempo + random.uniform(*variation.pause)
+        return parts, False
+    head = [key for key in keys if key[0] < repeat.start - 1e-6]
+    tail = [key for key in keys if key[0] > repeat.stop - 1e-6]
+    once = [key for key in keys if repeat.start - 1e-6 <= key[0] < repeat.start + repeat.period - 1e-6]
+    if manner.closed:
+        count = max(round(span * tempo / repeat.period), 1)
+        head, tail = [], [(repeat.stop, moved(once[0][1], [repeat.times * one for one in repeat.drift]))]
+    around = sum(part[-1][0] - part[0][0] for part in (head + once[:1], tail) if len(part) > 1)
+    finishes = bool(tail) and (bool(manner.count) or random.random() < 0.6)
+    pauses = variation.pauses if head and not manner.closed else 0.0
+    if not manner.closed:
+        room = span - (around if finishes else 0) / tempo - (random.uniform(0, variation.after) if finishes else 0)
+        count = manner.count or max(int(room * tempo / repeat.period), 1)
+    if manner.count:
+        tempo = max(tempo, min((around + count * repeat.period) / span, variation.hurry * tempo))
+    endless = not manner.count and not finishes
+    if endless:
+        count += 2
+    parts = [(head, 0.0, tempo, 1.0)] if head else []
+    start = (once[0][0] - head[0][0]) / tempo if head else 0.0
+    for number in range(count):
+        drift = [number * one for one in repeat.drift]
+        factor = tempo if manner.closed or gesture.steps else tempo * (1 + variation.timing * random.uniform(-1, 1))
+        part = [(time - once[0][0], moved(pose, drift)) for time, pose in once]
+        parts.append((part, start, factor, 1.0 if manner.closed else size()))
+        start += repeat.period / factor
+        if random.random() < pauses:
+            held = random.uniform(*variation.pause)
+            if manner.count or start + held + around / tempo < span:
+                parts.append(([(0.0, once[0][1])], start, 1.0, 1.0))
+                start += held
+    drift = [(count - repeat.times) * one for one in repeat.drift]
+    if tail:
+        parts.append(([(time - tail[0][0], moved(pose, drift)) for time, pose in tail], start, tempo, 1.0))
+    elif count:
+        parts.append(([(0.0, moved(once[0][1], [count * one for one in repeat.drift]))], start, tempo, 1.0))
+    return parts, endless
+
+
+def _held(keys: Sequence[Key], random: np.random.Generator, variation: Variation) -> list[Key]:
+    """Keys whose poses are held for another time."""
+    found, late = [keys[0]], 0.0
+    for before, after in zip(keys, keys[1:], strict=False):
+        if before[1] == after[1]:
+            late += (after[0] - before[0]) * (random.uniform(*variation.holds) - 1)
+        found.append((after[0] + late, after[1]))
+    return found
+
+
+def _cycles(gesture: Gesture, span: float, tempo: float, random: np.random.Generator, manner: Manner) -> list[_Part]:
+    """What goes on and whose times are not known, played on for so long."""
+    assert gesture.cycle is not None
+    start, stop = gesture.cycle
+    head = [key for key in gesture.keys if key[0] < start - 1e-6]
+    once = [key for key in gesture.keys if start - 1e-6 <= key[0] < stop - 1e-6]
+    period = stop - start
+    if manner.closed:
+        laps = max(round(span * tempo / period), 1)
+        tempo = laps * period / span
+        head = []
+    else:
+        laps = int(np.ceil(span * tempo / period)) + 1
+        if head and random.random() < 0.4:
+            head = []
+    first = head[0][0] if head else start
+    parts: list[_Part] = [([(time - first, pose) for time, pose in head], 0.0, tempo, 1.0)] if head else []
+    begin = (start - first) / tempo
+    for lap in range(laps):
+        parts.append(([(time - start, pose) for time, pose in once], begin + lap * period / tempo, tempo, 1.0))
+    parts.append(([(0.0, once[0][1])], begin + laps * period / tempo, tempo, 1.0))
+    return parts
+
+
+def _varied(
+    tracks: Tracks, gesture: Gesture, sizes: np.ndarray, random: np.random.Generator, variation: Variation
+) -> Tracks:
+    """Key poses of another size and with hands elsewhere; hands that touch something still touch it, and what stands
+    on the ground, or on hands, stays.
+    """
+    size = variation.size ** random.uniform(-1, 1) * sizes
+    shift = random.normal(0, variation.reach, (3, 3)).clip(-2 * variation.reach, 2 * variation.reach)
+    left, right = tracks.hands["left"], tracks.hands["right"]
+    together = _together(left, right)
+    hands = {}
+    for number, (side, _) in enumerate(SIDES):
+        hand = tracks.hands[side]
+        own = hand.rests
+        on_body = (hand.on == 0) | (hand.on == 3) | (np.linalg.norm((hand.palm - _TRUNK)[:, [0, 2]], axis=1) < TOUCH)
+        touches = (together | on_body) & ~own
+        if own.all() or (hand.on == 3).any():
+            hands[side] = hand
+            continue
+        palm = hand.palm.copy()
+        anchor = palm[touches].mean(axis=0) if touches.any() and not touches[~own].all() else palm[~own].mean(axis=0)
+        factor = (
+            size if not touches[~own].all() else 1 + (size - 1) * np.log(variation.touching) / np.log(variation.size)
+        )
+        palm[~own] = (anchor + factor[:, None] * (palm - anchor))[~own]
+        if touches[~own].all() and not (together & ~own).any():
+            moved_by = np.zeros(3)
+        elif (together & ~own).any():
+            moved_by = 1.4 * shift[2] * [0, 1, 1]
+        else:
+            moved_by = shift[number] * (0 if on_body[~own].any() else 1)
+        palm[~own] += moved_by
+        ways = hand.ways.copy()
+        if not touches.any():
+            ways[~own, 2] += random.normal(0, variation.elbows, 3)
+        hands[side] = replace(hand, palm=palm, ways=ways)
+    if gesture.steps:
+        return _strode(replace(tracks, hands=hands), random, variation)
+    body = size[:, None]
+    hips = tracks.hips
+    if all(tracks.feet[side].rests.all() for side, _ in SIDES):
+        hips = hips * np.clip(variation.size ** random.uniform(-0.6, 0.4), 0.85, 1.1)
+    lean = tracks.lean * body + random.normal(0, 1.5, 3) * (np.abs(tracks.lean) > 0)
+    return replace(tracks, lean=lean, head=tracks.head * body, shrug=tracks.shrug * size, hips=hips, hands=hands)
+
+
+def _strode(tracks: Tracks, random: np.random.Generator, variation: Variation) -> Tracks:
+    """Key poses of who steps: steps longer or shorter, wider or narrower, trunk and head held otherwise."""
+    if np.abs(tracks.tilt).max() > LIES or any((tracks.hands[side].on == 3).any() for side, _ in SIDES):
+        return tracks
+    longer, wider = variation.stride ** random.uniform(-1, 1, 2)
+    scale = np.array([wider, 1, longer])
+    lower = np.array([0, variation.sinks * random.uniform(0, 1), 0])
+    lean, head = (random.normal(0, variation.bearing, 3) for _ in range(2))
+    feet = {side: replace(foot, ankle=foot.ankle * scale) for side, foot in tracks.feet.items()}
+    hips = tracks.hips * [1, 1, longer] - lower
+    return replace(tracks, lean=tracks.lean + lean, head=tracks.head + head, hips=hips, feet=feet)
+
+
+def _together(left: HandTrack, right: HandTrack) -> np.ndarray:
+    """Whether the palms touch each other, in each key, shape (L,)."""
+    away = left.palm - right.palm * [-1, 1, 1]
+    return np.asarray((np.linalg.norm(away, axis=1) < TOUCH) & ~left.rests & ~right.rests)

@@ -1,0 +1,251 @@
+"""A gesture as motion of the reference body's 22 joints.
+
+Between key poses hands go as people's do, slow at both ends and a little ahead of the straight way; arms and legs are
+bent by two-bone inverse kinematics. What the keys leave at rest is that of somebody who stands (`standing`): hanging
+arms, planted feet, and the sway of the trunk.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+
+from bunraku.body.layout import JOINT_COUNT, JOINT_PARENTS
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import SkeletalMotion, local_rotations
+from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
+from bunraku.gestures.flow import STEP
+from bunraku.gestures.pose import Gesture, Key
+from bunraku.gestures.standing import AT, PALM, SIDES, Standing, swaying
+from bunraku.gestures.tracks import CARRIERS, Tracks
+
+__all__ = ["FPS", "gesture_motion", "posed"]
+
+FPS = 20.0
+_AHEAD = 0.15
+"""How far ahead of the straight way a hand goes, over that way's length."""
+_TOES = 65.0
+"""How far toes bend up [degrees]."""
+_ROLLED = 0.6
+"""Share of the hand's roll that the forearm takes."""
+_TRUNK = (("spine1", 0.3), ("spine2", 0.35), ("spine3", 0.35))
+_HEAD = (("neck", 0.4), ("head", 0.6))
+_OUT = {"left": np.array([1.0, 1, 1]), "right": np.array([-1.0, 1, 1])}
+
+
+@functools.cache  # gestures are constants of the catalogue
+def gesture_motion(gesture: Gesture, fps: float = FPS) -> SkeletalMotion:
+    """The motion of a gesture, which begins and ends where its keys say; feet stand on y = 0.
+
+    Args:
+        gesture: What is done.
+        fps: Frames a second [1/s].
+    """
+    moments = np.minimum(np.arange(round(gesture.seconds * fps) + 1) / fps, gesture.seconds)
+    seed = int.from_bytes(hashlib.sha256(gesture.name.encode()).digest()[:8], "little")
+    return posed(Tracks.of(gesture.keys), _times(gesture.keys), moments, swaying(seed, moments), fps)
+
+
+def _times(keys: Sequence[Key]) -> np.ndarray:
+    return np.array([time for time, _ in keys])
+
+
+def posed(tracks: Tracks, times: np.ndarray, moments: np.ndarray, standing: Standing, fps: float) -> SkeletalMotion:
+    """The motion through key poses.
+
+    Args:
+        tracks: L key poses.
+        times: When each is reached, rising, shape (L,) [s].
+        moments: Of the frames, shape (N,) [s].
+        standing: Who does it, in those frames.
+        fps: Frames a second [1/s].
+    """
+    body = reference_body()
+    rest = body.joints.astype(float)
+    after = np.clip(np.searchsorted(times, moments, side="right"), 1, max(len(times) - 1, 1))
+    after = np.minimum(after, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    span = times[after] - times[before]
+    share = np.clip((moments - times[before]) / np.maximum(span, 1e-6), 0, 1)
+    # poses a twentieth of a second apart flow through each other; others are reached at minimum jerk
+    share = np.where(span > 1.5 * STEP, share**3 * (10 - 15 * share + 6 * share**2), share)
+    world, root = _posed(_Between(tracks, before, after, share), standing, rest)
+    return SkeletalMotion(body.skeleton, local_rotations(world, np.array(JOINT_PARENTS)), root, fps)
+
+
+class _Between:
+    """Key poses before and after each frame."""
+
+    def __init__(self, tracks: Tracks, before: np.ndarray, after: np.ndarray, share: np.ndarray):
+        self.tracks, self.before, self.after, self.share = tracks, before, after, share
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """Values of the keys in each frame."""
+        return self.mixed(values[self.before], values[self.after])
+
+    def mixed(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Values of the frames of the key before and of the one after."""
+        share = self.share.reshape(-1, *[1] * (one.ndim - 1))
+        return (1 - share) * one + share * other
+
+
+def _posed(keys: _Between, standing: Standing, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations of the joints (N, 22, 3, 3) and the root's position (N, 3)."""
+    tracks = keys.tracks
+    local = standing.rotations.copy()
+    upright = np.clip(1 - np.abs(keys.of(tracks.tilt)) / 20, 0, 1)  # who lies does not sway
+    local[:, 1:] = _share(local[:, 1:], upright)
+    lean, head = (keys.of(one) + own for one, own in ((tracks.lean, standing.lean), (tracks.head, standing.head)))
+    for parts, angles in ((_TRUNK, lean), (_HEAD, head)):
+        for name, part in parts:
+            local[:, AT[name]] = local[:, AT[name]] @ _angles(part * angles)
+    shrug = keys.of(tracks.shrug)
+    for side, sign in SIDES:
+        raised = keys.of(tracks.hands[side].raised)
+        turns = np.stack([0 * shrug, -sign * raised[:, 1], sign * (22 * shrug + raised[:, 0])], axis=1)
+        local[:, AT[f"{side}_collar"]] = local[:, AT[f"{side}_collar"]] @ _angles(turns)
+    pelvis = np.stack([keys.of(tracks.tilt), keys.of(tracks.turn), 0 * shrug], axis=1)
+    stands = np.minimum(*[keys.of(tracks.feet[side].rests.astype(float)) for side, _ in SIDES])[:, None]
+    local[:, 0] = _share(local[:, 0], stands[:, 0]) @ _angles(pelvis)
+    position = rest[0] + keys.of(tracks.hips) + np.maximum(stands, standing.sways) * standing.hips
+    world, where = local.copy(), np.empty((len(local), JOINT_COUNT, 3))
+    where[:, 0] = position
+    for joint in range(1, JOINT_COUNT):
+        parent = JOINT_PARENTS[joint]
+        world[:, joint] = world[:, parent] @ local[:, joint]
+        where[:, joint] = where[:, parent] + world[:, parent] @ (rest[joint] - rest[parent])
+    for side, sign in SIDES:
+        _set_arm(world, where, rest, side, sign, keys, standing)
+        _set_leg(world, where, rest, side, sign, keys, standing)
+    return world, position
+
+
+def _share(rotations: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """A share of rotations, shape (N, ..., 3, 3) and (N,)."""
+    if (share == 1).all():
+        return rotations
+    return matrix_from_axis_angle(axis_angle_from_matrix(rotations) * share.reshape(-1, *[1] * (rotations.ndim - 2)))
+
+
+def _angles(degrees: np.ndarray) -> np.ndarray:
+    """Pitch ahead, yaw to the left, roll to the right side, as one rotation, shape (N, 3) -> (N, 3, 3)."""
+    x, y, z = (matrix_from_axis_angle(np.radians(degrees[:, [axis]]) * np.eye(3)[axis]) for axis in range(3))
+    return np.asarray(y @ x @ z)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9))
+
+
+def _across(vectors: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Unit vectors of what is at right angles to axes."""
+    return _unit(vectors - axis * (vectors * axis).sum(axis=-1, keepdims=True))
+
+
+def _frame(along: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Rotations whose first column is `along` and whose second is nearest to `beside`, shape (..., 3, 3)."""
+    along, beside = np.broadcast_arrays(_unit(along), beside)
+    second = _across(beside, along)
+    return np.stack([along, second, np.cross(along, second)], axis=-1)
+
+
+def _bent(start: np.ndarray, goal: np.ndarray, one: float, two: float, towards: np.ndarray) -> np.ndarray:
+    """Where the joint between two bones is that reach from a start towards a goal, bent towards a direction, (N, 3)."""
+    direction = goal - start
+    reach = np.clip(np.linalg.norm(direction, axis=-1, keepdims=True), abs(one - two) + 1e-3, 0.998 * (one + two))
+    along = _unit(direction)
+    cosine = (one**2 + reach**2 - two**2) / (2 * one * reach)
+    sine = np.sqrt(np.maximum(1 - cosine**2, 0))
+    return np.asarray(start + one * (cosine * along + sine * _across(towards, along)))
+
+
+def _set_arm(
+    world: np.ndarray,
+    where: np.ndarray,
+    rest: np.ndarray,
+    side: str,
+    sign: float,
+    keys: _Between,
+    standing: Standing,
+) -> None:
+    """Turns the joints of an arm, in place."""
+    shoulder, elbow, wrist = (AT[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist"))
+    hand, outward = keys.tracks.hands[side], _OUT[side]
+    hanging = standing.hands[side]
+    ends = []
+    for which in (keys.before, keys.after):
+        palm, ways = outward * hand.palm[which], outward * hand.ways[which]
+        for carrier, joint in CARRIERS.items():
+            own = hand.on[which] == carrier
+            if joint is None or not own.any():
+                continue
+            turn = world[own, joint]
+            palm[own] = where[own, joint] + (turn @ (palm[own] - rest[joint])[..., None])[..., 0]
+            ways[own] = ways[own] @ np.swapaxes(turn, -1, -2)
+        if hanging is not None:
+            own = hand.rests[which]
+            chest = AT["spine3"]
+            turn = world[own, chest]
+            palm[own] = where[own, chest] + (turn @ hanging.palm[own][..., None])[..., 0]
+            ways[own] = hanging.ways[own] @ np.swapaxes(turn, -1, -2)
+        ends.append((palm, ways))
+    length = np.linalg.norm(ends[1][0] - ends[0][0], axis=1) * ~(hand.rests[keys.before] & hand.rests[keys.after])
+    arc = _AHEAD * length * np.sin(np.pi * keys.share)
+    palm = keys.mixed(ends[0][0], ends[1][0]) + arc[:, None] * world[:, AT["spine3"], :, 2]
+    pointing, facing, towards = (_unit(keys.mixed(ends[0][1], ends[1][1])[:, part]) for part in range(3))
+    goal = palm - PALM * pointing
+    one = float(np.linalg.norm(rest[elbow] - rest[shoulder]))
+    two = float(np.linalg.norm(rest[wrist] - rest[elbow]))
+    bend = _bent(where[:, shoulder], goal, one, two, towards)
+    reached = bend + two * _unit(goal - bend)
+    out, back, down = np.array([sign, 0, 0]), np.array([0, 0, -1.0]), np.array([0, -1.0, 0])
+    hinge = _across(towards, _unit(goal - where[:, shoulder]))
+    world[:, shoulder] = _frame(bend - where[:, shoulder], hinge) @ _frame(out, back).T
+    forearm = _frame(reached - bend, hinge) @ _frame(out, back).T
+    turned = _frame(pointing, facing) @ _frame(out, down).T
+    along = _unit(reached - bend)
+    roll = (axis_angle_from_matrix(turned @ np.swapaxes(forearm, -1, -2)) * along).sum(axis=1, keepdims=True)
+    world[:, elbow] = matrix_from_axis_angle(_ROLLED * roll * along) @ forearm
+    world[:, wrist] = turned
+    where[:, elbow], where[:, wrist] = bend, reached
+
+
+def _set_leg(
+    world: np.ndarray,
+    where: np.ndarray,
+    rest: np.ndarray,
+    side: str,
+    sign: float,
+    keys: _Between,
+    standing: Standing,
+) -> None:
+    """Turns the joints of a leg, in place; feet stand in the world."""
+    hip, knee, ankle, toes = (AT[f"{side}_{name}"] for name in ("hip", "knee", "ankle", "foot"))
+    foot, outward = keys.tracks.feet[side], _OUT[side]
+    planted = standing.feet[side]
+    ends = []
+    for which in (keys.before, keys.after):
+        goal, towards = outward * foot.ankle[which], outward * foot.knee[which]
+        if planted is not None:
+            own = foot.rests[which]
+            goal[own], towards[own] = planted.ankle[own], planted.knee[own]
+        ends.append((goal, towards))
+    goal, towards = (keys.mixed(*pair) for pair in zip(*ends, strict=True))
+    one = float(np.linalg.norm(rest[knee] - rest[hip]))
+    two = float(np.linalg.norm(rest[ankle] - rest[knee]))
+    bend = _bent(where[:, hip], goal, one, two, towards)
+    down, ahead = np.array([0, -1.0, 0]), np.array([0, 0, 1.0])
+    world[:, hip] = _frame(bend - where[:, hip], towards) @ _frame(down, ahead).T
+    world[:, knee] = _frame(goal - bend, towards) @ _frame(down, ahead).T
+    pitch, turn = keys.of(foot.pitch), sign * keys.of(foot.turn)
+    world[:, ankle] = _angles(np.stack([pitch, turn, 0 * turn], axis=1))
+    # toes stay on the ground where the heel is up, as far as they bend
+    bent = np.where(pitch > 0, np.maximum(0.2 * pitch, pitch - _TOES), pitch)
+    world[:, toes] = _angles(np.stack([bent, turn, 0 * turn], axis=1))
+    if planted is not None:
+        share = keys.of(foot.rests.astype(float))[:, None, None]
+        for joint, own in ((ankle, planted.rotation), (toes, planted.toes)):
+            world[:, joint] = nearest_rotation((1 - share) * world[:, joint] + share * own)

@@ -1,0 +1,175 @@
+"""Who makes a gesture: somebody who stands, sways and breathes, made by code or captured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bunraku.body.layout import JOINT_COUNT, JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.motion import SkeletalMotion
+from bunraku.geometry.rotations import heading, matrix_y
+
+__all__ = ["AT", "PALM", "SIDES", "Hanging", "Planted", "Standing", "captured", "stands_well", "swaying"]
+
+AT = {name: index for index, name in enumerate(JOINT_NAMES)}
+"""Numbers of the joints by their names."""
+SIDES = (("left", 1.0), ("right", -1.0))
+"""Both sides, with the sign of x on them."""
+PALM = 0.09
+"""From the wrist to the middle of the palm [m]."""
+ANKLE = 0.035
+"""How far an ankle of a foot that stands is over or under its height at rest, at the most [m]."""
+APART = 0.55
+"""How far apart feet stand at the most [m]."""
+_STILL = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
+
+
+@dataclass(frozen=True)
+class Hanging:
+    """A hand that does nothing, in N frames.
+
+    Args:
+        palm: In the frame of the chest, from its joint [m], shape (N, 3).
+        ways: Where the fingers point, where the palm faces, to where the elbow is bent, in that frame, (N, 3, 3).
+    """
+
+    palm: np.ndarray
+    ways: np.ndarray
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A foot that stands, in N frames.
+
+    Args:
+        ankle: Position [m], shape (N, 3).
+        knee: Direction to which the knee is bent, shape (N, 3).
+        rotation: Of the foot in the world, shape (N, 3, 3).
+        toes: Of the toes in the world, shape (N, 3, 3).
+    """
+
+    ankle: np.ndarray
+    knee: np.ndarray
+    rotation: np.ndarray
+    toes: np.ndarray
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Somebody who stands, in N frames, facing +z.
+
+    Args:
+        hips: Where the pelvis is from where it is at rest [m], shape (N, 3).
+        rotations: Of the joints relative to their parents; those of arms and legs are not read, shape (N, 22, 3, 3).
+        lean: Added to that of the keys, shape (N, 3) [degrees].
+        head: The same of the head.
+        hands: By side; None where they hang as the keys say.
+        feet: By side; None where they stand as the keys say.
+        sways: The pelvis sways even where the feet step.
+    """
+
+    hips: np.ndarray
+    rotations: np.ndarray
+    lean: np.ndarray
+    head: np.ndarray
+    hands: dict[str, Hanging | None]
+    feet: dict[str, Planted | None]
+    sways: bool = False
+
+
+def swaying(seed: int, moments: np.ndarray) -> Standing:
+    """Small slow movements of who stands, made by code.
+
+    Args:
+        seed: Of their phases.
+        moments: Of the frames, shape (N,) [s].
+    """
+    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, 6)
+    slow = np.array([0.17, 0.13, 0.27, 0.11, 0.19, 0.15])  # breaths are the third, sixteen a minute
+    # of the pelvis to the left and ahead [m], the lean of the chest and the three angles of the head [degrees]
+    large = np.array([0.010, 0.006, 0.9, 1.5, 2.0, 1.0])
+    sway = large * np.sin(2 * np.pi * slow * moments[:, None] + phases)
+    none = np.zeros(len(moments))
+    return Standing(
+        np.stack([sway[:, 0], none, sway[:, 1]], axis=1),
+        np.tile(_STILL, (len(moments), 1, 1, 1)),
+        np.stack([sway[:, 2], none, none], axis=1),
+        sway[:, 3:],
+        {side: None for side, _ in SIDES},
+        {side: None for side, _ in SIDES},
+        sways=True,
+    )
+
+
+def stands_well(motion: SkeletalMotion) -> bool:
+    """Whether both feet stand flat side by side in all frames, so that somebody could make a gesture there."""
+    rest = reference_body().joints
+    _, positions = motion.world()
+    ankles = positions[:, [AT["left_ankle"], AT["right_ankle"]]]
+    level = np.abs(ankles[..., 1] - rest[AT["left_ankle"], 1]).max() < ANKLE
+    return bool(level and np.linalg.norm(ankles[:, 0] - ankles[:, 1], axis=1).max() < APART)
+
+
+def captured(motion: SkeletalMotion, at: np.ndarray) -> Standing:
+    """Somebody who was captured standing.
+
+    Args:
+        motion: Of the reference body's 22 joints, at rest where its feet are.
+        at: Frames of it, which need not be whole, shape (N,).
+    """
+    low = np.clip(at.astype(int), 0, max(len(motion) - 2, 0))
+    share = np.clip(at - low, 0, 1)
+    high = np.minimum(low + 1, len(motion) - 1)
+    rest = reference_body().joints.astype(float)
+    rotations, positions = (value.astype(float) for value in motion.world())
+    facing = matrix_y(np.array(-np.mean(heading(rotations[:, 0], motion.fps))))
+    ankles = positions[:, [AT["left_ankle"], AT["right_ankle"]]].mean(axis=(0, 1))
+    positions = (positions - ankles * [1, 0, 1]) @ facing.T
+    rotations = facing @ rotations
+    mixed = (1 - share)[:, None, None, None] * rotations[low] + share[:, None, None, None] * rotations[high]
+    world = _orthonormal(mixed)
+    where = (1 - share)[:, None, None] * positions[low] + share[:, None, None] * positions[high]
+    parents = motion.skeleton.parents
+    local = world.copy()
+    local[:, 1:] = np.swapaxes(world[:, parents[1:]], -1, -2) @ world[:, 1:]
+    hands: dict[str, Hanging | None] = {}
+    feet: dict[str, Planted | None] = {}
+    chest = AT["spine3"]
+    for side, sign in SIDES:
+        wrist, elbow, shoulder = (AT[f"{side}_{part}"] for part in ("wrist", "elbow", "shoulder"))
+        pointing = world[:, wrist] @ [sign, 0, 0]
+        ways = np.stack(
+            [
+                pointing,
+                world[:, wrist] @ [0, -1.0, 0],
+                _aside(where[:, shoulder], where[:, elbow], where[:, wrist], world[:, shoulder] @ [0, 0, -1.0]),
+            ],
+            axis=1,
+        )
+        palm = where[:, wrist] + PALM * pointing - where[:, chest]
+        hands[side] = Hanging((palm[:, None] @ world[:, chest])[:, 0], ways @ world[:, chest])
+        hip, knee, ankle, toes = (AT[f"{side}_{part}"] for part in ("hip", "knee", "ankle", "foot"))
+        bend = _aside(where[:, hip], where[:, knee], where[:, ankle], world[:, hip] @ [0, 0, 1.0])
+        feet[side] = Planted(where[:, ankle], bend, world[:, ankle], world[:, toes])
+    still = np.zeros((len(at), 3))
+    return Standing(where[:, 0] - rest[0], local, still, still, hands, feet)
+
+
+def _orthonormal(matrices: np.ndarray) -> np.ndarray:
+    """Rotations nearest to means of two that are near each other."""
+    first = matrices[..., 0] / np.linalg.norm(matrices[..., 0], axis=-1, keepdims=True)
+    second = matrices[..., 1] - (matrices[..., 1] * first).sum(-1, keepdims=True) * first
+    second = second / np.linalg.norm(second, axis=-1, keepdims=True)
+    return np.stack([first, second, np.cross(first, second)], axis=-1)
+
+
+def _aside(start: np.ndarray, bend: np.ndarray, end: np.ndarray, straight: np.ndarray) -> np.ndarray:
+    """To where a limb is bent; where it is straight, to where it would be, unit vectors (N, 3)."""
+    along = end - start
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    off = bend - start
+    off = off - (off * along).sum(1, keepdims=True) * along
+    off = off + 0.02 * (straight - (straight * along).sum(1, keepdims=True) * along)
+    return np.asarray(off / np.maximum(np.linalg.norm(off, axis=1, keepdims=True), 1e-9))

@@ -1,0 +1,85 @@
+"""What a clause says beyond its action: how often it is done, and parts of the body and movements that it adds.
+
+A gesture that only shows the action would leave them out.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Collection, Sequence
+
+from bunraku.language.foreign.table import table
+from bunraku.language.known.vocabulary import FUNCTION_WORDS, action_stems, stem
+from bunraku.language.lexicon.reading import said_phrases, words_of
+from bunraku.language.lexicon.tables import lexicon
+
+__all__ = ["added_words", "count_of", "stems_of", "tells_all"]
+
+MOST = 99
+"""How often something is done at the most."""
+_TIMES = frozenset(("time", "times"))
+
+
+def count_of(text: str) -> int | None:
+    """How often a text says that something is done: "twice", "three times", "two jumping jacks"; None where it says
+    nothing of that.
+    """
+    words, numbers = words_of(text)[0], lexicon().numbers
+    starts = set(said_phrases(text)["actions"].values())
+    for at, word in enumerate(words):
+        count = numbers.get(word) or (int(word) if word.isdecimal() and len(word) <= 2 else 0)
+        if not 0 < count <= MOST:
+            continue
+        if word in lexicon().adverbs or (at + 1 < len(words) and words[at + 1] in _TIMES):
+            return count
+        if at and {at + 1, at + 2} & starts:
+            return count
+    return None
+
+
+@functools.cache
+def _body() -> frozenset[str]:
+    """Stems of words for parts of the body."""
+    named = [word for row in table()["parts"] for word in row["en"].split("/")]
+    return frozenset(map(stem, [*named, *lexicon().body]))
+
+
+@functools.lru_cache(maxsize=1024)
+def stems_of(texts: tuple[str, ...]) -> frozenset[str]:
+    """Stems of all words of some sentences."""
+    return frozenset(stem(word) for text in texts for word in words_of(text)[0])
+
+
+@functools.lru_cache(maxsize=64)
+def _own(action: str) -> frozenset[str]:
+    """Stems of the words that say an action."""
+    words: set[str] = set()
+    for starting in lexicon().phrases.values():
+        for one in starting:
+            if one.section == "actions" and one.name == action:
+                words.update(*(part for part in one.words if part is not None))
+    return frozenset(map(stem, words))
+
+
+def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
+    """Words of a text that say a part of the body or a movement beyond its actions, as they stand there.
+
+    Args:
+        text: In English.
+        actions: What it says, in the lexicon's words.
+    """
+    own = frozenset().union(*map(_own, actions)) if actions else frozenset()
+    verbs = action_stems()
+    found = []
+    for word in words_of(text)[0]:
+        root = stem(word)
+        if word in FUNCTION_WORDS or word.endswith("ly") or not word.isalpha():
+            continue
+        if root in _body() or (root in verbs and root not in own):
+            found.append(word)
+    return tuple(dict.fromkeys(found))
+
+
+def tells_all(added: Collection[str], texts: tuple[str, ...]) -> bool:
+    """Whether all of the words that a clause adds are among those of some sentences."""
+    return all(stem(word) in stems_of(texts) for word in added)

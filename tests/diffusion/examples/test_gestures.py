@@ -1,0 +1,103 @@
+"""Which gestures the shipped pack offers: none that leaves out what a clause adds to its action.
+
+The sentences are those for which a wrong gesture was once played without a word.
+"""
+
+import pytest
+
+from bunraku.diffusion.examples.guidance_examples import GuidanceExamples
+from bunraku.diffusion.generation.networks import Networks
+from bunraku.diffusion.generation.texts import Texts
+from bunraku.language.parse import clause_of, parse
+
+
+@pytest.fixture(scope="module")
+def networks():
+    return Networks(None)
+
+
+def known(networks, prompt):
+    """What is found for a prompt, and its clauses."""
+    clauses = parse(prompt, force=True).clauses
+    texts = Texts.of(networks, [clauses], True, True, None)
+    return GuidanceExamples(networks.examples, texts.shown), clauses
+
+
+def offered(networks, prompt, seed=0):
+    """The examples that a prompt starts from, and the counts that they are made with."""
+    found, clauses = known(networks, prompt)
+    example = found.of([(clause, 120) for clause in clauses], (seed, 0), 0)
+    if example is None:
+        return [], []
+    return [networks.examples.examples[one.number] for one in example.found if one], [
+        manner.count for manner in example.manners
+    ]
+
+
+@pytest.mark.parametrize(
+    ("prompt", "lacking"),
+    [
+        ("scratch chin", ("chin",)),
+        ("plays the guitar behind the back", ("back",)),
+        ("claps above the head", ("head", "high")),
+        ("hop to the left", ("to the left",)),
+        ("punches twice with the right hand", ("2 times",)),
+    ],
+)
+def test_a_gesture_that_leaves_out_what_is_added_is_not_used_and_it_is_said(networks, prompt, lacking):
+    found, clauses = known(networks, prompt)
+    assert not any(one.made for seed in range(4) for one in offered(networks, prompt, seed)[0])
+    assert found.lacking(clauses[0]) == lacking
+
+
+def test_who_sits_with_crossed_legs_is_no_gesture_of_sitting(networks):
+    for seed in range(6):
+        for one in offered(networks, "sits while crossing legs", seed)[0]:
+            assert not one.made
+
+
+def test_back_of_the_head_and_slaps_are_no_gestures_of_something_else(networks):
+    for prompt in ("touches the back of the head", "slaps"):
+        assert parse(prompt, force=True).corrected == ()
+        assert not any(one.made for one in offered(networks, prompt)[0])
+
+
+@pytest.mark.parametrize(
+    ("prompt", "gesture", "count"),
+    [
+        ("knock twice", "gesture_knock", 2),
+        ("claps", "gesture_clap", None),
+        ("a person claps three times", "gesture_clap", 3),
+        ("nods 5 times", "gesture_nod", 5),
+        ("the child waves goodbye", "gesture_wave", None),
+    ],
+)
+def test_what_adds_nothing_is_a_gesture_with_its_count(networks, prompt, gesture, count):
+    examples, counts = offered(networks, prompt)
+    assert [one.name.rpartition("_")[0] for one in examples] == [gesture] and counts == [count]
+
+
+def test_either_hand_waves_where_none_is_named_and_nobody_salutes_with_the_left(networks):
+    def hands(prompt):
+        found, clauses = known(networks, prompt)
+        return {found.of([(clauses[0], 120)], (seed, 0), 0).found[0].mirrored for seed in range(24)}
+
+    assert hands("waves") == {False, True}
+    assert hands("waves with the left hand") == {True}
+    assert hands("salutes") == {False}
+
+
+def test_numbers_that_count_and_those_that_do_not():
+    counts = {
+        "claps twice": 2, "waves three times": 3, "does two jumping jacks": 2, "nods 4 times": 4, "bows once": 1,
+        "waves with two hands": None, "walks with one hand on the hip": None, "claps": None,
+    }  # fmt: skip
+    assert {text: clause_of(text).count for text in counts} == counts
+
+
+def test_what_a_clause_adds():
+    added = {
+        "scratches the chin": ("chin",), "sits while crossing legs": ("crossing", "legs"), "claps happily": (),
+        "waves at a friend": (), "a person applauds": (), "hugs somebody": (),
+    }  # fmt: skip
+    assert {text: clause_of(text).added for text in added} == added
