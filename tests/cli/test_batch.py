@@ -11,11 +11,11 @@ import pytest
 from bunraku.cli import main
 from bunraku.cli.verbs.batch import characters_of, clips_of, passes
 from bunraku.errors import FormatError
-from bunraku.formats.files import weights_folder
+from bunraku.formats.files import weights_file
 from bunraku.io.clips import load_clip
 
 needs_weights = pytest.mark.skipif(
-    not (weights_folder() / "diffusion.safetensors").is_file(), reason="the shipped weights are not there"
+    not (weights_file("diffusion.safetensors")).is_file(), reason="the shipped weights are not there"
 )
 QUICK = ("--seconds", "0.5", "--steps", "2", "--candidates", "1")
 

@@ -29,7 +29,7 @@ from torch import Tensor, nn
 
 from bunraku.diffusion.features import FEATURE_SIZE, feature_weights
 from bunraku.errors import WeightsError
-from bunraku.formats.files import weights_folder
+from bunraku.formats.files import weights_file
 from bunraku.language.encoders import MiniLMEncoder, TextBatch, TextEncoder
 from bunraku.nn.checkpoints import config_of, dated_checkpoint, fitted_network, load_checkpoint, save_checkpoint
 
@@ -285,7 +285,7 @@ def load_critic() -> Extractor | None:
     Raises:
         WeightsError: The weights are broken.
     """
-    if not (weights_folder() / "critic.safetensors").is_file():
+    if not weights_file("critic.safetensors").is_file():
         return None
     return _load(*dated_checkpoint("critic"))
 

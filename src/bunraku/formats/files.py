@@ -275,8 +275,17 @@ def _reason(error: Exception) -> str:
     return (getattr(error, "strerror", None) or str(error)).lower()
 
 
-def weights_folder() -> Path:
-    """Where the shipped checkpoints lie: in the folder that the environment variable BUNRAKU_WEIGHTS names, or in the
-    package.
+SHIPPED = Path(__file__).resolve().parents[1] / "weights"
+"""Where the checkpoints lie that Bunraku brings."""
+
+
+def weights_file(name: str) -> Path:
+    """Where a file of weights lies: in the package, or in the folders that the environment variable BUNRAKU_WEIGHTS
+    names, parted as those of PATH are, of which the first that has it counts.
+
+    Args:
+        name: The file, for example "diffusion.safetensors".
     """
-    return Path(os.environ.get("BUNRAKU_WEIGHTS") or Path(__file__).resolve().parents[1] / "weights")
+    named = os.environ.get("BUNRAKU_WEIGHTS")
+    folders = [Path(folder) for folder in named.split(os.pathsep) if folder] if named else []
+    return next((path for folder in folders if (path := folder / name).is_file()), (*folders, SHIPPED)[0] / name)

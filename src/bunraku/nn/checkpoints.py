@@ -20,7 +20,7 @@ from safetensors.torch import save
 
 from bunraku.core.request.json_form import from_json
 from bunraku.errors import FormatError, OptionError, WeightsError
-from bunraku.formats.files import atomic_write, weights_folder
+from bunraku.formats.files import atomic_write, weights_file
 from bunraku.nn.threads import one_thread
 
 __all__ = [
@@ -257,12 +257,12 @@ def dated_checkpoint(name: str, path: str | Path | None = None) -> tuple[Path, i
 def shipped_checkpoint(name: str) -> Path:
     """Path of a checkpoint that comes with Bunraku, for example `shipped_checkpoint("diffusion")`.
 
-    The environment variable BUNRAKU_WEIGHTS names another folder to look in.
+    The environment variable BUNRAKU_WEIGHTS names other folders to look in (`weights_file`).
 
     Raises:
         WeightsError: It is not there.
     """
-    path = weights_folder() / f"{name}.safetensors"
+    path = weights_file(f"{name}.safetensors")
     if not path.is_file():
         raise WeightsError(
             f"{path}: the '{name}' weights are missing; install Bunraku again, train them, or set BUNRAKU_WEIGHTS to "

@@ -22,7 +22,7 @@ from bunraku.diffusion.examples.pack import (
 )
 from bunraku.diffusion.features import decode, encode
 from bunraku.errors import WeightsError
-from bunraku.formats.files import weights_folder
+from bunraku.formats.files import weights_file
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.language.captions.phrases import mirror_words
 from bunraku.language.lexicon.cues import said_cues
@@ -94,7 +94,7 @@ def test_examples_of_another_ranker_and_none_at_all(pack, tmp_path, monkeypatch)
 
 
 def test_what_the_shipped_examples_say_is_stored_as_it_is_read_today():
-    path = weights_folder() / "examples.safetensors"
+    path = weights_file("examples.safetensors")
     if not path.is_file():
         pytest.skip("the shipped weights are not there")
     pack = read_pack(path)

@@ -163,12 +163,11 @@ def _preview() -> Iterator[Finding]:
 
 
 def _weights() -> Iterator[Finding]:
-    from bunraku.formats.files import weights_folder
+    from bunraku.formats.files import weights_file
     from bunraku.language.known.tokenizer import encoder_file
 
-    folder = weights_folder()
     for name, cost in WEIGHTS.items():
-        path = encoder_file() if name == "text" else folder / f"{name}.safetensors"
+        path = encoder_file() if name == "text" else weights_file(f"{name}.safetensors")
         if not path.is_file():
             yield Finding(f"{name} weights", "missing", f"{path} is not there", cost)
             continue

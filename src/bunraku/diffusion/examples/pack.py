@@ -334,10 +334,10 @@ def load_examples() -> ExamplePack | None:
     Raises:
         WeightsError: The file is damaged, or was made with another ranker than the one beside it.
     """
-    from bunraku.formats.files import weights_folder
+    from bunraku.formats.files import weights_file
     from bunraku.nn.checkpoints import dated_checkpoint
 
-    path = weights_folder() / "examples.safetensors"
+    path = weights_file("examples.safetensors")
     if not path.is_file():
         return None
     return _load(*dated_checkpoint("examples", path), *dated_checkpoint("ranker"))

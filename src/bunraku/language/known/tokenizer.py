@@ -14,7 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from bunraku.errors import WeightsError
-from bunraku.formats.files import weights_folder
+from bunraku.formats.files import SHIPPED, weights_file
 
 __all__ = ["WordPieces", "encoder_file", "read_header", "word_pieces"]
 
@@ -109,8 +109,8 @@ def _is_sign(letter: str) -> bool:
 
 def encoder_file() -> Path:
     """The text encoder's weights: in the folder that BUNRAKU_WEIGHTS names, where they are there, or in the package."""
-    path = weights_folder() / "text.safetensors"
-    return path if path.is_file() else Path(__file__).resolve().parents[2] / "weights" / path.name
+    path = weights_file("text.safetensors")
+    return path if path.is_file() else SHIPPED / path.name
 
 
 def read_header(path: Path) -> dict[str, str]:

@@ -18,15 +18,17 @@ __all__ = ["Characters", "MeshBank", "Motions"]
 
 @dataclass(frozen=True)
 class Motions:
-    """Turn a motion archive into handle motions of the reference body, to train on.
+    """Turn motions into handle motions of the reference body, to train on.
 
-    One file a clip; a second run goes on where the first one stopped.
+    The source is the packed archive, or a folder of one's own: BVH, FBX, GLB, AMASS and other motions with a
+    captions.csv beside them, whose columns are file and text, and where wanted start, end, clip, split, licence and
+    credit. One file a clip; a second run goes on where the first one stopped.
 
     Example: bunraku data motions --source archive -o data/motions --jobs 2
     """
 
     source: Path
-    """Folder that holds motions.npz and motions.json."""
+    """Folder that holds motions.npz and motions.json, or captions.csv and the motions that it names."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder to write to, made when it is not there."""
     jobs: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
@@ -54,22 +56,28 @@ class Motions:
         for folder in (self.characters, self.creatures):
             check_source(folder, "name the one of the unpacked character archive")
         from bunraku_lab.datasets.motions.build import build_motions
+        from bunraku_lab.datasets.motions.own import CAPTIONS, own_takes
+        from bunraku_lab.datasets.motions.takes import add_takes
         from bunraku_lab.datasets.motions.turns import add_turns
 
         failed: dict[str, str] = {}
         with stages() as report:
-            index = build_motions(self.source, self.output, self.jobs, report)
-            add_turns(self.output)
+            if (self.source / CAPTIONS).is_file():
+                index = self.output / "index.json"
+                failed = add_takes(own_takes(self.source), self.output, self.jobs, report)[1]
+            else:
+                index = build_motions(self.source, self.output, self.jobs, report)
+                add_turns(self.output)
             if self.characters is not None:
                 from bunraku_lab.datasets.motions.game_clips import add_game_clips
 
-                failed = add_game_clips(self.characters, self.output, report)[1]
+                failed |= add_game_clips(self.characters, self.output, report)[1]
             if self.creatures is not None:
                 from bunraku_lab.datasets.motions.creatures import add_creatures
 
                 failed |= add_creatures(self.creatures, self.output, report)[1]
             if self.humanml3d is not None or self.amass is not None:
-                from bunraku_lab.datasets.motions.humanml3d import add_takes, licensed_takes
+                from bunraku_lab.datasets.motions.humanml3d import licensed_takes
 
                 failed |= add_takes(licensed_takes(self.humanml3d, self.amass), self.output, self.jobs, report)[1]
         for reason in failed.values():

@@ -9,27 +9,16 @@ captions where they hold words.
 from __future__ import annotations
 
 import csv
-import os
 import re
-from collections.abc import Callable
-from concurrent.futures import as_completed
-from dataclasses import dataclass
 from pathlib import Path
 
-from bunraku.body.layout import JOINT_NAMES
-from bunraku.core.motion import SkeletalMotion
-from bunraku.core.resample import cut_motion, resample_motion
-from bunraku.errors import BunrakuError, FormatError
+from bunraku.errors import FormatError
 from bunraku.formats.arrays.humanml3d import HUMANML3D_FPS, TimedCaption, read_texts
-from bunraku.formats.files import sweep
-from bunraku.nn.pool import Pool
-from bunraku.retarget.from_mesh import handle_motion_of_body
 from bunraku_lab.datasets.motions.build import split_of
-from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip, write_index
+from bunraku_lab.datasets.motions.takes import Take
 
-__all__ = ["Take", "add_takes", "amass_takes", "humanml3d_takes", "licensed_takes"]
+__all__ = ["amass_takes", "humanml3d_takes", "licensed_takes"]
 
-SHORTEST, LONGEST = 1.0, 60.0  # seconds of a clip; longer ones are cut
 _SPLITS = {"train": "train", "val": "val", "test": "test"}
 _SKIPPED = {
     "Eyes_Japan_Dataset": 3.0,
@@ -39,29 +28,6 @@ _SKIPPED = {
     "Transitions_mocap": 0.5,
 }
 """Seconds that HumanML3D cut off the start of some sets before its index counts frames."""
-
-
-@dataclass(frozen=True)
-class Take:
-    """A clip to be made.
-
-    Args:
-        name: Its name in the index, plain and unique.
-        file: The motion that it is cut from.
-        texts: Captions.
-        split: "train", "val" or "test".
-        source: What the index says of where it is from.
-        start: When it begins in the file [s].
-        end: When it ends [s]; None for the end of the file.
-    """
-
-    name: str
-    file: Path
-    texts: tuple[str, ...]
-    split: str
-    source: str
-    start: float = 0.0
-    end: float | None = None
 
 
 def humanml3d_takes(folder: str | Path) -> list[Take]:
@@ -201,95 +167,3 @@ def _words(stem: str) -> tuple[str, ...]:
     """The caption that a take's name is: `03_walk_backwards_poses` says "walk backwards", `01_01_poses` nothing."""
     words = re.findall(r"[A-Z]?[a-z]{2,}", re.sub(r"_(poses|stageii)$", "", stem))
     return (" ".join(words).lower(),) if any(len(word) > 2 for word in words) else ()
-
-
-def _load(take: Take) -> SkeletalMotion:
-    from bunraku.io.registry import read_motion
-
-    motion = read_motion(take.file)
-    if not isinstance(motion, SkeletalMotion) or motion.skeleton.names != JOINT_NAMES:
-        raise FormatError(take.file, "this is no motion of SMPL's 22 joints")
-    end = len(motion) / motion.fps if take.end is None else take.end
-    motion = resample_motion(cut_motion(motion, take.start, min(end, take.start + LONGEST)), HUMANML3D_FPS)
-    if len(motion) < SHORTEST * HUMANML3D_FPS:
-        raise FormatError(
-            take.file, f"the {len(motion) / HUMANML3D_FPS:.2f} s of clip {take.name} are too short to learn from"
-        )
-    return motion
-
-
-def _convert(take: Take, out: Path) -> tuple[str, int, str]:
-    try:
-        motion = handle_motion_of_body(_load(take))
-        write_clip(out / f"{take.name}.npz", motion)
-        return take.name, len(motion), ""
-    except BunrakuError as error:
-        return take.name, 0, str(error)
-
-
-def add_takes(
-    takes: list[Take], out: str | Path, jobs: int | None = None, progress: Callable[[str, float], None] | None = None
-) -> tuple[list[str], dict[str, str]]:
-    """Convert takes to handle motion and add them to the index that `build_motions` wrote.
-
-    Clips that are there are not made again, so a second run goes on where the first one stopped.
-
-    Args:
-        takes: Of `humanml3d_takes` or `amass_takes`.
-        out: Folder of the motions; an index is begun where there is none.
-        jobs: Processes; the number of cores when None.
-        progress: Called with a stage's name and the share done.
-
-    Returns:
-        Names of the clips that are in the index now, and what failed with its reason.
-
-    Raises:
-        FormatError: The index is damaged, or cannot be written.
-    """
-    out = Path(out)
-    sweep(out)
-    clips = load_index(out) if (out / "index.json").is_file() else {}
-    by_name = {take.name: take for take in takes}
-    added: list[str] = []
-    failed: dict[str, str] = {}
-    since = 0
-
-    def enter(name: str, frames: int) -> None:
-        take = by_name[name]
-        entry = {"texts": list(take.texts), "source": take.source, "licence": "as the owner's", "frames": frames}
-        clips[name] = entry | {"split": take.split, "weight": 1.0}
-        added.append(name)
-
-    for name in by_name:  # the index may have been written anew without them
-        if (out / f"{name}.npz").is_file():
-            enter(name, len(load_clip(out / f"{name}.npz")))
-    made = set(added)
-    todo = [take for name, take in by_name.items() if name not in made]
-
-    def note(name: str, frames: int, problem: str) -> None:
-        nonlocal since
-        if problem:
-            failed[name] = problem
-        else:
-            enter(name, frames)
-        since += 1
-        if since >= 500:  # a run that is cut off keeps what it has done
-            write_index(out, clips)
-            since = 0
-        if progress:
-            progress("converting licensed motions", (len(added) + len(failed)) / len(by_name))
-
-    jobs = jobs or os.cpu_count() or 1
-    if jobs == 1 or len(todo) < 8:
-        for take in todo:
-            note(*_convert(take, out))
-    else:
-        try:
-            with Pool(jobs) as pool:
-                for future in as_completed([pool.submit(_convert, take, out) for take in todo]):
-                    note(*future.result())
-        except KeyboardInterrupt:
-            write_index(out, clips)
-            raise
-    write_index(out, clips)
-    return added, failed

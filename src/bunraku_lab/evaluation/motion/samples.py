@@ -17,7 +17,7 @@ import numpy as np
 
 from bunraku.diffusion.features import FEATURE_SIZE, FeatureStatistics, encode
 from bunraku.errors import OptionError
-from bunraku.formats.files import atomic_write, weights_folder
+from bunraku.formats.files import atomic_write, weights_file
 from bunraku_lab.training.runs.half_precision import bf16_is_fast
 
 if TYPE_CHECKING:
@@ -241,7 +241,7 @@ def _key(
     wanted = [[request.sentence, request.frames] for request in requests]
     how = [sampling.steps, sampling.guidance, sampling.method, sampling.seed, adapt, bf16, BATCH]
     if sampling.candidates > 1 or sampling.examples or sampling.classifier_guidance:
-        files = [path for name in CHOOSING if (path := weights_folder() / f"{name}.safetensors").is_file()]
+        files = [path for name in CHOOSING if (path := weights_file(f"{name}.safetensors")).is_file()]
         how += [sampling.candidates, sampling.examples, sampling.classifier_guidance, *map(checkpoint_digest, files)]
     say = [digest, wanted, how, None if mesh is None else np.asarray(mesh, float).round(4).tolist()]
     return hashlib.sha256(json.dumps(say).encode()).hexdigest()[:20]

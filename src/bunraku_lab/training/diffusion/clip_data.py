@@ -36,6 +36,8 @@ class ClipEntry(TypedDict, total=False):
     next: str
     source: str
     licence: str
+    credit: str
+    rehearsed: bool
 
 
 def _features(path: Path, motion: HandleMotion) -> np.ndarray:

@@ -77,6 +77,7 @@ class Mixture:
             by them.
         balance: Power of the number of an action's clips by which it is drawn.
         most_drawn: How many times as often as the median clip one is drawn at the most.
+        rehearse: Share of people's draws that are of what the network knew before, where there is any.
     """
 
     creatures: float = 0.25
@@ -85,6 +86,7 @@ class Mixture:
     events: float = 0.15
     balance: float = 0.5
     most_drawn: float = np.inf
+    rehearse: float = 0.0
 
 
 class ClipSet:
@@ -105,7 +107,7 @@ class ClipSet:
         self.frames = frames
         self.statistics = statistics
         self.computed, self.borrowed, self.events = mixture.computed, mixture.borrowed, mixture.events
-        self.balance, self.most_drawn = mixture.balance, mixture.most_drawn
+        self.balance, self.most_drawn, self.rehearse = mixture.balance, mixture.most_drawn, mixture.rehearse
         self._share = feature_weights()
         self._still = (-statistics.mean[:3] / statistics.std[:3]).astype(np.float32)  # a root at rest, in network units
         self._bucket: tuple[tuple[Any, ...], list[Row], np.ndarray] | None = None
@@ -157,6 +159,10 @@ class ClipSet:
             weights[members] = worth * np.sqrt(np.clip(seconds.sum(), 4, 120)) * share / max(share.sum(), 1e-9)
         if any(clip.watched for clip in self.clips):
             weights[~animal] = self._by_action(~animal)
+        known = np.array([clip.rehearsed for clip in self.clips])
+        if known.any() and (new := ~animal & ~known).any():
+            weights[known] *= self.rehearse / weights[known].sum()
+            weights[new] *= (1 - self.rehearse) / weights[new].sum()
         if animal.any() and not animal.all():
             weights[animal] *= creatures / weights[animal].sum()
             weights[~animal] *= (1 - creatures) / weights[~animal].sum()

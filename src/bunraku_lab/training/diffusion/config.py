@@ -8,7 +8,10 @@ from pathlib import Path
 
 from bunraku_lab.training.runs.settings import RunSettings
 
-__all__ = ["TrainingConfig"]
+__all__ = ["SHIPPED", "TrainingConfig"]
+
+SHIPPED = Path("shipped")
+"""In place of a path: the weights that Bunraku brings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +20,10 @@ class TrainingConfig(RunSettings):
 
     Args:
         data: Folder that `bunraku data motions` wrote, or the file that `bunraku data bundle` made of it.
-        start: Weights to start a new run from, for example the shipped ones, to go on with them on other data.
+        start: Weights to start a new run from, to go on with them on other data; "shipped" is the denoiser that Bunraku
+            brings, with its sizes and units.
+        rehearse: Share of people's rows that are captured examples which Bunraku brings, so that a network that goes on
+            with few clips keeps what it knows.
         preset: "small" trains on a CPU, "paper" is TapMo's size, "mdm" is the encoder-only denoiser to compare with.
         minutes: Stop after so many minutes of training, earlier sessions of the run included; None for no limit.
         steps: Stop after so many optimiser steps; None for no limit.
@@ -68,6 +74,7 @@ class TrainingConfig(RunSettings):
     data: Path = Path("runs/data/motions")
     out: Path = Path("runs/diffusion")
     start: Path | None = None
+    rehearse: float = 0.0
     preset: str = "small"
     minutes: float | None = 60.0
     steps: int | None = None

@@ -17,20 +17,24 @@ from typing import Any
 
 import torch
 
+from bunraku.diffusion.checkpoint import load_denoiser
 from bunraku.diffusion.denoiser_config import PRESETS, DenoiserConfig
 from bunraku.diffusion.denoiser_layers import RetrievedExamples
 from bunraku.diffusion.examples.attended import ExampleBank, example_bank, take_of
-from bunraku.diffusion.examples.pack import read_pack
+from bunraku.diffusion.examples.pack import ExamplePack, load_examples, read_pack
 from bunraku.diffusion.features import FeatureStatistics
-from bunraku.errors import OptionError
+from bunraku.errors import OptionError, WeightsError
 from bunraku.formats.files import sweep
 from bunraku.language.encoders import MiniLMEncoder, TextBatch, TextEncoder, text_encoder
-from bunraku.nn.checkpoints import load_training_state
+from bunraku.nn.checkpoints import load_training_state, shipped_checkpoint
 from bunraku_lab.datasets.characters.bank_file import load_character_bank
 from bunraku_lab.datasets.motions.bundle import read_bundle
+from bunraku_lab.training.diffusion.card import training_card, write_card
 from bunraku_lab.training.diffusion.clip_data import load_clips
 from bunraku_lab.training.diffusion.clip_rows import ClipSet, Mixture, MotionBatch
+from bunraku_lab.training.diffusion.config import SHIPPED
 from bunraku_lab.training.diffusion.mesh_bank import load_mesh_bank
+from bunraku_lab.training.diffusion.rehearsal import rehearsal_clips
 from bunraku_lab.training.diffusion.text_bank import TextBank
 from bunraku_lab.training.diffusion.trainer import Example, Trainer, TrainingConfig
 from bunraku_lab.training.diffusion.warm_start import start_from
@@ -90,6 +94,18 @@ def _prefetch(
     return ready
 
 
+def _pack(config: TrainingConfig) -> ExamplePack:
+    """The examples of a run.
+
+    Raises:
+        WeightsError: They are missing or damaged.
+    """
+    pack = load_examples() if config.example_pack is None else read_pack(config.example_pack)
+    if pack is None:
+        raise WeightsError("the shipped examples are missing; install Bunraku again or name some with --example-pack")
+    return pack
+
+
 def _sentences(clips: list[ClipSet]) -> list[str]:
     return sorted({sentence for part in clips for sentence in part.sentences()})
 
@@ -115,6 +131,9 @@ def train_diffusion(
         raise OptionError(f"the preset '{config.preset}' is unknown; choose one of: {', '.join(PRESETS)}")
     if config.batch < 1 or (config.minutes is not None and config.minutes <= 0) or (config.steps or 0) < 0:
         raise OptionError("batch, minutes and steps must be positive")
+    if not 0 <= config.rehearse < 1:
+        raise OptionError(f"the share that is rehearsed must be 0 to below 1, not {config.rehearse:g}")
+    shipped = load_denoiser(shipped_checkpoint("diffusion")) if config.start == SHIPPED else None
     config.prepare()
     sweep(config.out)
     processes = open_processes(config.device)
@@ -123,14 +142,21 @@ def train_diffusion(
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("clips", total=None)
         clips = load_clips(config.data, lambda done, total: bar.update(task, completed=done, total=total))
+        card = training_card(clips, config)
+        if config.rehearse:
+            clips |= rehearsal_clips(_pack(config))
         training = [entry for entry in clips.values() if entry.get("split", "train") == "train"]
         measured = _statistics(config.out / "state.safetensors")
+        if measured is None and shipped is not None:  # few clips say little of the units
+            measured = FeatureStatistics(shipped.mean.numpy(), shipped.std.numpy())
         statistics = measured or FeatureStatistics.measure([entry["features"] for entry in training])
         notes: dict[str, object] = {"creatures": True} if any(entry.get("species") for entry in training) else {}
+        network = network or (None if shipped is None else shipped.config)
         frames = (network or PRESETS[config.preset]).frames
         mixture = Mixture(
-            config.creatures, config.computed, config.borrowed, config.events, config.balance, config.most_drawn
-        )
+            config.creatures, config.computed, config.borrowed, config.events, config.balance, config.most_drawn,
+            config.rehearse,
+        )  # fmt: skip
         train, val = (ClipSet(clips, statistics, split, frames, mixture) for split in ("train", "val"))
         del clips, training
         if encoder is None:
@@ -171,12 +197,11 @@ def train_diffusion(
     if state.is_file():
         trainer.restore(state, network)
     elif config.start is not None:
-        start_from(config.start, trainer.model)
+        start_from(config.start if shipped is None else shipped_checkpoint("diffusion"), trainer.model)
         trainer.average.load_state_dict(trainer.model.state_dict())
     sources = _Sources(bank)
     if network.examples:
-        pack = None if config.example_pack is None else read_pack(config.example_pack)
-        sources = _Sources(bank, example_bank(trainer.model, pack, encoder))
+        sources = _Sources(bank, example_bank(trainer.model, _pack(config), encoder))
     examples = _validation(trainer, val, sources) if processes.main else []
     console.print(
         f"{len(train.clips)} training and {len(val.clips)} validation clips, {len(bank)} sentences, "
@@ -190,6 +215,8 @@ def train_diffusion(
         path = run.learn(run.tell)
     finally:
         ended.set()
+    if processes.main:
+        write_card(path, card)
     console.print(
         f"saved {config.out} at step {trainer.step}" + ("; the same command goes on" if trainer.progress() < 1 else "")
     )

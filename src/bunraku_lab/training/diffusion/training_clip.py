@@ -52,6 +52,7 @@ class TrainingClip:
         species: What creature it is of; None for people.
         action: What is done, in a canonical word, where the index says so.
         character: The creature's name in the mesh bank; None for any humanoid.
+        rehearsed: It is not of the data, but something that the network knew before.
     """
 
     name: str
@@ -66,6 +67,7 @@ class TrainingClip:
     species: str | None = None
     action: str | None = None
     character: str | None = None
+    rehearsed: bool = False
 
     @property
     def label(self) -> str:
@@ -139,7 +141,10 @@ class TrainingClip:
             loop,
             ends_at_rest,
             entry.get("next"),
-            *creature,
+            creature[0],
+            creature[1],
+            creature[2],
+            bool(entry.get("rehearsed")),
         )
 
     def lengthened(self, target: int, still: np.ndarray, random: np.random.Generator) -> np.ndarray:
