@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bunraku.formats.files import STALE, atomic_write, open_input, open_once, sweep
+from bunraku.formats.files import SHIPPED, STALE, atomic_write, open_input, open_once, sweep, weights_file
 
 KILLED = """
 import os, signal, sys
@@ -74,3 +74,16 @@ def test_what_is_told_apart_is_what_is_read_within_one_opening(tmp_path):
     with open_input(path) as file:
         assert file.read() == b"second"
     assert file.closed
+
+
+def test_weights_are_found_in_the_first_folder_that_has_them(tmp_path, monkeypatch):
+    for folder, name in (("one", "a"), ("two", "a"), ("two", "b")):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / name).write_text("")
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", os.pathsep.join([str(tmp_path / "one"), str(tmp_path / "two"), ""]))
+    assert [weights_file(name).parent.name for name in "ab"] == ["one", "two"]
+    assert weights_file("diffusion.md").parent == SHIPPED and weights_file("c").parent.name == "one"
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path / "one"))
+    assert weights_file("diffusion.md").parent.name == "one"
+    monkeypatch.delenv("BUNRAKU_WEIGHTS")
+    assert weights_file("diffusion.md").parent == SHIPPED

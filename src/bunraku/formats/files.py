@@ -281,11 +281,11 @@ SHIPPED = Path(__file__).resolve().parents[1] / "weights"
 
 def weights_file(name: str) -> Path:
     """Where a file of weights lies: in the package, or in the folders that the environment variable BUNRAKU_WEIGHTS
-    names, parted as those of PATH are, of which the first that has it counts.
+    names, parted as those of PATH are, of which the first that has it counts; an empty part is the package's own.
 
     Args:
         name: The file, for example "diffusion.safetensors".
     """
     named = os.environ.get("BUNRAKU_WEIGHTS")
-    folders = [Path(folder) for folder in named.split(os.pathsep) if folder] if named else []
-    return next((path for folder in folders if (path := folder / name).is_file()), (*folders, SHIPPED)[0] / name)
+    folders = [Path(folder) if folder else SHIPPED for folder in named.split(os.pathsep)] if named else [SHIPPED]
+    return next((path for folder in folders if (path := folder / name).is_file()), folders[0] / name)

@@ -26,6 +26,7 @@ from bunraku.diffusion.examples.pack import (
     IDLE,
     KIND,
     MADE,
+    OWN,
     Example,
     ExamplePack,
     fingerprint,
@@ -127,7 +128,7 @@ def build_examples(
     ranker = load_ranker(path)
     encoder = encoder or text_encoder(ranker.config.text_encoder)
     if settings.add_to is not None:
-        return _with_what_it_lacks(settings, ranker, encoder)
+        return _with_what_it_lacks(settings, ranker, encoder, progress)
     clips = _people(settings, progress)
     statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
     rows = ClipSet(clips, statistics, "train", mixture=Mixture(creatures=0.0, borrowed=0.0))
@@ -167,9 +168,11 @@ def _people(settings: ExampleSettings, progress: Callable[[str, float], None]) -
     return {name: entry for name, entry in found.items() if not entry.get("species")}
 
 
-def _with_what_it_lacks(settings: ExampleSettings, ranker: Extractor, encoder: TextEncoder) -> ExamplePack:
-    """The pack of `settings.add_to` with the gestures whose sentences it lacks, and idles where it has none and there
-    are captured clips.
+def _with_what_it_lacks(
+    settings: ExampleSettings, ranker: Extractor, encoder: TextEncoder, progress: Callable[[str, float], None]
+) -> ExamplePack:
+    """The pack of `settings.add_to` with the gestures whose sentences it lacks, idles where it has none and there are
+    captured clips, and all clips of one's own (`datasets.takes.captioned`) that have become data.
 
     Raises:
         OptionError: The pack was made with another ranker.
@@ -186,6 +189,11 @@ def _with_what_it_lacks(settings: ExampleSettings, ranker: Extractor, encoder: T
         idles = list(_idles(clips))[: settings.idles]
         licences.update(str(clips[one.name.removesuffix(IDLE)].get("licence", "unknown")) for one in idles)
         found += idles
+    if settings.data.exists():
+        own = {name: entry for name, entry in _people(settings, progress).items() if name.startswith(OWN)}
+        if own:
+            found += [one for one in _of_ones_own(own) if one.texts not in known]
+            licences.update(str(own[one.name].get("licence", "unknown")) for one in found if one.kind == OWN)
     texts, motions, owners = _vectors(found, ranker, encoder) if found else (base.texts[:, :0], base.motions[:, :0], [])
     added = [one.skeleton or skeleton_from_handles(decode(one.features), rounds=1) for one in found]
     pack = ExamplePack(
@@ -201,6 +209,14 @@ def _with_what_it_lacks(settings: ExampleSettings, ranker: Extractor, encoder: T
     frames = sum(one.frames for one in pack.examples)
     write_pack(settings.out, pack, notes | {"licences": dict(licences), "frames": frames})
     return pack
+
+
+def _of_ones_own(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
+    """All clips that are no longer than what is drawn at once."""
+    rows = ClipSet(clips, FeatureStatistics.measure([entry["features"] for entry in clips.values()]))
+    for clip in rows.clips:
+        if len(clip.values) <= LONGEST:
+            yield _Stretch(clip.name, OWN, clip.texts, clips[clip.name]["features"], clip.loop)
 
 
 def _stretches(rows: ClipSet, clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
@@ -286,7 +302,7 @@ def _vectors(
     motions = np.array([embed_motions(ranker, [way(one.features) for one in found]) for way in (np.asarray, mirror)])
     motions /= RADIUS
     for index, one in enumerate(found):
-        if one.kind == GESTURE and one.texts:  # the ranker has seen none of them, and they are what their sentences say
+        if one.kind in (GESTURE, OWN) and one.texts:  # the ranker never saw them, and they are what their sentences say
             centre = texts[:, owners == index].mean(axis=1)
             motions[:, index] = centre / np.linalg.norm(centre, axis=-1, keepdims=True)
     return texts, motions, owners

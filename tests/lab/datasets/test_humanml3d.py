@@ -11,8 +11,8 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.errors import FormatError
 from bunraku_lab.cli.data.samples import Motions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_index
-from bunraku_lab.datasets.motions.humanml3d import amass_takes, humanml3d_takes, licensed_takes
-from bunraku_lab.datasets.motions.takes import add_takes
+from bunraku_lab.datasets.takes.humanml3d import amass_takes, humanml3d_takes, licensed_takes
+from bunraku_lab.datasets.takes.takes import add_takes
 
 CAPTION = "a person bends.#a/DET person/NOUN bend/VERB#0.0#0.0\nbowing#bow/VERB#0.0#0.0\n"
 

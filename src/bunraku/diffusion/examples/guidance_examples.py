@@ -56,12 +56,12 @@ class GuidanceExamples:
         """What a clause says beyond an action whose gestures leave that out, so that none of them is used."""
         return self._lacking.get(clause.text, ())
 
-    def made(self, script: Sequence[tuple[Clause, int]]) -> bool:
-        """Whether a clause requests a gesture that is made by code since no clip has it: the network has not learned
-        it either.
+    def unranked(self, script: Sequence[tuple[Clause, int]]) -> bool:
+        """Whether a clause requests what the ranker has never seen, a gesture that is made by code or a clip of one's
+        own: the network may not have learned it either.
         """
         return any(
-            self.pack.examples[found.number].made
+            self.pack.examples[found.number].unranked
             for clause, _ in script
             for found in self._found.get(clause.text, [])[:1]
         )

@@ -115,7 +115,8 @@ def laid(
     features = pack.features(found.number)
     if found.mirrored:
         features = mirror(features)
-    made = np.full(frames, pack.examples[found.number].made)
+    example = pack.examples[found.number]
+    made = np.full(frames, example.unranked)  # the network may have seen no more of it than the ranker
     loop = _loop(pack, found)
     if closed:
         share = np.full(frames, loop is not None, np.float32)
@@ -129,12 +130,12 @@ def laid(
         start = int(random.integers(len(values) - frames + 1))
         return Guide(values[start : start + frames], np.ones(frames, np.float32), made)
     lead = min(int((frames - len(values)) * random.uniform(0.15, 0.5)), _LEAD)
-    first = _end(features[:END], values[:END], features[-1, 3], statistics, bool(made[0]))
-    last = _end(features[-END:], values[-END:], features[0, 3], statistics, bool(made[0]))
+    first = _end(features[:END], values[:END], features[-1, 3], statistics, example.made)
+    last = _end(features[-END:], values[-END:], features[0, 3], statistics, example.made)
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
     led = longer = values
     if len(values) < frames and pack.standing:
-        own = [index for index in pack.standing if pack.examples[index].made == made[0]] or pack.standing
+        own = [index for index in pack.standing if pack.examples[index].made == example.made] or pack.standing
         standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in own]
         before, after = (Joins(standing, near=NEAR if end == "stays" else np.inf) for end in (first, last))
         if first != "free" and lead > AROUND:  # nothing of the motion itself is cross-faded

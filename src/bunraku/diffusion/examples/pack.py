@@ -35,6 +35,7 @@ __all__ = [
     "IDLE",
     "KIND",
     "MADE",
+    "OWN",
     "Example",
     "ExamplePack",
     "Said",
@@ -53,6 +54,8 @@ KIND = "examples"
 FPS = 20.0
 MADE = "gesture_"
 """How the names of those begin that are made by code."""
+OWN = "own_"
+"""How the names of those begin that somebody has added to the shipped ones."""
 IDLE = "#idle"
 """How the names of those end in which somebody stands by whom gestures are made."""
 _AND = ", "
@@ -80,6 +83,11 @@ class Example:
     texts: tuple[str, ...]
     frames: int
     loop: tuple[int, int] | None = None
+
+    @property
+    def unranked(self) -> bool:
+        """Whether the ranker has never seen its like: it is made by code, or a clip of one's own."""
+        return self.name.startswith((MADE, OWN))
 
     @property
     def made(self) -> bool:

@@ -114,7 +114,7 @@ def generate_motions(
         whole = [clause if known.shows(clause) else clause.body for clause in scripts[row]]
         second = [clause.meanwhile or clause for clause in scripts[row]]
         script, gestures = (list(zip(clauses, lengths, strict=True)) for clauses in (whole, second))
-        if number < plain and not known.made(script) and not known.made(gestures):
+        if number < plain and not known.unranked(script) and not known.unranked(gestures):
             return None, None
         turn = attempt * (how.candidates - plain) + max(number - plain, 0)
         return known.of(script, noise[row], turn), known.of(gestures, noise[row], turn)

@@ -38,7 +38,9 @@ class Examples:
     """Weights of the ranker in place of the shipped ones."""
 
     add_to: Path | None = None
-    """A pack to write again with the gestures that it lacks, such as the shipped one; --data is not needed then."""
+    """A pack to write again with the gestures that it lacks, and with the clips of one's own that `bunraku data
+    motions` made of a captions.csv, where --data names these; "shipped" is the one that Bunraku brings.
+    """
 
     def run(self) -> None:
         check_range("--stretches", self.stretches, 1, 1000)
@@ -46,13 +48,13 @@ class Examples:
         if self.add_to is None:
             check_source(self.data, "name the folder that 'bunraku data motions' wrote")
         check_output(self.output, [".safetensors"])
+        from bunraku.nn.checkpoints import shipped_checkpoint
         from bunraku_lab.training.example_pack import ExampleSettings, build_examples
 
+        base = shipped_checkpoint("examples") if self.add_to == Path("shipped") else self.add_to
         with stages() as report:
             pack = build_examples(
-                ExampleSettings(
-                    self.data, self.output, self.stretches, self.events, ranker=self.ranker, add_to=self.add_to
-                ),
+                ExampleSettings(self.data, self.output, self.stretches, self.events, ranker=self.ranker, add_to=base),
                 progress=report,
             )
         seconds = sum(example.frames for example in pack.examples) / 20

@@ -56,9 +56,9 @@ class Motions:
         for folder in (self.characters, self.creatures):
             check_source(folder, "name the one of the unpacked character archive")
         from bunraku_lab.datasets.motions.build import build_motions
-        from bunraku_lab.datasets.motions.own import CAPTIONS, own_takes
-        from bunraku_lab.datasets.motions.takes import add_takes
         from bunraku_lab.datasets.motions.turns import add_turns
+        from bunraku_lab.datasets.takes.captioned import CAPTIONS, own_takes
+        from bunraku_lab.datasets.takes.takes import add_takes
 
         failed: dict[str, str] = {}
         with stages() as report:
@@ -77,7 +77,7 @@ class Motions:
 
                 failed |= add_creatures(self.creatures, self.output, report)[1]
             if self.humanml3d is not None or self.amass is not None:
-                from bunraku_lab.datasets.motions.humanml3d import licensed_takes
+                from bunraku_lab.datasets.takes.humanml3d import licensed_takes
 
                 failed |= add_takes(licensed_takes(self.humanml3d, self.amass), self.output, self.jobs, report)[1]
         for reason in failed.values():

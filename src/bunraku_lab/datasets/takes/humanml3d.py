@@ -15,7 +15,7 @@ from pathlib import Path
 from bunraku.errors import FormatError
 from bunraku.formats.arrays.humanml3d import HUMANML3D_FPS, TimedCaption, read_texts
 from bunraku_lab.datasets.motions.build import split_of
-from bunraku_lab.datasets.motions.takes import Take
+from bunraku_lab.datasets.takes.takes import Take
 
 __all__ = ["amass_takes", "humanml3d_takes", "licensed_takes"]
 

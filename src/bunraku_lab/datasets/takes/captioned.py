@@ -21,8 +21,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from bunraku.diffusion.examples.pack import OWN
 from bunraku.errors import FormatError
-from bunraku_lab.datasets.motions.takes import Take
+from bunraku_lab.datasets.takes.takes import Take
 
 __all__ = ["CAPTIONS", "own_takes"]
 
@@ -111,4 +112,4 @@ def _name(name: str, clip: str, start: float | None, end: float | None) -> str:
     """A plain name for a take, by what it is cut from, so that other cuts of a file are other clips."""
     parts = [Path(name).with_suffix("").as_posix(), clip]
     parts += [f"{seconds:.2f}" for seconds in (start, end) if seconds is not None]
-    return "own_" + re.sub(r"[^A-Za-z0-9]+", "_", "_".join(filter(None, parts))).strip("_")
+    return OWN + re.sub(r"[^A-Za-z0-9]+", "_", "_".join(filter(None, parts))).strip("_")

@@ -21,7 +21,7 @@ __all__ = ["Take", "add_takes"]
 
 FPS = 20.0
 """Frames a second of clips to train on [1/s]."""
-SHORTEST, LONGEST = 1.0, 60.0  # seconds of a clip; longer ones are cut
+SHORTEST, LONGEST = 0.4, 60.0  # seconds of a clip: what training can take; longer ones are cut
 
 
 @dataclass(frozen=True)
