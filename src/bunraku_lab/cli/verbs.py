@@ -109,6 +109,11 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "EvaluatePhysics",
         "measure the simulated apparel of MMD and VRM characters",
     ),
+    ("evaluate", "tables"): (
+        "bunraku_lab.cli.evaluate.tables",
+        "EvaluateTables",
+        "measure the papers' tables, theirs and ours side by side",
+    ),
     ("evaluate", "study"): (
         "bunraku_lab.cli.evaluate.study",
         "EvaluateStudy",

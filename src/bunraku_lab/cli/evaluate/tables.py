@@ -1,0 +1,72 @@
+"""`bunraku evaluate tables`: the papers' tables, theirs and ours side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from bunraku.cli.output.checks import check_folder, check_input, check_source
+from bunraku.cli.output.progress import stages
+from bunraku_lab.cli.evaluate.printed import Printed
+from bunraku_lab.evaluation.report import Report
+
+__all__ = ["EvaluateTables"]
+
+
+@dataclass(frozen=True)
+class EvaluateTables(Printed):
+    """Measure every row of a paper's tables that can be measured here, beside the paper's own figures.
+
+    Ratios are to the same row on both sides, since the data are others. What is not run says what it lacks. Rows are
+    kept in --work by what they depend on, so a second run, or one that was stopped, does only what is new.
+
+    Example: bunraku evaluate tables --paper tapmo --table 2 --characters archive --mdm
+    benchmarks/weights/mdm.safetensors
+    """
+
+    paper: Literal["tapmo", "mmdmc"] = "tapmo"
+    """Whose tables."""
+    table: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
+    """Number of one table. Default: all."""
+    data: Path | None = None
+    """Folder that `bunraku data motions` wrote."""
+    characters: Path | None = None
+    """Folder of rigged characters, searched through."""
+    apparel: Path | None = None
+    """Folder that `bunraku data apparel` wrote."""
+    mdm: Path | None = None
+    """Weights of the encoder-only network, "TapMo (MDM)"."""
+    bodies: tuple[Path, ...] = ()
+    """Body networks of MMDMC's table 4. Default: the shipped one."""
+    work: Path = Path("runs/tables")
+    """Folder that keeps what was measured."""
+    quick: bool = False
+    """On few windows, characters and clips."""
+    seed: int = 0
+    """Of everything random."""
+
+    def run(self) -> None:
+        for path in (*self.bodies, *([self.mdm] if self.mdm is not None else [])):
+            check_input(path)
+        check_source(self.data, "name the folder that `bunraku data motions` wrote")
+        check_source(self.characters, "name a folder of rigged characters")
+        check_source(self.apparel, "name the folder that `bunraku data apparel` wrote")
+        check_folder(self.work)
+        from bunraku_lab.evaluation.tables.measured import TablesConfig, measure_tables
+
+        config = TablesConfig(
+            self.paper, self.table, self.data, self.characters, self.apparel, self.mdm, self.bodies, self.work,
+            self.quick, self.seed,
+        )  # fmt: skip
+        with stages() as report:
+            found = measure_tables(config, report)
+        self.show({"tables": found}, _report)
+
+
+def _report(result: dict[str, Any]) -> Report:
+    from bunraku_lab.evaluation.tables.paper_table import shown_table
+
+    return Report([part for table in result["tables"] for part in shown_table(table)])

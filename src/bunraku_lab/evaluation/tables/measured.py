@@ -1,0 +1,178 @@
+"""All tables of a paper, measured: which groups of rows exist, what each needs, and whose figures become which row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bunraku.errors import BunrakuError, OptionError, WeightsError
+from bunraku.nn.checkpoints import shipped_checkpoint
+from bunraku_lab.evaluation.tables.mmdmc import MMDMC
+from bunraku_lab.evaluation.tables.paper_table import Figures, Group, NotRun, PaperTable, measured_table
+from bunraku_lab.evaluation.tables.tapmo import TAPMO
+
+__all__ = ["PAPERS", "TablesConfig", "measure_tables"]
+
+PAPERS: dict[str, tuple[PaperTable, ...]] = {"tapmo": TAPMO, "mmdmc": MMDMC}
+_NETWORKS = ("diffusion", "extractor", "ranker", "critic", "handles")
+_APPAREL = ("apparel", "apparel-mask", "apparel-body", "apparel-refinement")
+_MEASURES = {
+    "R-Precision 1": "r_precision_1", "R-Precision 3": "r_precision_3", "FID": "fid", "MM-Dist": "mm_dist",
+    "Diversity": "diversity", "MModality": "multimodality",
+}  # fmt: skip
+_MOTION_ROWS = {
+    "real": "real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "ours, one sample", "tapmo_chosen": "ours, as animate chooses",
+}  # fmt: skip
+_MODULES = {
+    "body module": "body", "body + apparel": "body + apparel", "with joint refinement": "full",
+    "with joint refinement, true mask": "full, true mask",
+}  # fmt: skip
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class TablesConfig:
+    """What is measured, and from what.
+
+    Args:
+        paper: "tapmo" or "mmdmc".
+        number: Of the table; None for all of the paper.
+        data: Folder that `bunraku data motions` wrote.
+        characters: Folder of rigged characters.
+        apparel: Folder that `bunraku data apparel` wrote.
+        mdm: Weights of the encoder-only network.
+        bodies: Body networks of MMDMC's table 4.
+        work: Folder that keeps what was measured.
+        quick: On few windows, characters and clips.
+        seed: Of everything random.
+    """
+
+    paper: str = "tapmo"
+    number: int | None = None
+    data: Path | None = None
+    characters: Path | None = None
+    apparel: Path | None = None
+    mdm: Path | None = None
+    bodies: tuple[Path, ...] = ()
+    work: Path = Path("runs/tables")
+    quick: bool = False
+    seed: int = 0
+
+
+def measure_tables(config: TablesConfig, report: Report | None = None) -> list[dict[str, Any]]:
+    """The tables as JSON can say them (`measured_table`). What cannot be run says why, and all else is measured.
+
+    Args:
+        config: What is measured.
+        report: Called with a stage's name and the share done.
+
+    Raises:
+        OptionError: The paper has no such table.
+    """
+    report = report or (lambda stage, done: None)
+    tables = [table for table in PAPERS[config.paper] if config.number in (None, table.number)]
+    if not tables:
+        numbers = ", ".join(str(table.number) for table in PAPERS[config.paper])
+        raise OptionError(f"{config.paper} has no table {config.number} of figures; choose one of: {numbers}")
+    out = []
+    for table in tables:
+        figures: Figures = {}
+        reason = ""
+        try:
+            group = _group(table, config, report)
+            figures = _rows(table, group.figures(config.work)) if group is not None else {}
+        except (NotRun, BunrakuError, ImportError) as error:
+            reason = str(error)
+        out.append(measured_table(table, figures, reason) | {"counts": dict(figures.get("counts", {}))})
+    return out
+
+
+def _group(table: PaperTable, config: TablesConfig, report: Report) -> Group | None:
+    if table.paper == "mmdmc":
+        return _apparel_group(config, report)
+    return {1: _motion_group, 2: _distortion_group}[table.number](config, report) if table.number in (1, 2) else None
+
+
+def _rows(table: PaperTable, figures: Figures) -> Figures:
+    """The figures of a group that are this table's."""
+    if table.paper == "tapmo":
+        return figures
+    first = f"{table.number}: "
+    return {name.removeprefix(first): values for name, values in figures.items() if name.startswith(first)}
+
+
+def _needed(path: Path | None, option: str, what: str) -> Path:
+    if path is None:
+        raise NotRun(f"{option} names no {what}")
+    return path
+
+
+def _seen(config: TablesConfig, *names: str) -> dict[str, Any]:
+    """What figures depend on: the shipped networks, the clips that there are, and the settings."""
+    found: dict[str, Any] = {"quick": config.quick, "seed": config.seed}
+    for name in names:
+        try:
+            found[name] = shipped_checkpoint(name)
+        except WeightsError:
+            found[name] = "missing"
+    return found
+
+
+def _motion_group(config: TablesConfig, report: Report) -> Group:
+    data = _needed(config.data, "--data", "folder that `bunraku data motions` wrote")
+    mdm = _needed(config.mdm, "--mdm", "weights of the encoder-only network")
+
+    def run() -> Figures:
+        from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion
+
+        sizes = (
+            {"pool": 96, "references": 300, "clips": 80, "runs": 3, "prompts": 4, "repeats": 4}
+            if config.quick
+            else {"pool": 1600, "references": 3000, "clips": 1000, "runs": 20}
+        )
+        settings: dict[str, Any] = {**sizes, "seed": config.seed, "best_of": 3, "work": config.work / "motions"}
+        found = evaluate_motion(MotionEvalConfig(data=data, mdm=mdm, **settings), report)["rows"]
+        return {
+            title: {column: found[name][key]["mean"] for column, key in _MEASURES.items() if key in found[name]}
+            for name, title in _MOTION_ROWS.items()
+            if name in found
+        }
+
+    return Group("motion", run, {**_seen(config, *_NETWORKS), "mdm": mdm, "data": data / "index.json"})
+
+
+def _distortion_group(config: TablesConfig, report: Report) -> Group:
+    characters = _needed(config.characters, "--characters", "folder of rigged characters")
+    mdm = _needed(config.mdm, "--mdm", "weights of the encoder-only network")
+
+    def run() -> Figures:
+        from bunraku_lab.evaluation.tables.distortion import DistortionConfig, measure_distortion
+
+        count, prompts = (4, 3) if config.quick else (15, 6)
+        how = DistortionConfig(characters, mdm, count=count, prompts=prompts, seed=config.seed)
+        return measure_distortion(how, report)
+
+    files = ",".join(sorted(path.name for path in characters.rglob("*") if path.is_file()))
+    return Group("distortion", run, {**_seen(config, "diffusion", "handles"), "mdm": mdm, "characters": files})
+
+
+def _apparel_group(config: TablesConfig, report: Report) -> Group:
+    data = _needed(config.apparel, "--apparel", "folder that `bunraku data apparel` wrote")
+
+    def run() -> Figures:
+        from bunraku_lab.evaluation.apparel.table import ApparelEvalConfig, evaluate_apparel
+
+        clips = 6 if config.quick else 60
+        found = evaluate_apparel(ApparelEvalConfig(data, clips=clips, bodies=config.bodies, quick=True), report)
+        tables = {title.partition(" (")[2].partition(")")[0]: rows for title, rows in found["tables"].items()}
+        modules = {_MODULES[name]: row for name, row in tables.get("Table 3", {}).items() if name in _MODULES}
+        out = {f"3: {name}": row for name, row in modules.items()}
+        out |= {f"4: {name}": row for name, row in tables.get("Table 4", {}).items()}
+        return out | ({"2: ours": modules["full"]} if "full" in modules else {})
+
+    bodies = {f"body {number}": path for number, path in enumerate(config.bodies)}
+    index = next(iter(sorted(data.glob("*.json"))), data)
+    return Group("apparel", run, {**_seen(config, *_APPAREL), **bodies, "data": index})

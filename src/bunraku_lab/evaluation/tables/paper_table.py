@@ -1,0 +1,162 @@
+"""A table of a paper beside what is measured here: its rows, its columns, and what was not run."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bunraku import __version__
+from bunraku.errors import BunrakuError
+from bunraku.formats.files import atomic_write
+from bunraku_lab.evaluation.report import Table
+
+__all__ = ["Group", "NotRun", "PaperRow", "PaperTable", "measured_table", "shown_table"]
+
+Figures = Mapping[str, Mapping[str, float]]
+"""Of each row, by the names of the columns."""
+
+
+class NotRun(BunrakuError):
+    """What a group of rows lacks to be measured; its sentence says what to give."""
+
+
+@dataclass(frozen=True)
+class PaperRow:
+    """A method.
+
+    Args:
+        name: As the paper calls it, or as we call ours.
+        paper: The paper's figures, in the order of the columns; None where it has no such row or figure.
+        missing: Why it cannot be measured here, where it never is.
+    """
+
+    name: str
+    paper: Sequence[float | None] | None = None
+    missing: str = ""
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """A table.
+
+    Args:
+        paper: "tapmo" or "mmdmc".
+        number: Of the table in the paper.
+        title: What it compares.
+        columns: Names, with their unit.
+        rows: Methods.
+        reference: The row that the ratios are to.
+        note: What the table cannot say.
+    """
+
+    paper: str
+    number: int
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[PaperRow]
+    reference: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows that are measured together.
+
+    Args:
+        name: Plain, for the file that keeps them.
+        run: Measures them. It raises `NotRun` where something is not there.
+        of: What the figures depend on beside the version: settings, and files whose bytes count.
+    """
+
+    name: str
+    run: Callable[[], Figures]
+    of: Mapping[str, Any] = field(default_factory=dict)
+
+    def figures(self, work: Path) -> Figures:
+        """What was measured before of the same, or is measured now and kept.
+
+        Args:
+            work: Folder that keeps them.
+        """
+        kept = work / f"{self.name}-{self.fingerprint()}.json"
+        if kept.is_file():
+            found: Figures = json.loads(kept.read_text(encoding="utf-8"))
+            return found
+        measured = {row: dict(values) for row, values in self.run().items()}
+        work.mkdir(parents=True, exist_ok=True)
+        with atomic_write(kept) as file:
+            file.write(json.dumps(measured, indent=1).encode())
+        return measured
+
+    def fingerprint(self) -> str:
+        """What tells the version, the settings and the files from others."""
+        seen = hashlib.sha256(__version__.encode())
+        for key, value in sorted(self.of.items()):
+            seen.update(key.encode())
+            path = value if isinstance(value, Path) else None
+            if path is not None and path.is_file():
+                with path.open("rb") as file:
+                    seen.update(hashlib.file_digest(file, "sha256").digest())
+            else:
+                seen.update(str(value).encode())
+        return seen.hexdigest()[:16]
+
+
+def measured_table(table: PaperTable, figures: Figures, not_run: str = "") -> dict[str, Any]:
+    """A table as JSON can say it: of each row and column the paper's figure, ours, and both over the reference row's.
+
+    Args:
+        table: The table.
+        figures: What was measured.
+        not_run: Why nothing was.
+    """
+    paper_of = {row.name: row.paper for row in table.rows}
+    rows = []
+    for row in table.rows:
+        cells = {}
+        for index, column in enumerate(table.columns):
+            said = None if row.paper is None else row.paper[index]
+            own = figures.get(row.name, {}).get(column)
+            base = paper_of.get(table.reference)
+            cells[column] = {
+                "paper": said,
+                "ours": own,
+                "paper_over_reference": _over(said, None if base is None else base[index]),
+                "ours_over_reference": _over(own, figures.get(table.reference, {}).get(column)),
+            }
+        reason = "" if row.name in figures else row.missing or not_run or "its group measured no such row"
+        rows.append({"name": row.name, "cells": cells, "not_run": reason})
+    return {
+        "paper": table.paper, "number": table.number, "title": table.title, "reference": table.reference,
+        "columns": list(table.columns), "rows": rows, "note": table.note,
+    }  # fmt: skip
+
+
+def _over(value: float | None, base: float | None) -> float | None:
+    return value / base if value is not None and base else None
+
+
+def shown_table(measured: Mapping[str, Any]) -> list[Table | str]:
+    """A measured table for people, and a line for each row that was not run."""
+    head = [""]
+    for column in measured["columns"]:
+        head += [f"{column}, paper", "ours", "ratio, paper", "ratio, ours"]
+    rows = [head]
+    for row in measured["rows"]:
+        cells = [row["name"]]
+        for column in measured["columns"]:
+            found = row["cells"][column]
+            cells += [_cell(found[key]) for key in ("paper", "ours", "paper_over_reference", "ours_over_reference")]
+        rows.append(cells)
+    title = f"{measured['paper'].upper()}, table {measured['number']}: {measured['title']}"
+    parts: list[Table | str] = [Table(rows, title=f"{title} (ratios to {measured['reference']})")]
+    parts += [f"not run: {row['name']}: {row['not_run']}" for row in measured["rows"] if row["not_run"]]
+    return parts + ([measured["note"]] if measured["note"] else [])
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"

@@ -1,0 +1,74 @@
+"""The papers' tables: what is kept, what is said of rows that were not run, and ratios."""
+
+import json
+
+import pytest
+
+from bunraku.errors import OptionError
+from bunraku_lab.cli.evaluate.tables import EvaluateTables
+from bunraku_lab.evaluation.report import Report
+from bunraku_lab.evaluation.tables.measured import PAPERS, TablesConfig, measure_tables
+from bunraku_lab.evaluation.tables.paper_table import Group, PaperRow, PaperTable, measured_table, shown_table
+
+TABLE = PaperTable(
+    "tapmo", 9, "a table", ("loss",),
+    (PaperRow("base", (0.8,)), PaperRow("ours", (0.2,)), PaperRow("other", (0.4,), "no data")), "base", "A note.",
+)  # fmt: skip
+
+
+def test_both_sides_are_over_their_own_reference():
+    found = measured_table(TABLE, {"base": {"loss": 3.0}, "ours": {"loss": 1.5}})
+    base, ours, other = (row["cells"]["loss"] for row in found["rows"])
+    assert (base["paper_over_reference"], base["ours_over_reference"]) == (1, 1)
+    assert ours["paper_over_reference"] == pytest.approx(0.25) and ours["ours_over_reference"] == pytest.approx(0.5)
+    assert other["ours"] is None and other["ours_over_reference"] is None
+    assert [row["not_run"] for row in found["rows"]] == ["", "", "no data"]
+    shown = Report(shown_table(found)).markdown()
+    assert "| ours | 0.2 | 1.5 | 0.25 | 0.5 |" in shown and "not run: other: no data" in shown and "A note." in shown
+
+
+def test_what_was_measured_is_kept_until_what_it_depends_on_changes(tmp_path):
+    calls = []
+    weights = tmp_path / "weights"
+    weights.write_bytes(b"one")
+
+    def run():
+        calls.append(1)
+        return {"ours": {"loss": 1.0}}
+
+    for expected in (1, 1):
+        assert Group("some", run, {"weights": weights}).figures(tmp_path / "work") == {"ours": {"loss": 1.0}}
+        assert len(calls) == expected
+    weights.write_bytes(b"two")
+    Group("some", run, {"weights": weights}).figures(tmp_path / "work")
+    Group("some", run, {"weights": weights, "quick": True}).figures(tmp_path / "work")
+    assert len(calls) == 3
+
+
+def test_without_data_every_row_says_what_it_lacks(tmp_path):
+    for paper, tables in PAPERS.items():
+        found = measure_tables(TablesConfig(paper, work=tmp_path))
+        assert [table["number"] for table in found] == [table.number for table in tables]
+        for table in found:
+            assert all(row["not_run"] for row in table["rows"])
+    assert any(
+        "--mdm" in row["not_run"] or "--data" in row["not_run"] for row in measure_tables(TablesConfig())[0]["rows"]
+    )
+
+
+def test_a_table_that_is_not_there_is_refused():
+    with pytest.raises(OptionError, match="table 7"):
+        measure_tables(TablesConfig("mmdmc", 7))
+
+
+def test_the_papers_rows_are_as_long_as_their_columns_and_name_their_reference():
+    for table in (table for tables in PAPERS.values() for table in tables):
+        assert table.reference in [row.name for row in table.rows]
+        assert {len(row.paper) for row in table.rows if row.paper is not None} <= {len(table.columns)}
+
+
+def test_the_command_prints_json(tmp_path, capsys):
+    EvaluateTables(paper="mmdmc", table=3, work=tmp_path, json=True).run()
+    (table,) = json.loads(capsys.readouterr().out)["tables"]
+    assert table["rows"][2]["cells"]["PMD_a"]["paper"] == 1.91
+    assert table["rows"][2]["cells"]["PMD_a"]["paper_over_reference"] == pytest.approx(1.91 / 5.42)
