@@ -7,7 +7,7 @@ import {
   about, attempt, change, character, characters, comparing, doc, ended, ownTakes, pause, remember, say, take, takes,
   time, uploading,
 } from "./state";
-import type { Character, Doc, Sentence, Settings, Take } from "./types";
+import type { Character, Doc, LibraryClip, Sentence, Settings, Take } from "./types";
 
 interface Made {
   job: string;
@@ -15,6 +15,10 @@ interface Made {
   /** The sentences as the server took them: those of a sequence in one text one by one. */
   script?: Sentence[];
 }
+
+/** Whether the bones of the file can do what the timeline says: a clip of the library moves handles. */
+const rigged = (now: Doc): boolean =>
+  Boolean(characters.value.find((one) => one.id === now.character)?.skeleton) && !now.script.some((part) => part.clip);
 
 /** What generating is told, of the document. */
 export function asked(now: Doc): Record<string, unknown> {
@@ -28,6 +32,7 @@ export function asked(now: Doc): Record<string, unknown> {
     in_place: now.inPlace,
     apparel: now.apparel,
     stiffness: now.stiffness,
+    rig: now.rig === "own" && rigged(now) ? "own" : "handles",
     path: now.path.length > 1 ? now.path : [],
     pins: now.apparel !== "simulate" ? now.pins.filter((pin) => pin.time < now.script.reduce((sum, part) => sum + part.seconds, 0)) : [],
   };
@@ -132,6 +137,37 @@ export async function dress(): Promise<void> {
       await send("DELETE", `/takes/${one.id}`);
     }
   });
+}
+
+/** A take of the one that is chosen with left and right exchanged, or of a stretch of it. */
+export async function remake(name: string, values: { mirror: true } | { trim: [number, number] }): Promise<void> {
+  const one = take.value;
+  if (!one || one.state !== "done") {
+    return;
+  }
+  await attempt(async () => {
+    const made = await send<Made>("POST", `/takes/${one.id}/change`, { prompt: "", ...values });
+    settle(name, made, scriptOf(one));
+    time.value = 0;
+  });
+}
+
+const played = (clip: LibraryClip): Sentence => ({ text: clip.sentence, seconds: Math.max(clip.seconds, 0.5), clip: clip.name });
+
+/** Make a take of a clip of the library alone. */
+export async function playClip(clip: LibraryClip): Promise<void> {
+  change("play a clip", { script: [played(clip)], sentence: 0, path: [] });
+  pause();
+  await generate();
+}
+
+/** Put a clip of the library into the timeline, before a sentence of it or at its end. */
+export function addClip(clip: LibraryClip, before = doc.value.script.length): void {
+  const { script } = doc.value;
+  const only = script.length === 1 && !script[0]?.clip && !script[0]?.text.trim();
+  const at = only ? 0 : Math.min(before, script.length);
+  change("add a clip", { script: only ? [played(clip)] : [...script.slice(0, at), played(clip), ...script.slice(at)], sentence: at });
+  pause();
 }
 
 export function choose(id: string): void {
@@ -303,12 +339,23 @@ export async function openAsMotion(file: File): Promise<void> {
   });
 }
 
-/** Write a take as a file of another program and hand it to the browser. */
-export async function download(one: Take, format: string): Promise<void> {
-  await attempt(async () => {
-    const made = await send<{ job: string; export: string; title: string }>("POST", `/takes/${one.id}/exports`, { format });
+/** Write takes as files of another program, each its own or as the clips of one, and hand them to the browser. */
+export async function download(some: Take[], settings: { format: string; fps: number; together: boolean; preset?: string }): Promise<void> {
+  const { format, fps, together, preset } = settings;
+  const written = async (path: string, body: unknown): Promise<void> => {
+    const made = await send<{ job: string; export: string; title: string }>("POST", path, body);
     await ended(made.job);
     hand(new Blob([await bytes(`/exports/${made.export}`)]), made.title);
+  };
+  await attempt(async () => {
+    const owner = some[0]?.character;
+    if (preset || (together && some.length > 1)) {
+      await written(`/characters/${owner}/exports`, { takes: some.map((one) => one.id), fps, ...(preset ? { preset } : {}) });
+      return;
+    }
+    for (const one of some) {
+      await written(`/takes/${one.id}/exports`, { format, fps });
+    }
   });
 }
 
@@ -351,6 +398,7 @@ export function replayLink(one: Take): string {
     path: told.path ?? [],
     apparel: told.apparel ?? "rigid",
     stiffness: told.stiffness ?? 1,
+    rig: told.rig ?? "handles",
   });
   return `${location.origin}/#replay=${text}`;
 }

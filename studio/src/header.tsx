@@ -1,72 +1,42 @@
 // The bar at the top: undo, export, jobs, light and dark, keys.
 
 import { signal } from "@preact/signals";
-import { download, hand, saveProject } from "./actions";
-import { Menu } from "./menu";
-import { filming, holder, seconds, viewer } from "./stage";
-import { about, attempt, canRedo, canUndo, character, online, playing, redo, running, say, take, time, undo } from "./state";
+import { useRef } from "preact/hooks";
+import { openAll } from "./drop";
+import { exporting, film, stopFilm } from "./export";
+import { about, canRedo, canUndo, online, redo, running, take, undo } from "./state";
 
 type Theme = "light" | "dark";
 const system = matchMedia("(prefers-color-scheme: dark)");
 const stored = localStorage.getItem("bunraku-theme") as Theme | null;
 export const theme = signal<Theme>(stored ?? (system.matches ? "dark" : "light"));
 export const help = signal(false);
-const film = signal<{ done: number; name: string } | null>(null);
-let stop = false;
-
-const FORMATS: Record<string, string> = {
-  glb: "GLB — engines, web, Blender",
-  fbx: "FBX — Unity, Unreal, Maya",
-  bvh: "BVH — the skeleton's motion",
-  vrma: "VRMA — VRM avatars",
-  vmd: "VMD — MikuMikuDance",
-  usdz: "USDZ — USD, AR",
-  npz: "NPZ — the handle motion",
-};
-
-async function shoot(kind: "mp4" | "gif"): Promise<void> {
-  const view = viewer;
-  const one = take.value;
-  const place = holder;
-  if (!view || !one || !place || film.value) {
-    return;
-  }
-  await attempt(async () => {
-    const video = await import("./video");
-    const before = { playing: playing.value, time: time.value };
-    playing.value = false;
-    filming.on = true;
-    stop = false;
-    film.value = { done: 0, name: kind };
-    try {
-      const shot = {
-        viewer: view,
-        seconds: seconds(),
-        told: (done: number) => void (film.value = { done, name: kind }),
-        stopped: () => stop,
-      };
-      const made =
-        kind === "mp4" ? await video.mp4(shot, 1280, 720, 30) : await video.gif(shot, 480, 360, 15);
-      hand(made, `${character.value?.name ?? "take"}.${kind}`);
-      say(`${kind.toUpperCase()}: ${(made.size / 1e6).toFixed(1)} MB`);
-    } finally {
-      filming.on = false;
-      film.value = null;
-      view.restore(place);
-      playing.value = before.playing;
-      time.value = before.time;
-    }
-  });
-}
-
 export function Header() {
   const one = take.value;
   const ready = one?.state === "done";
+  const files = useRef<HTMLInputElement>(null);
   return (
     <header class="top">
       <h1>
         Bunraku <span>studio</span>
       </h1>
+      <button id="open" onClick={() => files.current?.click()}>
+        Open…
+      </button>
+      <input
+        ref={files}
+        type="file"
+        multiple
+        hidden
+        id="open-files"
+        onChange={(event) => {
+          const found = new Map([...(event.currentTarget.files ?? [])].map((file) => [file.name, file]));
+          event.currentTarget.value = "";
+          if (found.size) {
+            void openAll(found);
+          }
+        }}
+      />
       <button class="icon" aria-label="undo" title={canUndo.value ? `undo: ${canUndo.value} (Ctrl Z)` : "undo"} disabled={canUndo.value === null} onClick={() => void undo()}>
         ↶
       </button>
@@ -77,7 +47,7 @@ export function Header() {
       {film.value && (
         <span role="status">
           {film.value.name} <progress max={1} value={film.value.done} />{" "}
-          <button class="link" onClick={() => (stop = true)}>
+          <button class="link" onClick={stopFilm}>
             stop
           </button>
         </span>
@@ -88,28 +58,9 @@ export function Header() {
         </span>
       )}
       {!online.value && <span class="bad">not connected</span>}
-      <Menu id="export" label="Export ▾" disabled={!ready}>
-        {one && (
-          <>
-            {about.value?.writes
-              .filter((format) => format !== "vmd" || character.value?.mmd)
-              .map((format) => (
-                <button role="menuitem" key={format} onClick={() => void download(one, format)}>
-                  {FORMATS[format] ?? format.toUpperCase()}
-                </button>
-              ))}
-            <button role="menuitem" onClick={() => void shoot("mp4")}>
-              MP4 — a video of the view
-            </button>
-            <button role="menuitem" onClick={() => void shoot("gif")}>
-              GIF — a small loop
-            </button>
-            <button role="menuitem" onClick={() => void saveProject()}>
-              .bunraku — character and takes as one project file
-            </button>
-          </>
-        )}
-      </Menu>
+      <button id="export" aria-haspopup="dialog" disabled={!ready} onClick={() => (exporting.value = true)}>
+        Export…
+      </button>
       <button
         class="icon"
         aria-label={theme.value === "dark" ? "light colours" : "dark colours"}

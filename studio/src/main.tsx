@@ -1,6 +1,6 @@
 // The page of the studio.
 
-import { batch, effect, signal } from "@preact/signals";
+import { effect, signal } from "@preact/signals";
 import { render } from "preact";
 import { useEffect } from "preact/hooks";
 import { choose, replay, star } from "./actions";
@@ -8,17 +8,19 @@ import { hashOf, send, setToken } from "./api";
 import { Boundary } from "./boundary";
 import { dropped } from "./drop";
 import { Header, Help, help, theme } from "./header";
-import { Characters, Takes } from "./panels";
-import { changing, Prompt } from "./prompt";
-import { EMPTY, readReplay, type Replay } from "./schema";
+import { Export } from "./export";
+import { DRAGGED, Library } from "./library";
+import { Characters } from "./characters";
+import { Prompt } from "./prompt";
+import { readReplay, type Replay } from "./schema";
 import { Stage, viewer } from "./stage";
 import {
-  about, aside, attempt, change, character, characters, colouring, comparing, doc, drawing, follow, locked, notice, online,
-  ownTakes, playing, redo, start, take, takes, time, trouble, undo, warm,
+  about, aside, attempt, character, comparing, drawing, follow, locked, notice, ownTakes, playing, redo, start, take, time,
+  trouble, undo, warm,
 } from "./state";
 import { Study } from "./study";
+import { Takes } from "./takes";
 import { pinPose, Timeline } from "./timeline";
-import type { Doc } from "./types";
 import "./style.css";
 
 function keys(event: KeyboardEvent): void {
@@ -147,11 +149,59 @@ function Asking() {
   ) : null;
 }
 
+/** What the dots in the view are. */
+function Legend() {
+  const shown = !playing.value && take.value?.state === "done" && take.value.skin === "handles" && !comparing.value;
+  return shown && (character.value?.ends?.length ?? 0) > 0 ? (
+    <p class="legend">
+      <i class="dot" /> drag: a hand or foot &nbsp; <i class="dot pinned" /> pinned now
+    </p>
+  ) : null;
+}
+
+const side = signal<"characters" | "clips">("characters");
+
+/** Characters, or the clip library. */
+function Sides() {
+  const tabs = ["characters", "clips"] as const;
+  return (
+    <>
+      <div class="tabs" role="tablist" aria-label="characters and clips">
+        {tabs.map((one) => (
+          <button
+            key={one}
+            id={`tab-${one}`}
+            role="tab"
+            aria-selected={side.value === one}
+            aria-controls="side"
+            tabIndex={side.value === one ? 0 : -1}
+            onClick={() => (side.value = one)}
+            onKeyDown={(event) => {
+              if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
+                event.stopPropagation();
+                side.value = one === "clips" ? "characters" : "clips";
+                document.getElementById(`tab-${side.value}`)?.focus();
+              }
+            }}
+          >
+            {one === "clips" ? "Clips" : "Characters"}
+          </button>
+        ))}
+      </div>
+      <div id="side" role="tabpanel" aria-labelledby={`tab-${side.value}`}>
+        <Boundary name={side.value}>{side.value === "clips" ? <Library /> : <Characters />}</Boundary>
+      </div>
+    </>
+  );
+}
+
 function App() {
   useEffect(() => {
     const over = (event: DragEvent): void => {
       event.preventDefault();
-      document.body.classList.add("dropping");
+      if (!event.dataTransfer?.types.includes(DRAGGED)) {
+        document.body.classList.add("dropping");
+      }
     };
     const out = (event: DragEvent): void => {
       if (!event.relatedTarget) {
@@ -161,7 +211,7 @@ function App() {
     const drop = (event: DragEvent): void => {
       event.preventDefault();
       document.body.classList.remove("dropping");
-      if (event.dataTransfer) {
+      if (event.dataTransfer && !event.dataTransfer.types.includes(DRAGGED)) {
         void attempt(() => dropped(event.dataTransfer as DataTransfer));
       }
     };
@@ -195,11 +245,14 @@ function App() {
         </Boundary>
         <Warnings />
       </div>
+      <div class="say">
+        <Boundary name="the sentence">
+          <Prompt />
+        </Boundary>
+      </div>
       <main>
         <aside class="left">
-          <Boundary name="characters">
-            <Characters />
-          </Boundary>
+          <Sides />
         </aside>
         <Boundary name="the view">
           <Stage>
@@ -207,7 +260,8 @@ function App() {
               <p class="empty">Drop a character here, or choose a sample.</p>
             )}
             {character.value?.state === "opening" && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
-            {drawing.value && <p class="badge">drag on the floor where it goes; the sentence says how</p>}
+            {drawing.value && <p class="badge">drag on the floor where it goes, or type its points below; the sentence says how</p>}
+            <Legend />
           </Stage>
         </Boundary>
         <aside class="right">
@@ -217,13 +271,11 @@ function App() {
         </aside>
       </main>
       <footer>
-        <Boundary name="the sentence">
-          <Prompt />
-        </Boundary>
         <Boundary name="the timeline">
           <Timeline />
         </Boundary>
       </footer>
+      <Export />
       <Asking />
       <Help />
       <Notice />
@@ -253,42 +305,7 @@ if (root) {
       asking.value = readReplay(wanted);
     }
   });
-}
-
-declare global {
-  interface Window {
-    studio: unknown;
+  if (import.meta.env.MODE === "checked") {
+    void import("./checks"); // tests look into the page; what is shipped holds nothing of it
   }
 }
-/** For tests: the state, and the view at a time of their choosing. */
-window.studio = {
-  /** As a page that was never used, on the oldest character and its newest take that is done. */
-  fresh: (values: Partial<Doc>) => {
-    const first = characters.value.find((one) => one.state === "ready") ?? null;
-    const done = takes.value.filter((one) => one.character === first?.id && one.state === "done");
-    const newest = done.sort((one, other) => other.created - one.created)[0];
-    batch(() => {
-      doc.value = { ...EMPTY, character: first?.id ?? null, take: newest?.id ?? null, ...values };
-      comparing.value = drawing.value = playing.value = changing.value = false;
-      follow.value = true;
-      colouring.value = "none";
-      notice.value = null;
-      time.value = 0;
-    });
-  },
-  doc,
-  take,
-  character,
-  takes: ownTakes,
-  notice,
-  online,
-  playing,
-  time,
-  change,
-  view: () => viewer,
-  set: (seconds: number) => {
-    playing.value = false;
-    time.value = seconds;
-    viewer?.draw(true);
-  },
-};

@@ -61,11 +61,13 @@ export function handleColour(handle: number): Color {
 
 const painted = new MeshStandardMaterial({ vertexColors: true, roughness: 0.85 });
 
-/** Show the character as it is, each vertex in the colours of its handles, or how far one handle moves it. */
-export function colour(model: Model, way: "none" | "handles" | "weights", handle: number): void {
+const glass = new MeshStandardMaterial({ color: 0x9aa3ad, transparent: true, opacity: 0.22, depthWrite: false, side: 2 });
+
+/** Show the character as it is, each vertex in the colours of its handles, how far one handle moves it, or its skeleton through it. */
+export function colour(model: Model, way: "none" | "handles" | "weights" | "skeleton", handle: number): void {
   for (const skin of model.skins) {
-    if (way === "none") {
-      skin.material = model.plain.get(skin) ?? painted;
+    if (way === "none" || way === "skeleton") {
+      skin.material = way === "none" ? (model.plain.get(skin) ?? painted) : glass;
       continue;
     }
     const geometry = model.bare.get(skin) ?? skin.geometry;
@@ -99,7 +101,7 @@ export function colour(model: Model, way: "none" | "handles" | "weights", handle
     material.side = Array.isArray(own) ? 2 : (own?.side ?? 2);
     skin.material = material;
   }
-  if (way === "none") {
+  if (way === "none" || way === "skeleton") {
     for (const geometry of model.bare.values()) {
       const before = geometry.userData["colour"] as BufferAttribute | null | undefined;
       if (before) {

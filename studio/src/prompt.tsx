@@ -2,11 +2,12 @@
 
 import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { generate, regenerate } from "./actions";
+import { generate, playClip, regenerate } from "./actions";
 import { send } from "./api";
+import { clipOf, knowClips } from "./library";
 import { MOST_LETTERS } from "./schema";
 import { fromFile, tooLong } from "./script";
-import { change, character, doc, pause, say, take } from "./state";
+import { attempt, change, character, doc, pause, say, take } from "./state";
 import type { Understanding } from "./types";
 
 const understanding = signal<{ text: string; found: Understanding } | null>(null);
@@ -50,7 +51,15 @@ function Backdrop({ text }: { text: string }) {
 
 function sentence(text: string): void {
   const { script, sentence: number } = doc.value;
-  change("type", { script: script.map((part, place) => (place === number ? { ...part, text } : part)) });
+  change("type", { script: script.map((part, place) => (place === number ? { text, seconds: part.seconds } : part)) });
+}
+
+async function suggest(name: string): Promise<void> {
+  await attempt(knowClips);
+  const clip = clipOf(name);
+  if (clip) {
+    await playClip(clip);
+  }
 }
 
 export function Prompt() {
@@ -74,6 +83,7 @@ export function Prompt() {
   return (
     <form
       class="prompt"
+      noValidate
       onSubmit={(event) => {
         event.preventDefault();
         go();
@@ -182,6 +192,16 @@ export function Prompt() {
                 }}
               >
                 {one}
+              </button>
+            ))}
+          </>
+        )}
+        {!changing.value && !part?.clip && known && known.clips.length > 0 && (
+          <>
+            clips:{" "}
+            {known.clips.slice(0, 4).map((name) => (
+              <button type="button" class="chip" key={name} title="play this clip of the library" onClick={() => void suggest(name)}>
+                ▶ {name.replaceAll("-", " ")}
               </button>
             ))}
           </>

@@ -22,6 +22,7 @@ export const EMPTY: Doc = {
   path: [],
   span: null,
   keep: [],
+  rig: "handles",
 };
 
 export const MOST_LETTERS = 1000;
@@ -90,7 +91,10 @@ const record =
 const time = number(0, 120);
 const coordinate = number(-500, 500);
 const anywhere = number(-1e300, 1e300);
-const sentence: Read<Sentence> = record<Sentence>({ text: text(), seconds: number(0.5, 120) });
+const sentence: Read<Sentence> = (value) => {
+  const found = record<Required<Sentence>>({ text: text(), seconds: number(0.5, 120), clip: text(80) }, { clip: "" })(value);
+  return found && { text: found.text, seconds: found.seconds, ...(found.clip ? { clip: found.clip } : {}) };
+};
 const script: Read<Sentence[]> = list(sentence, 1, MOST_PARTS);
 const point = list(coordinate, 2, 2) as Read<[number, number]>;
 const pin = record<Pin>(
@@ -123,6 +127,7 @@ const FIELDS: { [Key in keyof Doc]: Read<Doc[Key]> } = {
   path: list(point),
   span: orNull(list(time, 2, 2) as Read<[number, number]>),
   keep: list(text()),
+  rig: choice<"handles" | "own">(["handles", "own"]),
 };
 
 /** What can be shown of a view: what cannot is left out. */
@@ -145,7 +150,7 @@ export function readDoc(value: unknown): Doc {
 }
 
 /** What a link says: on which character what is done, and how it is drawn. */
-export interface Replay extends Pick<Doc, "script" | "seed" | "steps" | "guidance" | "loop" | "inPlace" | "path" | "apparel" | "stiffness"> {
+export interface Replay extends Pick<Doc, "script" | "seed" | "steps" | "guidance" | "loop" | "inPlace" | "path" | "apparel" | "stiffness" | "rig"> {
   character: string;
 }
 
@@ -168,9 +173,9 @@ export function readReplay(link: string): Replay {
   const found = record<Replay>(
     {
       character: text(80), script, seed: FIELDS.seed, steps: FIELDS.steps, guidance: FIELDS.guidance, loop: flag,
-      inPlace: flag, path: FIELDS.path, apparel: FIELDS.apparel, stiffness: FIELDS.stiffness,
+      inPlace: flag, path: FIELDS.path, apparel: FIELDS.apparel, stiffness: FIELDS.stiffness, rig: FIELDS.rig,
     },
-    { apparel: "rigid", stiffness: 1, path: [] },
+    { apparel: "rigid", stiffness: 1, path: [], rig: "handles" },
   )(given);
   if (!found || found.script.some((part) => part.text.length > MOST_LETTERS)) {
     throw new Error("the link asks for what cannot be; copy it again from the studio");

@@ -17,7 +17,7 @@ export function scriptOf(take: Take | null): Sentence[] {
   if (take.how === "transfer") {
     return [{ text: "", seconds: inRange(take.seconds ?? 4) }];
   }
-  const parts = take.script.map((part) => ({ text: part.text, seconds: inRange(part.seconds) }));
+  const parts = take.script.map((part) => ({ ...part, seconds: inRange(part.seconds) }));
   return parts.length ? parts : EMPTY.script;
 }
 
@@ -32,16 +32,18 @@ export interface Block {
   seconds: number;
   /** Which sentence it is; null for a motion of a file, which is not changed here. */
   number: number | null;
+  /** Whether it is a clip of the library. */
+  clip: boolean;
 }
 
 /** The blocks of the timeline: the sentences one after the other, or the file that the take came from. */
 export function blocksOf(doc: Doc, take: Take | null): Block[] {
   if (fromFile(take, doc)) {
-    return [{ text: take.script[0]?.text || "a motion", from: 0, seconds: take.seconds ?? 0, number: null }];
+    return [{ text: take.script[0]?.text || "a motion", from: 0, seconds: take.seconds ?? 0, number: null, clip: false }];
   }
   let from = 0;
-  return doc.script.map(({ text, seconds }, number) => {
-    const block = { text, from, seconds, number };
+  return doc.script.map(({ text, seconds, clip }, number) => {
+    const block = { text: clip ?? text, from, seconds, number, clip: Boolean(clip) };
     from += seconds;
     return block;
   });
@@ -53,8 +55,15 @@ export function wrongWith(script: Sentence[]): string {
   if (long) {
     return tooLong(long.text);
   }
-  return script.every((part) => part.text.trim()) ? "" : SAY;
+  return script.every((part) => part.clip || part.text.trim()) ? "" : SAY;
 }
 
 export const tooLong = (text: string): string =>
   `the sentence has ${text.length.toLocaleString("en")} letters, at most ${MOST_LETTERS.toLocaleString("en")} are taken: shorten it`;
+
+/** Points on the floor of a text such as "0,0 1,2 3,2"; none where it has fewer than two. */
+export function readPath(text: string): [number, number][] {
+  const points = text.trim().split(/\s+/).map((point) => point.split(",").map(Number));
+  const path = points.filter((point): point is [number, number] => point.length === 2 && point.every((one) => Math.abs(one) <= 500));
+  return path.length === points.length && path.length > 1 ? path.slice(0, 200) : [];
+}

@@ -10,7 +10,8 @@ import {
   attempt, change, character, characters, colouring, comparing, doc, drawing, follow, ownTakes, playing, running, speed,
   take, takes, time, warm, weightOf,
 } from "./state";
-import type { Take } from "./types";
+import { skeletonOf } from "./skeleton";
+import type { Character, Take } from "./types";
 import { Viewer, type Pane } from "./viewer";
 
 export let viewer: Viewer | null = null;
@@ -109,6 +110,9 @@ async function refresh(): Promise<void> {
       if (frame !== framed) {
         framed = frame;
         view.frame(owner.bounds);
+        if (owner.picture !== owner.version) {
+          void photograph(owner, view);
+        }
       }
       paint();
     } catch (error) {
@@ -116,6 +120,21 @@ async function refresh(): Promise<void> {
       throw error;
     }
   });
+}
+
+/** Keep a picture of a character for its card, as it looks now. */
+async function photograph(owner: Character, view: Viewer): Promise<void> {
+  view.draw(true);
+  const card = document.createElement("canvas");
+  [card.width, card.height] = [192, 144];
+  const { width, height } = view.canvas;
+  const part = 0.72 * Math.min(width / 4, height / 3);
+  const middle = [(width - 4 * part) / 2, (height - 3 * part) / 2] as const;
+  card.getContext("2d")?.drawImage(view.canvas, ...middle, 4 * part, 3 * part, 0, 0, card.width, card.height);
+  const data = await new Promise<Blob | null>((resolve) => card.toBlob(resolve, "image/webp", 0.8));
+  if (data) {
+    await bytes(`/characters/${owner.id}/picture`, { method: "PUT", body: data }).catch(() => undefined); // it is no loss
+  }
 }
 
 function paint(): void {
@@ -163,12 +182,14 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
       effect(() => {
         const owner = character.value;
         const one = take.value;
+        const shownModel = view.panes[0]?.model;
         view.marks = {
+          skeleton: colouring.value === "skeleton" && owner ? skeletonOf(owner, one?.skin ?? "handles", shownModel?.bones ?? []) : [],
           ends: owner?.ends ?? [],
           pins: doc.value.pins,
           path: doc.value.path,
           handles:
-            colouring.value === "none" || !owner?.positions || one?.skin === "bones"
+            !["handles", "weights"].includes(colouring.value) || !owner?.positions || one?.skin === "bones"
               ? []
               : (owner.used ?? []).map((joint) => ({
                   joint,

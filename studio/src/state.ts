@@ -23,7 +23,7 @@ export const time = signal(0);
 export const playing = signal(true);
 export const speed = signal(1);
 export const follow = signal(true);
-export const colouring = signal<"none" | "handles" | "weights">("none");
+export const colouring = signal<"none" | "handles" | "weights" | "skeleton">("none");
 export const weightOf = signal(0);
 export const comparing = signal(false);
 export const drawing = signal(false);
@@ -37,7 +37,9 @@ export const ownTakes = computed(() =>
     .filter((one) => one.character === doc.value.character && !one.deleted)
     .sort((one, other) => other.created - one.created),
 );
-export const running = computed(() => jobs.value.filter((job) => ["waiting", "running"].includes(job.state)));
+const open = (job: Job): boolean => ["waiting", "running"].includes(job.state);
+/** What is being made; how clips look is a moment's work and not among it. */
+export const running = computed(() => jobs.value.filter((job) => open(job) && !["preview", "find-out"].includes(job.kind)));
 export const interrupted = computed(() => jobs.value.filter((job) => job.state === "interrupted"));
 export const total = computed(() => doc.value.script.reduce((sum, part) => sum + part.seconds, 0));
 
@@ -259,6 +261,6 @@ export async function start(): Promise<void> {
       return all.event;
     },
     open: (up) => (online.value = up),
-    busy: () => running.value.length > 0,
+    busy: () => jobs.value.some(open),
   });
 }

@@ -1,11 +1,16 @@
 // Time: sentences with edges to drag, the span that changes, pinned poses, hands and feet, and where we are.
 
 import { useRef } from "preact/hooks";
-import { bend } from "./actions";
+import { signal } from "@preact/signals";
+import { addClip, bend } from "./actions";
+import { clipOf, DRAGGED } from "./library";
 import { changing } from "./prompt";
-import { blocksOf, fromFile, inRange } from "./script";
+import { blocksOf, fromFile, inRange, readPath } from "./script";
 import { seconds as shownSeconds } from "./stage";
 import { change, character, doc, drawing, follow, playing, speed, take, time, total } from "./state";
+
+/** Whether the rows of what directs a take are shown; they also are where there is something in them. */
+const unfolded = signal(false);
 
 const PARTS: Record<string, string> = {
   left_hand: "L hand",
@@ -46,8 +51,28 @@ function Sentences() {
   const row = useRef<HTMLDivElement>(null);
   const { script, sentence } = doc.value;
   return (
-    <div class="row" ref={row}>
-      {blocksOf(doc.value, take.value).map(({ text, from, seconds, number }) => {
+    <div
+      class="row sentences"
+      ref={row}
+      onDragOver={(event) => {
+        if (event.dataTransfer?.types.includes(DRAGGED)) {
+          event.preventDefault();
+          event.stopPropagation();
+        }
+      }}
+      onDrop={(event) => {
+        const clip = clipOf(event.dataTransfer?.getData(DRAGGED) ?? "");
+        if (clip && row.current) {
+          event.preventDefault();
+          event.stopPropagation();
+          const box = row.current.getBoundingClientRect();
+          const at = ((event.clientX - box.left) / box.width) * length();
+          const next = blocksOf(doc.value, take.value).find((block) => block.number !== null && at < block.from + block.seconds / 2);
+          addClip(clip, next?.number ?? undefined);
+        }
+      }}
+    >
+      {blocksOf(doc.value, take.value).map(({ text, from, seconds, number, clip }) => {
         if (number === null) {
           return (
             <div key="file" class="block chosen file" style={{ left: percent(from), width: percent(seconds) }}>
@@ -67,7 +92,7 @@ function Sentences() {
         return (
           <div
             key={number}
-            class={`block ${number === sentence ? "chosen" : ""}`}
+            class={`block ${number === sentence ? "chosen" : ""} ${clip ? "clip" : ""}`}
             style={{ left: percent(from), width: percent(part.seconds) }}
           >
             <button
@@ -79,6 +104,7 @@ function Sentences() {
                 document.getElementById("sentence")?.focus();
               }}
             >
+              {clip ? "▶ " : ""}
               {part.text || "…"} <small>{part.seconds} s</small>
             </button>
             {script.length > 1 && (
@@ -219,7 +245,10 @@ export function pinPose(): void {
 export function Timeline() {
   const lane = useRef<HTMLDivElement>(null);
   const now = doc.value;
-  const ends = character.value?.ends ?? [];
+  const filled = new Set(now.pins.map((pin) => pin.part));
+  const ends = (character.value?.ends ?? []).filter((end) => unfolded.value || filled.has(end.part));
+  const changes = unfolded.value || now.span !== null;
+  const posed = unfolded.value || now.poses.length > 0;
   const fps = take.value?.fps ?? 20;
   const step = (frames: number): void => {
     playing.value = false;
@@ -260,6 +289,14 @@ export function Timeline() {
         <label class="toggle">
           <input type="checkbox" checked={now.inPlace} onChange={(event) => change("", { inPlace: event.currentTarget.checked, path: event.currentTarget.checked ? [] : now.path })} /> in place
         </label>
+        <button
+          id="fold"
+          aria-expanded={unfolded.value}
+          title="rows to select a span and to see pins of poses, hands and feet"
+          onClick={() => (unfolded.value = !unfolded.value)}
+        >
+          {unfolded.value ? "▾" : "▸"} direct
+        </button>
         <span class="fill" />
         <button onClick={() => change("add a sentence", { script: [...now.script, { text: "waves", seconds: 3 }], sentence: now.script.length })}>
           + sentence
@@ -279,13 +316,29 @@ export function Timeline() {
         >
           ✎ draw a path
         </button>
+        {(drawing.value || now.path.length > 1) && (
+          <label class="field small">
+            <span>path</span>
+            <input
+              id="path"
+              value={now.path.map((point) => point.join(",")).join(" ")}
+              placeholder="0,0 1,2 3,2"
+              aria-label="points of the path: x and z in metres, as 0,0 1,2 3,2"
+              onChange={(event) => {
+                const path = readPath(event.currentTarget.value);
+                change("type a path", { path, loop: false, inPlace: false });
+                drawing.value = false;
+              }}
+            />
+          </label>
+        )}
         {now.path.length > 1 && <button onClick={() => change("forget the path", { path: [] })}>× path</button>}
       </div>
       <div class="lanes">
         <div class="names" aria-hidden="true">
           <span>sentences</span>
-          <span class="thin">change</span>
-          <span class="thin">poses</span>
+          {changes && <span class="thin">change</span>}
+          {posed && <span class="thin">poses</span>}
           {ends.map((end) => (
             <span class="thin" key={end.part}>
               {PARTS[end.part] ?? end.part}
@@ -294,8 +347,8 @@ export function Timeline() {
         </div>
         <div class="lane" ref={lane}>
           <Sentences />
-          <Span />
-          <Poses />
+          {changes && <Span />}
+          {posed && <Poses />}
           {ends.map((end) => (
             <Keys key={end.part} part={end.part} />
           ))}

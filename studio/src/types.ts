@@ -34,6 +34,10 @@ export interface Character {
   /** Whether there are hair or clothes that can be learned. */
   apparel?: boolean;
   mmd?: boolean;
+  /** Whether the bones of the file can be moved. */
+  skeleton?: boolean;
+  /** The version of which there is a picture. */
+  picture?: number;
   roles?: number[];
   positions?: Vec3[];
   used?: number[];
@@ -46,6 +50,19 @@ export type Apparel = "rigid" | "simulate" | "learn";
 export interface Sentence {
   text: string;
   seconds: number;
+  /** The clip of the library that is played; without it the sentence is generated. */
+  clip?: string;
+}
+
+/** A clip of the library. */
+export interface LibraryClip {
+  name: string;
+  sentence: string;
+  seconds: number;
+  loops: boolean;
+  tags: string[];
+  credit: string;
+  terms: string;
 }
 
 export interface Take {
@@ -54,7 +71,7 @@ export interface Take {
   created: number;
   state: "waiting" | "draft" | "done" | "failed" | "cancelled" | "interrupted";
   error: string;
-  how: "animate" | "edit" | "bend" | "dress" | "transfer";
+  how: "animate" | "edit" | "bend" | "dress" | "mirror" | "trim" | "transfer";
   star: boolean;
   title?: string;
   seed: number;
@@ -81,11 +98,24 @@ export interface Job {
   about: { character?: string; takes?: string[]; opens?: string; export?: string };
 }
 
+/** What a program wants of a file (src/bunraku/io/presets.py). */
+export interface Preset {
+  name: string;
+  title: string;
+  suffix: string;
+  fps: number;
+  note: string;
+}
+
 export interface About {
   version: string;
   limits: { bytes: number; seconds: number; takes: number };
   reads: { characters: string[]; motions: string[]; projects: string[] };
   writes: string[];
+  /** What programs want of a file. */
+  presets?: Preset[];
+  /** Fewest and most frames a second of a file. */
+  fps: [number, number];
   samples: string[];
   study: boolean;
   worker: { warm: boolean; process: number };
@@ -115,6 +145,8 @@ export interface Understanding {
   unknown: { word: string; start: number; stop: number }[];
   corrected: [string, string][];
   nearest: string[];
+  /** Names of clips of the library that fit. */
+  clips: string[];
   notes: string[];
 }
 
@@ -150,4 +182,6 @@ export interface Doc {
   path: [number, number][];
   span: [number, number] | null;
   keep: string[];
+  /** What moves: the handles, or the bones of the file's own skeleton. */
+  rig: "handles" | "own";
 }

@@ -41,11 +41,14 @@ export interface Marks {
   pins: Pin[];
   path: [number, number][];
   handles: { place: [number, number, number]; joint: number; colour: Color }[];
+  /** Joints that bones are drawn between. */
+  skeleton: [number, number][];
 }
 
 const ACCENT = 0xd9622b;
 const FOV = 26; // degrees, that of the library's own renderer
 const MOST_PIXELS = 1.5;
+const BONES = new LineBasicMaterial({ color: ACCENT, depthTest: false, transparent: true });
 
 export class Viewer {
   readonly renderer: WebGLRenderer;
@@ -54,7 +57,7 @@ export class Viewer {
   readonly controls: OrbitControls;
   readonly canvas: HTMLCanvasElement;
   panes: Pane[] = [];
-  marks: Marks = { ends: [], pins: [], path: [], handles: [] };
+  marks: Marks = { ends: [], pins: [], path: [], handles: [], skeleton: [] };
   time = 0;
   follow = true;
   dragged: ((part: string, place: [number, number, number]) => void) | null = null;
@@ -69,6 +72,7 @@ export class Viewer {
   private readonly gizmos: Mesh[] = [];
   private readonly dots: Mesh[] = [];
   private line: Line | null = null;
+  private bones: LineSegments | null = null;
   private followed: [number, number] = [0, 0];
   private held: { gizmo: Mesh; plane: Plane } | null = null;
   private stroke: [number, number][] = [];
@@ -283,6 +287,7 @@ export class Viewer {
         ball.position.copy(carried(pane.model, handle.joint, handle.place));
       });
     }
+    this.joined(pane, single ? this.marks.skeleton : []);
     this.line?.removeFromParent();
     const path = this.stroke.length > 1 ? this.stroke : this.marks.path;
     if (path.length > 1) {
@@ -291,6 +296,31 @@ export class Viewer {
       this.line = new Line(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: ACCENT }));
       this.scene.add(this.line);
     }
+  }
+
+  /** Lines between joints, seen through the mesh. */
+  private joined(pane: Pane, pairs: Marks["skeleton"]): void {
+    this.bones?.removeFromParent();
+    this.bones?.geometry.dispose();
+    this.bones = null;
+    if (pairs.length) {
+      const points = pairs.flat().map((joint) => pane.model.bones[joint]?.getWorldPosition(new Vector3()) ?? new Vector3());
+      this.bones = new LineSegments(new BufferGeometry().setFromPoints(points), BONES);
+      this.bones.renderOrder = 9;
+      this.bones.frustumCulled = false;
+      this.scene.add(this.bones);
+    }
+  }
+
+  /** Where a hand or a foot is now [m]. */
+  endOf(part: string): [number, number, number] | null {
+    const end = this.marks.ends.find((one) => one.part === part);
+    const pane = this.panes[0];
+    if (!end || !pane) {
+      return null;
+    }
+    const { x, y, z } = carried(pane.model, end.handle, end.point);
+    return [round(x), round(y), round(z)];
   }
 
   private aim(event: PointerEvent): void {
@@ -392,7 +422,7 @@ export class Viewer {
     const before = this.time;
     const { directing, marks } = this;
     this.directing = false;
-    this.marks = { ...marks, handles: [], path: [] };
+    this.marks = { ...marks, handles: [], path: [], skeleton: [] };
     this.time = time;
     this.renderer.setPixelRatio(1);
     this.renderer.setSize(width, height, false);
@@ -406,54 +436,6 @@ export class Viewer {
   restore(holder: HTMLElement): void {
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
     this.fit(holder);
-  }
-
-  /** For checks: where the given camera sees something of the character at a time, one byte a pixel. */
-  silhouette(time: number, width: number, height: number, eye: number[], target: number[]): number[] {
-    const { background } = this.scene;
-    const { position, quaternion } = this.camera.clone();
-    const pane = this.panes[0];
-    const shown = this.scene.children.filter((child) => child !== pane?.model.group && child.visible);
-    for (const child of shown) {
-      child.visible = false;
-    }
-    const { fog } = this.scene;
-    this.scene.fog = null;
-    this.scene.background = new Color(0x00ff00);
-    const white = new MeshBasicMaterial({ color: 0xff00ff, side: 2 });
-    this.scene.overrideMaterial = white;
-    this.renderer.setPixelRatio(1);
-    this.renderer.setSize(width, height, false);
-    this.renderer.setScissorTest(false);
-    this.renderer.setViewport(0, 0, width, height);
-    this.camera.position.fromArray(eye);
-    this.camera.lookAt(new Vector3().fromArray(target));
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
-    if (pane) {
-      pose(pane.model, pane.clip, time);
-    }
-    this.renderer.render(this.scene, this.camera);
-    const flat = document.createElement("canvas");
-    flat.width = width;
-    flat.height = height;
-    const paper = flat.getContext("2d");
-    paper?.drawImage(this.canvas, 0, 0);
-    const pixels = paper?.getImageData(0, 0, width, height).data ?? new Uint8ClampedArray();
-    const out: number[] = [];
-    for (let place = 0; place < width * height; place += 1) {
-      out.push((pixels[place * 4] ?? 0) > 127 ? 1 : 0);
-    }
-    this.scene.overrideMaterial = null;
-    Object.assign(this.scene, { background, fog });
-    for (const child of shown) {
-      child.visible = true;
-    }
-    this.camera.position.copy(position);
-    this.camera.quaternion.copy(quaternion);
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
-    this.touch();
-    return out;
   }
 }
 

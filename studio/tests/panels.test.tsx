@@ -2,50 +2,14 @@ import { render } from "preact";
 import { act } from "preact/test-utils";
 import { beforeEach, expect, test, vi } from "vitest";
 import { Boundary } from "../src/boundary";
-import { Menu } from "../src/menu";
+import { across } from "../src/characters";
+import { skeletonOf } from "../src/skeleton";
+import type { Character } from "../src/types";
 
 let root: HTMLElement;
 beforeEach(() => {
-  document.body.innerHTML = '<div id="root"></div><p id="elsewhere"></p>';
+  document.body.innerHTML = '<div id="root"></div>';
   root = document.getElementById("root") as HTMLElement;
-});
-const shown = (): boolean => root.querySelector("[role=menu]") !== null;
-const press = (key: string): Promise<void> =>
-  act(() => void document.body.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true })));
-
-async function opened(): Promise<void> {
-  await act(() =>
-    render(
-      <Menu id="export" label="Export" disabled={false}>
-        <button role="menuitem">GLB</button>
-      </Menu>,
-      root,
-    ),
-  );
-  await act(() => document.getElementById("export")?.click());
-  expect(shown()).toBe(true);
-}
-
-test("a menu closes on Escape, and the button has the focus again", async () => {
-  await opened();
-  await press("a");
-  expect(shown()).toBe(true);
-  await press("Escape");
-  expect(shown()).toBe(false);
-  expect(document.activeElement?.id).toBe("export");
-});
-
-test("a menu closes on a click outside of it and on a choice, and not on one inside", async () => {
-  await opened();
-  const down = (target: Element | null): Promise<void> =>
-    act(() => void target?.dispatchEvent(new Event("pointerdown", { bubbles: true })));
-  await down(root.querySelector("[role=menuitem]"));
-  expect(shown()).toBe(true);
-  await down(document.getElementById("elsewhere"));
-  expect(shown()).toBe(false);
-  await opened();
-  await act(() => (root.querySelector("[role=menuitem]") as HTMLElement).click());
-  expect(shown()).toBe(false);
 });
 
 test("what throws in a panel stays in it, and it can be shown again", async () => {
@@ -73,4 +37,21 @@ test("what throws in a panel stays in it, and it can be shown again", async () =
   broken = false;
   await act(() => (root.querySelector("button") as HTMLElement).click());
   expect(root.textContent).toBe("worksbeside it");
+});
+
+test("the left side of a character lies across its up and its front", () => {
+  expect(across("+y", "+z")).toBe("+x");
+  expect(across("+z", "-y")).toBe("+x");
+  expect(across("+y", "-z")).toBe("-x");
+  expect(across("+y", "+x")).toBe("-z");
+  expect(across("-z", "+x")).toBe("-y");
+});
+
+test("bones are drawn to the next part towards the root that a handle plays", () => {
+  const one = { roles: [0, 1, 4, 20, 7], used: [0, 1, 2, 3] } as unknown as Character;
+  expect(skeletonOf(one, "handles", [])).toEqual([
+    [0, 1],
+    [1, 2],
+    [0, 3],
+  ]);
 });

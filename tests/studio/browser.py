@@ -2,11 +2,16 @@
 
 import base64
 import contextlib
+import functools
 import json
+import re
 import shutil
+import subprocess
+import tempfile
 import time
 from pathlib import Path
 
+ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = [
     "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
@@ -15,6 +20,32 @@ FLAGS = [
 ]  # fmt: skip
 SECONDS = 600  # that anything may take: a browser without a GPU, on a machine that does much else
 SCALE = 0.5  # pixels drawn for each of the page: without a GPU they are what takes the time
+
+
+VITE = ROOT / "studio" / "node_modules" / ".bin" / "vite"
+"""Builds the page; `npm ci` in studio/ brings it."""
+
+
+@functools.cache
+def checked_build():
+    """The page's scripts with `studio/src/checks.ts`, by which tests look into it; what is shipped has none of that."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(
+            [str(VITE), "build", "--mode", "checked", "--outDir", folder, "--logLevel", "error"],
+            cwd=ROOT / "studio", check=True,
+        )  # fmt: skip
+        return {path.name: path.read_bytes() for path in Path(folder).glob("*.js")}
+
+
+def serve_checked(context):
+    """Let a browser's context get the page's scripts from `checked_build`."""
+    scripts = checked_build()
+
+    def answer(route):
+        name = route.request.url.split("?")[0].rpartition("/")[2]
+        route.fulfill(body=scripts[name], content_type="text/javascript") if name in scripts else route.continue_()
+
+    context.route(re.compile(r"/[\w.-]+\.js(\?.*)?$"), answer)
 
 
 @contextlib.contextmanager
@@ -40,6 +71,7 @@ class Page:
             reduced_motion="reduce", accept_downloads=True, device_scale_factor=scale,
         )  # fmt: skip
         self.context.set_default_timeout(SECONDS * 1000)
+        serve_checked(self.context)
         self.wrong, self.abroad = [], []
         try:
             self.page = self.context.new_page()

@@ -99,7 +99,8 @@ class Studio:
     def sample(self, name="mushroom"):
         made = self.post(f"/api/characters?sample={name}", {})
         self.done(made["job"])
-        return self.get(f"/api/characters/{made['character']['id']}")
+        path = f"/api/characters/{made['character']['id']}"
+        return self.until(lambda: (found := self.get(path)) and "ends" in found and found, "all of a character")
 
     def animate(self, character, text="waves", seconds=2, **how):
         body = {"script": [{"text": text, "seconds": seconds}], "seeds": [0], "steps": 4, "candidates": 1, **how}

@@ -39,13 +39,14 @@ OPEN_STATES = ("waiting", "running")
 
 
 class About(TypedDict, total=False):
-    """Which things a job is about: takes of a character that it makes, a character that it opens, a take that it
-    exports.
+    """Which things a job is about: takes of a character that it makes, a character that it opens or finds out more of,
+    a take that it exports.
     """
 
     character: str
     takes: list[str]
     opens: str
+    found: str
     export: str
     take: str
 
@@ -140,8 +141,9 @@ class Jobs:
             return self._jobs[name]
 
     def submit(
-        self, kind: str, title: str, params: Mapping[str, object], about: About | None = None, *, passing: bool = False
-    ) -> Job:
+        self, kind: str, title: str, params: Mapping[str, object], about: About | None = None, *,
+        passing: bool = False, first: bool = False,
+    ) -> Job:  # fmt: skip
         """Put a job at the end of the queue.
 
         Args:
@@ -149,7 +151,8 @@ class Jobs:
             title: What a person reads.
             params: What the task takes.
             about: Which things it is about, for those that listen.
-            passing: It takes a moment, goes first, and is not offered again by the next run.
+            passing: It is not kept on disk and not offered again by the next run.
+            first: It goes before all that wait: it takes a moment.
 
         Raises:
             QueueFull: Too many wait.
@@ -163,7 +166,7 @@ class Jobs:
             new = {**record, **passed} if passing else self.store.new("jobs", record)
             job = cast(Job, {**new, "state": "waiting", "stage": "", "done": 0.0, "error": ""})
             self._jobs[job["id"]] = job
-            (self._waiting.appendleft if passing else self._waiting.append)(job["id"])
+            (self._waiting.appendleft if first else self._waiting.append)(job["id"])
             self.changes.tell("job", public(job))
             self._wake.notify_all()
             return job

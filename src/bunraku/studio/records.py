@@ -60,6 +60,8 @@ class _CharacterFacts:
     rig: bool = False
     physics: bool = False
     apparel: bool = False
+    skeleton: bool = False
+    picture: int = 0
     mmd: bool = False
     roles: tuple[int, ...] = ()
     positions: tuple[_Point, ...] = ()
@@ -83,7 +85,7 @@ class _TakeFacts:
 
     script: tuple[_Said, ...]
     asked: object = None
-    how: Literal["animate", "edit", "bend", "dress", "transfer"] = "animate"
+    how: Literal["animate", "edit", "bend", "dress", "mirror", "trim", "transfer"] = "animate"
     seed: int = 0
     seeds: tuple[int, ...] = ()
     star: bool = False

@@ -56,6 +56,9 @@ class State:
                     self.open(character["id"], character["file"])
                 except BunrakuError as error:
                     logging.getLogger(__name__).warning("%s", error)
+            elif character["state"] == "ready" and "ends" not in character:
+                with suppress(BunrakuError):
+                    self._find_out(character["id"])
         self.jobs.start()
 
     def stop(self) -> None:
@@ -123,6 +126,10 @@ class State:
         job = self.jobs.submit("open", f"open {record['name']}", params, {"character": name, "opens": name})
         return {"character": record, "job": job["id"]}
 
+    def _find_out(self, name: str) -> None:
+        """Queue what is longer looked for of a character, after what waits for it already."""
+        self.jobs.submit("find-out", "look at the character", {"character": name}, {"found": name}, passing=True)
+
     def drop(self, kind: str, name: str) -> None:
         """Remove a thing and tell so."""
         self.store.drop(kind, name)
@@ -181,6 +188,11 @@ class State:
             )
             version = int(self.store.get("characters", about["opens"]).get("version", 0)) + 1
             self.note("characters", about["opens"], version=version, **values)
+            if state == "done":
+                with suppress(BunrakuError):  # a full queue or disk: the character is open without it
+                    self._find_out(about["opens"])
+        if "found" in about and state == "done":
+            self.note("characters", about["found"], **said)
         for name in about.get("takes", ()):
             with suppress(NotThere):
                 if self.store.get("takes", name)["state"] == "done":

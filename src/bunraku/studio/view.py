@@ -49,6 +49,7 @@ class View:
         path: Points that the root passes, x and z [m].
         span: Seconds from and to which is generated.
         keep: Parts that stay.
+        rig: What moves.
     """
 
     character: str | None = None
@@ -68,6 +69,7 @@ class View:
     path: tuple[tuple[float, float], ...] = ()
     span: tuple[float, float] | None = None
     keep: tuple[str, ...] = ()
+    rig: Literal["handles", "own"] = "handles"
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.script) <= MOST_PARTS:

@@ -37,7 +37,7 @@ class PoseForm:
 
 @dataclass(frozen=True, kw_only=True)
 class ChangeForm(Drawn):
-    """Takes that are made from one: parts kept and the rest generated, bent to pins, or dressed anew.
+    """Takes that are made from one: parts kept and the rest generated, bent to pins, dressed anew, mirrored, trimmed.
 
     Args:
         prompt: What is done instead; nothing is generated where it is empty.
@@ -46,6 +46,8 @@ class ChangeForm(Drawn):
         poses: Poses that stay.
         apparel: How apparel moves, where that is to change.
         stiffness: How stiff learned apparel is.
+        mirror: Left and right are exchanged; nothing else is then changed.
+        trim: Seconds from and to of what stays; all else goes.
     """
 
     prompt: str = ""
@@ -54,6 +56,8 @@ class ChangeForm(Drawn):
     poses: tuple[PoseForm, ...] = ()
     apparel: Motion | None = None
     stiffness: float = 1.0
+    mirror: bool = False
+    trim: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -63,6 +67,10 @@ class ChangeForm(Drawn):
             raise OptionError("a span is two seconds, from and to")
         for second in self.span or ():
             TIME.check(second, "span")
+        for second in self.trim or ():
+            TIME.check(second, "trim")
+        if self.trim and self.trim[0] >= self.trim[1]:
+            raise OptionError("trim is from an earlier second to a later one")
 
     def request(self, apparel: Apparel) -> Request:
         """The request of an edit, checked.

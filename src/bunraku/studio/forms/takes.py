@@ -31,6 +31,7 @@ class TakeForm(Drawn):
         stiffness: How stiff learned apparel is.
         path: Points that the root passes, x and z [m].
         after: The take in whose last pose these start.
+        rig: What moves: handles, or the bones of the file's own skeleton.
     """
 
     script: tuple[Part, ...] = ()
@@ -41,6 +42,7 @@ class TakeForm(Drawn):
     stiffness: float = 1.0
     path: tuple[object, ...] | None = None
     after: str | None = None
+    rig: Literal["handles", "own"] = "handles"
 
     def request(self, handles: Literal["predict", "rig"] = "predict") -> Request:
         """The request, checked; the take that is followed is only named.
@@ -60,7 +62,7 @@ class TakeForm(Drawn):
             ),
             DressForm(apparel=self.apparel, stiffness=self.stiffness).apparel_request, stages_without(self.without),
             "predict" if self.apparel == "simulate" else handles, self.force,
-            "auto" if self.apparel in ("simulate", "learn", "auto") else "handles",  # what is edited are handles
+            self.rig if self.rig == "own" else "auto" if self.apparel in ("simulate", "learn") else "handles",
         )  # fmt: skip
         found.check()
         return found.with_parsed()
@@ -93,7 +95,7 @@ class TakeForm(Drawn):
 
     def asked(self) -> dict[str, Any]:
         """What a take's record keeps of it, for links."""
-        kept = ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "stiffness", "path", "pins")
+        kept = ("seeds", "steps", "guidance", "loop", "in_place", "apparel", "stiffness", "path", "pins", "rig")
         return {name: to_json(getattr(self, name)) for name in kept}
 
 

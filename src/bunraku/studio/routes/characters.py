@@ -11,14 +11,19 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
 from bunraku.errors import FormatError, OptionError
+from bunraku.formats.files import atomic_write
 from bunraku.io.units import CHOICES
-from bunraku.studio.routes.asked import body_of, choice, state_of, text
+from bunraku.studio.routes.asked import body_of, choice, ready_character, state_of, text
 from bunraku.studio.state import State
-from bunraku.studio.uploads import CHARACTERS, plain_name, receive, unpack
+from bunraku.studio.uploads import CHARACTERS, TooLarge, plain_name, receive, unpack
 
 __all__ = ["ROUTES"]
 
 AXES = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
+PICTURE = "picture"
+"""The file of a character's picture."""
+PNG = b"\x89PNG"
+MOST_PICTURE = 128 << 10
 UNTOUCHED = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"}
 
 
@@ -114,6 +119,27 @@ async def mesh(request: Request) -> Response:
     return FileResponse(state.store.file("characters", name, file), media_type="model/gltf-binary")
 
 
+async def picture(request: Request) -> Any:
+    """How a character looks on its card: PUT keeps a WebP or PNG that the page drew."""
+    state, name = state_of(request), request.path_params["name"]
+    if request.method == "GET":
+        path = state.store.file("characters", name, PICTURE)
+        kind = "image/png" if path.read_bytes()[:4] == PNG else "image/webp"
+        return FileResponse(path, media_type=kind)
+    record = ready_character(state, name)
+    data = bytearray()
+    async for chunk in request.stream():
+        data += chunk
+        if len(data) > MOST_PICTURE:
+            raise TooLarge(f"a picture of more than {MOST_PICTURE >> 10} KiB is not taken; draw a smaller one")
+    if data[:4] != PNG and (data[:4] != b"RIFF" or data[8:12] != b"WEBP"):
+        raise FormatError("picture", "it is neither a PNG nor a WebP; draw it again")
+    path = state.store.folder_of("characters", name) / PICTURE
+    with atomic_write(path) as file:
+        file.write(bytes(data))
+    return state.note("characters", name, picture=record["version"])
+
+
 async def copy(request: Request) -> Any:
     """The same file as another character, to try other handles or axes beside it."""
     state, name = state_of(request), request.path_params["name"]
@@ -130,5 +156,6 @@ ROUTES = [
     ("/characters", ("GET", "POST"), characters),
     ("/characters/{name}", ("GET", "PATCH", "DELETE"), character),
     ("/characters/{name}/mesh.glb", ("GET",), mesh),
+    ("/characters/{name}/picture", ("GET", "PUT"), picture),
     ("/characters/{name}/copy", ("POST",), copy),
 ]

@@ -10,6 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse
 
+from bunraku.core.request.limits import FPS
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.studio.jobs import public
 from bunraku.studio.routes.asked import body_of, state_of, text
@@ -35,6 +36,7 @@ async def about(request: Request) -> Any:
         "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
         "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
         "writes": _writes(),
+        "fps": [FPS.low, FPS.high],
         "samples": list(sample_names()),
         "study": state.session is not None,
         "folder": state.store.folder.name,

@@ -63,7 +63,7 @@ async def previews(request: Request) -> Any:
     if not missing:
         return {"job": None}
     params = {"character": owner, "clips": missing}
-    job = state.jobs.submit("preview", "show clips", params, {"character": owner}, passing=True)
+    job = state.jobs.submit("preview", "show clips", params, {"character": owner}, passing=True, first=True)
     return JSONResponse({"job": job["id"]}, 202)
 
 

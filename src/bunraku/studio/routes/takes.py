@@ -127,14 +127,18 @@ def _change(state: State, name: str, body: dict[str, object]) -> Any:
     seeds = [parent.get("seed", 0)]
     asked: dict[str, Any]
     params: dict[str, Any]
-    if form.apparel is not None:
+    own: dict[str, Any] = {"apparel": apparel.motion, "stiffness": apparel.stiffness}
+    if form.mirror:
+        kind, title, asked, params = "mirror", "mirror", own, own
+    elif form.trim:
+        kind, title, asked, params = "trim", "trim", own, {**own, "trim": list(form.trim)}
+    elif form.apparel is not None:
         kind, title = "dress", "dress anew"
         old = parent.get("asked") or {}
         changed = {"apparel": form.apparel, "stiffness": form.stiffness, "in_place": bool(old.get("in_place"))}
         asked, params = {**old, **changed}, {**changed, "without": list(form.without)}
     elif form.pins:
         kind, title = "bend", "bend to the pins"
-        own: dict[str, Any] = {"apparel": apparel.motion, "stiffness": apparel.stiffness}
         asked, params = {**own, "pins": list(form.pins)}, {**own, "constraints": form.bends().to_json()}
     else:
         raise OptionError("type what is done instead, or pin a hand or a foot")

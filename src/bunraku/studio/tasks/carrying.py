@@ -8,14 +8,16 @@ from typing import Any, Literal
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
 from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import OptionError
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints
 from bunraku.studio.forms.drawing import stages_without
 from bunraku.studio.tasks.task import Partly, Report, of_handles
+from bunraku.studio.workspace.clips import body_of
 from bunraku.studio.workspace.dressing import check_fits, dressed_anew, put_on
 from bunraku.studio.workspace.workspace import Workspace
 
-__all__ = ["Bend", "Dress", "Transfer"]
+__all__ = ["Bend", "Dress", "Mirror", "Transfer", "Trim"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,53 @@ class Bend:
         made = Animation(parent.character, parent.handles, met, parent.reference)
         take, (name,) = put_on(made, Apparel(self.apparel, self.stiffness), report), self.takes
         partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
+        return {"takes": [name]}
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """A take with left and right exchanged, fitted anew."""
+
+    character: str
+    takes: tuple[str]
+    parent: str
+    apparel: str = "rigid"
+    stiffness: float = 1.0
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.diffusion.features import decode, encode, mirror
+        from bunraku.pipelines.apply import apply_motion, reference_of
+
+        parent = of_handles(shop.take(self.parent, self.character))
+        report("fit", 0.2)
+        anatomy = Anatomy.of(parent.character, parent.handles)
+        motion = reference_of(parent, anatomy)
+        mirrored = decode(mirror(encode(motion)), motion.fps)
+        take, (name,) = apply_motion(mirrored, anatomy), self.takes
+        dressed = put_on(take, Apparel(self.apparel, self.stiffness), report)
+        partly({"take": name, "state": "done", **shop.keep(dressed, name, self.character)})
+        return {"takes": [name]}
+
+
+@dataclass(frozen=True)
+class Trim:
+    """A stretch of a take, as it is there."""
+
+    character: str
+    takes: tuple[str]
+    parent: str
+    trim: tuple[float, float]
+    apparel: str = "rigid"
+    stiffness: float = 1.0
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        parent = body_of(shop.take(self.parent, self.character))
+        start, stop = (round(second * parent.fps) for second in self.trim)
+        if stop - start < 2 or start >= len(parent.motion):
+            raise OptionError("nothing is left of the take; choose a longer stretch of it")
+        take, (name,) = parent.take(slice(start, stop)), self.takes
+        dressed = put_on(take, Apparel(self.apparel, self.stiffness), report)
+        partly({"take": name, "state": "done", **shop.keep(dressed, name, self.character)})
         return {"takes": [name]}
 
 

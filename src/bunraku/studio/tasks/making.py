@@ -11,6 +11,7 @@ from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.handles.predict import Predictor
+from bunraku.pipelines.animator import Body
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Follow
 from bunraku.pipelines.requests.request import Request
@@ -53,11 +54,13 @@ class Animate:
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
         from bunraku.pipelines.animator import Animator, own_rig
 
-        character, handles = shop.character(self.character)
+        body = shop.body(self.character)
+        character, handles = body.character, body.anatomy.handles
         request = _followed(shop, Request.from_json(self.request), self.character)
         check_fits(request.apparel, character, request.sampling.seconds)
+        moved: Body | Character = character
         if own_rig(character, request) is None:
-            request = replace(request, handles=handles)
+            request, moved = replace(request, handles=handles), body
 
         def quickly(stage: str, done: float) -> None:
             report("draft", 0.02 + 0.04 * done)
@@ -68,8 +71,8 @@ class Animate:
             quick = replace(
                 request, sampling=sampling, apparel=Apparel(), stages=DRAFT_STAGES, handles=handles, rig="handles"
             )  # fmt: skip
-            (body,) = Animator(Known(handles=handles), progress=quickly).moved(character, [quick])
-            partly({"take": self.takes[0], **shop.keep(body, self.takes[0], self.character, draft=True)})
+            (draft,) = Animator(Known(handles=handles), progress=quickly).moved(body, [quick])
+            partly({"take": self.takes[0], **shop.keep(draft, self.takes[0], self.character, draft=True)})
         ranges = {"generate": (0.1, 0.6), "fit": (0.7, 0.1)}
 
         def whole(stage: str, done: float) -> None:
@@ -77,9 +80,9 @@ class Animate:
             report(stage, start + share * done)
 
         requests = [request.with_seed(seed) for seed in self.seeds]
-        bodies = Animator(Known(handles=handles), progress=whole).moved(character, requests)
-        for name, body in zip(self.takes, bodies, strict=True):
-            take = put_on(body, request.apparel, whole)
+        bodies = Animator(Known(handles=handles), progress=whole).moved(moved, requests)
+        for name, made in zip(self.takes, bodies, strict=True):
+            take = put_on(made, request.apparel, whole)
             partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
         return {"takes": list(self.takes)}
 

@@ -9,10 +9,10 @@ from typing import Any
 from bunraku.core.character import Character
 from bunraku.studio.tasks.task import Partly, Report
 from bunraku.studio.workspace.clips import save_handles
-from bunraku.studio.workspace.opened import Settings, opened_character, told
+from bunraku.studio.workspace.opened import Settings, found_out, opened_character, told
 from bunraku.studio.workspace.workspace import PREVIEWS, Workspace
 
-__all__ = ["Open"]
+__all__ = ["FindOut", "Open"]
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,18 @@ class Open:
         shutil.rmtree(folder / PREVIEWS, ignore_errors=True)
         save_handles(handles, folder / "handles.npz")
         return {**taken, **told(character, handles), "clips": _clips_of(character)}
+
+
+@dataclass(frozen=True)
+class FindOut:
+    """What is longer looked for of a character that is open already."""
+
+    character: str
+
+    def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        body = shop.body(self.character)
+        report("look", 0.1)
+        return found_out(body.character, body.anatomy)
 
 
 def _clips_of(character: Character) -> list[str]:

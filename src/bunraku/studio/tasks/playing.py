@@ -7,17 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.anatomy.anatomy import Anatomy
 from bunraku.clips import clip as find_clip
 from bunraku.clips.motions import features_of
 from bunraku.core.animation import Animation
-from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
 from bunraku.core.resample import resample
 from bunraku.diffusion.features import decode, encode
 from bunraku.diffusion.splicing import splice
 from bunraku.formats.files import atomic_write
-from bunraku.pipelines.animator import Animator
+from bunraku.pipelines.animator import Animator, Body
 from bunraku.pipelines.apply import apply_motion, reference_of
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.pipelines.requests.constraints import Constraints
@@ -65,17 +63,17 @@ class Play:
     stiffness: float = 1.0
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
-        character, handles = shop.character(self.character)
+        body = shop.body(self.character)
+        character, handles, anatomy = body.character, body.anatomy.handles, body.anatomy
         apparel, constraints = Apparel(self.apparel, self.stiffness), Constraints.from_json(self.constraints)
         check_fits(apparel, character, sum(piece.seconds for piece in self.pieces))
-        anatomy = Anatomy.of(character, handles)
         for number, (name, seed) in enumerate(zip(self.takes, self.seeds, strict=True)):
 
             def ahead(stage: str, done: float, number: int = number) -> None:
                 report(stage, (number + 0.9 * done) / len(self.takes))
 
             animator = Animator(Known(handles=handles), progress=ahead)
-            motion = self._reference(animator, character, anatomy, seed, constraints.loop)
+            motion = self._reference(animator, body, seed, constraints.loop)
             if apparel.motion == "simulate":
                 take: Any = transferred(animator, character, motion, TransferRequest(apparel=apparel))
             else:
@@ -83,10 +81,9 @@ class Play:
             partly({"take": name, "state": "done", **shop.keep(take, name, self.character)})
         return {"takes": list(self.takes)}
 
-    def _reference(
-        self, animator: Animator, character: Character, anatomy: Anatomy, seed: int, loop: bool
-    ) -> HandleMotion:
+    def _reference(self, animator: Animator, body: Body, seed: int, loop: bool) -> HandleMotion:
         """The motion of the reference body."""
+        anatomy = body.anatomy
         features: np.ndarray | None = None
         for piece in self.pieces:
             if piece.clip:
@@ -96,7 +93,7 @@ class Play:
                 if features is not None:
                     before = apply_motion(decode(features), anatomy, stages=DRAFT_STAGES)
                     request = replace(request, constraints=request.constraints.following(before))
-                (made,) = animator.moved(character, [request])
+                (made,) = animator.moved(body, [request])
                 assert isinstance(made, Animation)  # its handles are given
                 own = encode(reference_of(made, anatomy))
             features = own if features is None else _joined(features, own)
@@ -120,9 +117,8 @@ class Preview:
     clips: tuple[str, ...]
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
-        character, handles = shop.character(self.character)
+        anatomy = shop.body(self.character).anatomy
         folder = shop.folder_of("characters", self.character) / PREVIEWS
-        anatomy = Anatomy.of(character, handles)
         for number, name in enumerate(self.clips):
             report("fit", number / len(self.clips))
             path = folder / f"{name}.bin"

@@ -10,9 +10,9 @@ from typing import Any
 
 from bunraku.core.request.json_form import from_json
 from bunraku.errors import OptionError
-from bunraku.studio.tasks.carrying import Bend, Dress, Transfer
+from bunraku.studio.tasks.carrying import Bend, Dress, Mirror, Transfer, Trim
 from bunraku.studio.tasks.making import Animate, Edit
-from bunraku.studio.tasks.opening import Open
+from bunraku.studio.tasks.opening import FindOut, Open
 from bunraku.studio.tasks.playing import Play, Preview
 from bunraku.studio.tasks.task import Partly, Report, Task
 from bunraku.studio.tasks.writing import Export, ExportClips
@@ -22,10 +22,13 @@ __all__ = ["TASKS", "run_task"]
 
 TASKS: dict[str, type[Task]] = {
     "open": Open,
+    "find-out": FindOut,
     "animate": Animate,
     "edit": Edit,
     "bend": Bend,
     "dress": Dress,
+    "mirror": Mirror,
+    "trim": Trim,
     "transfer": Transfer,
     "play": Play,
     "preview": Preview,

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError, OptionError
 from bunraku.formats.files import MAX_BYTES
@@ -17,7 +18,7 @@ from bunraku.io import load_character
 from bunraku.io.units import in_metres, resolve_unit
 from bunraku.pipelines.standing import FileStanding, file_standing
 
-__all__ = ["MAX_VERTICES", "Settings", "opened_character", "told"]
+__all__ = ["MAX_VERTICES", "Settings", "found_out", "opened_character", "told"]
 
 _log = logging.getLogger(__name__)
 MAX_VERTICES = 1_000_000
@@ -84,14 +85,37 @@ def _axes(found: FileStanding) -> dict[str, Any]:
     return out
 
 
+def _has_skeleton(character: Character) -> bool:
+    """Whether the bones of the file are understood, so that they can be moved."""
+    from bunraku.retarget.rig_parts import understood_rig
+
+    try:
+        return character.rig is not None and understood_rig(character) is not None
+    except CharacterError:
+        return False
+
+
+def found_out(character: Character, anatomy: Anatomy) -> dict[str, Any]:
+    """What a page shows of a character and is longer looked for: apparel, and where hands and feet are."""
+    from bunraku.retarget.stages.pins import limb_ends
+    from bunraku.studio.workspace.dressing import has_apparel
+
+    try:
+        apparel = has_apparel(character, anatomy.handles)
+    except Exception:  # clothes that nobody finds are no reason not to open a character
+        _log.exception("apparel could not be looked for")
+        apparel = False
+    ends = [
+        {"part": end.part, "handle": end.handle, "point": np.round(end.point, 5).tolist()} for end in limb_ends(anatomy)
+    ]
+    return {"apparel": apparel, "ends": ends}
+
+
 def told(character: Character, handles: Handles) -> dict[str, Any]:
     """What a page shows of a character."""
-    from bunraku.anatomy.anatomy import Anatomy
     from bunraku.core.mmd_model import mmd_model
     from bunraku.handles.from_rig import rig_handles
     from bunraku.physics.from_file import apparel_rig
-    from bunraku.retarget.stages.pins import limb_ends
-    from bunraku.studio.workspace.dressing import has_apparel
 
     try:
         usable = character.rig is not None and rig_handles(character) is not None
@@ -101,11 +125,6 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
         physics = apparel_rig(character) is not None
     except Exception:  # broken physics are no reason not to open a character
         physics = False
-    try:
-        apparel = has_apparel(character, handles)
-    except Exception:  # nor are clothes that nobody finds
-        _log.exception("apparel could not be looked for")
-        apparel = False
     low, high = character.vertices[character.surface].min(axis=0), character.vertices[character.surface].max(axis=0)
     used = np.flatnonzero(handles.weights.max(axis=0) > 0.01)
     return {
@@ -116,13 +135,9 @@ def told(character: Character, handles: Handles) -> dict[str, Any]:
         "joints": 0 if character.rig is None else len(character.rig.names),
         "rig": usable,
         "physics": physics,
-        "apparel": apparel,
+        "skeleton": _has_skeleton(character),
         "mmd": mmd_model(character) is not None,
         "roles": handles.played.tolist(),
         "positions": handles.positions.astype(float).round(5).tolist(),
         "used": used.tolist(),
-        "ends": [
-            {"part": end.part, "handle": end.handle, "point": np.round(end.point, 5).tolist()}
-            for end in limb_ends(Anatomy.of(character, handles))
-        ],
     }

@@ -9,10 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.character import Character, Handles
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.formats.files import atomic_write
+from bunraku.pipelines.animator import Body
 from bunraku.studio.workspace.clips import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
 from bunraku.studio.workspace.opened import Settings, opened_character
 
@@ -34,6 +36,7 @@ class Workspace:
     def __init__(self, folder: str):
         self.folder = Path(folder)
         self._open: OrderedDict[tuple[str, int], tuple[Character, Handles]] = OrderedDict()
+        self._bodies: OrderedDict[str, Body] = OrderedDict()
 
     def warm_up(self) -> None:
         """Load the networks, so that the first user does not wait for them."""
@@ -67,6 +70,16 @@ class Workspace:
                 self._open.popitem(last=False)
         self._open.move_to_end(key)
         return self._open[key]
+
+    def body(self, name: str) -> Body:
+        """A character that was opened, with what is known of its handles' anatomy worked out once."""
+        character, handles = self.character(name)
+        if name not in self._bodies or self._bodies[name].character is not character:
+            anatomy = Anatomy.of(character, handles).measured()
+            self._bodies[name] = Body(character, handles.features, anatomy)
+            while len(self._bodies) > KEPT:
+                self._bodies.popitem(last=False)
+        return self._bodies[name]
 
     def take(self, name: str, owner: str) -> Take:
         """A take that is finished, of a character."""

@@ -1,22 +1,29 @@
-// What stands beside the view: characters with what was guessed of them, takes, and how they are made.
+// Characters as cards, what was guessed of the one that is shown, and the samples.
 
-import { useRef } from "preact/hooks";
-import { choose, deleteCharacter, deleteTake, dress, repair, openAsMotion, replayLink, sample, select, star } from "./actions";
-import { send } from "./api";
-import { openAll } from "./drop";
-import { changing } from "./prompt";
-import {
-  about, attempt, change, character, characters, colouring, comparing, doc, ended, interrupted, ownTakes, running, say,
-  take, uploading, weightOf,
-} from "./state";
-import type { Apparel as ApparelWay, Character, Take } from "./types";
+import { useEffect, useRef, useState } from "preact/hooks";
+import { deleteCharacter, dress, openAsMotion, repair, sample, select } from "./actions";
+import { bytes } from "./api";
+import { about, attempt, change, character, characters, colouring, doc, running, take, weightOf } from "./state";
+import { Thumbs } from "./thumbs";
+import type { Apparel as ApparelWay, Character } from "./types";
 
 const UNITS: Record<string, string> = { m: "metres", cm: "centimetres", mm: "millimetres", in: "inches" };
 const HANDLES =
   "pelvis,left hip,right hip,spine 1,left knee,right knee,spine 2,left ankle,right ankle,spine 3,left foot,right foot,neck,left collar,right collar,head,left shoulder,right shoulder,left elbow,right elbow,left wrist,right wrist,left fingers,right fingers,head top,face,left wing,right wing,tail,tail tip".split(
     ",",
   );
-const KEPT = ["legs", "arms", "left arm", "right arm", "torso", "head", "upper body", "lower body", "tail", "wings", "root"];
+
+/** The axis at a right angle to two others: where the left side of a character is, of its up and front. */
+export function across(up: string, front: string): string {
+  const names = ["x", "y", "z"];
+  const [a, b] = [names.indexOf(up.slice(1)), names.indexOf(front.slice(1))];
+  const third = 3 - a - b;
+  const even = (a + 1) % 3 === b;
+  const negative = (up[0] === "-") !== (front[0] === "-");
+  return `${even !== negative ? "+" : "-"}${names[third] ?? "x"}`;
+}
+
+const turned = (axis: string): string => (axis.startsWith("-") ? `+${axis.slice(1)}` : `-${axis.slice(1)}`);
 
 function axis(name: string): string {
   return name.toUpperCase().replace("-", "−");
@@ -59,6 +66,47 @@ function Chips({ one }: { one: Character }) {
   return <div class="chips">{chips}</div>;
 }
 
+/** Four views of a character whose front is not sure: one click says which it is. */
+function Fronts({ one }: { one: Character }) {
+  const [views, setViews] = useState<string[]>([]);
+  const { axes } = one;
+  useEffect(() => {
+    let gone = false;
+    const thumbs = new Thumbs();
+    void attempt(async () => {
+      await thumbs.show(`${one.id}:${one.version}`, await bytes(`/characters/${one.id}/mesh.glb?skin=handles`), one.bounds);
+      if (!gone) {
+        setViews([0, 0.25, 0.5, 0.75].map((side) => thumbs.picture(side).toDataURL()));
+      }
+      thumbs.end();
+    });
+    return () => {
+      gone = true;
+    };
+  }, [one.id, one.version]);
+  if (!axes) {
+    return null;
+  }
+  const left = across(axes.up, axes.front);
+  const fronts = [axes.front, left, turned(axes.front), turned(left)];
+  return (
+    <fieldset class="fronts">
+      <legend>Which is its front?</legend>
+      {views.map((view, number) => (
+        <button
+          key={number}
+          class="card"
+          disabled={running.value.length > 0}
+          onClick={() => void repair(one, { up: axes.up, front: fronts[number] ?? axes.front })}
+        >
+          <img src={view} alt={`seen with ${axis(fronts[number] ?? "")} ahead`} />
+          <small>this is its front</small>
+        </button>
+      ))}
+    </fieldset>
+  );
+}
+
 function Fit({ one }: { one: Character }) {
   const free = running.value.length === 0;
   const choice = (name: "up" | "front" | "unit", options: string[]) => (
@@ -77,8 +125,9 @@ function Fit({ one }: { one: Character }) {
   );
   const axes = ["auto", "+x", "-x", "+y", "-y", "+z", "-z"];
   return (
-    <details>
+    <details open={unsure(one)}>
       <summary>how it stands</summary>
+      {unsure(one) && <Fronts one={one} />}
       <div class="fields">
         {choice("up", axes)}
         {choice("front", axes)}
@@ -141,38 +190,38 @@ function Apparel({ one }: { one: Character }) {
 
 const factor = (stiffness: number): string => String(Number(stiffness.toPrecision(2)));
 
+/** Whether its front was guessed and might be another. */
+const unsure = (one: Character): boolean => Boolean(one.axes?.other) && (one.axes?.sure ?? 1) < 0.97 && one.settings.front === "auto";
+
+function Picture({ one }: { one: Character }) {
+  const [url, setUrl] = useState("");
+  useEffect(() => {
+    if (!one.picture) {
+      return undefined;
+    }
+    let made = "";
+    void bytes(`/characters/${one.id}/picture?v=${one.picture}`)
+      .then((data) => setUrl((made = URL.createObjectURL(new Blob([data])))))
+      .catch(() => undefined);
+    return () => URL.revokeObjectURL(made);
+  }, [one.id, one.picture]);
+  return url ? <img src={url} alt="" width={48} height={36} /> : <span class="blank" aria-hidden="true" />;
+}
+
 export function Characters() {
-  const files = useRef<HTMLInputElement>(null);
   const motion = useRef<HTMLInputElement>(null);
   const now = character.value;
   return (
     <section class="panel" aria-label="characters">
-      <header>
-        <h2>Characters</h2>
-        <button onClick={() => files.current?.click()}>Open…</button>
-        <input
-          ref={files}
-          type="file"
-          multiple
-          hidden
-          id="open-files"
-          onChange={(event) => {
-            const found = new Map([...(event.currentTarget.files ?? [])].map((file) => [file.name, file]));
-            event.currentTarget.value = "";
-            if (found.size) {
-              void openAll(found);
-            }
-          }}
-        />
-      </header>
       <p class="hint">
         Drop a mesh, a VRM, a PMX (as ZIP or folder), a motion (BVH, VMD, VRMA, AMASS) or a project anywhere.
       </p>
       <ul class="list">
         {characters.value.map((one) => (
           <li key={one.id} class={one.id === doc.value.character ? "chosen" : ""}>
-            <button class="name" aria-pressed={one.id === doc.value.character} onClick={() => select(one.id)}>
-              {one.name}
+            <button class="name pictured" aria-pressed={one.id === doc.value.character} onClick={() => select(one.id)}>
+              <Picture one={one} />
+              <span>{one.name}</span>
               <small>
                 {one.state === "ready"
                   ? `${one.vertices?.toLocaleString()} vertices · ${one.height?.toPrecision(3)} m`
@@ -197,11 +246,12 @@ export function Characters() {
               <select
                 id="colouring"
                 value={colouring.value}
-                onChange={(event) => (colouring.value = event.currentTarget.value as "none" | "handles" | "weights")}
+                onChange={(event) => (colouring.value = event.currentTarget.value as typeof colouring.value)}
               >
                 <option value="none">as it is</option>
                 <option value="handles">handles in colour</option>
                 <option value="weights">weights of one handle</option>
+                <option value="skeleton">skeleton</option>
               </select>
             </label>
             {colouring.value === "weights" && (
@@ -218,6 +268,19 @@ export function Characters() {
               </label>
             )}
           </div>
+          {now.skeleton && (
+            <label class="field">
+              <span>what moves</span>
+              <select
+                id="rig"
+                value={doc.value.rig}
+                onChange={(event) => change("", { rig: event.currentTarget.value as "handles" | "own" })}
+              >
+                <option value="handles">30 handles, which can be pinned and changed</option>
+                <option value="own">its own skeleton of {now.joints} bones</option>
+              </select>
+            </label>
+          )}
           {(now.physics || now.apparel) && <Apparel one={now} />}
           <p class="hint">
             <button class="link" onClick={() => motion.current?.click()}>
@@ -239,161 +302,16 @@ export function Characters() {
         </>
       )}
       <h3>Samples</h3>
-      <div class="chips">
+      <ul class="cards">
         {about.value?.samples.map((name) => (
-          <button key={name} class="chip" onClick={() => void sample(name)}>
-            {name}
-          </button>
+          <li key={name}>
+            <button class="card" id={`sample-${name}`} onClick={() => void sample(name)}>
+              <img src={`sample-${name}.webp`} alt="" width={96} height={72} />
+              <span>{name}</span>
+            </button>
+          </li>
         ))}
-      </div>
-    </section>
-  );
-}
-
-const titleOf = (one: Take): string =>
-  one.title ||
-  (one.how === "edit"
-    ? `${String(one.asked?.["prompt"] ?? "changed")}`
-    : one.how === "dress"
-      ? `dressed · ${one.script[0]?.text ?? ""}`
-    : one.how === "bend"
-      ? `pinned · ${one.script[0]?.text ?? ""}`
-      : one.script.map((part) => part.text).join("; "));
-
-function Row({ one }: { one: Take }) {
-  const chosen = one.id === doc.value.take;
-  const job = running.value.find((each) => each.about.takes?.includes(one.id));
-  return (
-    <li class={chosen ? "chosen" : ""}>
-      <button class="icon" aria-label={one.star ? "remove the star" : "star"} aria-pressed={one.star} onClick={() => void star(one)}>
-        {one.star ? "★" : "☆"}
-      </button>
-      <button class="name" aria-pressed={chosen} onClick={() => choose(one.id)}>
-        {titleOf(one)}
-        <small>
-          {one.state === "done"
-            ? `${one.how === "transfer" ? "transfer" : `seed ${one.seed}`} · ${one.seconds?.toFixed(1)} s${one.stiffness ? ` · stiffness ×${factor(one.stiffness)}` : ""}`
-            : one.error || (job ? `${job.stage || one.state} ${Math.round(job.done * 100)} %` : one.state)}
-        </small>
-        {job && <progress max={1} value={job.done} />}
-      </button>
-      {job ? (
-        <button class="icon" aria-label="cancel" onClick={() => void attempt(() => send("DELETE", `/jobs/${job.id}`))}>
-          ■
-        </button>
-      ) : (
-        <button class="icon" aria-label={`delete ${titleOf(one)}`} onClick={() => void deleteTake(one.id)}>
-          ×
-        </button>
-      )}
-    </li>
-  );
-}
-
-export function Takes() {
-  const now = doc.value;
-  const all = ownTakes.value;
-  return (
-    <section class="panel" aria-label="takes">
-      <header>
-        <h2>Takes</h2>
-        <button id="compare" aria-pressed={comparing.value} disabled={all.length < 2} onClick={() => (comparing.value = !comparing.value)} title="C: side by side">
-          Compare
-        </button>
-      </header>
-      <Jobs />
-      <ul class="list takes">
-        {all.map((one) => (
-          <Row key={one.id} one={one} />
-        ))}
-        {!all.length && <li class="hint">no takes yet: type a sentence and press Enter</li>}
       </ul>
-      {take.value?.state === "done" && (
-        <details open={changing.value}>
-          <summary>change this take</summary>
-          <p class="hint">Keep parts of the body, select a span below, or pin poses; the rest is generated anew.</p>
-          <div class="chips">
-            {KEPT.map((part) => (
-              <button
-                key={part}
-                class="chip"
-                aria-pressed={now.keep.includes(part)}
-                onClick={() => {
-                  changing.value = true;
-                  change("", { keep: now.keep.includes(part) ? now.keep.filter((each) => each !== part) : [...now.keep, part] });
-                }}
-              >
-                keep {part}
-              </button>
-            ))}
-          </div>
-          <p class="hint">Pause, then drag the blue dots at hands and feet: a pin at that time.</p>
-        </details>
-      )}
-      <details>
-        <summary>how takes are drawn</summary>
-        <div class="fields">
-          <label class="field">
-            <span>guidance {now.guidance}</span>
-            <input type="range" min={0} max={10} step={0.5} value={now.guidance} onInput={(event) => change("guidance", { guidance: Number(event.currentTarget.value) })} />
-          </label>
-          <label class="field">
-            <span>steps {now.steps}</span>
-            <input type="range" min={2} max={50} step={1} value={now.steps} onInput={(event) => change("steps", { steps: Number(event.currentTarget.value) })} />
-          </label>
-        </div>
-      </details>
-      {take.value?.state === "done" && take.value.how === "animate" && (
-        <p class="hint">
-          <button
-            class="link"
-            onClick={() => {
-              const one = take.value;
-              if (one) {
-                const link = replayLink(one);
-                navigator.clipboard?.writeText(link).then(
-                  () => say("the link is copied: it makes this take again from its sentence and seed"),
-                  () => say(link),
-                );
-              }
-            }}
-          >
-            copy a link that replays it
-          </button>
-        </p>
-      )}
     </section>
-  );
-}
-
-function Jobs() {
-  const old = interrupted.value;
-  return (
-    <>
-      {uploading.value && (
-        <p role="status">
-          {uploading.value.name} <progress max={1} value={uploading.value.done} />
-        </p>
-      )}
-      {old.map((job) => (
-        <p key={job.id} class="hint">
-          {job.title}: interrupted.{" "}
-          <button
-            class="link"
-            onClick={() =>
-              void attempt(async () => {
-                const made = await send<{ id: string }>("POST", `/jobs/${job.id}/again`);
-                await ended(made.id);
-              })
-            }
-          >
-            again
-          </button>{" "}
-          <button class="link" onClick={() => void attempt(() => send("DELETE", `/jobs/${job.id}`))}>
-            forget
-          </button>
-        </p>
-      ))}
-    </>
   );
 }

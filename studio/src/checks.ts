@@ -1,0 +1,103 @@
+// For tests, in a build of their own: the state, and the view at a time of their choosing.
+
+import { batch } from "@preact/signals";
+import { Color, MeshBasicMaterial, Vector3 } from "three";
+import { pose } from "./model";
+import { changing } from "./prompt";
+import { EMPTY } from "./schema";
+import { viewer } from "./stage";
+import {
+  change, character, characters, colouring, comparing, doc, drawing, follow, notice, online, ownTakes, playing, take, takes, time,
+} from "./state";
+import type { Doc } from "./types";
+import type { Viewer } from "./viewer";
+
+/** Where the given camera sees something of the character at a time, one byte a pixel. */
+function silhouette(view: Viewer, at: number, width: number, height: number, eye: number[], target: number[]): number[] {
+  const { scene, camera, renderer, canvas } = view;
+  const { background, fog } = scene;
+  const { position, quaternion } = camera.clone();
+  const ratio = renderer.getPixelRatio();
+  const pane = view.panes[0];
+  const shown = scene.children.filter((child) => child !== pane?.model.group && child.visible);
+  for (const child of shown) {
+    child.visible = false;
+  }
+  scene.fog = null;
+  scene.background = new Color(0x00ff00);
+  scene.overrideMaterial = new MeshBasicMaterial({ color: 0xff00ff, side: 2 });
+  renderer.setPixelRatio(1);
+  renderer.setSize(width, height, false);
+  renderer.setScissorTest(false);
+  renderer.setViewport(0, 0, width, height);
+  camera.position.fromArray(eye);
+  camera.lookAt(new Vector3().fromArray(target));
+  camera.aspect = width / height;
+  camera.updateProjectionMatrix();
+  if (pane) {
+    pose(pane.model, pane.clip, at);
+  }
+  renderer.render(scene, camera);
+  const flat = document.createElement("canvas");
+  flat.width = width;
+  flat.height = height;
+  const paper = flat.getContext("2d");
+  paper?.drawImage(canvas, 0, 0);
+  const pixels = paper?.getImageData(0, 0, width, height).data ?? new Uint8ClampedArray();
+  const out: number[] = [];
+  for (let place = 0; place < width * height; place += 1) {
+    out.push((pixels[place * 4] ?? 0) > 127 ? 1 : 0);
+  }
+  scene.overrideMaterial = null;
+  Object.assign(scene, { background, fog });
+  for (const child of shown) {
+    child.visible = true;
+  }
+  camera.position.copy(position);
+  camera.quaternion.copy(quaternion);
+  renderer.setPixelRatio(ratio);
+  view.touch();
+  return out;
+}
+
+Object.assign(window, {
+  studio: {
+    /** As a page that was never used, on the oldest character and its newest take that is done. */
+    fresh: (values: Partial<Doc>) => {
+      const first = characters.value.find((one) => one.state === "ready") ?? null;
+      const done = takes.value.filter((one) => one.character === first?.id && one.state === "done");
+      const newest = done.sort((one, other) => other.created - one.created)[0];
+      batch(() => {
+        doc.value = { ...EMPTY, character: first?.id ?? null, take: newest?.id ?? null, ...values };
+        comparing.value = drawing.value = playing.value = changing.value = false;
+        follow.value = true;
+        colouring.value = "none";
+        notice.value = null;
+        time.value = 0;
+      });
+    },
+    doc,
+    take,
+    character,
+    takes: ownTakes,
+    notice,
+    online,
+    playing,
+    time,
+    change,
+    view: () => viewer,
+    /** As if the front of the character were this sure. */
+    unsure: (sure: number) => {
+      characters.value = characters.value.map((one) =>
+        one.id === character.value?.id && one.axes ? { ...one, axes: { ...one.axes, sure, other: one.axes.other ?? ["+y", "+x"] } } : one,
+      );
+    },
+    silhouette: (at: number, width: number, height: number, eye: number[], target: number[]) =>
+      viewer ? silhouette(viewer, at, width, height, eye, target) : [],
+    set: (seconds: number) => {
+      playing.value = false;
+      time.value = seconds;
+      viewer?.draw(true);
+    },
+  },
+});

@@ -1,0 +1,198 @@
+// Export: which takes, as what, at what rate, each its own file or all as the clips of one.
+
+import { signal } from "@preact/signals";
+import { useEffect, useRef, useState } from "preact/hooks";
+import { download, hand, saveProject } from "./actions";
+import { filming, holder, seconds, viewer } from "./stage";
+import { about, attempt, character, ownTakes, playing, say, take, time } from "./state";
+import { titleOf } from "./takes";
+
+export const exporting = signal(false);
+export const film = signal<{ done: number; name: string } | null>(null);
+let stop = false;
+export const stopFilm = (): void => void (stop = true);
+
+const FORMATS: Record<string, string> = {
+  glb: "GLB — Godot, three.js, Blender, the web",
+  fbx: "FBX — Unity, Unreal, Maya",
+  bvh: "BVH — the skeleton's motion",
+  vrma: "VRMA — VRM avatars",
+  vmd: "VMD — MikuMikuDance",
+  usdz: "USDZ — USD, AR",
+  npz: "NPZ — the handle motion",
+};
+const OWN: Record<string, string> = {
+  mp4: "MP4 — a video of the view",
+  gif: "GIF — a small video of the view",
+  bunraku: ".bunraku — the character with all its takes, to be opened here again",
+};
+/** Formats that hold several clips. */
+const TOGETHER = ["glb"];
+
+async function shoot(kind: "mp4" | "gif"): Promise<void> {
+  const view = viewer;
+  const one = take.value;
+  const place = holder;
+  if (!view || !one || !place || film.value) {
+    return;
+  }
+  await attempt(async () => {
+    const video = await import("./video");
+    const before = { playing: playing.value, time: time.value };
+    playing.value = false;
+    filming.on = true;
+    stop = false;
+    film.value = { done: 0, name: kind };
+    try {
+      const shot = {
+        viewer: view,
+        seconds: seconds(),
+        told: (done: number) => void (film.value = { done, name: kind }),
+        stopped: () => stop,
+      };
+      const made = kind === "mp4" ? await video.mp4(shot, 1280, 720, 30) : await video.gif(shot, 480, 360, 15);
+      hand(made, `${character.value?.name ?? "take"}.${kind}`);
+      say(`${kind.toUpperCase()}: ${(made.size / 1e6).toFixed(1)} MB`);
+    } finally {
+      filming.on = false;
+      film.value = null;
+      view.restore(place);
+      playing.value = before.playing;
+      time.value = before.time;
+    }
+  });
+}
+
+export function Export() {
+  return exporting.value ? <ExportDialog /> : null;
+}
+
+function ExportDialog() {
+  const box = useRef<HTMLDialogElement>(null);
+  const [choice, setChoice] = useState("glb");
+  const [fps, setFps] = useState(30);
+  const [together, setTogether] = useState(true);
+  const [chosen, setChosen] = useState<string[]>(take.value ? [take.value.id] : []);
+  useEffect(() => {
+    box.current?.showModal();
+  }, []);
+  const done = ownTakes.value.filter((one) => one.state === "done");
+  const some = done.filter((one) => chosen.includes(one.id));
+  const written = (about.value?.writes ?? []).filter((one) => one !== "vmd" || character.value?.mmd);
+  const presets = about.value?.presets ?? [];
+  const preset = presets.find((one) => `for ${one.name}` === choice);
+  const format = preset ? preset.suffix.slice(1) : choice;
+  const ours = choice in OWN;
+  const choose = (value: string): void => {
+    setChoice(value);
+    setFps(presets.find((one) => `for ${one.name}` === value)?.fps ?? 30);
+  };
+  const [low, high] = about.value?.fps ?? [1, 240];
+  const close = (): void => void (exporting.value = false);
+  const go = (): void => {
+    close();
+    if (format === "bunraku") {
+      void saveProject();
+    } else if (format === "mp4" || format === "gif") {
+      void shoot(format);
+    } else {
+      const all = { format, fps, together: together && TOGETHER.includes(format) };
+      void download(some, preset ? { ...all, preset: preset.name } : all);
+    }
+  };
+  return (
+    <dialog ref={box} class="export" aria-labelledby="export-title" onClose={close}>
+      <form
+        method="dialog"
+        onSubmit={(event) => {
+          event.preventDefault();
+          go();
+        }}
+      >
+        <h2 id="export-title">Export</h2>
+        <label class="field">
+          <span>as</span>
+          <select id="format" value={choice} onChange={(event) => choose(event.currentTarget.value)}>
+            {presets.length > 0 && (
+              <optgroup label="for a program">
+                {presets.map((one) => (
+                  <option key={one.name} value={`for ${one.name}`}>
+                    {one.title}
+                  </option>
+                ))}
+              </optgroup>
+            )}
+            <optgroup label="a format">
+              {written.map((one) => (
+                <option key={one} value={one}>
+                  {FORMATS[one] ?? one.toUpperCase()}
+                </option>
+              ))}
+            </optgroup>
+            <optgroup label="of this page">
+              {Object.entries(OWN).map(([one, title]) => (
+                <option key={one} value={one}>
+                  {title}
+                </option>
+              ))}
+            </optgroup>
+          </select>
+        </label>
+        {preset && <p class="hint">{preset.note}</p>}
+        {!ours && (
+          <>
+            <fieldset>
+              <legend>takes</legend>
+              <ul class="list some">
+                {done.map((one) => (
+                  <li key={one.id}>
+                    <label class="toggle">
+                      <input
+                        type="checkbox"
+                        checked={chosen.includes(one.id)}
+                        onChange={(event) => setChosen(event.currentTarget.checked ? [...chosen, one.id] : chosen.filter((id) => id !== one.id))}
+                      />
+                      <span>
+                        {titleOf(one)} <small>{one.seconds?.toFixed(1)} s</small>
+                      </span>
+                    </label>
+                  </li>
+                ))}
+              </ul>
+              <button type="button" class="link" onClick={() => setChosen(some.length === done.length ? [] : done.map((one) => one.id))}>
+                {some.length === done.length ? "none" : "all"}
+              </button>
+            </fieldset>
+            {some.length > 1 && !preset && TOGETHER.includes(format) && (
+              <label class="toggle">
+                <input type="checkbox" checked={together} onChange={(event) => setTogether(event.currentTarget.checked)} />
+                one file, each take a clip of it
+              </label>
+            )}
+            {!["npz", "vmd"].includes(format) && (
+              <label class="field small">
+                <span>frames a second</span>
+                <input
+                  id="fps"
+                  type="number"
+                  min={low}
+                  max={high}
+                  value={fps}
+                  onChange={(event) => setFps(Math.min(Math.max(Number(event.currentTarget.value) || 30, low), high))}
+                />
+              </label>
+            )}
+          </>
+        )}
+        <p class="buttons">
+          <button class="main" id="write" disabled={!ours && !some.length}>
+            {ours || some.length < 2 ? "Export" : `Export ${some.length} takes`}
+          </button>
+          <button type="button" onClick={close}>
+            Cancel
+          </button>
+        </p>
+      </form>
+    </dialog>
+  );
+}

@@ -1,0 +1,27 @@
+// Which joints of a character its bones are between.
+
+import type { Bone } from "three";
+import type { Character } from "./types";
+
+/** The parent of each of the 30 handles (src/bunraku/body/layout.py). */
+export const PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21, 15, 15, 9, 9, 0, 28];
+
+/** Pairs of joints between which bones are drawn: of the file's own, or of the handles by the parts that they play. */
+export function skeletonOf(one: Character, skin: "handles" | "bones", bones: readonly Bone[]): [number, number][] {
+  if (skin === "bones") {
+    return bones.flatMap((bone, joint): [number, number][] => {
+      const parent = bones.indexOf(bone.parent as Bone);
+      return parent > 0 ? [[parent, joint]] : []; // the first joint stands still
+    });
+  }
+  const { roles = [], used = [] } = one;
+  const plays = new Map(used.map((joint) => [roles[joint] ?? joint, joint]));
+  return used.flatMap((joint): [number, number][] => {
+    let role = PARENTS[roles[joint] ?? joint] ?? -1;
+    while (role >= 0 && !plays.has(role)) {
+      role = PARENTS[role] ?? -1;
+    }
+    const from = plays.get(role);
+    return from === undefined || from === joint ? [] : [[from, joint]];
+  });
+}

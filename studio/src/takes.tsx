@@ -1,0 +1,268 @@
+// Takes: chosen, starred, compared, and what is changed of the one that is chosen.
+
+import { useState } from "preact/hooks";
+import { bend, choose, deleteTake, regenerate, remake, replayLink, star } from "./actions";
+import { send } from "./api";
+import { changing, instead } from "./prompt";
+import { seconds as shown, viewer } from "./stage";
+import { attempt, change, character, comparing, doc, ended, interrupted, ownTakes, running, say, take, time, uploading } from "./state";
+import type { Take, Vec3 } from "./types";
+
+const KEPT = ["legs", "arms", "left arm", "right arm", "torso", "head", "upper body", "lower body", "tail", "wings", "root"];
+
+export const PARTS: Record<string, string> = {
+  left_hand: "left hand",
+  right_hand: "right hand",
+  left_foot: "left foot",
+  right_foot: "right foot",
+};
+
+const factor = (stiffness: number): string => String(Number(stiffness.toPrecision(2)));
+
+export const titleOf = (one: Take): string =>
+  one.title ||
+  (one.how === "edit"
+    ? `${String(one.asked?.["prompt"] ?? "changed")}`
+    : one.how === "dress"
+      ? `dressed · ${one.script[0]?.text ?? ""}`
+    : one.how === "bend"
+      ? `pinned · ${one.script[0]?.text ?? ""}`
+    : one.how === "mirror" || one.how === "trim"
+      ? `${one.how === "mirror" ? "mirrored" : "cut"} · ${one.script.map((part) => part.clip ?? part.text).join("; ")}`
+      : one.script.map((part) => part.clip?.replaceAll("-", " ") ?? part.text).join("; "));
+
+function Row({ one }: { one: Take }) {
+  const chosen = one.id === doc.value.take;
+  const job = running.value.find((each) => each.about.takes?.includes(one.id));
+  return (
+    <li class={chosen ? "chosen" : ""}>
+      <button class="icon" aria-label={one.star ? "remove the star" : "star"} aria-pressed={one.star} onClick={() => void star(one)}>
+        {one.star ? "★" : "☆"}
+      </button>
+      <button class="name" aria-pressed={chosen} onClick={() => choose(one.id)}>
+        {titleOf(one)}
+        <small>
+          {one.state === "done"
+            ? `${one.how === "transfer" ? "transfer" : `seed ${one.seed}`} · ${one.seconds?.toFixed(1)} s${one.stiffness ? ` · stiffness ×${factor(one.stiffness)}` : ""}`
+            : one.error || (job ? `${job.stage || one.state} ${Math.round(job.done * 100)} %` : one.state)}
+        </small>
+        {job && <progress max={1} value={job.done} />}
+      </button>
+      {job ? (
+        <button class="icon" aria-label="cancel" onClick={() => void attempt(() => send("DELETE", `/jobs/${job.id}`))}>
+          ■
+        </button>
+      ) : (
+        <button class="icon" aria-label={`delete ${titleOf(one)}`} onClick={() => void deleteTake(one.id)}>
+          ×
+        </button>
+      )}
+    </li>
+  );
+}
+
+/** Pins as numbers: all that dragging a dot in the view does, without a pointer. */
+function Pins() {
+  const ends = character.value?.ends ?? [];
+  const { pins } = doc.value;
+  const add = (part: string): void => {
+    const position = viewer?.endOf(part);
+    if (position) {
+      const at = Math.round(time.value * 100) / 100;
+      change("pin", { pins: [...pins, { part, time: at, position, hold: 0 }].sort((a, b) => a.time - b.time) });
+    }
+  };
+  const set = (number: number, axis: number, value: number): void => {
+    if (Number.isFinite(value)) {
+      const position = (pins[number]?.position ?? [0, 0, 0]).map((old, each) => (each === axis ? value : old)) as Vec3;
+      change("pin", { pins: pins.map((pin, each) => (each === number ? { ...pin, position } : pin)) });
+    }
+  };
+  return (
+    <>
+      <div class="chips">
+        {ends.map((end) => (
+          <button key={end.part} class="chip" onClick={() => add(end.part)}>
+            pin {PARTS[end.part] ?? end.part} here
+          </button>
+        ))}
+      </div>
+      {pins.map((pin, number) => (
+        <div class="pin" key={`${pin.part}@${pin.time}`} role="group" aria-label={`${PARTS[pin.part]} at ${pin.time} s`}>
+          <span>
+            {PARTS[pin.part]} <small>{pin.time} s</small>
+          </span>
+          {["x", "y", "z"].map((name, axis) => (
+            <input
+              key={name}
+              type="number"
+              step={0.05}
+              value={pin.position[axis]}
+              aria-label={`${name} in metres`}
+              onChange={(event) => set(number, axis, Number(event.currentTarget.value))}
+            />
+          ))}
+          <button class="icon" aria-label={`remove the pin of ${PARTS[pin.part]}`} onClick={() => change("unpin", { pins: pins.filter((one) => one !== pin) })}>
+            ×
+          </button>
+        </div>
+      ))}
+      {pins.length > 0 && <button onClick={() => void bend()}>Bend to the pins</button>}
+    </>
+  );
+}
+
+/** The span, mirror and the path as fields. */
+function Change() {
+  const now = doc.value;
+  const [cut, setCut] = useState<[number, number]>([0, 0]);
+  const length = shown();
+  const [from, to] = now.span ?? cut;
+  const span = (values: [number, number]): void => {
+    setCut(values);
+    change("select a span", { span: values[1] - values[0] >= 0.1 ? values : null });
+    changing.value = values[1] - values[0] >= 0.1;
+  };
+  const field = (name: string, value: number, set: (value: number) => void) => (
+    <label class="field small">
+      <span>{name}</span>
+      <input
+        type="number"
+        min={0}
+        max={length}
+        step={0.05}
+        value={value}
+        onChange={(event) => set(Math.min(Math.max(Number(event.currentTarget.value) || 0, 0), length))}
+      />
+    </label>
+  );
+  return (
+    <>
+      <div class="row-fields">
+        {field("from", from, (value) => span([value, Math.max(to, value)]))}
+        {field("to", to, (value) => span([Math.min(from, value), value]))}
+        <span class="muted">s</span>
+      </div>
+      <div class="chips">
+        <button class="chip" disabled={to - from < 0.1} onClick={() => void regenerate(instead.value)}>
+          generate this span anew
+        </button>
+        <button class="chip" id="trim" disabled={to - from < 0.1} onClick={() => void remake("cut a take", { trim: [from, to] })}>
+          keep only this span
+        </button>
+        <button class="chip" id="mirror" onClick={() => void remake("mirror a take", { mirror: true })}>
+          mirror left and right
+        </button>
+      </div>
+    </>
+  );
+}
+
+export function Takes() {
+  const now = doc.value;
+  const all = ownTakes.value;
+  return (
+    <section class="panel" aria-label="takes">
+      <header>
+        <h2>Takes</h2>
+        <button id="compare" aria-pressed={comparing.value} disabled={all.length < 2} onClick={() => (comparing.value = !comparing.value)} title="C: side by side">
+          Compare
+        </button>
+      </header>
+      <Jobs />
+      <ul class="list takes">
+        {all.map((one) => (
+          <Row key={one.id} one={one} />
+        ))}
+        {!all.length && <li class="hint">no takes yet: type a sentence and press Enter</li>}
+      </ul>
+      {take.value?.state === "done" && (
+        <details open={changing.value}>
+          <summary>change this take</summary>
+          <p class="hint">Keep parts of the body, select a span, or pin poses, hands and feet; the rest is generated anew.</p>
+          <div class="chips">
+            {KEPT.map((part) => (
+              <button
+                key={part}
+                class="chip"
+                aria-pressed={now.keep.includes(part)}
+                onClick={() => {
+                  changing.value = true;
+                  change("", { keep: now.keep.includes(part) ? now.keep.filter((each) => each !== part) : [...now.keep, part] });
+                }}
+              >
+                keep {part}
+              </button>
+            ))}
+          </div>
+          <Change />
+          {take.value.skin === "handles" && <Pins />}
+        </details>
+      )}
+      <details>
+        <summary>how takes are drawn</summary>
+        <div class="fields">
+          <label class="field">
+            <span>guidance {now.guidance}</span>
+            <input type="range" min={0} max={10} step={0.5} value={now.guidance} onInput={(event) => change("guidance", { guidance: Number(event.currentTarget.value) })} />
+          </label>
+          <label class="field">
+            <span>steps {now.steps}</span>
+            <input type="range" min={2} max={50} step={1} value={now.steps} onInput={(event) => change("steps", { steps: Number(event.currentTarget.value) })} />
+          </label>
+        </div>
+      </details>
+      {take.value?.state === "done" && take.value.how === "animate" && (
+        <p class="hint">
+          <button
+            class="link"
+            onClick={() => {
+              const one = take.value;
+              if (one) {
+                const link = replayLink(one);
+                navigator.clipboard?.writeText(link).then(
+                  () => say("the link is copied: it makes this take again from its sentence and seed"),
+                  () => say(link),
+                );
+              }
+            }}
+          >
+            copy a link that replays it
+          </button>
+        </p>
+      )}
+    </section>
+  );
+}
+
+function Jobs() {
+  const old = interrupted.value;
+  return (
+    <>
+      {uploading.value && (
+        <p role="status">
+          {uploading.value.name} <progress max={1} value={uploading.value.done} />
+        </p>
+      )}
+      {old.map((job) => (
+        <p key={job.id} class="hint">
+          {job.title}: interrupted.{" "}
+          <button
+            class="link"
+            onClick={() =>
+              void attempt(async () => {
+                const made = await send<{ id: string }>("POST", `/jobs/${job.id}/again`);
+                await ended(made.id);
+              })
+            }
+          >
+            again
+          </button>{" "}
+          <button class="link" onClick={() => void attempt(() => send("DELETE", `/jobs/${job.id}`))}>
+            forget
+          </button>
+        </p>
+      ))}
+    </>
+  );
+}
