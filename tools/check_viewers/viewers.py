@@ -1,7 +1,8 @@
 """Written GLBs as three.js and Blender show them: vertices at some times, to compare with Bunraku's own.
 
 Both are optional. three.js needs node and `npm install` in this folder (or BUNRAKU_THREE, a folder with
-node_modules/three); Blender is found as `bunraku.formats.fbx.export` finds it.
+node_modules/three). Blender is the program that BUNRAKU_BLENDER names, or `blender` on the path, or the Python with the
+package `bpy` that BUNRAKU_BLENDER_PYTHON names.
 """
 
 from __future__ import annotations
@@ -17,10 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.errors import BunrakuError
-from bunraku.formats.fbx.export import blender_command
-
-__all__ = ["blender_missing", "blender_vertices", "three_missing", "three_vertices"]
+__all__ = ["blender_command", "blender_missing", "blender_vertices", "three_missing", "three_vertices"]
 
 HERE = Path(__file__).parent
 THREE = Path(os.environ.get("BUNRAKU_THREE", HERE)) / "node_modules" / "three"
@@ -37,13 +35,19 @@ def three_missing() -> str:
     return "" if THREE.is_dir() else "needs three.js: `npm install` in tools/check_viewers (or BUNRAKU_THREE)"
 
 
+def blender_command() -> list[str]:
+    """How Blender runs a Python file, up to the file's name; empty where there is none."""
+    named, python = (os.environ.get(f"BUNRAKU_{name}") for name in ("BLENDER", "BLENDER_PYTHON"))
+    blender = shutil.which(named or "blender")
+    if blender is not None and (named or not python):
+        return [blender, "--background", "--factory-startup", "--python-exit-code", "1", "--python"]
+    found = shutil.which(python) if python else None
+    return [found] if found else []
+
+
 def blender_missing() -> str:
     """Why Blender cannot be asked, "" where it can."""
-    try:
-        blender_command()
-    except BunrakuError:
-        return "needs Blender on the path, or BUNRAKU_BLENDER or BUNRAKU_BLENDER_PYTHON"
-    return ""
+    return "" if blender_command() else "needs Blender on the path, or BUNRAKU_BLENDER or BUNRAKU_BLENDER_PYTHON"
 
 
 def three_vertices(shots: Shots, clip: int = 0) -> list[np.ndarray]:

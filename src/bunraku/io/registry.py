@@ -37,7 +37,7 @@ __all__ = [
 
 
 _log = logging.getLogger(__name__)
-_CHECKED = ("bunraku.formats.usd.write", "bunraku.formats.fbx.export")
+_CHECKED = ("bunraku.formats.usd.write",)
 _ABILITIES = {
     "character": "characters are read from",
     "motion": "motions are read from",

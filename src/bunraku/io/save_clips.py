@@ -23,17 +23,23 @@ __all__ = ["save_clips"]
 
 
 def save_clips(
-    animations: Mapping[str, AnimatedCharacter], path: str | Path, *, fps: float | None = None, add: bool = False
+    animations: Mapping[str, AnimatedCharacter],
+    path: str | Path,
+    *,
+    fps: float | None = None,
+    add: bool = False,
+    **options: str,
 ) -> Path:
-    """Write animations of one character as the clips of one GLB.
+    """Write animations of one character as the clips of one GLB or FBX.
 
-    Where the bones of the file's own skeleton move, its clips follow the new ones.
+    Where the bones of the file's own skeleton move, its clips follow the new ones in a GLB.
 
     Args:
         animations: The animation of each clip by its name; all of one character, moved by the same handles or bones.
-        path: The file, .glb.
+        path: The file, .glb or .fbx.
         fps: Frames a second of the clips [1/s]; those of each animation by default.
-        add: Keep what a file that is there has, and add to its clips; a name that is taken gets a number.
+        add: Keep what a GLB that is there has, and add to its clips; a name that is taken gets a number.
+        **options: Of FBX: `up` and `unit`, see `bunraku.formats.fbx.export.write_clips`.
 
     Returns:
         The file that was written.
@@ -44,13 +50,20 @@ def save_clips(
             `fps` is out of range.
     """
     path = Path(path)
-    if path.suffix.lower() != ".glb":
-        raise FormatError(path, "several clips go into one GLB; end the name in .glb, or write each to its own file")
+    suffix = path.suffix.lower()
+    if suffix not in (".glb", ".fbx"):
+        raise FormatError(
+            path, "several clips go into one GLB or FBX; end the name in .glb or .fbx, or write each to its own file"
+        )
+    if suffix == ".glb" and options:
+        raise OptionError(f"clips of a GLB have no option {', '.join(sorted(options))}; glTF is +Y up and in metres")
     if not animations:
         raise OptionError("there is no clip to write; give at least one animation")
     if any(not str(name).strip() for name in animations):
         raise OptionError("a clip has no name; give each one")
     if add and path.exists():
+        if suffix == ".fbx":
+            raise OptionError("clips are added to a GLB, not to an FBX; write all clips at once")
         return _added(animations, path, fps)
     bones = {name: one for name, one in animations.items() if isinstance(one, RigAnimation)}
     handles = {name: one for name, one in animations.items() if isinstance(one, Animation)}
@@ -65,6 +78,10 @@ def save_clips(
             "moves on its own; write the others to files of their own"
         )
     check_output_folder(path)
+    if suffix == ".fbx":
+        from bunraku.formats.fbx.export import write_clips as write_fbx_clips
+
+        return write_fbx_clips(bones or handles, path, fps=fps, **options)
     return save_rig_clips(bones, path, fps=fps) if bones else write_clips(handles, path, fps=fps)
 
 

@@ -118,6 +118,9 @@ FORMATS: tuple[Format, ...] = (
         character="bunraku.formats.fbx.read:read_fbx",
         motion="bunraku.formats.fbx.motion:read_motion",
         animation="bunraku.formats.fbx.export:write_fbx",
+        bones="bunraku.formats.fbx.export:write_fbx",
+        points="bunraku.formats.fbx.export:write_points",
+        rigged="bunraku.formats.fbx.export:write_character",
     ),
     Format(
         "VMD",

@@ -1,79 +1,110 @@
-"""Write FBX through Blender, which is optional: our GLB goes to a Blender without a window, and its FBX comes back.
+"""Write FBX: meshes, materials with their textures, joints, skin, shapes and clips, by a writer of our own.
 
-FBX has no open specification for writing, and programs differ in what they accept; what Blender writes they all read.
-Blender is run as a process of its own, so none of its libraries are loaded here.
+The file is binary FBX 7.4, which Blender, Unity, Unreal, Maya, 3ds Max, Godot and three.js read.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
-import subprocess
-import tempfile
-from importlib.resources import as_file, files
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bunraku.core.resample import checked_fps, resample
-from bunraku.errors import BunrakuError, OptionError
-from bunraku.formats.files import check_output_folder, writing
-from bunraku.formats.gltf.write import write_animation
+import numpy as np
+
+from bunraku.core.animation import Animation
+from bunraku.core.resample import checked_fps
+from bunraku.core.rig_animation import RigAnimation
+from bunraku.errors import CharacterError, FormatError, OptionError
+from bunraku.formats.fbx.write.bones import Bones, Track, add_bones
+from bunraku.formats.fbx.write.clips import ShapeTrack, add_clips
+from bunraku.formats.fbx.write.encode import element, write_elements
+from bunraku.formats.fbx.write.geometry import add_mesh, file_matrices
+from bunraku.formats.fbx.write.look import Look
+from bunraku.formats.fbx.write.meshes import Shape, meshes_of
+from bunraku.formats.fbx.write.objects import Objects
+from bunraku.formats.files import atomic_write, check_output_folder
+from bunraku.formats.frames import FileFrame
 
 if TYPE_CHECKING:
-    from bunraku.core.animation import Animation
+    from bunraku.core.character import Character, Handles
+    from bunraku.core.point_animation import PointAnimation
 
-__all__ = ["BLENDER", "BLENDER_PYTHON", "blender_command", "check_available", "write_fbx"]
-
-BLENDER, BLENDER_PYTHON = "BUNRAKU_BLENDER", "BUNRAKU_BLENDER_PYTHON"
-"""Environment variables: the Blender to run, and a Python that has Blender as its module `bpy`."""
-
-SECONDS = 600.0
-SCALES = {"cm": "FBX_SCALE_NONE", "m": "FBX_SCALE_ALL"}
-
-
-def blender_command() -> list[str]:
-    """How Blender runs a Python file, up to the file's name.
-
-    The Blender that BUNRAKU_BLENDER names, or `blender` on the path, or the Python with `bpy` that
-    BUNRAKU_BLENDER_PYTHON names.
-
-    Raises:
-        BunrakuError: There is none, or a variable names no program.
-    """
-    for variable in (BLENDER, BLENDER_PYTHON):
-        if os.environ.get(variable) and shutil.which(os.environ[variable]) is None:
-            raise BunrakuError(
-                f"{variable} names {os.environ[variable]}, which is no program that can be run; correct or remove it"
-            )
-    blender = shutil.which(os.environ.get(BLENDER) or "blender")
-    if blender is not None and (os.environ.get(BLENDER) or not os.environ.get(BLENDER_PYTHON)):
-        return [blender, "--background", "--factory-startup", "--python-exit-code", "1", "--python"]
-    if os.environ.get(BLENDER_PYTHON):
-        return [str(shutil.which(os.environ[BLENDER_PYTHON]))]
-    raise BunrakuError(
-        "writing FBX needs Blender; install it from blender.org so that `blender` is on the path, or name it with the "
-        "variable"
-        f" {BLENDER}, or name a Python that has the package bpy with {BLENDER_PYTHON}"
-    )
-
-
-def check_available() -> None:
-    """Raise BunrakuError unless there is a Blender."""
-    blender_command()
+__all__ = ["write_character", "write_clips", "write_fbx", "write_points"]
 
 
 def write_fbx(
-    animation: Animation,
+    animation: Animation | RigAnimation,
     path: Path,
     *,
     fps: float | None = None,
     name: str | None = None,
     up: str = "+y",
     unit: str = "cm",
-    timeout: float = SECONDS,
 ) -> Path:
     """Write an animation as FBX.
+
+    Args:
+        animation: The animation, of handles or of the bones of the character's own rig.
+        path: The file.
+        fps: Frames a second [1/s]; those of the motion by default.
+        name: The clip's name; the file's by default.
+        up: The axis that is up in the file, "+y" or "+z".
+        unit: The unit of its lengths, one of `bunraku.formats.frames.UNITS`; most FBX files are in "cm".
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: An option makes no sense.
+    """
+    return write_clips({str(name) if name else path.stem: animation}, path, fps=fps, up=up, unit=unit)
+
+
+def write_clips(
+    clips: Mapping[str, Animation] | Mapping[str, RigAnimation] | Mapping[str, Animation | RigAnimation],
+    path: Path,
+    *,
+    fps: float | None = None,
+    up: str = "+y",
+    unit: str = "cm",
+) -> Path:
+    """Write several animations of one character, by the same handles or the same bones, each as a clip of its name.
+
+    Args:
+        clips: At least one.
+        path: The file.
+        fps: Frames a second of all [1/s]; those of each motion by default.
+        up: The axis that is up in the file, "+y" or "+z".
+        unit: The unit of its lengths.
+
+    Raises:
+        FormatError: The file cannot be written.
+        OptionError: An option makes no sense.
+    """
+    first = next(iter(clips.values()))
+    moved = {name: clip.at(checked_fps(fps, clip.fps)) for name, clip in clips.items()}
+    if isinstance(first, RigAnimation):
+        assert first.character.rig is not None
+        bones = Bones.of_rig(first.character.rig)
+    else:
+        bones = Bones.of_handles(first.handles)
+    tracks = {name: _track(bones, clip) for name, clip in moved.items()}
+    return _write(first.character, bones, tracks, path, up, unit)
+
+
+def write_points(
+    animation: PointAnimation,
+    path: Path,
+    *,
+    fps: float | None = None,
+    name: str | None = None,
+    up: str = "+y",
+    unit: str = "cm",
+    tolerance: float | None = None,
+    shapes: str = "bones",
+) -> Path:
+    """Write an animation whose vertices also move on their own, by bones of their own or by shapes.
 
     Args:
         animation: The animation.
@@ -81,66 +112,119 @@ def write_fbx(
         fps: Frames a second [1/s]; those of the motion by default.
         name: The clip's name; the file's by default.
         up: The axis that is up in the file, "+y" or "+z".
-        unit: "cm", as most FBX files have it, or "m".
-        timeout: Seconds that Blender may take.
-
-    Returns:
-        The file that was written.
+        unit: The unit of its lengths.
+        tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
+        shapes: "bones", "mixed", "keys" or "auto", as `formats.gltf.write_points.fitted_points` has them.
 
     Raises:
-        BunrakuError: There is no Blender, or it fails or takes too long.
+        FormatError: The file cannot be written.
+        OptionError: An option makes no sense, or bones do not come as near as the tolerance.
+    """
+    from bunraku.formats.gltf.write_points import fitted_points
+
+    moved = animation.at(checked_fps(fps, animation.motion.fps))
+    fitted = fitted_points(moved, tolerance, shapes)
+    bones = Bones.of_handles(fitted.animation.handles, fitted.names)
+    title, found = str(name) if name else path.stem, fitted.shapes
+    extra: np.ndarray | None = None
+    if found is not None:
+        extra = np.zeros((len(found.shapes), len(moved.character.vertices), 3))
+        extra[:, fitted.moving] = found.shapes
+    tracks = {title: _track(bones, fitted.animation)}
+    keys = None if found is None else (found.frames, found.weights)
+    return _write(moved.character, bones, tracks, path, up, unit, extra, keys)
+
+
+def write_character(
+    character: Character, handles: Handles | None, path: Path, *, rig: bool = False, up: str = "+y", unit: str = "cm"
+) -> Path:
+    """Write a character without motion, with its handles or its rig as a skin where there are some.
+
+    Raises:
+        CharacterError: The handles weigh another number of vertices, or there is no rig to write.
         FormatError: The file cannot be written.
         OptionError: An option makes no sense.
     """
-    if up not in ("+y", "+z"):
-        raise OptionError(f"up in an FBX file is +y or +z, not {up}")
-    if unit not in SCALES:
-        raise OptionError(f"the unit of an FBX file is {' or '.join(SCALES)}, not {unit}")
-    command = blender_command()
-    rate = checked_fps(fps, animation.motion.fps)
+    if handles is not None and len(handles.weights) != len(character.vertices):
+        raise CharacterError(
+            f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
+        )
+    if rig and character.rig is None:
+        raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
+    bones = None
+    if rig and character.rig is not None:
+        bones = Bones.of_rig(character.rig)
+    elif handles is not None:
+        bones = Bones.of_handles(handles)
+    return _write(character, bones, {}, path, up, unit)
+
+
+def _track(bones: Bones, clip: Animation | RigAnimation) -> Track:
+    return bones.rig_track(clip) if isinstance(clip, RigAnimation) else bones.handle_track(clip)
+
+
+def _write(
+    character: Character,
+    bones: Bones | None,
+    tracks: Mapping[str, Track],
+    path: Path,
+    up: str,
+    unit: str,
+    shapes: np.ndarray | None = None,
+    keys: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Path:
+    """Write a character.
+
+    Args:
+        character: The character.
+        bones: What moves it.
+        tracks: What these do in each clip.
+        path: The file.
+        up: The axis that is up.
+        unit: The unit of lengths.
+        shapes: How far shapes take each vertex [m], shape (T, V, 3), and
+        keys: the frames and amounts of these in the one clip.
+    """
+    if path.suffix.lower() != ".fbx":
+        raise OptionError(f"FBX is written to a file that ends in .fbx, not in {path.suffix or 'nothing'}")
+    objects = Objects(FileFrame.of(up, unit), up, unit)
     check_output_folder(path)
-    options = {
-        "fps": rate, "frames": len(resample(animation.motion, rate)), "up": up, "scale": SCALES[unit],
-        "name": str(name) if name else path.stem,
-    }  # fmt: skip
-    with (
-        writing(path),
-        tempfile.TemporaryDirectory(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent) as folder,
-    ):
-        source, target = Path(folder, "in.glb"), Path(folder, "out.fbx")
-        write_animation(animation, source, fps=rate)
-        with as_file(files("bunraku.formats.fbx").joinpath("blender_script.py")) as script:
-            _run(
-                [*command, str(script), "--", str(source.resolve()), str(target.resolve()), json.dumps(options)],
-                target,
-                path,
-                timeout,
-            )
-        os.replace(target, path)
+    try:
+        document, meshes = meshes_of(character)
+        look = Look(objects, document)
+        joints = add_bones(objects, bones) if bones is not None else []
+        models, played = [], []
+        for mesh in meshes:
+            own = [] if shapes is None else [
+                Shape(f"move_{number}", one[mesh.index]) for number, one in enumerate(shapes)
+            ]  # fmt: skip
+            own = own if any(one.offsets.any() for one in own) else []
+            model, channels = add_mesh(objects, mesh, own, character, look, bones, joints)
+            models.append(model)
+            if own and keys is not None:
+                played.append(ShapeTrack(channels[len(channels) - len(own) :], *keys))
+        if bones is not None:
+            _add_bind_pose(objects, bones, joints, models)
+            if tracks:
+                add_clips(objects, tracks, bones, joints, {name: played for name in tracks})
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {str(error)[:80]}"
+        raise FormatError(path, f"{character.name} is too broken to be written ({reason}); export it again") from error
+    with atomic_write(path) as file:
+        try:
+            write_elements(file, objects.elements())
+        except ValueError as error:
+            raise FormatError(path, f"the FBX cannot be written ({error}); simplify the mesh first") from None
     return path
 
 
-def _run(command: list[str], target: Path, path: Path, timeout: float) -> None:
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}  # ours is another Python
-    try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=timeout,
-            env=kept,
-            stdin=subprocess.DEVNULL,
-        )
-    except subprocess.TimeoutExpired:
-        raise BunrakuError(
-            f"{path}: Blender took more than {timeout:g} s and was stopped; simplify the mesh or shorten the clip"
-        ) from None
-    except OSError as error:
-        raise BunrakuError(
-            f"{path}: {command[0]} cannot be run ({(error.strerror or str(error)).lower()}); correct {BLENDER}"
-        ) from None
-    if done.returncode or not target.is_file() or not target.stat().st_size:
-        lines = [line.strip() for line in (done.stderr + "\n" + done.stdout).splitlines() if line.strip()]
-        said = next((line for line in reversed(lines) if "Error" in line), lines[-1] if lines else "nothing")
-        raise BunrakuError(f"{path}: Blender failed, saying {said[:200]!r}; try Blender 3.6 or later, or write a GLB")
+def _add_bind_pose(objects: Objects, bones: Bones, joints: list[int], models: list[int]) -> None:
+    matrices = [*file_matrices(bones.bind, objects.frame), *(np.eye(4) for _ in models)]
+    nodes = [
+        element("PoseNode", children=[element("Node", np.int64(number)), element("Matrix", matrix.T.reshape(-1))])
+        for number, matrix in zip([*joints, *models], matrices, strict=True)
+    ]
+    objects.add(
+        "Pose", "BindPose", "BindPose", element("Type", "BindPose"), element("Version", 100),
+        element("NbPoseNodes", len(nodes)), *nodes,
+    )  # fmt: skip

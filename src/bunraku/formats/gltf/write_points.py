@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from bunraku.core.character import Character
     from bunraku.core.point_animation import PointAnimation
 
-__all__ = ["GroupShapes", "before_skin", "shapes_of_meshes", "write_point_animation"]
+__all__ = ["FittedPoints", "GroupShapes", "before_skin", "fitted_points", "shapes_of_meshes", "write_point_animation"]
 
 TOLERANCE = 5e-4  # of the character's height
 FLATTEST = 0.1  # skin that squeezes a vertex's surroundings more than to this share is not taken back further
@@ -68,13 +68,51 @@ def write_point_animation(
         FormatError: The file cannot be written.
         OptionError: An option makes no sense, or no bones of this number come as near as the tolerance.
     """
+    moved = animation.at(checked_fps(fps, animation.motion.fps))
+    fitted = fitted_points(moved, tolerance, shapes)
+    handles, motion = fitted.animation.handles, fitted.animation.motion
+    builder, joints = build_document(animation.character, handles, path)
+    for joint, label in zip(joints, fitted.names, strict=True):
+        builder.tree["nodes"][joint]["name"] = label
+    add_motion(builder, joints, handles.positions, motion, str(name) if name else path.stem)
+    if fitted.shapes is not None:
+        _add_targets(builder, moved, fitted.moving, fitted.shapes)
+    return finish_document(builder, path)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPoints:
+    """What plays vertices that move on their own.
+
+    Args:
+        animation: The skinned part, with the bones of those vertices where they have some.
+        names: Of its handles and bones.
+        moving: Vertices that move on their own, shape (M,).
+        shapes: Their shapes, where they have no bones.
+    """
+
+    animation: Animation
+    names: tuple[str, ...]
+    moving: np.ndarray
+    shapes: Shapes | None
+
+
+def fitted_points(moved: PointAnimation, tolerance: float | None = None, shapes: str = "auto") -> FittedPoints:
+    """Bones or shapes for vertices that move on their own, as files can say them.
+
+    Args:
+        moved: The animation, at the rate of the file.
+        tolerance: How far a vertex may be off [m]; 0.05 % of the height by default.
+        shapes: As in `write_point_animation`.
+
+    Raises:
+        OptionError: An option makes no sense, or no bones of this number come as near as the tolerance.
+    """
     if shapes not in ("auto", "bones", "keys", "mixed"):
         raise OptionError(f"shapes are 'auto', 'bones', 'keys' or 'mixed', not {shapes!r}")
-    character = animation.character
-    limit = TOLERANCE * character.height if tolerance is None else float(tolerance)
+    limit = TOLERANCE * moved.character.height if tolerance is None else float(tolerance)
     if not 0 < limit < np.inf:
         raise OptionError(f"the tolerance must be a length over 0, not {tolerance!r}")
-    moved = animation.at(checked_fps(fps, animation.motion.fps))
     moving = np.flatnonzero((np.linalg.norm(moved.offsets, axis=-1) > 0.5 * limit).any(axis=0))
     found = None
     if len(moving) and shapes != "bones":
@@ -89,13 +127,8 @@ def write_point_animation(
                 "take shapes='mixed'"
             )
         baked, found = (fitted, None) if fitted is not None else (baked, found)
-    builder, joints = build_document(character, baked.handles, path)
-    for number, joint in enumerate(joints):
-        builder.tree["nodes"][joint]["name"] = _bone_name(moved.animation.handles, number, count)
-    add_motion(builder, joints, baked.handles.positions, baked.motion, str(name) if name else path.stem)
-    if found is not None and len(found.shapes):
-        _add_targets(builder, moved, moving, found)
-    return finish_document(builder, path)
+    names = tuple(_bone_name(moved.animation.handles, number, count) for number in range(len(baked.handles.positions)))
+    return FittedPoints(baked, names, moving, found if found is not None and len(found.shapes) else None)
 
 
 def _bone_name(handles: Handles, number: int, count: int) -> str:
