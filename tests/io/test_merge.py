@@ -113,7 +113,7 @@ def test_what_is_no_set_of_clips_is_refused(textured, tmp_path):
     with pytest.raises(OptionError, match="has no name"):
         save_clips({" ": one}, tmp_path / "a.glb")
     with pytest.raises(FormatError, match=r"\.glb"):
-        save_clips({"a": one}, tmp_path / "a.fbx")
+        save_clips({"a": one}, tmp_path / "a.bvh")
     with pytest.raises(OptionError, match="one character"):
         save_clips({"a": one, "b": swinging(replace(textured, name="other"))}, tmp_path / "a.glb")
     assert bunraku.save_clips is save_clips

@@ -45,7 +45,7 @@ for (const job of JSON.parse(fs.readFileSync(0, 'utf8'))) {
     }
     first += position.count;
   }
-  out.push(...weights);
+  for (const value of weights) out.push(value);
   const mixer = new THREE.AnimationMixer(scene);
   for (const clip of scene.animations) {
     mixer.stopAllAction();

@@ -249,7 +249,7 @@ def _save_rig_animation(animation: RigAnimation, path: str | Path, options: dict
 def save_animation(animation: Animation, path: str | Path, **options: object) -> Path:
     """Write an animation in the format that the suffix names.
 
-    .glb, .usd, .usda, .usdc, .usdz and .fbx hold the character with its skin and motion, .obj and .ply a sequence of
+    .glb, .fbx, .usd, .usda, .usdc and .usdz hold the character with its skin and motion, .obj and .ply a sequence of
     meshes, .bvh and .vrma what the humanoid skeleton does, .vmd the bones of an MMD model, .npz the handle motion,
     .mp4, .webp and .gif a video, .png a contact sheet.
 
@@ -308,7 +308,7 @@ def check_writer(path: str | Path) -> None:
 def save_character(
     character: Character, path: str | Path, handles: Handles | None = None, *, rig: bool = False
 ) -> Path:
-    """Write a character to GLB, its handles as a skin, without motion.
+    """Write a character to GLB or FBX, its handles as a skin, without motion.
 
     Args:
         character: The character.
@@ -323,12 +323,7 @@ def save_character(
         FormatError: The suffix is unknown, or the file cannot be written.
         CharacterError: The handles weigh another number of vertices.
     """
-    if rig:
-        from bunraku.formats.gltf.write_rig import write_rigged
-
-        detect(Path(path), b"", "rigged")
-        return write_rigged(character, Path(path))
-    return _write("rigged", path, {}, character, handles)
+    return _write("rigged", path, {"rig": True} if rig else {}, character, handles)
 
 
 def save_points(animation: PointAnimation, path: str | Path, **options: object) -> Path:

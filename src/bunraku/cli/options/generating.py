@@ -20,7 +20,7 @@ class GeneratingOptions:
     """How a motion is drawn from a sentence, fitted to a character and written."""
 
     output: OutputOption = ()
-    """File to write: .glb, .usd, .usdc, .usdz, .fbx (with Blender), .npz (the handle motion), .bvh or .vrma (what the
+    """File to write: .glb, .usd, .usdc, .usdz, .fbx, .npz (the handle motion), .bvh or .vrma (what the
     humanoid skeleton does), .vmd (of MMD characters), .obj or .ply (a folder with one mesh a frame), .mp4, .webp, .gif
     or .png. May be given more than once.
     Default: a name made of the input's and the sentence, in this folder.

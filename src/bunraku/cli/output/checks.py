@@ -26,7 +26,7 @@ __all__ = [
 
 SEQUENCES = (".obj", ".ply")
 """Outputs that are folders with one mesh a frame."""
-NEEDY = (".usd", ".usda", ".usdc", ".usdz", ".fbx")
+NEEDY = (".usd", ".usda", ".usdc", ".usdz")
 """Outputs that need an optional library or program."""
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import os
 import platform
-import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -199,11 +198,7 @@ def _extras() -> Iterator[Finding]:
             yield Finding(name, "ok", _version({"pxr": "usd-core"}.get(name, name)))
         else:
             yield Finding(name, "optional", "not installed", f"{cost}; pip install 'bunraku[{extra}]'")
-    blender = shutil.which(os.environ.get("BUNRAKU_BLENDER") or "blender") or shutil.which(
-        os.environ.get("BUNRAKU_BLENDER_PYTHON") or ""
-    )
-    cost = "" if blender else "FBX is not written; install Blender from blender.org, or name it with BUNRAKU_BLENDER"
-    yield Finding("blender", "ok" if blender else "optional", blender or "not found", cost)
+    yield Finding("FBX", "ok", "read and written by Bunraku itself")
 
 
 def _version(name: str) -> Any:

@@ -31,7 +31,7 @@ class Rig:
     character: tyro.conf.Positional[Path]
     """The mesh to rig."""
     output: OutputOption = ()
-    """GLB to write. May be given more than once. Default: CHARACTER-rigged.glb in this folder."""
+    """GLB or FBX to write. May be given more than once. Default: CHARACTER-rigged.glb in this folder."""
     preview: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Also make a page (.png) that shows what was decided: the front and the back coloured by handle, how the character
     stands, which parts were found and how clearly, and what such a body cannot do.
@@ -60,7 +60,7 @@ class Rig:
         previews = () if self.preview is None else (self.preview,)
         with alone((*outputs, *previews)):
             for path in outputs:
-                check_output(path, (".glb",), [self.character])
+                check_output(path, (".glb", ".fbx"), [self.character])
             for path in previews:
                 check_output(path, (".png",), [self.character])
             check_different((*outputs, *previews))

@@ -75,13 +75,17 @@ def write_clips(clips: Mapping[str, Animation], path: Path, *, fps: float | None
     return finish_document(builder, path)
 
 
-def write_character(character: Character, handles: Handles | None, path: Path) -> Path:
-    """Write a character as GLB, with its handles as a skin where there are some.
+def write_character(character: Character, handles: Handles | None, path: Path, *, rig: bool = False) -> Path:
+    """Write a character as GLB, with its handles, or its own rig, as a skin where there are some.
 
     Raises:
         FormatError: The file cannot be written.
-        CharacterError: The handles weigh another number of vertices.
+        CharacterError: The handles weigh another number of vertices, or there is no rig to write.
     """
+    if rig:
+        from bunraku.formats.gltf.write_rig import write_rigged  # which is built on this
+
+        return write_rigged(character, path)
     if handles is not None and len(handles.weights) != len(character.vertices):
         raise CharacterError(
             f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"

@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse
 
 from bunraku.core.request.limits import FPS
-from bunraku.errors import BunrakuError, OptionError
+from bunraku.errors import OptionError
 from bunraku.studio.jobs import public
 from bunraku.studio.routes.asked import body_of, state_of, text
 from bunraku.studio.routes.files import shown_project
@@ -54,14 +54,7 @@ async def about(request: Request) -> Any:
 def _writes() -> list[str]:
     import importlib.util
 
-    from bunraku.formats.fbx.export import check_available
-
-    found = ["glb", "bvh", "vrma", "vmd", "npz"]
-    try:
-        check_available()
-        found.append("fbx")
-    except BunrakuError:
-        pass
+    found = ["glb", "fbx", "bvh", "vrma", "vmd", "npz"]
     if importlib.util.find_spec("pxr") is not None:
         found.append("usdz")
     return found
