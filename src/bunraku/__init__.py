@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from bunraku.core.rig_animation import RigAnimation
     from bunraku.handles.orientation import Orientation, guess_orientation, upright
     from bunraku.io import load_character, load_motion, save_character
+    from bunraku.io.presets import save_for
     from bunraku.io.save_clips import save_clips
     from bunraku.pipelines.animate import animate, generate, rig, with_skeleton
     from bunraku.pipelines.animator import Animator
@@ -83,6 +84,7 @@ __all__ = [
     "sample_character",
     "save_character",
     "save_clips",
+    "save_for",
     "transfer",
     "upright",
     "with_skeleton",
@@ -112,6 +114,7 @@ _HOME = {
     "sample_character": "bunraku.samples",
     "save_character": "bunraku.io",
     "save_clips": "bunraku.io.save_clips",
+    "save_for": "bunraku.io.presets",
     "transfer": "bunraku.pipelines.transfer",
     "upright": "bunraku.handles.orientation",
     "with_skeleton": "bunraku.pipelines.animate",

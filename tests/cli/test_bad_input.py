@@ -1,6 +1,5 @@
 """Every bad input gets one sentence and status 2, before the networks load, and leaves no file behind."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path

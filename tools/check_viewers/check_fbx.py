@@ -62,7 +62,11 @@ def clips_on_handles(character: Character, handles: Handles) -> dict[str, Any]:
     count, out = len(handles.positions), {}
     for seed, name in enumerate(CLIPS):
         turns = turning(count, seed)
-        moved = 0.03 * character.height * np.sin(np.linspace(0, 5, FRAMES)[:, None, None] + np.arange(3 * count).reshape(-1, 3))
+        moved = (
+            0.03
+            * character.height
+            * np.sin(np.linspace(0, 5, FRAMES)[:, None, None] + np.arange(3 * count).reshape(-1, 3))
+        )
         moved[:, 0], turns[:, 0] = 0, np.eye(3)
         root = np.linspace(0, seed, FRAMES)[:, None] * [0.1, 0.02, 0.4] * character.height
         motion = HandleMotion(moved, turns, root, turning(1, seed + 50)[:, 0], FPS)
@@ -105,7 +109,9 @@ def gaps(shown: Shown, clips: dict[str, Any], corners: bool) -> dict[str, float]
         at = np.round(TIMES * known.fps).astype(int)
         track = bones.rig_track(known) if isinstance(known, RigAnimation) else bones.handle_track(known)
         turns, heads = world(bones, track.rotations[at], track.translations[at])
-        four = known if isinstance(known, RigAnimation) else Animation(known.character, known.handles.top(4), known.motion)
+        four = (
+            known if isinstance(known, RigAnimation) else Animation(known.character, known.handles.top(4), known.motion)
+        )
         posed = four.vertices(at)[:, index]
         out["posed"] = max(out["posed"], distance(clip.posed, posed))
         out["moved"] = max(out["moved"], distance(clip.heads, heads[:, own]))
@@ -151,7 +157,10 @@ def main() -> None:
         else:
             readers[name] = shows
     columns = ("rest", "joints", "weights", "posed", "moved", "turned")
-    print(f"{'character':<26} {'moved by':<8} {'vertices':>8} {'joints':>6} {'reader':<8}" + "".join(f" {one:>8}" for one in columns))
+    print(
+        f"{'character':<26} {'moved by':<8} {'vertices':>8} {'joints':>6} {'reader':<8}"
+        + "".join(f" {one:>8}" for one in columns)
+    )
     worst = dict.fromkeys(readers, 0.0)
     with tempfile.TemporaryDirectory() as folder:
         for path in paths:
@@ -160,7 +169,12 @@ def main() -> None:
             if character.rig is not None:
                 made["rig"] = clips_on_rig(character)
             if arguments.sentences:
-                made = {"animate": {name: bunraku.animate(character, said, seconds=2).at(FPS) for name, said in zip(CLIPS, SENTENCES, strict=True)}}
+                made = {
+                    "animate": {
+                        name: bunraku.animate(character, said, seconds=2).at(FPS)
+                        for name, said in zip(CLIPS, SENTENCES, strict=True)
+                    }
+                }
             for kind, clips in made.items():
                 for options in ({}, {"up": "+z", "unit": "m"}):
                     file = save_clips(clips, Path(folder, "clips.fbx"), **options)
@@ -173,7 +187,9 @@ def main() -> None:
                             continue
                         worst[name] = max(worst[name], *found.values())
                         some = next(iter(clips.values()))
-                        joints = len(character.rig.names) if isinstance(some, RigAnimation) else len(some.handles.positions)
+                        joints = (
+                            len(character.rig.names) if isinstance(some, RigAnimation) else len(some.handles.positions)
+                        )
                         print(
                             f"{path.stem[:26]:<26} {kind:<8} {len(character.vertices):>8} {joints:>6} {name:<8}"
                             + "".join(f" {found[one]:>8.1e}" for one in columns)

@@ -3,7 +3,7 @@ times.
 
 blender --background --factory-startup --python fbx_blender.py -- JOBS
 
-JOBS is a JSON file: [{"fbx": ..., "times": [s, ...], "out": ...}]. OUT becomes an NPZ in metres and glTF's axes: `names`
+JOBS is a JSON file: [{"fbx": ..., "times": [s, ...], "out": ...}]. OUT becomes an NPZ in metres, glTF's axes: `names`
 and `parents` of the joints, `heads` (J, 3), `rest` (V, 3), `weights` (V, J), `clips`, and for clip number N `heads_N`
 (T, J, 3), `turns_N` (T, J, 3, 3) and `posed_N` (T, V, 3). Vertices are those of all meshes, sorted by their names.
 """
@@ -40,7 +40,9 @@ def play(job):
     names = [bone.name for bone in bones]
     out["names"] = np.array(names)
     out["parents"] = np.array([bone.parent.name if bone.parent else "" for bone in bones])
-    out["heads"] = world(armature, np.array([bone.matrix_local.translation for bone in bones])) if bones else np.zeros((0, 3))
+    out["heads"] = (
+        world(armature, np.array([bone.matrix_local.translation for bone in bones])) if bones else np.zeros((0, 3))
+    )
     weights = np.zeros((len(out["rest"]), len(names)))
     start = 0
     for thing in meshes:

@@ -206,7 +206,7 @@ def _write(
         if bones is not None:
             _add_bind_pose(objects, bones, joints, models)
             if tracks:
-                add_clips(objects, tracks, bones, joints, {name: played for name in tracks})
+                add_clips(objects, tracks, bones, joints, dict.fromkeys(tracks, played))
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {str(error)[:80]}"
         raise FormatError(path, f"{character.name} is too broken to be written ({reason}); export it again") from error

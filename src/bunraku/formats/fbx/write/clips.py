@@ -97,9 +97,7 @@ def _ticks(frames: np.ndarray | int, fps: float) -> np.ndarray:
     return np.asarray(np.round(np.asarray(frames, np.float64) * (SECOND / fps)), np.int64)
 
 
-def _moving(
-    objects: Objects, tracks: Mapping[str, Track], bones: Bones, joints: Sequence[int]
-) -> list[_Curves]:
+def _moving(objects: Objects, tracks: Mapping[str, Track], bones: Bones, joints: Sequence[int]) -> list[_Curves]:
     """The properties of joints that move in any clip, with what they do in each; those that rest are set to rest."""
     rest, frame = bones.rest(), objects.frame
     small = STILL_LENGTH * max(float(np.ptp(bones.positions, axis=0).max(initial=0)), 1e-9) * frame.scale

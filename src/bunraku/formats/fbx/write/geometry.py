@@ -114,9 +114,7 @@ def _layers(mesh: Mesh, frame: FileFrame) -> list[Element]:
     return out
 
 
-def _add_skin(
-    objects: Objects, geometry: int, name: str, mesh: Mesh, bones: Bones, joints: Sequence[int]
-) -> None:
+def _add_skin(objects: Objects, geometry: int, name: str, mesh: Mesh, bones: Bones, joints: Sequence[int]) -> None:
     skin = objects.add(
         "Deformer", name, "Skin", element("Version", 101), element("Link_DeformAcuracy", 50.0),
         element("SkinningType", "Linear"),
