@@ -13,6 +13,7 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +86,19 @@ def blender_shows(path: Path, times: Sequence[float]) -> Shown:
             return Shown(names, parents, found["heads"], found["rest"], found["weights"], clips)
 
 
+@cache
+def _ufbx_program() -> tuple[str, tempfile.TemporaryDirectory[str]]:
+    """The program, made once, and the folder that it goes with."""
+    folder = tempfile.TemporaryDirectory()
+    program = f"{folder.name}/fbx_ufbx"
+    _run(["cc", "-O1", "-I", UFBX, str(HERE / "fbx_ufbx.c"), f"{UFBX}/ufbx.c", "-lm", "-o", program])
+    return program, folder
+
+
 def ufbx_shows(path: Path, times: Sequence[float]) -> Shown:
     """A file in ufbx at times [s]."""
     with tempfile.TemporaryDirectory() as folder:
-        program = f"{folder}/fbx_ufbx"
-        _run(["cc", "-O1", "-I", UFBX, str(HERE / "fbx_ufbx.c"), f"{UFBX}/ufbx.c", "-lm", "-o", program])
+        program, _ = _ufbx_program()
         said = _run([program, str(path), f"{folder}/out", *(repr(float(time)) for time in times)])
         return _numbers(json.loads(said), np.fromfile(f"{folder}/out", "<f8"), len(times))
 

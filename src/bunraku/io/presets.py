@@ -4,17 +4,18 @@ where the travel is, one file or many.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
 from bunraku.core.animated import AnimatedCharacter
-from bunraku.core.root_motion import on_root_bone, on_the_spot
 from bunraku.errors import OptionError
+from bunraku.io.root_motion import on_root_bone, on_the_spot
 from bunraku.io.save_clips import save_clips
 
-__all__ = ["PRESETS", "Preset", "preset_files", "preset_named", "preset_rows", "save_for"]
+__all__ = ["PRESETS", "Preset", "preset_named", "preset_rows", "save_for"]
 
 
 @dataclass(frozen=True)
@@ -46,14 +47,31 @@ class Preset:
     unit: str
     note: str
 
+    def files(self, path: str | Path, names: Iterable[str]) -> dict[Path, list[str]]:
+        """The files of some clips, and the names of those in each.
+
+        Args:
+            path: The file that was named; its suffix becomes that of the format.
+            names: Of the clips.
+        """
+        path, listed = Path(path), list(names)
+        if self.one_file or len(listed) < 2:
+            return {path.with_suffix(self.suffix): listed}
+        out: dict[Path, list[str]] = {}
+        for name in listed:
+            plain = re.sub(r"[^\w.-]+", "-", name)
+            file = path.with_name(f"{path.stem}-{plain}{self.suffix}")
+            out[file if file not in out else path.with_name(f"{path.stem}-{plain}-{len(out)}{self.suffix}")] = [name]
+        return out
+
 
 PRESETS: tuple[Preset, ...] = (
     Preset("unity", "Unity", ".fbx", 30.0, "mixamo", "travel", True, "+y", "cm",
            "Drop the file into Assets; under Rig choose Humanoid for a person, Generic for anything else."),
     Preset("unreal", "Unreal Engine", ".fbx", 30.0, "unreal", "bone", False, "+y", "cm",
-           "Import the first file as a skeletal mesh, and the others onto its skeleton; switch on root motion in each."),
+           "Import the first file as a skeletal mesh, the others onto its skeleton; switch on root motion in each."),
     Preset("godot", "Godot", ".glb", 30.0, "vrm", "travel", True, "+y", "m",
-           "Copy the file into the project; set a BoneMap of SkeletonProfileHumanoid on its Skeleton3D to share clips."),
+           "Copy the file into the project; a BoneMap of SkeletonProfileHumanoid lets skeletons share clips."),
     Preset("blender", "Blender", ".glb", 24.0, "mixamo", "travel", True, "+y", "m",
            "File, Import, glTF; each clip is an action."),
     Preset("three", "three.js", ".glb", 30.0, "mixamo", "travel", True, "+y", "m",
@@ -101,17 +119,12 @@ def save_for(
     row = preset if isinstance(preset, Preset) else preset_named(preset)
     placed = {"travel": lambda one: one, "bone": on_root_bone, "none": on_the_spot}[row.root]
     clips = {name: placed(one) for name, one in animations.items()}
-    options = {"up": row.up, "unit": row.unit} if row.suffix == ".fbx" else {}
     rate = row.fps if fps is None else fps
-    return [save_clips(some, file, fps=rate, **options) for file, some in preset_files(row, clips, path).items()]
-
-
-def preset_files(
-    row: Preset, animations: Mapping[str, AnimatedCharacter], path: str | Path
-) -> dict[Path, dict[str, AnimatedCharacter]]:
-    """The files of a preset, and the clips of each."""
-    path = Path(path)
-    whole = path.with_suffix(row.suffix)
-    if row.one_file or len(animations) < 2:
-        return {whole: dict(animations)}
-    return {path.with_name(f"{path.stem}-{name}{row.suffix}"): {name: one} for name, one in animations.items()}
+    out = []
+    for file, names in row.files(path, clips).items():
+        some = {name: clips[name] for name in names}
+        if row.suffix == ".fbx":
+            out.append(save_clips(some, file, fps=rate, up=row.up, unit=row.unit))
+        else:
+            out.append(save_clips(some, file, fps=rate))
+    return out

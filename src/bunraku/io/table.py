@@ -56,7 +56,7 @@ FORMATS: tuple[Format, ...] = (
         animation="bunraku.formats.gltf.write:write_animation",
         bones="bunraku.formats.gltf.write_rig:save_rig_animation",
         points="bunraku.formats.gltf.write_points:write_point_animation",
-        rigged="bunraku.formats.gltf.write:write_character",
+        rigged="bunraku.formats.gltf.write_rig:write_character",
     ),
     Format("VRM", (".vrm",), (b"glTF",), character="bunraku.formats.gltf.read:read_gltf"),
     Format("glTF", (".gltf",), character="bunraku.formats.gltf.read:read_gltf"),

@@ -64,6 +64,14 @@ class Body:
     anatomy: Anatomy
     parts: RigParts | None = None
 
+    @property
+    def takes_skeleton(self) -> bool:
+        """Whether a skeleton of an engine can be made for it: a person by 30 handles, which its own bones do not
+        move.
+        """
+        anatomy = self.anatomy
+        return self.parts is None and anatomy.plan.kind == "person" and anatomy.handles.roles is None
+
 
 def _silent(*messages: object) -> None:
     """Progress and notes that nobody looks at."""

@@ -9,7 +9,7 @@ import tyro
 
 from bunraku.cli.options.orientation import AxisOption, UnitOption, check_axes
 from bunraku.cli.options.sampling import SamplingOptions
-from bunraku.cli.output.outputs import OutputOption, PreviewOption, WithoutOption
+from bunraku.cli.output.outputs import USUAL_FPS, OutputOption, PreviewOption, WithoutOption
 from bunraku.core.request.limits import FPS
 
 __all__ = ["GeneratingOptions"]
@@ -29,7 +29,7 @@ class GeneratingOptions:
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
     sampling: tyro.conf.OmitArgPrefixes[SamplingOptions] = field(default_factory=SamplingOptions)
     """How the motion is drawn."""
-    fps: float = 30.0
+    fps: float = USUAL_FPS
     """Frames a second of the files, 1 to 240."""
     handles: Literal["predict", "rig"] = "predict"
     """Where the character's handles come from: "predict" finds them from the shape, "rig" takes the file's own bones,

@@ -19,6 +19,7 @@ from bunraku.retarget.stages.switches import Stages
 
 if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
+    from bunraku.io.presets import Preset
 
 __all__ = [
     "OutputOption",
@@ -35,6 +36,8 @@ __all__ = [
 ]
 
 
+USUAL_FPS = 30.0
+"""Frames a second where nothing else is said [1/s]."""
 PREVIEWS = (".mp4", ".webp", ".gif", ".png")
 OUTPUTS = (
     ".glb",
@@ -135,7 +138,12 @@ def save_all(
 
 
 def save_clips_to(
-    clips: Mapping[str, AnimatedCharacter], outputs: Sequence[Path], fps: float, add: bool, report: Report
+    clips: Mapping[str, AnimatedCharacter],
+    outputs: Sequence[Path],
+    fps: float,
+    add: bool,
+    report: Report,
+    preset: Preset | None = None,
 ) -> None:
     """Write clips of one character into each of some files, and name what was written, whatever became of the rest.
 
@@ -145,13 +153,18 @@ def save_clips_to(
         fps: Frames a second [1/s].
         add: Whether the clips of files that are there are kept.
         report: Called with a stage's name and the share done.
+        preset: What the program wants that the files are for; its rate holds where `fps` is the usual one.
     """
+    from bunraku.io.presets import save_for
     from bunraku.io.save_clips import save_clips
 
     written: list[Path] = []
     try:
         for number, path in enumerate(outputs):
             report("write", number / len(outputs))
+            if preset is not None:
+                written += save_for(preset, clips, path, fps=None if fps == USUAL_FPS else fps)
+                continue
             written.append(save_clips(clips, path, fps=fps, add=add))
         report("write", 1.0)
     finally:  # what is whole stays

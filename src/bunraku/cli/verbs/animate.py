@@ -15,9 +15,17 @@ from bunraku.cli.options.directing import DirectingOptions
 from bunraku.cli.options.generating import GeneratingOptions
 from bunraku.cli.options.orientation import stand_up
 from bunraku.cli.options.sampling import ApparelOptions
-from bunraku.cli.options.skeleton import SkeletonOption
+from bunraku.cli.options.skeleton import ProgramOption, SkeletonOption
 from bunraku.cli.output.alone import alone
-from bunraku.cli.output.checks import check_folder, check_input, check_mask, check_sequence, slug, written_path
+from bunraku.cli.output.checks import (
+    check_folder,
+    check_input,
+    check_mask,
+    check_output,
+    check_sequence,
+    slug,
+    written_path,
+)
 from bunraku.cli.output.ledger import fingerprint, note_written
 from bunraku.cli.output.outputs import check_outputs, fitting_stages, save_all, save_clips_to, wrote
 from bunraku.cli.output.progress import Report, stages
@@ -31,6 +39,7 @@ if TYPE_CHECKING:
     from bunraku.core.animated import AnimatedCharacter
     from bunraku.core.character import Character, Handles
     from bunraku.core.motion import HandleMotion
+    from bunraku.io.presets import Preset
     from bunraku.language.sentence import Sentence
     from bunraku.pipelines.animator import Body
 
@@ -50,6 +59,8 @@ class Animate(GeneratingOptions):
 
     Several prompts of their own make as many clips in one file, as game engines take them, loops where what is done
     goes on as it is: bunraku animate knight.glb "idle" "walks forward" "runs" "Attack=attacks" -o knight-moves.glb
+
+    For an engine: bunraku animate knight.glb "idle" "walks forward" --for unity
 
     Example: bunraku animate dragon.glb "walks forward, then waves with the left hand" --seconds 6 -o wave.glb --preview
     wave.mp4
@@ -83,6 +94,10 @@ class Animate(GeneratingOptions):
     """Move a tree of joints in a T-pose with the names of Mixamo, VRM or Unreal, made of the handles, which engines'
     humanoid retargeting takes. For persons.
     """
+    program: ProgramOption = None
+    """Write the file that a program wants: its format, axes and unit, frame rate, names of joints for persons without a
+    skeleton of their own, and where the travel is (docs/engines.md). A prompt that tells of a cycle makes a loop.
+    """
     directing: tyro.conf.OmitArgPrefixes[DirectingOptions] = field(default_factory=DirectingOptions)
     """What the motion must meet."""
     takes: int = 1
@@ -92,7 +107,9 @@ class Animate(GeneratingOptions):
         prompts = self._prompts()
         self.check()
         batch = self._batch()
-        several = self.one_file or self.add or len(self.prompt) > 1
+        several = self.one_file or self.add or len(self.prompt) > 1 or self.program is not None
+        if self.program is not None and (batch or self.add):
+            raise OptionError("--for writes the clips of one character at once; leave out --add, or say --one-file")
         if not batch:
             check_input(self.character)
         after = self.directing.after
@@ -160,24 +177,31 @@ class Animate(GeneratingOptions):
     def _one_file(self, sentences: list[Sentence]) -> int:
         """Make the clips of one file."""
         inputs = [self.character] + ([self.directing.after] if self.directing.after else [])
-        named = self.output or (Path(f"{self.character.stem}-clips.glb"),)
+        row = _preset(self.program)
+        suffixes = ((".glb",) if self.add else (".glb", ".fbx")) if row is None else (row.suffix,)
+        named = self.output or (Path(f"{self.character.stem}-{'clips' if row is None else row.name}{suffixes[0]}"),)
         if self.preview or self.takes > 1:
             raise OptionError("several clips in one file have neither --preview nor --takes; leave these out")
-        with alone(named):
-            check_outputs(named, (), [] if self.add else inputs, (".glb",), overwrite=self.overwrite or self.add)
+
+        from bunraku.pipelines.clips import clip_names, with_loops
+
+        names = clip_names(sentence.prompt for sentence in sentences)
+        files = named if row is None else tuple(file for path in named for file in row.files(path, names))
+        with alone(files):
+            for path in named:
+                check_output(path, suffixes, [] if self.add else inputs)
+            check_outputs(files, (), [] if self.add else inputs, suffixes, overwrite=self.overwrite or self.add)
             with stages() as report:
                 body, request = _ready(self, self._request(), self.character, report)
                 say = _limits_said(self.character, body)
 
                 from bunraku.pipelines.animator import Animator
-                from bunraku.pipelines.clips import clip_names, with_loops
 
-                names = clip_names(sentence.prompt for sentence in sentences)
                 requests = {
                     name: replace(request, sentence=sentence) for name, sentence in zip(names, sentences, strict=True)
                 }
                 clips = dict(Animator.shipped(report, say).clips(body, with_loops(requests)))
-                save_clips_to(clips, named, self.fps, self.add, report)
+                save_clips_to(clips, named, self.fps, self.add, report, row)
         return 0
 
     def _request(self) -> Request:
@@ -310,10 +334,24 @@ def _ready(verb: Animate, request: Request, path: Path, report: Report) -> tuple
         character = with_skeleton(character, verb.skeleton, handles=verb.handles, progress=report)
         request = replace(request, handles="predict", rig="own")
     body = Animator.shipped(report).body(character, request)
+    row = _preset(verb.program)
+    if row is not None and verb.rig == "auto" and verb.skeleton is None and body.takes_skeleton:
+        from bunraku.retarget.engine_skeleton import on_skeleton
+
+        request = replace(request, handles="predict", rig="own")
+        body = Animator.shipped(report).body(on_skeleton(body.anatomy, row.skeleton), request)
     if verb.directing.after is not None:
         before = _before(verb.directing.after, character, body.anatomy.handles)
         request = replace(request, constraints=request.constraints.following(before))
     return body, request
+
+
+def _preset(program: str | None) -> Preset | None:
+    if program is None:
+        return None
+    from bunraku.io.presets import preset_named
+
+    return preset_named(program)
 
 
 def _limits_said(path: Path, body: Body) -> Callable[[str], None]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from bunraku.core.character import Character, Handles, top_influences
 from bunraku.core.resample import checked_fps, resample
-from bunraku.errors import CharacterError, FormatError
+from bunraku.errors import FormatError
 from bunraku.formats.files import atomic_write
 from bunraku.formats.gltf.builder import ARRAY_BUFFER, GltfBuilder, mesh_document
 from bunraku.formats.gltf.bunraku_clip import add_clip, add_joints, add_motion, drop_clip
@@ -32,7 +32,6 @@ __all__ = [
     "joint_attributes",
     "keeps_positions",
     "write_animation",
-    "write_character",
     "write_clips",
 ]
 
@@ -73,24 +72,6 @@ def write_clips(clips: Mapping[str, Animation], path: Path, *, fps: float | None
         add_motion(builder, joints, first.handles.positions, motion, name)
     add_clip(builder, first)
     return finish_document(builder, path)
-
-
-def write_character(character: Character, handles: Handles | None, path: Path, *, rig: bool = False) -> Path:
-    """Write a character as GLB, with its handles, or its own rig, as a skin where there are some.
-
-    Raises:
-        FormatError: The file cannot be written.
-        CharacterError: The handles weigh another number of vertices, or there is no rig to write.
-    """
-    if rig:
-        from bunraku.formats.gltf.write_rig import write_rigged  # which is built on this
-
-        return write_rigged(character, path)
-    if handles is not None and len(handles.weights) != len(character.vertices):
-        raise CharacterError(
-            f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
-        )
-    return finish_document(build_document(character, handles, path)[0], path)
 
 
 def joint_attributes(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.core.character import Character
+from bunraku.core.character import Character, Handles
 from bunraku.core.resample import checked_fps
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, FormatError
@@ -29,9 +29,9 @@ from bunraku.formats.gltf.read import Source
 from bunraku.formats.gltf.rig_clip import add_bone_clip
 from bunraku.formats.gltf.scene.mesh import MeshPart
 from bunraku.formats.gltf.scene.nodes import read_nodes
-from bunraku.formats.gltf.write import document_of, finish_document
+from bunraku.formats.gltf.write import build_document, document_of, finish_document
 
-__all__ = ["RigDocument", "save_rig_animation", "save_rig_clips", "write_rigged"]
+__all__ = ["RigDocument", "save_rig_animation", "save_rig_clips", "write_character", "write_rigged"]
 
 _KEPT = ("asset", "nodes", "scene", "scenes", "cameras", "extensions", "extras", "extensionsUsed", "extensionsRequired")
 
@@ -115,6 +115,22 @@ def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float 
             path, f"{animation.character.name} is too broken to be written ({reason}); export it again"
         ) from error
     return finish_document(builder, path)
+
+
+def write_character(character: Character, handles: Handles | None, path: Path, *, rig: bool = False) -> Path:
+    """Write a character as GLB, with its handles, or its own rig, as a skin where there are some.
+
+    Raises:
+        FormatError: The file cannot be written.
+        CharacterError: The handles weigh another number of vertices, or there is no rig to write.
+    """
+    if rig:
+        return write_rigged(character, path)
+    if handles is not None and len(handles.weights) != len(character.vertices):
+        raise CharacterError(
+            f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
+        )
+    return finish_document(build_document(character, handles, path)[0], path)
 
 
 def write_rigged(character: Character, path: Path) -> Path:

@@ -12,6 +12,7 @@ from starlette.responses import JSONResponse
 
 from bunraku.core.request.limits import FPS
 from bunraku.errors import OptionError
+from bunraku.io.presets import preset_rows
 from bunraku.studio.jobs import public
 from bunraku.studio.routes.asked import body_of, state_of, text
 from bunraku.studio.routes.files import shown_project
@@ -36,7 +37,9 @@ async def about(request: Request) -> Any:
         "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
         "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
         "writes": _writes(),
-        "fps": [FPS.low, FPS.high],
+from bunraku.core.request.limits import FPS
+from bunraku.errors import OptionError
+from bunraku.io.presets import preset_rows
         "samples": list(sample_names()),
         "study": state.session is not None,
         "folder": state.store.folder.name,

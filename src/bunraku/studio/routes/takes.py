@@ -11,6 +11,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from bunraku.core.request.json_form import from_json
 from bunraku.core.request.limits import FPS
 from bunraku.errors import FormatError, OptionError
+from bunraku.io.presets import preset_named
 from bunraku.pipelines.clips import clip_names
 from bunraku.pipelines.requests.apparel import Apparel
 from bunraku.studio.forms.changes import ChangeForm
@@ -213,7 +214,9 @@ async def export(request: Request) -> Any:
 
 
 async def clips(request: Request) -> Any:
-    """Write several takes of a character as the clips of one GLB, each named by its title or its words."""
+    """Write several takes of a character as the clips of one file, each named by its title or its words: a GLB, or what
+    the program wants that `preset` names.
+    """
     state, owner = state_of(request), request.path_params["name"]
     title = state.store.get("characters", owner)["name"]
     body = await body_of(request)
@@ -222,10 +225,14 @@ async def clips(request: Request) -> Any:
     if any(record["character"] != owner or record["state"] != "done" for record in records):
         raise OptionError("the clips of one file are finished takes of one character; wait for them, or leave some out")
     names = list(clip_names(record.get("title") or record["script"][0]["text"] for record in records))
-    made = state.new_export("clips.glb", f"{title}-clips.glb")
+    suffix = ".glb"
+    if form.preset:
+        row = preset_named(form.preset)
+        suffix = row.suffix if len(row.files("clips", names)) == 1 else ".zip"
+    made = state.new_export(f"clips{suffix}", f"{title}-{form.preset or 'clips'}{suffix}")
     params = {
         "export": made["id"], "file": made["file"], "takes": list(form.takes), "names": names, "character": owner,
-        "fps": form.fps,
+        "fps": form.fps, "preset": form.preset, "title": title,
     }  # fmt: skip
     try:
         job = state.jobs.submit("export-clips", f"write {made['title']}", params, {"export": made["id"]})

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tempfile
+import zipfile
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from bunraku.core.character import Character
@@ -44,7 +47,7 @@ class Export:
 
 @dataclass(frozen=True)
 class ExportClips:
-    """Several takes of a character as the clips of one GLB."""
+    """Several takes of a character as the clips of one file, or of a ZIP of as many as a program wants."""
 
     character: str
     export: str
@@ -52,8 +55,11 @@ class ExportClips:
     takes: tuple[str, ...]
     names: tuple[str, ...]
     fps: float = 30.0
+    preset: str = ""
+    title: str = "clips"
 
     def __call__(self, shop: Workspace, report: Report, partly: Partly) -> dict[str, Any]:
+        from bunraku.io.presets import preset_named, save_for
         from bunraku.io.save_clips import save_clips
 
         target, clips = shop.folder_of("exports", self.export) / self.file, {}
@@ -67,5 +73,14 @@ class ExportClips:
                 )
             character = character or found.character
             clips[name] = replace(found, character=character)  # each was read with a copy of it
-        save_clips(clips, target, fps=self.fps)
+        if not self.preset:
+            save_clips(clips, target, fps=self.fps)
+        elif target.suffix == ".zip":
+            with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+                named = Path(folder, f"{self.title}{preset_named(self.preset).suffix}")
+                with zipfile.ZipFile(target, "w") as archive:
+                    for file in save_for(self.preset, clips, named, fps=self.fps or None):
+                        archive.write(file, file.name)
+        else:
+            save_for(self.preset, clips, target, fps=self.fps or None)
         return {"export": self.export, "bytes": target.stat().st_size}

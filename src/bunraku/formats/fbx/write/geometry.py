@@ -104,9 +104,9 @@ def _layers(mesh: Mesh, frame: FileFrame) -> list[Element]:
         element("MappingInformationType", "AllSame" if single else "ByPolygon"),
         element("ReferenceInformationType", "IndexToDirect"), element("Materials", slots[:1] if single else slots),
     )  # fmt: skip
-    for layer in range(max(len(mesh.uvs), 1)):
-        members = [(kind, number) for kind, number in listed if number == layer]
-        out.append(element("Layer", layer, children=[
+    for rank in range(max(len(mesh.uvs), 1)):
+        members = [(kind, number) for kind, number in listed if number == rank]
+        out.append(element("Layer", rank, children=[
             element("Version", 100),
             *(element("LayerElement", children=[element("Type", kind), element("TypedIndex", number)])
               for kind, number in members),
