@@ -37,9 +37,8 @@ async def about(request: Request) -> Any:
         "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
         "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
         "writes": _writes(),
-from bunraku.core.request.limits import FPS
-from bunraku.errors import OptionError
-from bunraku.io.presets import preset_rows
+        "fps": [FPS.low, FPS.high],
+        "presets": preset_rows(),
         "samples": list(sample_names()),
         "study": state.session is not None,
         "folder": state.store.folder.name,
