@@ -6,6 +6,7 @@ import resource
 import signal
 import socket
 import struct
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,19 @@ def test_takes_become_the_clips_of_one_file(studio, character, take):
     assert [len(load_animation(file, name, 20).motion) for name in ("waves", "jumps")] == [40, 40]
     played = load_animation(file, "waves", 20).vertices()
     assert np.abs(played - known.vertices()).max() < 1e-3 * known.character.height
+    for program, name in (("unity", "mushroom-unity.fbx"), ("unreal", "mushroom-unreal.zip")):
+        assert program in [row["name"] for row in studio.get("/api/about")["presets"]]
+        made = studio.post(f"/api/characters/{character['id']}/exports", {**asked, "preset": program, "fps": 0})
+        assert made["title"] == name
+        studio.done(made["job"])
+        file = studio.folder / "exports" / made["export"] / f"clips{Path(name).suffix}"
+        if program == "unreal":
+            with zipfile.ZipFile(file) as archive:
+                assert archive.namelist() == ["mushroom-waves.fbx", "mushroom-jumps.fbx"]
+                file = Path(archive.extract("mushroom-waves.fbx", file.parent))
+        assert load_animation(file, "waves", 30).motion.fps == 30
+    refused = studio.ask("POST", f"/api/characters/{character['id']}/exports", {**asked, "preset": "maya"})
+    assert refused[0] == 400 and "unity" in refused[1]["error"]
 
 
 @pytest.mark.parametrize("takes", [[], ["0123456789abcdef"], ["twice", "twice"]])
