@@ -1,3 +1,4 @@
+import csv
 import json
 from dataclasses import replace
 
@@ -11,19 +12,20 @@ from bunraku.cli import main
 from bunraku.diffusion.checkpoint import build_denoiser, save_denoiser
 from bunraku.diffusion.denoiser import Denoiser
 from bunraku.diffusion.denoiser_config import DenoiserConfig
-from bunraku.diffusion.features import encode
+from bunraku.diffusion.features import decode, encode
 from bunraku.diffusion.generation import networks
 from bunraku.diffusion.matching import Extractor, ExtractorConfig, save_extractor
-from bunraku.errors import OptionError
+from bunraku.errors import FormatError, OptionError
 from bunraku.geometry.rotations import matrix_y
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion import samples as motion_samples
 from bunraku_lab.evaluation.motion.blocks import BARS
 from bunraku_lab.evaluation.motion.handle_fid import body_handles, handle_fid, handle_samples
+from bunraku_lab.evaluation.motion.others import write_prompts
 from bunraku_lab.evaluation.motion.samples import Request, SamplerSettings, make_motions
-from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows
+from bunraku_lab.evaluation.motion.table import MotionEvalConfig, Row, evaluate_motion, measure_rows, table_windows
 from bunraku_lab.evaluation.motion.viewer.prompts import VIEWER_BARS
-from bunraku_lab.evaluation.motion.windows import Window
+from bunraku_lab.evaluation.motion.windows import Window, window_features
 
 
 def network(**changes):
@@ -260,3 +262,21 @@ def test_bad_options_are_one_sentence(tmp_path, capsys):
     assert "no such folder" in capsys.readouterr().err
     assert main(["evaluate", "motion", "--data", str(tmp_path), "--runs", "0"]) == 2
     assert "--runs" in capsys.readouterr().err
+
+
+def test_the_motions_of_others_get_a_row_on_the_same_windows(folder, tmp_path):
+    config = replace(settings(folder, tmp_path / "work"), mdm=None)
+    clips, windows = table_windows(config)
+    rows = list(csv.DictReader(write_prompts(tmp_path / "prompts.csv", windows).open()))
+    assert [row["text"] for row in rows] == [window.sentence for window in windows]
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    for row, window in zip(rows, windows, strict=True):
+        assert float(row["seconds"]) == pytest.approx(window.frames / 20)
+        decode(window_features(clips, window)).save(theirs / f"{row['file']}.npz")
+    found = evaluate_motion(replace(config, motions=theirs))["rows"]
+    assert found["others"]["fid"]["mean"] == pytest.approx(found["real"]["fid"]["mean"], rel=0.02)  # they are the same
+    assert found["others"]["r_precision_3"]["mean"] == pytest.approx(found["real"]["r_precision_3"]["mean"], abs=0.05)
+    (theirs / "0003.npz").unlink()
+    with pytest.raises(FormatError, match="1 of 24 motions are missing, first 0003"):
+        evaluate_motion(replace(config, motions=theirs))

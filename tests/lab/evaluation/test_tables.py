@@ -1,6 +1,8 @@
 """The papers' tables: what is kept, what is said of rows that were not run, and ratios."""
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 
@@ -72,3 +74,21 @@ def test_the_command_prints_json(tmp_path, capsys):
     (table,) = json.loads(capsys.readouterr().out)["tables"]
     assert table["rows"][2]["cells"]["PMD_a"]["paper"] == 1.91
     assert table["rows"][2]["cells"]["PMD_a"]["paper_over_reference"] == pytest.approx(1.91 / 5.42)
+
+
+def test_every_number_of_the_page_is_in_the_commands_json():
+    docs = Path(__file__).parents[3] / "docs"
+    told = json.loads((docs / "tables.json").read_text())
+    known = {f"{value:{form}}" for value in _numbers(told["tables"]) for form in (".3g", "g")}
+    rows = [line for line in (docs / "tables.md").read_text().splitlines() if line.startswith("| ")]
+    cells = {cell.strip() for line in rows for cell in line.split("|")[2:-1]}
+    shown = {cell for cell in cells if re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?", cell)}
+    assert len(shown) > 50 and shown <= known
+
+
+def _numbers(value):
+    if isinstance(value, dict | list):
+        for each in value.values() if isinstance(value, dict) else value:
+            yield from _numbers(each)
+    elif isinstance(value, int | float):
+        yield value

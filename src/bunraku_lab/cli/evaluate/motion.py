@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from bunraku.cli.output.checks import check_input, check_range, check_source
+from bunraku.cli.output.checks import check_input, check_output, check_range, check_source
 from bunraku.cli.output.progress import stages
 from bunraku_lab.cli.evaluate.printed import Printed
 from bunraku_lab.evaluation.report import Report, Table, bar_table
@@ -24,7 +24,7 @@ _COLUMNS = (
 )  # fmt: skip
 _NAMES = {
     "real": "Real", "tapmo_mdm": "TapMo (MDM)", "tapmo": "TapMo (ours)", "tapmo_guided": "- guided",
-    "tapmo_led": "- from examples", "tapmo_chosen": "- as chosen",
+    "tapmo_led": "- from examples", "tapmo_chosen": "- as chosen", "others": "Others",
 }  # fmt: skip
 
 
@@ -45,6 +45,10 @@ class EvaluateMotion(Printed):
     """Weights of the diffusion model. Default: the shipped ones."""
     mdm: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Weights of the encoder-only model (`bunraku train diffusion --preset mdm`), for its row. Left out without it."""
+    motions: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Folder of another method's motions, one file for each row of what --prompts-to writes, for a row of their own."""
+    prompts_to: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Write the sentences of the table's windows with their seconds (.csv) for another method, and measure nothing."""
     extractor: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Weights of the feature extractor. Default: the shipped ones."""
     work: Path = Path("runs/evaluation")
@@ -97,17 +101,21 @@ class EvaluateMotion(Printed):
         check_range("--seed", self.seed, 0, 2**31)
         check_source(self.data, "make it with `bunraku data motions`")
         check_source(self.characters, "give one with rigged characters")
+        check_source(self.motions, "give one with the motions of another method")
+        if self.prompts_to is not None:
+            check_output(self.prompts_to, [".csv"])
         for path in (self.checkpoint, self.mdm, self.extractor):
             if path is not None:
                 check_input(path)
         from bunraku_lab.evaluation.motion.blocks import add_blocks
-        from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion
+        from bunraku_lab.evaluation.motion.others import write_prompts
+        from bunraku_lab.evaluation.motion.table import MotionEvalConfig, evaluate_motion, table_windows
         from bunraku_lab.evaluation.motion.viewer.prompts import viewer_figures
 
         pool = self.pool or max(256 if self.quick else 1600, self.clips or 0)
         config = MotionEvalConfig(
             data=self.data, characters=self.characters, checkpoint=self.checkpoint, mdm=self.mdm,
-            extractor=self.extractor, work=self.work,
+            motions=self.motions, extractor=self.extractor, work=self.work,
             split=self.split, pool=pool, clips=min(self.clips or (200 if self.quick else 1000), pool),
             runs=self.runs or (3 if self.quick else 20),
             references=1000 if self.quick else 3000, prompts=8 if self.quick else 20, repeats=4 if self.quick else 10,
@@ -117,6 +125,11 @@ class EvaluateMotion(Printed):
             reference_steps=self.reference_steps,
             reference_clips=self.reference_clips, seed=self.seed,
         )  # fmt: skip
+        if self.prompts_to is not None:
+            with stages() as report:
+                windows = table_windows(config, report)[1]
+            print(f"wrote {write_prompts(self.prompts_to, windows)}, {len(windows)} sentences")
+            return
         with stages() as report:
             result = {} if self.only == "viewer" else evaluate_motion(config, report)
             if self.only is None:

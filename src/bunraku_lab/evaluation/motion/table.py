@@ -30,6 +30,7 @@ from bunraku_lab.evaluation.motion.metrics import (
     multimodality,
     r_precision,
 )
+from bunraku_lab.evaluation.motion.others import read_results
 from bunraku_lab.evaluation.motion.samples import (
     Request,
     SamplerSettings,
@@ -40,7 +41,7 @@ from bunraku_lab.evaluation.motion.samples import (
 from bunraku_lab.evaluation.motion.windows import Window, candidate_sentences, draw_windows, window_features
 from bunraku_lab.training.diffusion.clip_data import ClipEntry, load_clips, people
 
-__all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows"]
+__all__ = ["MotionEvalConfig", "Report", "Row", "evaluate_motion", "measure_rows", "table_windows"]
 
 Report = Callable[[str, float], None]
 
@@ -54,6 +55,7 @@ class MotionEvalConfig:
         characters: Folder of rigged characters, for the ARAP-Loss and the creatures; None leaves these out.
         checkpoint: Weights of the denoiser; None takes the shipped ones.
         mdm: Weights of the encoder-only denoiser, "TapMo (MDM)"; None leaves its row out.
+        motions: Folder of another method's motions of the windows' sentences (`others`); None leaves their row out.
         extractor: Weights of the feature extractor; None takes the shipped ones.
         work: Folder in which generated motions are kept.
         split: Split of the clips, of the data's index.
@@ -79,6 +81,7 @@ class MotionEvalConfig:
     characters: Path | None = None
     checkpoint: Path | None = None
     mdm: Path | None = None
+    motions: Path | None = None
     extractor: Path | None = None
     work: Path = Path("runs/evaluation")
     split: str = "test"
@@ -182,6 +185,19 @@ def _distinct(windows: Sequence[Window], count: int) -> list[Window]:
     return list(seen.values())[:count]
 
 
+def table_windows(config: MotionEvalConfig, report: Report | None = None) -> tuple[dict[str, ClipEntry], list[Window]]:
+    """The held-out clips, and the windows that all rows of the table see.
+
+    Raises:
+        FormatError: The data are missing or damaged.
+    """
+    told = report or (lambda stage, done: None)
+    clips = people(
+        load_clips(config.data, lambda done, total: told("clips", done / total), {config.split}), config.split
+    )
+    return clips, draw_windows(clips, config.pool, np.random.default_rng([config.seed, 11]))
+
+
 def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> dict[str, Any]:
     """The table.
 
@@ -211,18 +227,15 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     if config.mdm is not None:
         models["tapmo_mdm"] = config.mdm
     loaded = {name: load_generator(path) for name, path in models.items()}
-    clips = people(
-        load_clips(config.data, lambda done, total: report("clips", done / total), {config.split}), config.split
-    )
-    windows = draw_windows(clips, config.pool, np.random.default_rng([config.seed, 11]))
-    others = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))
+    clips, windows = table_windows(config, report)
+    apart = draw_windows(clips, config.references, np.random.default_rng([config.seed, 12]))
     named = _distinct(windows, config.prompts)
     sampling = config.sampler()
 
     encoder = encoder_of(extractor.config.text_encoder, loaded["tapmo"][1])
     sentences = embed_sentences(extractor, encoder, [window.sentence for window in windows])
     real, references = (
-        embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, others)
+        embed_motions(extractor, [window_features(clips, window) for window in part]) for part in (windows, apart)
     )
     rows = {"real": Row(real)}
     for name, (model, own_encoder) in loaded.items():
@@ -252,10 +265,13 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
             folder=config.work, progress=partial(_told, report, f"motions of {name}"),
         )  # fmt: skip
         rows[name] = Row(embed_motions(extractor, found))
+    if config.motions is not None:
+        others = read_results(config.motions, windows, lambda done: report("motions of others", done))
+        rows["others"] = Row(embed_motions(extractor, others))
     measure_rows(rows, references, windows, clips, sentences, config, report)
 
     result = _summary(rows)
-    result["fid_real_halves"] = _halves(others, references, config.runs, config.seed)
+    result["fid_real_halves"] = _halves(apart, references, config.runs, config.seed)
     result["fid_steps_ratio"] = None
     if config.reference_steps:
         result |= _steps_ratio(extractor, rows["tapmo"].vectors, references, windows, config, report)
