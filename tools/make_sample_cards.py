@@ -1,6 +1,6 @@
 """Make the pictures of the sample characters in the studio: studio/public/sample-NAME.webp.
 
-    python tools/make_sample_cards.py
+python tools/make_sample_cards.py
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def page(tables: list[dict[str, object]], day: str) -> str:
     parts = [HEAD.format(day=day)]
     for table in tables:
         parts.append(Report(shown_table(table)).markdown())
-        counts = table.get("counts")
+        counts = table.get("counts")  # what it was measured on
         if isinstance(counts, dict) and counts:
             parts.append("Measured on: " + ", ".join(f"{name} {value:g}" for name, value in counts.items()) + ".")
     return "\n\n".join(part.strip() for part in parts) + "\n"

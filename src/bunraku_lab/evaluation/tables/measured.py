@@ -134,12 +134,14 @@ def _motion_group(config: TablesConfig, report: Report) -> Group:
             else {"pool": 1600, "references": 3000, "clips": 1000, "runs": 20}
         )
         settings: dict[str, Any] = {**sizes, "seed": config.seed, "best_of": 3, "work": config.work / "motions"}
-        found = evaluate_motion(MotionEvalConfig(data=data, mdm=mdm, **settings), report)["rows"]
-        return {
+        result = evaluate_motion(MotionEvalConfig(data=data, mdm=mdm, **settings), report)
+        found = result["rows"]
+        rows = {
             title: {column: found[name][key]["mean"] for column, key in _MEASURES.items() if key in found[name]}
             for name, title in _MOTION_ROWS.items()
             if name in found
         }
+        return rows | {"counts": {key: result["counts"][key] for key in ("windows", "runs")}}
 
     return Group("motion", run, {**_seen(config, *_NETWORKS), "mdm": mdm, "data": data / "index.json"})
 

@@ -16,6 +16,7 @@ from bunraku_lab.evaluation.report import Table
 
 __all__ = ["Group", "NotRun", "PaperRow", "PaperTable", "measured_table", "shown_table"]
 
+NAMES = {"tapmo": "TapMo", "mmdmc": "MMDMC"}
 Figures = Mapping[str, Mapping[str, float]]
 """Of each row, by the names of the columns."""
 
@@ -141,22 +142,26 @@ def _over(value: float | None, base: float | None) -> float | None:
 
 
 def shown_table(measured: Mapping[str, Any]) -> list[Table | str]:
-    """A measured table for people, and a line for each row that was not run."""
-    head = [""]
-    for column in measured["columns"]:
-        head += [f"{column}, paper", "ours", "ratio, paper", "ratio, ours"]
-    rows = [head]
+    """A measured table for people, the paper's figure before ours in each cell, and a line for each reason why rows
+    were not run.
+    """
+    rows = [["paper / ours", *(cell for column in measured["columns"] for cell in (column, "ratio"))]]
     for row in measured["rows"]:
-        cells = [row["name"]]
-        for column in measured["columns"]:
-            found = row["cells"][column]
-            cells += [_cell(found[key]) for key in ("paper", "ours", "paper_over_reference", "ours_over_reference")]
-        rows.append(cells)
-    title = f"{measured['paper'].upper()}, table {measured['number']}: {measured['title']}"
+        cells = [row["cells"][column] for column in measured["columns"]]
+        shown = [(cell["paper"], cell["ours"]) for cell in cells]
+        ratios = [(cell["paper_over_reference"], cell["ours_over_reference"]) for cell in cells]
+        rows.append([row["name"], *(_pair(*pair) for both in zip(shown, ratios, strict=True) for pair in both)])
+    title = f"{NAMES[measured['paper']]}, table {measured['number']}: {measured['title']}"
     parts: list[Table | str] = [Table(rows, title=f"{title} (ratios to {measured['reference']})")]
-    parts += [f"not run: {row['name']}: {row['not_run']}" for row in measured["rows"] if row["not_run"]]
+    reasons: dict[str, list[str]] = {}
+    for row in measured["rows"]:
+        if row["not_run"]:
+            reasons.setdefault(row["not_run"], []).append(row["name"])
+    parts += [f"not run: {', '.join(names)}: {reason}" for reason, names in reasons.items()]
     return parts + ([measured["note"]] if measured["note"] else [])
 
 
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+def _pair(paper: float | None, ours: float | None) -> str:
+    if paper is None and ours is None:
+        return "-"
+    return " / ".join("-" if value is None else f"{value:.3g}" for value in (paper, ours))
