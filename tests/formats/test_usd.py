@@ -10,8 +10,12 @@ from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character
 from bunraku.core.point_animation import PointAnimation
+from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import FormatError, MissingExtraError, OptionError
+from bunraku.formats.usd.look import prim_name
+from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.io import load_character
+from bunraku.samples import sample_character
 
 Y_FROM_Z = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rows times this
 
@@ -174,3 +178,24 @@ def test_options_that_make_no_sense(pxr, animation, tmp_path):
     for options, says in wrong:
         with pytest.raises(OptionError, match=says):
             animation.save(tmp_path / "dance.usd", **options)
+
+
+@pytest.mark.parametrize("up", ["+y", "+z"])
+def test_the_bones_of_a_rig_keep_their_tree_and_names(pxr, tmp_path, up):
+    from pxr import UsdSkel
+
+    robot = sample_character("robot", rigged=True)
+    rig, random = robot.rig, np.random.default_rng(2)
+    turns = matrix_from_axis_angle(0.4 * random.normal(size=(6, len(rig.names), 3)))
+    moved = RigAnimation(robot, turns, 0.02 * random.normal(size=(6, len(rig.names), 3)))
+    path = moved.save(tmp_path / "robot.usda", up=up)
+    stage, _, posed = baked(path)
+    skeleton = next(prim for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton))
+    joints = list(UsdSkel.Skeleton(skeleton).GetJointsAttr().Get())
+    assert sorted(joint.rpartition("/")[2] for joint in joints) == sorted(map(prim_name, rig.names))
+    for joint in joints:
+        bone = [prim_name(name) for name in rig.names].index(joint.rpartition("/")[2])
+        above = joint.split("/")[-2] if "/" in joint else None
+        parent = int(rig.parents[bone])
+        assert above == (prim_name(rig.names[parent]) if parent >= 0 else None)
+    assert np.abs(posed - moved.vertices()).max() < 1e-4 * robot.height

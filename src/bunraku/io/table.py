@@ -79,6 +79,7 @@ FORMATS: tuple[Format, ...] = (
         "USD",
         (".usd", ".usda", ".usdc", ".usdz"),
         animation="bunraku.formats.usd.write:write_usd",
+        bones="bunraku.formats.usd.write:write_rig",
         points="bunraku.formats.usd.write:write_points",
     ),
     Format("STL", (".stl",), character="bunraku.formats.mesh.stl:read_stl"),

@@ -5,7 +5,7 @@ import pytest
 
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
-from bunraku_lab.evaluation.handles.stretch import edge_stretch, stretch_of
+from bunraku_lab.evaluation.handles.stretch import edge_error, edge_stretch, stretch_of
 
 
 def test_an_edge_s_largest_length_over_its_own():
@@ -31,3 +31,16 @@ def test_two_edges_of_three_are_stretched():
     )  # the other edge of the vertex is sqrt(26 / 2) times as long
     still = stretch_of(character, handles, HandleMotion(0 * shift, turns, np.zeros((7, 3)), turns[:, 0]))
     assert still == {"stretched_edges": 0.0, "most_stretched": 1.0}
+
+
+def test_the_edge_error_is_the_mean_change_of_length():
+    """One vertex of a triangle is shifted by its edge's length in one of two frames that are looked at."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+    weights = np.array([[1, 0], [0, 1], [1, 0]], np.float32)
+    character = Character("triangle", vertices, np.array([[0, 1, 2]]))
+    shift = np.zeros((4, 2, 3))
+    shift[3, 1, 0] = 1.0
+    turns = np.tile(np.eye(3), (4, 2, 1, 1))
+    motion = HandleMotion(shift, turns, np.zeros((4, 3)), turns[:, 0])
+    changes = np.array([[0, 0, 0], [1, 0, np.sqrt(5 / 2) - 1]])
+    assert edge_error(character, Handles(vertices[:2], weights), motion) == pytest.approx(changes.mean(), rel=1e-5)

@@ -1,4 +1,5 @@
-"""Write USD: the mesh with the handles as a UsdSkel skeleton and their motion, or its points in every frame.
+"""Write USD: the mesh with the handles, or the bones of its own rig, as a UsdSkel skeleton and their motion, or its
+points in every frame.
 
 A skeleton is what engines and 3D programs edit; all weights of a vertex are written, not four, so it plays exactly. A
 point cache is for programs that read no skeleton, and the only way where vertices move on their own.
@@ -10,6 +11,7 @@ import os
 import re
 import shutil
 import tempfile
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -27,11 +29,12 @@ from bunraku.geometry.rotations import quaternion_from_matrix
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
-    from bunraku.core.character import Handles
+    from bunraku.core.character import Character, Handles
     from bunraku.core.motion import HandleMotion
     from bunraku.core.point_animation import PointAnimation
+    from bunraku.core.rig_animation import RigAnimation
 
-__all__ = ["check_available", "write_points", "write_usd"]
+__all__ = ["check_available", "write_points", "write_rig", "write_usd"]
 
 SMALL = 1e-5  # weights under this move nothing that is seen
 CHUNK = 32  # frames posed at once
@@ -60,12 +63,36 @@ def write_usd(
     """
     if points:
         return write_points(animation, path, fps=fps, up=up, unit=unit)
-    usd, frame = _library(), FileFrame.of(up, unit)
+    frame = FileFrame.of(up, unit)
     moved = animation.at(checked_fps(fps, animation.motion.fps))
-    stage, name = _stage(usd, moved.motion, up, unit), prim_name(animation.character.name)
+    return _write_skinned(path, moved.character, _of_handles(moved, frame), moved.motion.fps, up, unit)
+
+
+def write_rig(
+    animation: RigAnimation,
+    path: Path,
+    *,
+    fps: float | None = None,
+    up: str = "+y",
+    unit: str = "m",
+    points: bool = False,
+) -> Path:
+    """Write an animation of a character's own rig as USD: its bones in their tree, under their names; arguments and
+    errors are those of `write_usd`.
+    """
+    if points:
+        return write_points(animation.animation(), path, fps=fps, up=up, unit=unit)
+    frame = FileFrame.of(up, unit)
+    moved = animation.at(checked_fps(fps, animation.fps))
+    return _write_skinned(path, moved.character, _of_bones(moved, frame), moved.fps, up, unit)
+
+
+def _write_skinned(path: Path, character: Character, skin: _Skin, fps: float, up: str, unit: str) -> Path:
+    usd, frame = _library(), FileFrame.of(up, unit)
+    stage, name = _stage(usd, fps, len(skin.translations), up, unit), prim_name(character.name)
     root = usd["UsdSkel"].Root.Define(stage, f"/{name}")
     look = Look(usd, stage, f"/{name}", _texture_folder(path))
-    _skinned(usd, stage, f"/{name}", moved, frame, look)
+    _add_skinned(usd, stage, f"/{name}", character, skin, frame, look)
     stage.SetDefaultPrim(root.GetPrim())
     return _export(usd, stage, path, look)
 
@@ -76,7 +103,7 @@ def write_points(
     """Write where every vertex is in every frame as USD; arguments are those of `write_usd`."""
     usd, frame = _library(), FileFrame.of(up, unit)
     moved = animation.at(checked_fps(fps, animation.motion.fps))
-    stage, name = _stage(usd, moved.motion, up, unit), prim_name(animation.character.name)
+    stage, name = _stage(usd, moved.motion.fps, len(moved.motion), up, unit), prim_name(animation.character.name)
     root = usd["UsdGeom"].Xform.Define(stage, f"/{name}")
     look, rest, array = (
         Look(usd, stage, f"/{name}", _texture_folder(path)),
@@ -121,52 +148,111 @@ def _library() -> dict[str, ModuleType]:
         raise MissingExtraError("usd-core", "usd", "writing USD") from error
 
 
-def _stage(usd: dict[str, ModuleType], motion: HandleMotion, up: str, unit: str) -> Any:
+def _stage(usd: dict[str, ModuleType], fps: float, frames: int, up: str, unit: str) -> Any:
     stage = usd["Usd"].Stage.CreateInMemory()
     usd["UsdGeom"].SetStageUpAxis(stage, up[1:].upper())
     usd["UsdGeom"].SetStageMetersPerUnit(stage, UNITS[unit])
-    stage.SetTimeCodesPerSecond(motion.fps)
-    stage.SetFramesPerSecond(motion.fps)
+    stage.SetTimeCodesPerSecond(fps)
+    stage.SetFramesPerSecond(fps)
     stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(len(motion) - 1)
+    stage.SetEndTimeCode(frames - 1)
     stage.GetRootLayer().documentation = "bunraku"
     return stage
 
 
-def _skinned(
-    usd: dict[str, ModuleType], stage: Any, root: str, animation: Animation, frame: FileFrame, look: Look
-) -> None:
-    Gf, UsdSkel, Vt = usd["Gf"], usd["UsdSkel"], usd["Vt"]
-    handles, motion = animation.handles, animation.motion
+@dataclass(frozen=True, eq=False)
+class _Skin:
+    """A skeleton of J joints in the file's frame, none turned at rest, its motion in N frames, and its weights.
+
+    Args:
+        joints: Paths of the joints, every parent before its children.
+        bind: Where they rest, shape (J, 3).
+        local: The same from their parents, shape (J, 3).
+        translations, rotations: Of each in its parent's frame, shapes (N, J, 3) and (N, J, 4), xyzw, float32.
+        indices, weights: Joints of each vertex and their shares, shape (V, M).
+    """
+
+    joints: list[str]
+    bind: np.ndarray
+    local: np.ndarray
+    translations: np.ndarray
+    rotations: np.ndarray
+    indices: np.ndarray
+    weights: np.ndarray
+
+
+def _of_handles(animation: Animation, frame: FileFrame) -> _Skin:
+    handles = animation.handles
     names = [prim_name(name) for name in handle_names(handles)]
-    joints = [names[0], *(f"{names[0]}/{name}" for name in names[1:])]
     h = frame.points(handles.positions.astype(np.float64))
     local = h - h[0]
     local[0] = h[0]
+    joints = [names[0], *(f"{names[0]}/{name}" for name in names[1:])]
+    return _Skin(joints, h, local, *_channels(handles, animation.motion, frame), *_influences(handles.weights))
 
+
+def _of_bones(animation: RigAnimation, frame: FileFrame) -> _Skin:
+    from bunraku.core.rig_animation import bone_order
+
+    rig = animation.character.rig
+    assert rig is not None
+    order = bone_order(rig.parents)
+    place = {bone: number for number, bone in enumerate(order)}
+    joints: list[str] = []
+    local = rig.positions.astype(np.float64).copy()
+    for bone in order:
+        parent = int(rig.parents[bone])
+        above = f"{joints[place[parent]]}/" if parent >= 0 else ""
+        name = label = prim_name(rig.names[bone])
+        number = 1
+        while above + name in joints:
+            number += 1
+            name = f"{label}_{number}"
+        joints.append(above + name)
+        if parent >= 0:
+            local[bone] -= rig.positions[parent]
+    translations = (local + animation.translations)[:, order]
+    rotations = _signed(quaternion_from_matrix(frame.turn @ animation.rotations[:, order].astype(float) @ frame.turn.T))
+    return _Skin(
+        joints,
+        frame.points(rig.positions[order].astype(np.float64)),
+        frame.points(local[order]),
+        np.ascontiguousarray(frame.points(translations), np.float32),
+        rotations,
+        *_influences(rig.dense_weights()[:, order]),
+    )
+
+
+def _add_skinned(
+    usd: dict[str, ModuleType], stage: Any, root: str, character: Character, skin: _Skin, frame: FileFrame, look: Look
+) -> None:
+    Gf, UsdSkel, Vt = usd["Gf"], usd["UsdSkel"], usd["Vt"]
+    joints = skin.joints
     skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
     skeleton.CreateJointsAttr(joints)
-    for make, positions in ((skeleton.CreateBindTransformsAttr, h), (skeleton.CreateRestTransformsAttr, local)):
+    for make, positions in (
+        (skeleton.CreateBindTransformsAttr, skin.bind),
+        (skeleton.CreateRestTransformsAttr, skin.local),
+    ):
         make(Vt.Matrix4dArray([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*matrix)) for matrix in positions.tolist()]))
     clip = UsdSkel.Animation.Define(stage, f"{root}/Skeleton/Animation")
     clip.CreateJointsAttr(joints)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([clip.GetPath()])
     clip.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(joints)))
-    translations, rotations = _channels(handles, motion, frame)
     moved, turned = clip.CreateTranslationsAttr(), clip.CreateRotationsAttr()
-    for number in range(len(motion)):
-        moved.Set(Vt.Vec3fArray.FromNumpy(translations[number]), number)
-        turned.Set(Vt.QuatfArray.FromNumpy(rotations[number]), number)
+    for number in range(len(skin.translations)):
+        moved.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(skin.translations[number])), number)
+        turned.Set(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(skin.rotations[number])), number)
 
-    rest = frame.points(animation.character.vertices)
-    indices, weights = _influences(handles.weights)
-    for piece in pieces(animation.character):
+    rest = frame.points(character.vertices)
+    indices, weights = skin.indices, skin.weights
+    for piece in pieces(character):
         mesh = add_mesh(
             usd,
             stage,
             f"{root}/{piece.name}",
             piece,
-            animation.character,
+            character,
             np.ascontiguousarray(rest[piece.index]),
             look,
         )
@@ -190,11 +276,14 @@ def _channels(handles: Handles, motion: HandleMotion, frame: FileFrame) -> tuple
     matrices = motion.rotations.astype(np.float64)
     matrices[:, 0] = motion.root_rotation
     rotations = quaternion_from_matrix(frame.turn @ matrices @ frame.turn.T)
+    return np.ascontiguousarray(frame.points(translations), np.float32), _signed(rotations)
+
+
+def _signed(rotations: np.ndarray) -> np.ndarray:
+    """Quaternions (N, K, 4) that do not change their signs on the way, so that they can be interpolated, float32."""
     flips = np.where((rotations[1:] * rotations[:-1]).sum(-1) < 0, -1.0, 1.0)
-    rotations[1:] *= np.cumprod(flips, axis=0)[
-        ..., None
-    ]  # an interpolated quaternion must not change its sign on the way
-    return np.ascontiguousarray(frame.points(translations), np.float32), np.ascontiguousarray(rotations, np.float32)
+    rotations[1:] *= np.cumprod(flips, axis=0)[..., None]
+    return np.ascontiguousarray(rotations, np.float32)
 
 
 def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,103 @@
+"""What becomes of files as users have them: `python benchmarks/foreign_files.py FOLDER [--use measure] [--walks]
+[--pictures FOLDER]`.
+
+FOLDER holds the files of `foreign_files.json`, each under its name there: `git cat-file blob BLOB > NAME` in a clone of
+its repository. For each: how it is taken to stand, how sure that is, and whether it is right. Then the shares: right as
+the file comes; wrong and nothing said of it; right and doubted. With `--walks`, of the file stood up as the list has
+it: how far edges change their length in "walks forward", mean over edges and frames, of their length at rest. With
+`--pictures`, a strip of frames of each such walk.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bunraku.core.animation import Animation
+from bunraku.core.character import Character
+from bunraku.errors import BunrakuError
+from bunraku.formats.gltf.turning import turned
+from bunraku.handles.orientation import SURE
+from bunraku.io import load_character
+from bunraku.pipelines.animator import Animator
+from bunraku.pipelines.requests.request import Request, Sampling
+from bunraku.pipelines.standing import file_standing
+from bunraku_lab.evaluation.handles.stretch import edge_error
+
+LIST = Path(__file__).with_suffix(".json")
+FRAMES = 6
+
+
+def stood(character: Character, row: dict[str, Any]) -> tuple[str, bool, bool]:
+    """How a file is taken to stand in words, whether that is right, and whether something is said of it."""
+    found = file_standing(character)
+    taken = found.resolved.up, found.resolved.front
+    right = taken[0] == row["up"] and taken[1] in row["front"]
+    guess = found.resolved.guess
+    sure = 1.0 if found.bones or guess is None else guess.probability(*taken)
+    return f"{taken[0]} {taken[1]} {100 * sure:.0f} %", right, sure < SURE or found.bones not in ("", "+z")
+
+
+def walk(character: Character, row: dict[str, Any], animator: Animator, pictures: Path | None) -> float:
+    """The edge error of a walk on 30 handles; a strip of its frames is drawn where a folder for it is given."""
+    character = turned(character, row["up"], row["front"][0])
+    request = Request("walks forward", Sampling(3.0, 1, candidates=1), rig="handles")
+    animation = animator(character, request)
+    assert isinstance(animation, Animation)
+    if pictures is not None:
+        from PIL import Image
+
+        from bunraku.render.frames import render_animation
+
+        times = np.linspace(0.3, 2.8, FRAMES)
+        strip = np.concatenate(list(render_animation(animation, size=(200, 220), times=times)), axis=1)
+        Image.fromarray(strip).save(pictures / f"{row['name']}.png")
+    return edge_error(animation.character, animation.handles, animation.motion)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--use", choices=("measure", "prior"), default="measure")
+    parser.add_argument("--walks", action="store_true")
+    parser.add_argument("--pictures", type=Path)
+    asked = parser.parse_args()
+    animator = Animator.shipped()
+    results, errors = [], []
+    print("| file | kind | taken | | edge error |")
+    print("| --- | --- | --- | --- | --- |")
+    for row in json.loads(LIST.read_text()):
+        if row["use"] != asked.use:
+            continue
+        try:
+            character = load_character(asked.folder / row["name"], unit="m")
+            taken, right, told = stood(character, row)
+            error = walk(character, row, animator, asked.pictures) if asked.walks else None
+        except BunrakuError as failure:
+            print(f"| {row['name']} | {row['kind']} | failed: {failure} | | |", flush=True)
+            continue
+        results.append((right, told))
+        errors += [] if error is None else [error]
+        said = ("right" if right else "wrong") + (", said" if told else "")
+        print(
+            f"| {row['name']} | {row['kind']} | {taken} | {said} | {'' if error is None else f'{100 * error:.1f} %'} |",
+            flush=True,
+        )
+    if not results:
+        raise SystemExit(f"{asked.folder}: none of the files of {LIST.name} is here")
+    rights, tolds = np.array(results).T
+    print(
+        f"\n{len(results)} files: right {100 * rights.mean():.1f} %; wrong and not said {(~rights & ~tolds).sum()}; ",
+        end="",
+    )
+    print(f"right and doubted {100 * (rights & tolds).sum() / max(rights.sum(), 1):.1f} % of the right ones")
+    if errors:
+        print(f"edge error: mean {100 * np.mean(errors):.2f} %, median {100 * np.median(errors):.2f} %")
+
+
+if __name__ == "__main__":
+    main()
