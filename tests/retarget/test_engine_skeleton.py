@@ -105,6 +105,26 @@ def test_what_is_written_rests_and_is_bound_in_that_pose(person, tmp_path):
     assert np.median(cosine[size > 1e-9]) > 0.95  # normals are turned with the mesh
 
 
+def test_a_vrm_skeleton_is_written_as_a_vrm_humanoid(person, tmp_path):
+    """By the schema of VRMC_vrm 1.0: what is required is there, and each bone is the node of its name."""
+    made = on_skeleton(person[1], "vrm")
+    path = save_character(made, tmp_path / "hero.glb", rig=True)
+    document = open_document(path, path.read_bytes())
+    assert "VRMC_vrm" in document.tree["extensionsUsed"]
+    avatar = document.tree["extensions"]["VRMC_vrm"]
+    assert avatar["specVersion"] == "1.0" and avatar["meta"]["name"] and avatar["meta"]["authors"]
+    assert avatar["meta"]["licenseUrl"] == "https://vrm.dev/licenses/1.0/"  # the schema's one value
+    bones = avatar["humanoid"]["humanBones"]
+    nodes = document.items("nodes")
+    assert set(bones) >= VRM_REQUIRED and all(nodes[bone["node"]]["name"] == name for name, bone in bones.items())
+    assert set(bones) <= set(VRM_PARENTS) | {"leftMiddleProximal", "rightMiddleProximal"}
+    read = load_character(path)
+    assert read.avatar is not None and np.abs(read.vertices - made.vertices).max() < 1e-5
+    for names in ("mixamo", "unreal"):
+        path = save_character(on_skeleton(person[1], names), tmp_path / f"{names}.glb", rig=True)
+        assert "extensions" not in open_document(path, path.read_bytes()).tree
+
+
 def test_names_are_read_back_as_the_parts_that_they_are(person):
     for names in ("mixamo", "vrm", "unreal"):
         made = on_skeleton(person[1], names)

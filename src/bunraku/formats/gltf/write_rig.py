@@ -29,6 +29,7 @@ from bunraku.formats.gltf.read import Source
 from bunraku.formats.gltf.rig_clip import add_bone_clip
 from bunraku.formats.gltf.scene.mesh import MeshPart
 from bunraku.formats.gltf.scene.nodes import read_nodes
+from bunraku.formats.gltf.scene.vrm_write import add_humanoid
 from bunraku.formats.gltf.write import build_document, document_of, finish_document
 
 __all__ = ["RigDocument", "save_rig_animation", "save_rig_clips", "write_character", "write_rigged"]
@@ -372,6 +373,7 @@ def _plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
         label = str(source.document.item("nodes", part.node).get("name") or f"mesh_{part.mesh}")
         roots.append(builder.add("nodes", {"name": label, "mesh": builder.add("meshes", mesh), "skin": skin}))
     builder.tree["scenes"][0]["nodes"] = roots
+    add_humanoid(builder.tree, rig, nodes, character.name)
     return builder, nodes
 
 
