@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from bunraku.body.layout import HANDLE_NAMES
 from bunraku.body.reference import reference_body
 from bunraku.core.animation import Animation
+from bunraku.core.character import Character, Rig
 from bunraku.core.rig_animation import RigAnimation
 from bunraku.errors import CharacterError, OptionError
 from bunraku.io import load_character
@@ -101,11 +103,30 @@ def test_a_rig_that_is_not_understood_is_said_in_a_line(person, caplog):
     odd = replace(person, rig=alone, source=None)
     with caplog.at_level(logging.WARNING):
         assert own_rig(odd, Request("walks")) is None
+        assert Animator.shipped().body(odd, Request("walks")).parts is None
     assert len(caplog.records) == 1 and "30 handles move it" in caplog.text
     with pytest.raises(CharacterError, match="not understood"):
         own_rig(odd, Request("walks", rig="own"))
     with pytest.raises(CharacterError, match="no rig"):
         own_rig(replace(person, rig=None), Request("walks", rig="own"))
+
+
+def test_nothing_is_said_of_a_rig_of_rigid_blocks(caplog):
+    """Handles move the blocks as the bones would."""
+    boxes = [trimesh.creation.box(bounds=some) for some in (
+        ((-0.25, 0.7, -0.12), (0.25, 1.3, 0.12)), ((-0.2, 1.3, -0.2), (0.2, 1.7, 0.2)),
+        ((0.01, 0, -0.1), (0.22, 0.7, 0.1)), ((-0.22, 0, -0.1), (-0.01, 0.7, 0.1)),
+    )]  # fmt: skip
+    names = ("torso", "head", "leg-left", "leg-right")
+    label = np.repeat(np.arange(4), [len(box.vertices) for box in boxes]).astype(np.int32)[:, None]
+    mesh = trimesh.util.concatenate(boxes)
+    rig = Rig(
+        names, np.array([-1, 0, 0, 0]), np.tile(np.eye(4), (4, 1, 1)), label, np.ones((len(label), 1), np.float32)
+    )
+    figure = Character("figure", mesh.vertices.astype(np.float32), mesh.faces, rig=rig)
+    with caplog.at_level(logging.WARNING):
+        body = Animator.shipped().body(figure, Request("walks"))
+    assert body.parts is None and body.anatomy.handles.rigid and not caplog.records
 
 
 def test_handles_that_are_asked_for_move(person):

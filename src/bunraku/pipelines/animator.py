@@ -278,6 +278,7 @@ class Animator:
             handles = replace(written, features=self.predictor.feature(character))
         else:
             handles = self.handles(character, request.handles)
+            _note_rig(character, handles, request)
         return Body(character, handles.features, Anatomy.of(character, handles).measured())
 
     def dress(self, moved: Animation | RigAnimation, apparel: Apparel) -> AnimatedCharacter:
@@ -358,12 +359,10 @@ def own_rig(character: Character, request: Request) -> RigParts | None:
 
     parts = understood_rig(character)
     if parts is not None or request.rig == "auto":
-        if parts is None and character.rig is not None:
-            _log.warning("%s: %s", character.name, _not_understood(character))
         return parts
     if character.rig is None:
         raise CharacterError(f"{character.name}: there is no rig in this file; let its handles be moved")
-    raise CharacterError(f"{character.name}: {_not_understood(character)}")
+    raise CharacterError(f"{character.name}: {_not_understood(character)}; let its handles be moved")
 
 
 def _written_handles(character: Character) -> Handles | None:
@@ -378,12 +377,19 @@ def _written_handles(character: Character) -> Handles | None:
         return None
 
 
+def _note_rig(character: Character, handles: Handles, request: Request) -> None:
+    """Tell what moves a character whose rig could have moved it."""
+    if character.rig is None or request.rig != "auto" or request.handles_given or handles.rigid:
+        return  # a figure of rigid blocks moves as its bones would move it
+    _log.warning("%s: %s; %d handles move it", character.name, _not_understood(character), len(handles.positions))
+
+
 def _not_understood(character: Character) -> str:
     assert character.rig is not None
     some = ", ".join(character.rig.names[:3])
     return (
         f"its rig of {len(character.rig.names)} bones ({some} ...) is not understood as that of a person or of four "
-        "legs, by names or shape; 30 handles move it"
+        "legs, by names or shape"
     )
 
 

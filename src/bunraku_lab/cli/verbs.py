@@ -94,6 +94,11 @@ VERBS: dict[tuple[str, ...], tuple[str, str, str]] = {
         "EvaluateHandles",
         "measure the handles on rigged characters",
     ),
+    ("evaluate", "blocks"): (
+        "bunraku_lab.cli.evaluate.blocks",
+        "EvaluateBlocks",
+        "measure whether figures of rigid blocks stay rigid and jointed",
+    ),
     ("evaluate", "motion"): (
         "bunraku_lab.cli.evaluate.motion",
         "EvaluateMotion",
