@@ -117,3 +117,20 @@ def test_hair_that_the_head_s_handles_share_is_one_with_the_head():
     full = seat_parts(mesh, weights)
     clean = mesh.clean.vertices * mesh.scale + mesh.center
     assert (full[clean[:, 1] > 1.7, H["head"]] > 0.9999).all()
+
+
+def test_a_fleck_that_touches_nothing_stays_with_what_is_nearest():
+    """Whatever the network takes it for; a hand as far away keeps its own."""
+    body = trimesh.creation.box((1, 2, 1)).subdivide().subdivide()
+    fleck = trimesh.creation.icosphere(2, 0.03).apply_translation([0, 0.9, 0.65])
+    hand = trimesh.creation.box((0.25, 0.3, 0.25)).subdivide().apply_translation([0.8, -0.5, 0])
+    whole = trimesh.util.concatenate([body, fleck, hand])
+    mesh = network_mesh(whole.vertices, whole.faces, 1500)
+    position, clean = mesh.vertices * mesh.scale + mesh.center, mesh.clean.vertices * mesh.scale + mesh.center
+    weights = np.zeros((len(position), HANDLE_COUNT), np.float32)
+    weights[:, H["spine3"]] = 1
+    for part, where in (("left_ankle", position[:, 2] > 0.55), ("left_wrist", position[:, 0] > 0.55)):
+        weights[where] = np.eye(HANDLE_COUNT)[H[part]]
+    full = seat_parts(mesh, weights)
+    assert (full[clean[:, 2] > 0.55].argmax(axis=1) == H["spine3"]).all()
+    assert (full[clean[:, 0] > 0.55].argmax(axis=1) == H["left_wrist"]).all()

@@ -143,7 +143,7 @@ def _follow_contacts(
 
     A piece whose handle is far from that of what it touches cannot be a limb that is jointed there: it would fly off.
     Unless it is large and clearly of one handle, it takes the row of what it touches, and what touches it follows in
-    turn.
+    turn. Flecks that touch nothing, as image-to-3D programs leave them, stay with the nearest of the larger parts.
 
     Args:
         mesh: The network mesh.
@@ -176,6 +176,13 @@ def _follow_contacts(
                 row = row**SHARP
                 rows[piece], share[piece] = row / row.sum(), 1.0
             waiting[piece] = False
+    flecks = waiting & (areas < TINY * areas.sum())
+    for piece in np.flatnonzero(flecks):  # it touches nothing, and is no limb: it stays with what it lies nearest to
+        on = (label == piece) & (parts.host >= 0)
+        if on.any():
+            nearest = on & (parts.gap <= parts.gap[on].min() + _NEAR)
+            row = mesh.push_surface(weights, parts.host[nearest]).mean(axis=0) ** SHARP
+            rows[piece], share[piece] = row / row.sum(), 1.0
     for part in np.flatnonzero(sits):  # what sits on a piece that follows follows too
         on = parts.host[label == part]
         host = np.bincount(label[on[on >= 0]], minlength=len(sits)).argmax()
