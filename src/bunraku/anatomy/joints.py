@@ -26,6 +26,8 @@ __all__ = [
 ]
 
 PRESENT = 2e-3  # share of the surface under which a handle counts as absent and follows its parent
+OVERLAP = 5e-3  # share of a part in which its parent has one too, under which the two are pieces that only touch
+TRACE = 0.2  # weight, of a part's largest, under which a vertex is not of the part
 GROUP = 4000  # vertices of a part looked at to find where it meets another
 HIP_BY_THIGH = (
     0.75  # how far a bent hip follows the thigh instead of the overlap of weights; by archive humanoids made to sit
@@ -51,8 +53,8 @@ class Joints:
 def find_joints(character: Character, handles: Handles) -> Joints:
     """Joints between neighbouring handles, where both weights are large.
 
-    The joint of k and p is the mean of the vertices weighted by area times s_k times s_p. Where the weights do not
-    overlap (loose parts), it is half way between the two nearest groups of vertices.
+    The joint of k and p is the mean of the vertices weighted by area times s_k times s_p. Where the weights hardly
+    overlap (loose parts; a trace of both may lie anywhere), it is half way between the two nearest groups of vertices.
     """
     areas = character.areas
     mass = handles.weights * areas[:, None]
@@ -71,12 +73,14 @@ def find_joints(character: Character, handles: Handles) -> Joints:
             continue
         overlap = mass[:, handle] * handles.weights[:, parent]
         total = float(overlap.sum())
-        if total > 1e-4 * float(mass[:, handle].sum()):
+        if total > OVERLAP * float(mass[:, handle].sum()):
             positions[handle] = overlap @ vertices / total
         else:
-            positions[handle] = (
-                _between(vertices, mass[:, handle], mass[:, parent]) if mass[:, parent].any() else positions[parent]
+            own, above = (
+                np.where(handles.weights[:, part] > TRACE * handles.weights[:, part].max(), mass[:, part], 0)
+                for part in (handle, parent)
             )
+            positions[handle] = _between(vertices, own, above) if above.any() else positions[parent]
     return Joints(positions, parents, present)
 
 
@@ -171,7 +175,7 @@ def _unbent(
     handle, parent = pair
     own, above = handles.weights[:, handle].astype(np.float64), handles.weights[:, parent].astype(np.float64)
     both = own * above
-    if both @ areas <= 1e-4 * (own @ areas):
+    if both @ areas <= OVERLAP * (own @ areas):
         return None
     near = both > 1e-3 * both.max()
     share = np.divide(own, own + above, out=np.zeros_like(own), where=near)
