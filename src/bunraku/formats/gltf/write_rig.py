@@ -69,12 +69,7 @@ class RigDocument:
 
 
 def save_rig_animation(
-    animation: RigAnimation,
-    path: str | Path,
-    *,
-    fps: float | None = None,
-    name: str | None = None,
-    others: bool = True,
+    animation: RigAnimation, path: str | Path, *, fps: float | None = None, name: str | None = None
 ) -> Path:
     """Write the animation as GLB.
 
@@ -83,19 +78,16 @@ def save_rig_animation(
         path: The file.
         fps: Frames a second of the channels [1/s]; those of the motion by default.
         name: The clip's name; the file's by default.
-        others: Write the file's own clips as well.
 
     Raises:
         FormatError: The file cannot be written.
         OptionError: `fps` is no number from 1 to 1000.
     """
     path = Path(path)
-    return save_rig_clips({str(name) if name else path.stem: animation}, path, fps=fps, others=others)
+    return save_rig_clips({str(name) if name else path.stem: animation}, path, fps=fps)
 
 
-def save_rig_clips(
-    clips: Mapping[str, RigAnimation], path: Path, *, fps: float | None = None, others: bool = True
-) -> Path:
+def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float | None = None) -> Path:
     """Write several animations of one character as GLB, each as a clip of its name, and the file's own clips after
     them.
 
@@ -103,7 +95,6 @@ def save_rig_clips(
         clips: At least one, all of the same character.
         path: The file.
         fps: Frames a second of the channels [1/s]; those of each motion by default.
-        others: Write the file's own clips as well.
 
     Raises:
         FormatError: The file cannot be written.
@@ -117,7 +108,7 @@ def save_rig_clips(
         builder, own = written.builder, written.source
         for name, clip in clips.items():
             add_bone_clip(builder, written.nodes, written.local(clip), clip.fps, rates[name], name)
-        if own and others:
+        if own:
             carry_clips(own.document, builder, {node: node for node in range(len(own.document.items("nodes")))})
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         reason = f"{type(error).__name__}: {str(error)[:80]}"
