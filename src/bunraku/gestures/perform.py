@@ -13,7 +13,7 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.gestures.manner import AS_USUAL, Manner
 from bunraku.gestures.play import FPS, posed
 from bunraku.gestures.pose import Gesture, Key, Pose, moved
-from bunraku.gestures.standing import SIDES, Standing, captured, swaying
+from bunraku.gestures.standing import SIDES, Standing, captured, mirrored, swaying
 from bunraku.gestures.tracks import HandTrack, Tracks
 
 __all__ = ["Variation", "performed"]
@@ -32,7 +32,8 @@ class Variation:
         timing: How far each time differs in length, either way.
         reach: Standard deviation of where hands are that touch nothing [m].
         elbows: The same of to where elbows are bent, over a direction.
-        bearing: The same of how trunk and head of who steps are held [degrees].
+        bearing: The same of how trunk and head are held [degrees].
+        leaning: The same of how far the pelvis of who stands is over one of both feet [m].
         stride: Largest factor of the length and the width of steps, either way.
         sinks: How much lower who steps goes at the most [m].
         holds: Least and largest factor of how long a pose is held.
@@ -49,9 +50,10 @@ class Variation:
     touching: float = 1.08
     each: float = 0.12
     timing: float = 0.1
-    reach: float = 0.035
+    reach: float = 0.045
     elbows: float = 0.2
     bearing: float = 4.0
+    leaning: float = 0.03
     stride: float = 1.2
     sinks: float = 0.05
     holds: tuple[float, float] = (0.6, 1.8)
@@ -111,6 +113,8 @@ def _standing(
     if not idles:
         return swaying(int(random.integers(2**31)), moments)
     idle = idles[int(random.integers(len(idles)))]
+    if random.random() < 0.5:
+        idle = mirrored(idle)
     last = len(idle) - 1
     at: np.ndarray
     if closed:
@@ -299,8 +303,18 @@ def _varied(
     hips = tracks.hips
     if all(tracks.feet[side].rests.all() for side, _ in SIDES):
         hips = hips * np.clip(variation.size ** random.uniform(-0.6, 0.4), 0.85, 1.1)
-    lean = tracks.lean * body + random.normal(0, 1.5, 3) * (np.abs(tracks.lean) > 0)
-    return replace(tracks, lean=lean, head=tracks.head * body, shrug=tracks.shrug * size, hips=hips, hands=hands)
+    upright = np.clip(1 - np.abs(tracks.tilt) / LIES, 0, 1)[:, None]
+    lean = tracks.lean * body + upright * random.normal(0, variation.bearing, 3).clip(*_within(variation.bearing))
+    head = tracks.head * body + upright * random.normal(0, variation.bearing, 3).clip(*_within(variation.bearing))
+    over = float(random.normal(0, variation.leaning))
+    stands = np.minimum(*[tracks.feet[side].rests for side, _ in SIDES])
+    hips = hips + stands[:, None] * upright * [np.clip(over, *_within(variation.leaning)), -abs(over) / 6, 0]
+    return replace(tracks, lean=lean, head=head, shrug=tracks.shrug * size, hips=hips, hands=hands)
+
+
+def _within(deviation: float) -> tuple[float, float]:
+    """Bounds of what is drawn: twice a deviation to both sides."""
+    return -2 * deviation, 2 * deviation
 
 
 def _strode(tracks: Tracks, random: np.random.Generator, variation: Variation) -> Tracks:

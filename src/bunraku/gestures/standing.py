@@ -11,7 +11,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
 from bunraku.geometry.rotations import heading, matrix_y
 
-__all__ = ["AT", "PALM", "SIDES", "Hanging", "Planted", "Standing", "captured", "stands_well", "swaying"]
+__all__ = ["AT", "PALM", "SIDES", "Hanging", "Planted", "Standing", "captured", "mirrored", "stands_well", "swaying"]
 
 AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 """Numbers of the joints by their names."""
@@ -110,6 +110,20 @@ def stands_well(motion: SkeletalMotion) -> bool:
     ankles = positions[:, [AT["left_ankle"], AT["right_ankle"]]]
     level = np.abs(ankles[..., 1] - rest[AT["left_ankle"], 1]).max() < ANKLE
     return bool(level and np.linalg.norm(ankles[:, 0] - ankles[:, 1], axis=1).max() < APART)
+
+
+def mirrored(motion: SkeletalMotion) -> SkeletalMotion:
+    """The mirror image of a motion of the reference body's 22 joints."""
+    other = [AT[_other(name)] for name in JOINT_NAMES]
+    flip = np.array([-1.0, 1, 1])
+    rotations = motion.rotations[:, other] * np.outer(flip, flip)
+    return SkeletalMotion(motion.skeleton, rotations, motion.root_translation * flip, motion.fps)
+
+
+def _other(name: str) -> str:
+    """A joint of the other side."""
+    side, _, part = name.partition("_")
+    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, name)
 
 
 def captured(motion: SkeletalMotion, at: np.ndarray) -> Standing:

@@ -19,19 +19,21 @@ from bunraku.retarget.stages.front import Front
 from bunraku.retarget.stages.gait import Gait
 from bunraku.retarget.stages.ground import Floor, Ground
 from bunraku.retarget.stages.hands import Hands
+from bunraku.retarget.stages.hands_clear import HandsClear
 from bunraku.retarget.stages.rest_pose import Attach, Level, RestPose
 from bunraku.retarget.stages.shape import Shape
 from bunraku.retarget.stages.smooth import Smooth
 from bunraku.retarget.stages.stage import Fitting, Stage
 from bunraku.retarget.stages.support import Support
+from bunraku.retarget.stages.swings import Swings
 from bunraku.retarget.stages.switches import Stages
 from bunraku.retarget.stages.tail import Tail, TailClear
 
 __all__ = ["POSING", "STAGES", "Stages", "fit_motion", "posed", "running"]
 
 STAGES: tuple[Stage, ...] = (
-    Smooth(), Gait(), Blocks(), RestPose(), Fins(), Tail(), Front(), Attach(), Shape(), Level(), Ground(), Support(),
-    Feet(), Hands(), TailClear(), Floor(),
+    Smooth(), Gait(), Blocks(), RestPose(), Fins(), Tail(), Front(), Swings(), Attach(), Shape(), Level(), Ground(),
+    Support(), Feet(), Hands(), HandsClear(), TailClear(), Floor(),
 )  # fmt: skip
 """All stages, in the order in which they run."""
 _NAMED = {stage.name: stage for stage in STAGES}

@@ -20,6 +20,7 @@ class Stages:
         fins: Fins, claws and forelegs that nothing was drawn for stay near their rest.
         tail: Tails that are held up higher than they rest are lowered.
         front: Heads of bodies that lie along their spine are kept above the ground.
+        swings: Left and right legs of who goes on four swing alike.
         attach: Handles stay joined to their parents.
         shape: Handles move a little where that keeps the mesh's edges at their lengths.
         level: Bodies that lie along their spine take a third of a person's tilt of the pelvis.
@@ -27,6 +28,7 @@ class Stages:
         support: Legs stay under the trunk of a body on four legs.
         feet: Standing feet do not slide.
         hands: Hands that touch the body stay near it.
+        hands_clear: Hands stay out of the body.
         tail_clear: A tail that would sink into the ground is turned up.
         floor: Nothing sinks into the ground, and feet that stand are on it.
     """
@@ -38,6 +40,7 @@ class Stages:
     fins: bool = True
     tail: bool = True
     front: bool = True
+    swings: bool = True
     attach: bool = True
     shape: bool = False
     level: bool = True
@@ -45,5 +48,6 @@ class Stages:
     support: bool = True
     feet: bool = True
     hands: bool = False
+    hands_clear: bool = True
     tail_clear: bool = True
     floor: bool = True

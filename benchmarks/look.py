@@ -1,0 +1,104 @@
+"""What a look after sampling sees: hands in the body, and contacts that slide in turns. As a Markdown table.
+
+    python benchmarks/look.py [--data data/motions] [--seconds 6] [--candidates 3]
+
+Sentences are those of benchmarks/playback.txt for hands, and eight of circles and turns for contacts, each fitted to
+the reference body with all stages, and without the one that is asked about. Captured clips, drawn by lot, are measured
+the same way where their folder is given.
+
+Hands: share of the frames in which a point of a hand is deeper than 1 cm in the body without its arms, by the
+generalised winding number (Jacobson et al. 2013) of the posed surface, which no stage uses.
+Contacts: feet whose lowest point is within 3 cm of the ground in a frame and the next, and no faster than 1 m/s; share
+of them that slide more than 3 cm in a tenth of a second, and share that is more than 3 cm from where its contact began.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+TURNS = (
+    "a person walks in a circle", "walks in a circle to the right", "he walks around in a circle again and again",
+    "a person turns around", "makes a half turn to the left", "walks forward, then turns around", "a person turns left",
+    "the person turns to the right twice",
+)  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, help="folder of 'bunraku data motions', for captured clips")
+    parser.add_argument("--sentences", type=Path, default=Path(__file__).with_name("playback.txt"))
+    parser.add_argument("--clips", type=int, default=40)
+    parser.add_argument("--seconds", type=float, default=6.0)
+    parser.add_argument("--candidates", type=int, default=3)
+    parser.add_argument("--threads", type=int, default=2)
+    args = parser.parse_args()
+    os.environ["OMP_NUM_THREADS"] = str(args.threads)  # read when the libraries load, so before any import of them
+
+    import numpy as np
+
+    from bunraku.anatomy.anatomy import Anatomy
+    from bunraku.body.reference import reference_body
+    from bunraku.core.motion import HandleMotion
+    from bunraku.diffusion.generation.generate import generate_motions
+    from bunraku.language.parse import parse
+    from bunraku.retarget.fit import Stages, fit_motion
+    from bunraku_lab.datasets.motions.clips import load_clip, load_index
+    from bunraku_lab.evaluation.motion.look import hands_in_body, sliding_contacts
+
+    body = reference_body()
+    anatomy = Anatomy.of(body.character(), body.handles)
+
+    def motions(sentences: Any) -> list[HandleMotion]:
+        found = []
+        for seed, prompt in enumerate(sentences):
+            script = parse(prompt, args.seconds, force=True).clauses
+            made = generate_motions([script], seeds=[seed], candidates=args.candidates)[0]
+            found.append(made.of_own_body())
+        return found
+
+    def hands_row(name: str, some: list[HandleMotion], stages: Stages) -> None:
+        seen = np.concatenate([hands_in_body(fit_motion(one, anatomy, stages)) for one in some])
+        print(f"| {name} | {100 * seen.mean():.1f} % of {len(seen)} frames |", flush=True)
+
+    def feet_row(name: str, some: list[HandleMotion], stages: Stages) -> None:
+        fast, far, count = np.sum([sliding_contacts(fit_motion(one, anatomy, stages)) for one in some], axis=0)
+        print(f"| {name} | {100 * fast / count:.1f} % | {100 * far / count:.1f} % of {count} |", flush=True)
+
+    made = motions(TURNS)
+    print("| contacts in circles and turns | 3 cm in 0.1 s | 3 cm from where it began |\n| --- | --- | --- |")
+    feet_row("all stages", made, Stages())
+    feet_row("without feet", made, Stages(feet=False))
+    clips = [] if args.data is None else _captured(args, load_index(args.data), load_clip)
+    if clips:
+        turning = [one for text, one in clips if "turn" in text or "circle" in text]
+        feet_row(f"captured, {len(turning)} clips of turns", turning, Stages())
+    print("\n| hands deeper than 1 cm in the body | |\n| --- | --- |", flush=True)
+    made = motions(args.sentences.read_text(encoding="utf-8").split("\n")[:-1])
+    hands_row("all stages", made, Stages())
+    hands_row("without hands_clear", made, Stages(hands_clear=False))
+    if clips:
+        hands_row(f"captured, {len(clips)} clips", [one for _, one in clips], Stages())
+
+
+def _captured(args: Any, index: Any, load: Any) -> list[tuple[str, Any]]:
+    """Clips of people of validation and test, drawn by lot, at most ten seconds of each."""
+    import numpy as np
+
+    names = sorted(
+        name for name, entry in index.items() if not entry.get("species") and entry.get("split") in ("val", "test")
+    )
+    chosen = np.random.default_rng(31).permutation(names)[: args.clips]
+    found = []
+    for name in chosen.tolist():
+        texts = " ".join(
+            index[name].get("texts") or [part["texts"][0] for part in index[name].get("stretches", [])][:1]
+        )
+        found.append((texts, load(args.data / f"{name}.npz").take(slice(0, 200))))
+    return found
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Left and right legs of who goes on four swing alike; what one leg does alone stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.body.layout import HANDLE_NAMES, JOINT_NAMES
+from bunraku.body.reference import reference_body
+from bunraku.core.animation import Animation
+from bunraku.core.motion import SkeletalMotion
+from bunraku.geometry.rotations import matrix_from_axis_angle
+from bunraku.handles.from_rig import rig_handles
+from bunraku.retarget.body_motion import body_handle_motion
+from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.stages.stage import Fitting
+from bunraku.retarget.stages.swings import Swings, pairs_of
+from bunraku.samples import sample_character
+from bunraku_lab.evaluation.motion.gaits import gait_of
+
+PLAIN = Stages(ground=False, feet=False, smooth=False, floor=False, support=False)
+
+
+@pytest.fixture(scope="module")
+def dog():
+    character = sample_character("dog", rigged=True)
+    return Anatomy.of(character, rig_handles(character))
+
+
+def walk(sizes, frames=80, period=20):
+    """Arms that point down and legs, swung by so many radians, left and right in turn."""
+    turns = np.zeros((frames, 22, 3))
+    swing = np.sin(2 * np.pi * np.arange(frames) / period)
+    for name, size in sizes.items():
+        sign = 1 if name in ("left_shoulder", "right_hip") else -1
+        turns[:, JOINT_NAMES.index(name), 0] = sign * size * swing
+    rotations = matrix_from_axis_angle(turns)
+    for side, sign in (("left", 1), ("right", -1)):
+        joint = JOINT_NAMES.index(f"{side}_shoulder")
+        rotations[:, joint] = rotations[:, joint] @ matrix_from_axis_angle(np.array([0, 0, -sign * np.pi / 2]))
+    body = reference_body()
+    return body_handle_motion(
+        SkeletalMotion(body.skeleton, rotations, np.tile(body.joints[0], (frames, 1)), 20.0)
+    ).of_own_body()
+
+
+def gaits(motion, dog, stages):
+    return gait_of(Animation(dog.character, dog.handles, fit_motion(motion, dog, stages)), dog)
+
+
+def test_who_limps_walks_evenly_and_as_far_as_in_the_mean(dog):
+    limping = walk({"left_shoulder": 0.5, "right_shoulder": 0.3, "left_hip": 0.3, "right_hip": 0.55})
+    before, after = (gaits(limping, dog, stages) for stages in (replace(PLAIN, swings=False), PLAIN))
+    assert before[0].ratio > 1.4 and before[1].ratio < 0.7
+    for one, other in zip(before, after, strict=True):
+        assert 0.93 < other.ratio < 1.07
+        assert np.sqrt(other.left * other.right) == pytest.approx(np.sqrt(one.left * one.right), rel=0.08)
+        assert other.phase == pytest.approx(one.phase, abs=0.03) == pytest.approx(0.5, abs=0.06)
+
+
+def test_a_leg_that_strikes_alone_stays(dog):
+    stage = Swings()
+    strike = walk({"left_shoulder": 0.9, "right_shoulder": 0.05})
+    fitting = Fitting.of(strike, dog)
+    np.testing.assert_array_equal(stage(fitting, dog).rotations, fitting.rotations)
+
+
+def test_only_what_was_made_for_its_own_kind_on_four_legs_is_touched(dog):
+    limping = walk({"left_hip": 0.3, "right_hip": 0.55})
+    assert Swings().applies(Fitting.of(limping, dog), dog)
+    assert not Swings().applies(Fitting.of(limping.of_own_body(False), dog), dog)
+    body = reference_body()
+    person = Anatomy.of(body.character(), body.handles)
+    assert not Swings().applies(Fitting.of(limping, person), person)
+
+
+def test_legs_are_paired_side_by_side_the_foremost_first(dog):
+    pairs = pairs_of(dog.legs)
+    assert len(pairs) == 2 and all(one.joints[0][0] > 0 > other.joints[0][0] for one, other in pairs)
+    assert pairs[0][0].joints[0][2] > pairs[1][0].joints[0][2]
+    names = [HANDLE_NAMES[int(dog.handles.played[leg.upper])] for pair in pairs for leg in pair]
+    assert names == ["left_shoulder", "right_shoulder", "left_hip", "right_hip"]
