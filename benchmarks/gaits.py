@@ -42,7 +42,7 @@ def main() -> None:
     from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.requests.request import Request, Sampling
     from bunraku.retarget.fit import Stages
-    from bunraku_lab.evaluation.motion.gaits import gait_of
+    from bunraku_lab.evaluation.motion.viewer.gaits import gait_of
 
     animator = Animator.shipped()
     sentence = parse(args.prompt, args.seconds)

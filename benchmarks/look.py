@@ -46,7 +46,7 @@ def main() -> None:
     from bunraku.language.parse import parse
     from bunraku.retarget.fit import Stages, fit_motion
     from bunraku_lab.datasets.motions.clips import load_clip, load_index
-    from bunraku_lab.evaluation.motion.look import hands_in_body, sliding_contacts
+    from bunraku_lab.evaluation.motion.viewer.look import hands_in_body, sliding_contacts
 
     body = reference_body()
     anatomy = Anatomy.of(body.character(), body.handles)

@@ -10,7 +10,7 @@ from bunraku.body.reference import reference_body
 from bunraku.core.character import Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.retarget.stages.gait import Gait
+from bunraku.retarget.stages.gaits.gait import Gait
 
 H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 FPS = 20.0

@@ -10,7 +10,7 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku_lab.evaluation.motion.look import hands_in_body
+from bunraku_lab.evaluation.motion.viewer.look import hands_in_body
 
 WITHOUT = Stages(ground=False, feet=False, smooth=False, floor=False, hands_clear=False)
 WITH = Stages(ground=False, feet=False, smooth=False, floor=False)

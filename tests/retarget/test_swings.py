@@ -14,10 +14,10 @@ from bunraku.geometry.rotations import matrix_from_axis_angle
 from bunraku.handles.from_rig import rig_handles
 from bunraku.retarget.body_motion import body_handle_motion
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.stages.gaits.swings import Swings, pairs_of
 from bunraku.retarget.stages.stage import Fitting
-from bunraku.retarget.stages.swings import Swings, pairs_of
 from bunraku.samples import sample_character
-from bunraku_lab.evaluation.motion.gaits import gait_of
+from bunraku_lab.evaluation.motion.viewer.gaits import gait_of
 
 PLAIN = Stages(ground=False, feet=False, smooth=False, floor=False, support=False)
 

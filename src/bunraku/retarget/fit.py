@@ -16,7 +16,8 @@ from bunraku.retarget.stages.blocks import Blocks
 from bunraku.retarget.stages.feet import Feet
 from bunraku.retarget.stages.fins import Fins
 from bunraku.retarget.stages.front import Front
-from bunraku.retarget.stages.gait import Gait
+from bunraku.retarget.stages.gaits.gait import Gait
+from bunraku.retarget.stages.gaits.swings import Swings
 from bunraku.retarget.stages.ground import Floor, Ground
 from bunraku.retarget.stages.hands import Hands
 from bunraku.retarget.stages.hands_clear import HandsClear
@@ -25,7 +26,6 @@ from bunraku.retarget.stages.shape import Shape
 from bunraku.retarget.stages.smooth import Smooth
 from bunraku.retarget.stages.stage import Fitting, Stage
 from bunraku.retarget.stages.support import Support
-from bunraku.retarget.stages.swings import Swings
 from bunraku.retarget.stages.switches import Stages
 from bunraku.retarget.stages.tail import Tail, TailClear
 

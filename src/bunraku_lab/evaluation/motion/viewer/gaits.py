@@ -9,7 +9,7 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation
 from bunraku.core.rig_animation import RigAnimation
-from bunraku.retarget.stages.swings import pairs_of
+from bunraku.retarget.stages.gaits.swings import pairs_of
 
 __all__ = ["Pair", "gait_of"]
 
