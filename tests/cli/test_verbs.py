@@ -236,8 +236,10 @@ def options_of(kind):
         if dataclasses.is_dataclass(field.default_factory):
             yield from options_of(field.default_factory)
         elif "Suppress" not in str(field.type):
-            named = re.search(r'arg\(name="([^"]+)"', str(field.type))
-            yield named[1] if named else field.name.replace("_", "-")
+            shared = getattr(importlib.import_module(kind.__module__), str(field.type), None)  # a type with a name
+            told = [getattr(each, "name", None) for each in getattr(shared, "__metadata__", ())]
+            named = re.findall(r'arg\(name="([^"]+)"', str(field.type)) + [name for name in told if name]
+            yield named[0] if named else field.name.replace("_", "-")
 
 
 def test_every_option_is_documented():
