@@ -217,8 +217,8 @@ def save(
     """Write a motion or an animation of any kind in the format that the suffix names; `.save()` of all types ends here.
 
     An animation of a character's own rig goes to .glb with the file's own nodes, skins and materials, to .usd and .fbx
-    as its bones in their tree under their names, to .vmd as the bones of an MMD model, to the formats that speak of a person's parts as that of its 30 handles, and to all others as
-    its bones move the mesh.
+    as its bones in their tree under their names, to .vmd as the bones of an MMD model, to the formats that speak of a
+    person's parts as that of its 30 handles, and to all others as its bones move the mesh.
 
     Raises:
         FormatError: The suffix is unknown, or the file cannot be written.
